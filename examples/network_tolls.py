@@ -61,7 +61,7 @@ def main(out: Path = Path()) -> None:
     problem.solve(method="LCP", callback=lambda search: history.append((-search.value, -search.lower_bound)))
     result = problem.solver_stats.extra_stats
     history.append((-result.value, -result.lower_bound))
-    print(f"income {problem.value:.6f}, {problem.status}: {result}")
+    print(f"income {problem.value:.6f}, {problem.status}: {result!r}")
     print("tolls:", {tuple(road): round(float(toll), 3) for road, toll in zip(ROADS.tolist(), tolls.value, strict=True)
                      if toll > 1e-6})
     print("all bounds checked again:", result.verify())

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,98 @@ def test_codes_say_how_it_ended(tmp_path: Path, content: NLContent, words: list[
     found = read_sol(tmp_path / "m.sol")
     assert found.code in np.atleast_1d(code)
     assert said in found.message.lower()
+
+
+def best(objective: Any, least: float = -np.inf, **changes: Any) -> NLContent:
+    """The least objective of 0 ≤ x ⟂ x + y − 1 ≥ 0, y ≥ 0, x ≥ least."""
+    one = content_of([[1.0, 1.0], [1.0, 0.0]], [-1.0, 0.0], objective=objective, partners=np.array([0, -1]),
+                     row_lower=np.array([-np.inf, least]))  # fmt: skip
+    return replace(one, **changes)
+
+
+def tree(*tokens: tuple[int, float, int]) -> Trees:
+    kinds, values, counts = np.array(tokens).T
+    return Trees(kinds.astype(np.uint8), values.astype(float), counts.astype(np.int64), np.array([0, len(tokens)]))
+
+
+CONCAVE = tree((2, 16.0, 1), (2, 5.0, 2), (1, 1.0, 0), (0, 2.0, 0))  # -(y^2)
+EXPONENTIAL = tree((2, 44.0, 1), (1, 1.0, 0))
+KNAPSACK = np.random.default_rng(0).integers(1, 1000, (4, 40)).astype(float)
+
+
+def hard() -> NLContent:
+    """A knapsack: 0 ≤ x ⟂ y ≥ 0 and x + y = 1, four rows that weigh x, the most of Σ weight · x; thousands of nodes."""
+    rows = np.vstack([np.eye(40, 80, 40), np.hstack([np.eye(40)] * 2), np.hstack([KNAPSACK, np.zeros((4, 40))])])
+    return content_of(
+        rows, np.zeros(84), lower=np.zeros(80), upper=np.full(80, np.inf),
+        partners=np.append(np.arange(40), np.full(44, -1)), partner_bounds=(np.arange(84) < 40).astype(int),
+        row_lower=np.concatenate([np.full(40, -np.inf), np.ones(40), np.full(4, -np.inf)]),
+        row_upper=np.concatenate([np.full(40, np.inf), np.ones(40), KNAPSACK.sum(axis=1) // 2]), start=np.zeros(80),
+        dual_start=np.zeros(84), has_start=np.zeros(80, dtype=bool), is_integer=np.zeros(80, dtype=bool),
+        defined_linear=sp.csr_array((0, 80)), objective=np.append(-KNAPSACK.sum(axis=0), np.zeros(40)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "words", "code", "said"),
+    [
+        (best([0.0, 1.0]), [], 0, "optimal; objective 0, bound"),
+        (best([0.0, 1.0], is_maximized=np.ones(1, dtype=bool)), [], 300, "unbounded; 1 node"),
+        (best([0.0, -1.0]), [], 300, "the objective falls for ever"),
+        (best([0.0, 1.0], upper=np.full(2, 0.25)), [], 200, "the linear constraints contradict one another"),
+        (best([0.0, 1.0], 2.0), [], 200, "every way to make the pairs complementary is refuted"),
+        (best([0.0, 1.0], objective_trees=CONCAVE), [], 500, "not convex"),
+        (best([0.0, 1.0], objective_trees=EXPONENTIAL), [], 500, "neither linear nor quadratic"),
+        (best([0.0, 1.0], names=["a", "b"], is_integer=np.array([False, True])), [], 500, "b is an integer"),
+        (hard(), ["max_iterations=2"], 400, "limit of nodes came first: raise it"),
+        (hard(), ["max_seconds=1e-9"], 401, "max_seconds came first: raise it; no solution was found so far"),
+        (best([0.0, 1.0]), ["threads=1", "algorithm=auto", "absolute_tolerance=0", "tolerance=1e-9"], 0, "optimal"),
+        (best([0.0, 1.0]), ["algorithm=psor"], 500, "takes no algorithm, got 'psor'; leave it out"),
+        (best([0.0, 1.0]), ["absolute_tolerance=1"], 500, "takes no absolute_tolerance, got 1.0"),
+    ],
+    ids=["optimal", "maximum", "unbounded", "infeasible", "no solution", "not convex", "nonlinear", "integer", "nodes",
+         "seconds", "harmless options", "algorithm", "absolute tolerance"],
+)  # fmt: skip
+def test_an_objective_beside_complementarities_is_answered(
+    tmp_path: Path, content: NLContent, words: list[str], code: int, said: str
+) -> None:
+    """Code and message of each end, values where there are any, and what does not fit is told in the .sol."""
+    write_nl(content, tmp_path / "m.nl")
+    assert ampl.main([str(tmp_path / "m"), "-AMPL", *words]) == 0
+    found = read_sol(tmp_path / "m.sol")
+    assert (found.code, said in found.message) == (code, True), found.message
+    assert "inf" not in found.message.replace("infeasible", "")
+    if code == 0:
+        assert found.values == pytest.approx([1.0, 0.0], abs=1e-6)
+    elif code != 400:
+        assert found.values is None
+
+
+def test_an_option_that_does_not_fit_is_told_in_the_sol(tmp_path: Path) -> None:
+    """An algorithm that nobody knows is in the .sol where one is asked for, else on stderr."""
+    write_nl(SOLVABLE, tmp_path / "m.nl")
+    assert ampl.main([str(tmp_path / "m"), "-AMPL", "algorithm=psr"]) == 0
+    assert "did you mean 'psor'" in read_sol(tmp_path / "m.sol").message
+
+
+@pytest.mark.full
+def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path: Path) -> None:
+    """SIGINT to the executable while it searches: code 402, the best solution in the .sol, exit code 0."""
+    write_nl(hard(), tmp_path / "m.nl")
+    code = "from lcp_plugin.commands.ampl import run; run()"
+    call = [sys.executable, "-u", "-c", code, str(tmp_path / "m"), "-AMPL", "outlev=1"]
+    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.split()[0].isdigit() and int(line.split()[0]) > 3 and " inf " not in line:
+                break
+        process.send_signal(signal.SIGINT)
+        process.stdout.read()
+    found = read_sol(tmp_path / "m.sol")
+    assert (process.returncode, found.code) == (0, 402)
+    assert "interrupted; objective" in found.message
+    assert found.values is not None
+    assert np.minimum(found.values[:40], found.values[40:]) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def test_what_is_not_taken_is_said() -> None:
     m.bent = Complementarity(expr=complements(m.x >= 0, pe.exp(m.y) - 1 >= 0))
     with pytest.raises(UnsupportedModel, match="bent is nonlinear"):
         pe.SolverFactory("lcp_plugin").solve(m)
-    with pytest.raises(InvalidOption, match="no option 'algorithm'"):
+    with pytest.raises(InvalidOption, match="takes no algorithm, got 'psor'"):
         pe.SolverFactory("lcp_plugin").solve(bard(), options={"algorithm": "psor"})
 
 

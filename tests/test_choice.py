@@ -358,11 +358,13 @@ def test_frictional_contact_is_pivoted(contacts: int) -> None:
 
 
 def test_what_is_too_large_is_left_out() -> None:
-    """No linear program beyond 5000 rows; beyond 6000 no lemke, and psor comes back where it can run."""
-    assert order(cycle(5001, -1.0)) == ["interior_point", "newton", "lemke"]
+    """No linear program beyond 5000 rows, nor newton on negative diagonals; beyond 6000 no lemke, but psor at last."""
+    assert order(cycle(5001, -1.0)) == ["interior_point", "lemke"]
+    assert order(cycle(5001, 0.0)) == ["interior_point", "newton", "lemke"]
     assert order(cycle(6000, 1.0)) == ["newton", "interior_point", "lemke"]
     assert order(cycle(6001, 1.0)) == ["newton", "interior_point", "psor"]
-    assert order(cycle(6001, -1.0)) == ["interior_point", "newton"]
+    assert order(cycle(6001, 0.0)) == ["interior_point", "newton"]
+    assert order(cycle(6001, -1.0)) == ["interior_point"]
 
 
 def test_direct_methods_come_one_after_the_other_and_each_ends_by_itself() -> None:

@@ -490,20 +490,14 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
     yield "an infinite number", content_of(1, [("*", INFINITY, x)]), "constants must be finite"
     mpec = replace(paired(content_of(1, [("exp", x)])), **objective_of(content_of(1, objective=x)))
     yield "an objective beside nonlinear pairs", mpec, "row 0 is nonlinear"
-    beside = replace(paired(content_of(2, [x, y])), partners=np.array([0, -1]), row_upper=np.array([INFINITY, 1.0]))
-    yield "side constraints", beside, "row 1 is an inequality without a partner"
     yield "nonlinear rows", content_of(1, [("exp", x)], row_upper=[1.0], row_lower=[-INFINITY]), "row 0 is nonlinear"
     yield "nonlinear objective", content_of(1, objective=("exp", x)), "neither linear nor quadratic"
     twice = replace(paired(content_of(2, [x, y])), partners=np.array([1, 1]))
     yield "two rows for one", twice, "both complementary to variable 1"
-    other = replace(paired(content_of(1, [x], names=["price"])), upper=np.array([4.0]))
-    yield "other bounds", other, "states the lower bound of price .* own are 0 and 4"
     names = r"\(variable 0, variable 1\)"
     yield "not square", content_of(2, [("*", x, y)]), f"2 unknowns without a complementarity {names} and 1"
     yield "no room", content_of(1, [x], lower=[2.0], upper=[1.0]), "variable 0 has the lower bound 2 above"
     yield "0 == 1", replace(paired(content_of(1, [x, 1.0])), **one_equation()), "row 1 holds no unknown"
-    free = replace(paired(content_of(2, [("+", y, 5.0), x])), **one_equation())
-    yield "bounds", free, "variable 1 has bounds that the rest of the model does not imply"
 
 
 def objective_of(content: NLContent) -> dict[str, Any]:
@@ -612,6 +606,58 @@ def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
     np.testing.assert_allclose(answer.x, [3.0, 2.0, 5.0], rtol=1e-12)
 
 
+def beside_pairs(kind: str, at: float) -> NLContent:
+    """0 ≤ x₀ ⟂ x₀ − 2 ≥ 0, hence x₀ = 2, and beside it something that asks for x₀ ≤ at."""
+    one = replace(paired(content_of(2, [("-", X[0], 2.0), ("exp", X[0])])), partners=np.array([0, -1]))
+    one = replace(one, lower=np.array([0.0, -INFINITY]))
+    if kind == "inequality":
+        return replace(one, row_upper=np.array([INFINITY, math.exp(at)]))
+    if kind == "bound of its own":
+        return replace(one, upper=np.array([at, INFINITY]))
+    equation = content_of(2, [("-", X[0], 2.0), ("-", X[1], X[0])])
+    return replace(one, trees=equation.trees, upper=np.array([INFINITY, at]), row_lower=np.array([-INFINITY, 0.0]),
+                   row_upper=np.array([INFINITY, 0.0]))
+
+
+@pytest.mark.parametrize("kind", ["inequality", "bound of its own", "bound of another"])
+def test_what_stands_beside_complementarities_is_held_against_the_answer(kind: str, tmp_path: Path) -> None:
+    """An inequality, a bound that the pair does not state: solved where it holds, else not, in words; no LCP alone."""
+    holds = model_of(beside_pairs(kind, 3.0)).solve()
+    assert (holds.status, holds.x[0]) == (Status.SOLVED, pytest.approx(2.0))
+    fails = model_of(beside_pairs(kind, 1.0)).solve()
+    assert (fails.status, fails.code) == (Status.STALLED, 500)
+    name = {"inequality": "row 1", "bound of its own": "row 0", "bound of another": "variable 1"}[kind]
+    assert f"{name} does not hold, off by" in fails.message
+    write_nl(beside_pairs(kind, 3.0), tmp_path / "m.nl")
+    with pytest.raises(UnsupportedModel, match=rf"more than a complementarity problem: {name}"):
+        LCP.load(tmp_path / "m.nl")
+
+
+def test_a_row_that_a_fixed_variable_leaves_constant_is_held_against_the_answer() -> None:
+    """0 ≤ v ⟂ 1 beside v = x − 1 and x ⟂ x − 1: an equation too many, and v = 0 where x = 1; not where x = 2."""
+    for root, status in ((1.0, Status.SOLVED), (2.0, Status.STALLED)):
+        rows = [1.0, ("+", ("-", X[0], X[1]), 1.0), ("-", X[1], root)]
+        content = replace(
+            paired(content_of(2, rows)), partners=np.array([0, -1, 1]), row_lower=np.array([-INFINITY, 0.0, -INFINITY]),
+            row_upper=np.array([INFINITY, 0.0, INFINITY]), partner_bounds=np.array([1, 0, 1]),
+        )
+        answer = model_of(content).solve()
+        assert answer.status is status
+        np.testing.assert_allclose([*answer.x, answer.duals[0]], [root - 1.0, root, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("sign", "wanted"), [(1.0, [0.0, 0.0]), (-1.0, [0.5, 0.0])])
+def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(sign: float, wanted: Any) -> None:
+    """0 ≤ x₀ ⟂ x₁ ≥ 0 and x₀ ≤ ½ of its own: at ½ nothing is gained by x₁ < 0."""
+    objective = content_of(2, objective=0.0, objective_linear=[[sign, 1.0]])
+    pair = paired(content_of(2, [X[1], 0.0]))
+    content = replace(pair, **objective_of(objective), partners=np.array([0, -1]), lower=np.array([0.0, -9.0]),
+                      upper=np.array([0.5, 9.0]))  # fmt: skip
+    answer = model_of(content).solve()
+    assert answer.is_solved
+    np.testing.assert_allclose(answer.x, wanted, atol=1e-9)
+
+
 def test_rows_without_limits_are_left_out() -> None:
     """A nonlinear row that may take any value changes neither a program nor complementarities."""
     beside = content_of(
@@ -644,6 +690,16 @@ def test_lcp_load_reads_the_affine_ones(tmp_path: Path) -> None:
     write_nl(program("products"), tmp_path / "p.nl")
     with pytest.raises(UnsupportedModel, match=r"p\.nl states a quadratic program, not .*read_nl"):
         LCP.load(tmp_path / "p.nl")
+    write_nl(best(), tmp_path / "b.nl")
+    with pytest.raises(UnsupportedModel, match=r"b\.nl states an objective beside complementarities"):
+        LCP.load(tmp_path / "b.nl")
+
+
+def best(bound: float = INFINITY) -> NLContent:
+    """The least x₁ of 0 ≤ x₀ ⟂ x₀ + x₁ − 1 ≥ 0, x₀ ≤ bound, x₁ ≤ bound."""
+    pair = paired(content_of(2, [("-", ("+", X[0], X[1]), 1.0), 0.0]))
+    objective = content_of(2, objective=0.0, objective_linear=[[0.0, 1.0]])
+    return replace(pair, **objective_of(objective), partners=np.array([0, -1]), upper=np.full(2, bound))
 
 
 def lcp_plugin(*arguments: Any) -> Any:
@@ -666,6 +722,18 @@ def test_the_commands_take_models(tmp_path: Path) -> None:
         np.testing.assert_allclose(saved["x"], model_of(program("products")).solve().x, rtol=1e-6)
     assert json.loads(lcp_plugin("solve", path, "--json").stdout)["code"] == 0
     assert "proved" in lcp_plugin("certify", path).stdout
+    write_nl(best(), tmp_path / "b.nl")
+    done = lcp_plugin("solve", tmp_path / "b.nl", "--out", tmp_path / "b.npz", "--threads", "1")
+    assert (done.exit_code, "optimal; objective 0, bound" in done.stdout) == (0, True), done.output
+    with np.load(tmp_path / "b.npz") as saved:
+        np.testing.assert_allclose(saved["x"], [1.0, 0.0], atol=1e-9)
+    assert json.loads(lcp_plugin("solve", tmp_path / "b.nl", "--json").stdout)["run"]["algorithm"] == "branch and bound"
+    write_nl(best(0.25), tmp_path / "b.nl")
+    done = lcp_plugin("solve", tmp_path / "b.nl", "--out", tmp_path / "b.npz")
+    assert (done.exit_code, "nan" in done.stdout) == (1, False), done.output
+    with np.load(tmp_path / "b.npz") as saved:
+        assert (str(saved["status"]), "x" in saved) == ("INFEASIBLE", False)
+    assert "which takes no algorithm" in lcp_plugin("solve", tmp_path / "b.nl", "-a", "psor").stderr
     M, q, _ = random_pairs()
     write_nl(paired(content_of(6, list(q), linear=M)), tmp_path / "m.nl")
     assert lcp_plugin("analyze", tmp_path / "m.nl").exit_code == 0

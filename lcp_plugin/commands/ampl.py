@@ -30,7 +30,7 @@ WRITE, SHOW_VALUES, SHOW_DUALS, NO_MESSAGE = 1, 2, 4, 8  # bits of wantsol
 OF_SOLVE = {
     "absolute_tolerance": (float, "residual in the unit of the variables that is small enough in any case (0)"),
     "algorithm": (str, "a name that lcp-plugin list shows (auto)"),
-    "max_iterations": (int, "limit of iterations (100000)"),
+    "max_iterations": (int, "limit of iterations (100000), of nodes beside an objective with complementarities (none)"),
     "max_seconds": (float, "limit of wall-clock seconds (none)"),
     "threads": (int, "how many threads it may use (all)"),
     "tolerance": (float, "solved means a residual of at most this (1e-8)"),
@@ -213,14 +213,15 @@ def _answer(content: NLContent, call: Call) -> tuple[str, Any, Any, int]:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("default", UserWarning)
             answer = model_of(content).solve(**call.settings)
-    except (InvalidOption, UnknownAlgorithm):
-        raise  # of the caller, not of the model
     except (LCPError, MemoryError) as error:
+        if isinstance(error, (InvalidOption, UnknownAlgorithm)) and not call.writes:
+            raise  # of the caller, not of the model
         return f"lcp_plugin {__version__}: failure: {error}", None, None, FAILURE
     except KeyboardInterrupt:
         return f"lcp_plugin {__version__}: interrupted before there was an answer", None, None, INTERRUPTED
     proof = answer.result.proof
-    advice = [] if answer.is_solved else [answer.result.advice if proof is None else str(proof)]
+    has_words = proof is not None and proof is not answer.result  # which proves itself
+    advice = [] if answer.is_solved else [str(proof) if has_words else answer.result.advice]
     message = "\n".join([answer.message, *advice, *(f"warning: {one.message}" for one in warned)])
     return message, answer.x, answer.duals, answer.code
 

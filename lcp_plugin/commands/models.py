@@ -17,7 +17,7 @@ from ..errors import InvalidOption
 from ..problem.lcp import LCP
 from ..settings import Settings, Status
 from .solving import OneProcess
-from .terminal import LINE, show_step
+from .terminal import LINE, show_search, show_step
 
 SHOWN = 20  # variables that a person is told at once
 
@@ -36,7 +36,7 @@ class Found:
     names : sequence of str
         Of the variables.
     vectors : dict
-        What is saved; x first.
+        What is saved; x where there is one.
     result : Answer
         What `solve` has returned.
     more : dict
@@ -94,11 +94,15 @@ def run(
 
 def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
     """Return the answer to AMPL's file."""
+    from ..conversions.equilibrium_program import EquilibriumProgram
     from ..modeling.nl import read_nl
 
     model = read_nl(target)
-    answer = model.solve(chosen, callback=show_step if LINE.is_there else None, **asked)
-    vectors = {"x": answer.x, "duals": answer.duals, "names": np.array(model.names(), dtype=np.str_)}
+    show = show_search if isinstance(model.problem, EquilibriumProgram) else show_step
+    answer = model.solve(chosen, callback=show if LINE.is_there else None, **asked)
+    vectors: dict[str, Any] = {"names": np.array(model.names(), dtype=np.str_)}
+    if answer.x is not None:
+        vectors |= {"x": answer.x, "duals": answer.duals}
     if model.content.row_names is not None:
         vectors["row_names"] = np.array(model.content.row_names, dtype=np.str_)
     more = {"code": answer.code, "message": answer.message, "objective": answer.objective}
@@ -132,7 +136,7 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
 def _story(target: str, found: Found) -> str:
     """Return what a person wants to read after a run."""
     lines = [f"{target}: {found.model}", *found.message, found.result.explain()]
-    if found.result.is_refuted:
+    if found.result.is_refuted or "x" not in found.vectors:
         return "\n".join(lines)
     width, left = max(map(len, found.names[:SHOWN]), default=0), len(found.names) - SHOWN
     values = zip(found.names[:SHOWN], found.vectors["x"][:SHOWN], strict=True)

@@ -15,6 +15,7 @@ from ..deadline import NEW_KERNELS
 
 if TYPE_CHECKING:
     from ..checks import FloatVector
+    from ..solving.equilibria.branch_and_bound import BranchAndBound
     from ..solving.result import Sample
 
 QUIET_SECONDS = 1.0
@@ -93,6 +94,15 @@ def show_step(sample: Sample, z: FloatVector) -> bool:
         residual = "" if sample.residual is None else f", residual {sample.residual:.2e}"
         keys = "(Ctrl-C stops and keeps the best)"
         LINE.say(f"{sample.label}: iteration {sample.iteration}{residual}, {sample.seconds:.1f} s  {keys}")
+    return False
+
+
+def show_search(search: BranchAndBound) -> bool:
+    """Show the node of a branch and bound; never stop it."""
+    if LINE.is_there:
+        found = f"best {search.value:.6g}, bound {search.lower_bound:.6g}"
+        keys = "(Ctrl-C stops and keeps the best)"
+        LINE.say(f"branch and bound: node {search.nodes}, {found}, {search.clock.read():.1f} s  {keys}")
     return False
 
 

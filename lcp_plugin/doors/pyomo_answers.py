@@ -56,7 +56,7 @@ class Answer:
     @property
     def has_point(self) -> bool:
         """True where there is something to load."""
-        return self.found.status not in NO_POINT
+        return self.found.x is not None and self.found.status not in NO_POINT
 
     @property
     def message(self) -> str:
@@ -67,9 +67,11 @@ class Answer:
     def reduced_costs(self) -> ComponentMap:
         """The multipliers of the variables' bounds: the rows of their pairs, or slopes of the Lagrangian."""
         variables, partners = self.statement.variables, self.statement.content.partners.tolist()
+        if self.found.x is None or self.found.duals is None:
+            return ComponentMap()
         found = {j: float(self.found.duals[i]) for i, j in enumerate(partners) if j >= 0}
         if isinstance(self.problem, ProgramModel):
-            found = dict(enumerate(_slopes(self.statement.content, self.found).tolist()))
+            found = dict(enumerate(_slopes(self.statement.content, self.found.x, self.found.duals).tolist()))
         own = [j for j in found if j not in self.statement.added and math.isfinite(found[j])]
         return ComponentMap((variables[j], found[j]) for j in own)
 
@@ -106,14 +108,17 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> Answer:
     statement = stated(model, path)
     problem = _problem(statement)
     found = problem.solve(**options)
-    own = [(j, variable) for j, variable in enumerate(statement.variables) if j not in statement.added]
-    values = ComponentMap((variable, float(found.x[j])) for j, variable in own)
-    duals = ComponentMap(
-        (row.stated if isinstance(row, Pair) else row, float(dual))
-        for row, dual in zip(statement.rows, found.duals, strict=True) if row is not None
-    )
-    tolerance = max(FEASIBLE, 10.0 * Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance)
-    violated = _violated(statement, values, tolerance) if found.status not in NO_POINT else ""
+    values, duals, violated = ComponentMap(), ComponentMap(), ""
+    if found.x is not None and found.duals is not None:
+        own = [(j, variable) for j, variable in enumerate(statement.variables) if j not in statement.added]
+        values.update((variable, float(found.x[j])) for j, variable in own)
+        duals.update(
+            (row.stated if isinstance(row, Pair) else row, float(dual))
+            for row, dual in zip(statement.rows, found.duals, strict=True) if row is not None
+        )
+    if values and found.status not in NO_POINT:
+        tolerance = max(FEASIBLE, 10.0 * Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance)
+        violated = _violated(statement, values, tolerance)
     return Answer(statement, found, problem, values, duals, violated)
 
 
@@ -131,7 +136,7 @@ def _problem(statement: Statement) -> NLModel:
         ) from error
 
 
-def _slopes(content: NLContent, found: NLAnswer) -> FloatVector:
+def _slopes(content: NLContent, x: FloatVector, duals: FloatVector) -> FloatVector:
     """Return the gradient of the objective less the rows' multipliers times their gradients, shape (n,).
 
     By all variables, also those whose equal bounds make them numbers in the program.
@@ -139,8 +144,8 @@ def _slopes(content: NLContent, found: NLAnswer) -> FloatVector:
     n, m = content.lower.size, content.row_lower.size
     rows = Expressions(content, np.full(n, np.nan))
     results = np.arange(m + content.is_maximized.size)
-    jacobian = Program.of(rows.compiler, [rows.rows(results)], {UNKNOWNS: 0}, n).jacobian(found.x)
-    weights = np.append(-found.duals, np.ones(content.is_maximized.size))
+    jacobian = Program.of(rows.compiler, [rows.rows(results)], {UNKNOWNS: 0}, n).jacobian(x)
+    weights = np.append(-duals, np.ones(content.is_maximized.size))
     slopes: FloatVector = jacobian.T @ weights
     return slopes
 

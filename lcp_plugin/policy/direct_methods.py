@@ -7,8 +7,10 @@
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
 | the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
+| −M an M-matrix, no upper bounds | first of all largest_point: one linear solve, which decides it |
 
-Before them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases
+Where the diagonal is negative throughout, as where M has the wrong sign, newton is left out beyond n = 5000. Before
+them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases
 in doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any
 other method takes; some ten milliseconds at the most. They run on the presolved problem, each until it ends; but where
 no theorem promises an end, a method that has cost as much as the next one is predicted to cost waits until all others
@@ -37,6 +39,7 @@ from ..certificates.infeasibility import contradictory_row
 from ..conversions.presolve import presolve
 from ..crossovers import INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO, SEMIDEFINITENESS_UP_TO
 from ..kernels.floats import EPSILON
+from ..matrix.sign import is_negated_m_matrix, is_negative
 from ..problem.lcp import LCP
 from .stages import Choice, Stage
 
@@ -136,9 +139,11 @@ def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
 
 
 def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
-    from ..algorithms.search.stages import FeasibilityCheck
+    from ..algorithms.search.stages import FeasibilityCheck, LargestPoint
     from ..matrix.factors import factor_fits
 
+    if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
+        yield Choice(LargestPoint(refutes=refutes), "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does")
     # A program has been folded already, and what could be decided of its multipliers is not worth the look.
     is_kkt = getattr(problem.origin, "form", "") == "kkt"
     reduced = None if is_kkt else presolve(problem)
@@ -153,6 +158,8 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     # A program has no other method that would be quicker, whatever its factor fills.
     if not (is_kkt or left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
         left_out += [newton.algorithm, interior.algorithm]
+    if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
+        left_out.append(newton.algorithm)  # whose active sets change at random there
     row = contradictory_row(problem) if refutes else None
     if row is not None and row.excludes(EPSILON, "relative", "residual"):
         yield replace(check, because="one row contradicts its bounds by itself")
@@ -162,6 +169,7 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     if _seems_monotone(left, problem.origin):
         order = [interior, check, newton, lemke]
     else:
+        interior = replace(interior, because=f"M is not shown to be monotone, but interior points may do{about}")
         may_be_p = bool(has_positive_diagonal(left.matrix).all())
         newton, lemke = replace(newton, may_wait=may_be_p), replace(lemke, may_wait=True)
         if left.is_dense or left.n <= PIVOTS_FIRST_UP_TO:

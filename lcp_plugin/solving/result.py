@@ -183,9 +183,16 @@ class Result(Answer):
         words = ON_ERROR if self.tolerance_on == "error" else self._advice
         advice = words.get(self.status, self.status.value)
         if self.is_solved or self.is_refuted:
-            return advice
+            return "; ".join([advice, *(self._sign() if self.is_refuted else [])])
         remarks = [stage.remark for stage in self.stages if stage.remark]
-        return "; ".join([*self._small_contradiction(), advice, *remarks])
+        return "; ".join([*self._small_contradiction(), advice, *remarks, *self._sign()])
+
+    def _sign(self) -> list[str]:
+        """Return what the diagonal of M says where it is negative throughout; of an LCP."""
+        from ..matrix.sign import sign_remark
+
+        remark = "" if self.certificate.is_linearised else sign_remark(self.certificate.problem.matrix)
+        return [remark] if remark else []
 
     def _small_contradiction(self) -> list[str]:
         """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
@@ -220,7 +227,7 @@ class Result(Answer):
                 for stage in self.stages
             ]
         if self.is_solved:
-            lines += [f"the stored doubles are {small}" for small in self._small_contradiction()]
+            lines += [*(f"the stored doubles are {small}" for small in self._small_contradiction()), *self._sign()]
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:

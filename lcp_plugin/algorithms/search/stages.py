@@ -14,12 +14,15 @@ from typing import ClassVar
 import numpy as np
 
 from ...certificates.infeasibility import Case, decide_feasibility, find_forced_contradiction
-from ...certificates.refutation import LOWER, SLACKLESS, UPPER
+from ...certificates.references import reference_residual
+from ...certificates.refutation import LOWER, SLACKLESS, UPPER, Infeasibility
 from ...checks import FloatVector
 from ...crossovers import LINEAR_PROGRAM_UP_TO
 from ...errors import UnsuitableProblem
 from ...exact.rational import integers
 from ...exact.simplex import QUANTUM
+from ...matrix.free_systems import FreeSystem
+from ...matrix.matrix import Matrix
 from ...matrix.structure import IntVector
 from ...problem.lcp import LCP
 from ...settings import MEASURES
@@ -27,6 +30,7 @@ from ..base import Algorithm, Step, without_warnings
 from ..small_dense import as_dense
 from . import LARGEST_CHOICES, LARGEST_SIZE, Effort, Found, NoSolution, explore, is_searchable
 
+SLIGHTLY = 1e-2  # of a contradiction, spent on the rounding of its proof
 MOST_CASES = 4096  # in doubles
 CHOICES = (LOWER, SLACKLESS, UPPER)  # as numbered in `kernels.cases`
 CASES_A_STEP = 50
@@ -63,6 +67,62 @@ class FeasibilityCheck(Algorithm):
         chain = find_forced_contradiction(problem)
         if chain is not None:
             yield Step(z0, proof=chain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LargestPoint(Algorithm):
+    """z = −M⁻¹q, where −M is an M-matrix and no z has an upper bound: a solution, or there is none.
+
+    (−M)⁻¹ ≥ 0, so that w = M z + q ≥ 0 means z ≤ x = −M⁻¹q. Where x ≥ lower, it is a solution, with w = 0. Elsewhere
+    c = max(lower − x, 0) and y = −M⁻ᵀc ≥ 0 contradict: yᵀw = cᵀ(x − z) ≤ cᵀ(x − lower) < 0 for every z ≥ lower.
+
+    Parameters
+    ----------
+    refutes : bool
+        Where False, or above the size up to which proofs are looked for, the contradiction is told as doubles have it.
+    """
+
+    refutes: bool = True
+
+    name: ClassVar[str] = "largest_point"
+    assumption: ClassVar[str] = "−M an M-matrix, no upper bounds"
+    converges_on: ClassVar[str] = "all of these that are feasible"
+    cost: ClassVar[str] = "a linear solve, and another one with Mᵀ"
+    reference: ClassVar[str] = "Cottle, Pang, Stone, §3.11 (least elements)"
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, −M⁻¹q within the bounds, then the start once more with what excludes a solution."""
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        yield Step(z0, work=0.0)
+        system = FreeSystem(Matrix(-problem.csr), np.ones(problem.n, np.bool_))
+        x = system.solve(problem.q)
+        if x is None:
+            return
+        yield Step(np.maximum(x, problem.lower), work=system.work / max(problem.nonzeros, 1))
+        short = np.maximum(problem.lower - x, 0.0)
+        y = self._multipliers(problem, system, x, short) if short.any() else None
+        if y is None:
+            return
+        if self.refutes and problem.n <= LINEAR_PROGRAM_UP_TO:
+            yield Step(z0, proof=Infeasibility.of(problem, dict(enumerate(y.tolist()))))
+            return
+        margin = float(short @ short / (y @ (problem.residual_scale * reference_residual(problem))))
+        remark = "in double precision no z within its bounds has w ≥ 0"
+        yield Step(z0, least_residual=margin, remark=remark)
+
+    @staticmethod
+    def _multipliers(
+        problem: LCP, system: FreeSystem, x: FloatVector, short: FloatVector
+    ) -> FloatVector | None:
+        """Return y > 0 with −Mᵀy = c, and a little more than that where z has a bound, for what rounds in it."""
+        is_bounded = problem.lower > -np.inf
+        room = float(np.where(is_bounded, np.abs(x - problem.lower), 0.0).sum())
+        more = SLIGHTLY * float(short @ short) / room
+        y = system.solve(short + more * is_bounded, transposed=True)
+        return y if y is not None and bool((y > 0.0).all()) else None
 
 
 @dataclass(frozen=True, kw_only=True)

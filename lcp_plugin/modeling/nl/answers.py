@@ -15,12 +15,13 @@ from ...conversions.equilibrium_program import EquilibriumProgram
 from ...conversions.program import QuadraticProgram
 from ...problem.lcp import LCP
 from ...problem.nonlinear import NonlinearProblem
-from ...settings import Status
+from ...settings import Settings, Status
 from ...solving.quadratic_program import QuadraticProgramResult, judged_program
 from ...solving.result import Result
 from ..assembly import Arrangement, solve_from
 from .content import Indices, NLContent
 from .evaluation import contradiction, evaluated
+from .side_conditions import SideConditions
 
 #: AMPL's numbers for the ways a run may end.
 CODES = {
@@ -40,21 +41,22 @@ class NLAnswer:
 
     Attributes
     ----------
-    x : ndarray, shape (n,)
-    duals : ndarray, shape (m,)
+    x : ndarray, shape (n,), or None
+        None where a search found no solution.
+    duals : ndarray, shape (m,), or None
         Of a complementarity row its value w. Of a row of a program the derivative of the objective by the row's
         right-hand side, the convention of AMPL. 0 for the other rows of a complementarity problem.
     status : Status
     message : str
         One line: how it ended, residual, iterations.
-    result : Result or EquilibriumResult
+    result : Result, QuadraticProgramResult or EquilibriumResult
     objective : float or None
     code : int
         AMPL's number for the status.
     """
 
-    x: FloatVector
-    duals: FloatVector
+    x: FloatVector | None
+    duals: FloatVector | None
     status: Status
     message: str
     result: Any = field(repr=False)
@@ -119,6 +121,8 @@ class PairRows:
     variables : ndarray of int
     weights, offsets : ndarray
         Such a row is weight · variable + offset.
+    constants : ndarray, shape (m,)
+        The values of complementarity rows that hold no unknown and are left out.
     """
 
     rows: Indices
@@ -127,6 +131,7 @@ class PairRows:
     variables: Indices
     weights: FloatVector
     offsets: FloatVector
+    constants: FloatVector
 
 
 class ComplementarityModel(NLModel):
@@ -141,12 +146,16 @@ class ComplementarityModel(NLModel):
     known : ndarray, shape (n,)
         The values of variables that are no unknowns.
     pairs : PairRows
+    beside : SideConditions
+        What is held against the answer afterwards.
     """
 
     def __init__(
-        self, content: NLContent, arrangement: Arrangement, unknowns: Indices, known: FloatVector, pairs: PairRows
+        self, content: NLContent, arrangement: Arrangement, unknowns: Indices, known: FloatVector, pairs: PairRows,
+        beside: SideConditions,
     ) -> None:
         self.content, self.arrangement, self.unknowns, self.pairs = content, arrangement, unknowns, pairs
+        self.beside = beside
         self.problem: LCP | NonlinearProblem = arrangement.problem
         self._known, self._size = known, known.size + content.defined_trees.size
 
@@ -163,13 +172,21 @@ class ComplementarityModel(NLModel):
         found = self._without_bounds(result, {"algorithm": algorithm, **options})
         x, duals = self.values(found.z, found.w)
         status, words = found.status, STUCK if result.is_solved and not found.is_solved else found.status.name.lower()
-        if status is Status.SOLVED and (wrong := self._contradiction(x, duals, found)):
+        if status is Status.SOLVED and (wrong := self._wrong(x, duals, found, options)):
             status, words = Status.STALLED, wrong
         message = self._message(words, found.residual, found.iterations)
         return NLAnswer(x, duals, status, message, found, None, CODES[status])
 
-    def _contradiction(self, x: FloatVector, duals: FloatVector, result: Result) -> str:
-        """Return what the rows of the file, evaluated as they stand, say against the values computed; else nothing."""
+    def _wrong(self, x: FloatVector, duals: FloatVector, result: Result, options: dict[str, Any]) -> str:
+        """Return what the rows of the file, evaluated as they stand, say against the answer; else nothing."""
+        values = evaluated(self.content, x)
+        tolerance = options.get("tolerance", Settings.tolerance)
+        return self._contradiction(x, duals, values, result) or self.beside.violated(x, values[0], tolerance)
+
+    def _contradiction(
+        self, x: FloatVector, duals: FloatVector, values: tuple[FloatVector, FloatVector], result: Result
+    ) -> str:
+        """Return what the values of the rows say against those computed; else nothing."""
         content, widths = self.content, np.zeros(self._size)
         if isinstance(self.problem, NonlinearProblem) and self.problem.enclosure is not None:
             low, high = self.problem.enclosure.interval_F(result.z, result.z)
@@ -181,12 +198,12 @@ class ComplementarityModel(NLModel):
         allowed[is_pair] = ROUNDINGS * widths[content.partners[is_pair]]
         expected = np.where(is_pair, duals, content.row_lower)
         expected = np.where(is_pair | is_equation, expected, np.nan)
-        return contradiction(content, x, evaluated(content, x), expected, allowed)
+        return contradiction(content, x, values, expected, allowed)
 
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
         elimination, pairs = self.arrangement.elimination, self.pairs
-        n, duals = self._known.size, np.zeros(self.content.row_lower.size)
+        n, duals = self._known.size, self.pairs.constants.copy()
         x, slack = np.append(self._known, np.zeros(self._size - n)), np.zeros(self._size)
         x[self.unknowns] = elimination.expand(z)
         slack[self.unknowns] = elimination.expand_slack(w)

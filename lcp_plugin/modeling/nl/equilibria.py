@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,15 @@ import numpy as np
 from ... import __version__
 from ...checks import FloatVector
 from ...conversions.equilibrium_program import EquilibriumProgram
-from ...errors import InvalidOption, did_you_mean
+from ...errors import InvalidOption
+from ...settings import Settings
 from ...solving.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from .answers import CODES, NLAnswer, NLModel
 from .content import Indices, NLContent
+
+#: What a caller of any model may ask for that a search has no use for, or a name of its own.
+PLAIN = {one.name: one.default for one in fields(Settings)} | {"algorithm": "auto"}
+TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads")
 
 
 class EquilibriumModel(NLModel):
@@ -55,27 +61,34 @@ class EquilibriumModel(NLModel):
         algorithm : str
             "auto": branch and bound.
         **options
-            Of :func:`lcp_plugin.minimize_over_solutions`.
+            Of :func:`lcp_plugin.minimize_over_solutions`; ``max_iterations`` is its ``max_nodes``, ``threads`` is taken
+            and changes nothing.
 
         Raises
         ------
         InvalidOption
             For any other.
         """
-        wishes = {name: wish for name, wish in options.items() if wish is not None and wish is not False}
-        for name in [*wishes, *(["algorithm"] if algorithm != "auto" else [])]:
-            if name not in OPTIONS:
+        wishes = {name: wish for name, wish in options.items() if name in (*OPTIONS, *TAKEN) and wish is not None}
+        for name, wish in {**options, "algorithm": algorithm}.items():
+            if name not in wishes and wish is not None and wish != PLAIN.get(name):
                 raise InvalidOption(
-                    f"the search for the best of all solutions has no option {name!r}{did_you_mean(name, OPTIONS)}; it "
-                    f"has {', '.join(OPTIONS)}"
+                    f"an objective beside complementarities is minimised by branch and bound, which takes no {name}, "
+                    f"got {wish!r}; leave it out; taken are {', '.join(TAKEN)}"
                 )
+        wishes.pop("threads", None)
+        if "max_iterations" in wishes:
+            wishes["max_nodes"] = wishes.pop("max_iterations")
         result = minimize_over_solutions(self.program, **wishes)
-        n = self.unknowns.size
-        x, duals, objective = self._known.copy(), np.zeros(self.content.row_lower.size), None
+        x, duals, objective = None, None, None
         if result.x is not None:
+            n = self.unknowns.size
+            x, duals = self._known.copy(), np.zeros(self.content.row_lower.size)
             x[self.unknowns], duals[self.pairs] = result.x[:n], result.x[n:]
             objective = self.sign * result.value + 0.0
         words = "optimal" if result.is_solved else result.status.name.lower()
         of = "" if self.sign > 0.0 else " (of minus the objective)"
-        message = f"lcp_plugin {__version__}: {words}; {result.reached()}{of}, {result.nodes} nodes"
+        reached = "" if result.is_refuted else f"{result.reached()}{of}, "
+        nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
+        message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}"
         return NLAnswer(x, duals, result.status, message, result, objective, CODES[result.status])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...checks import FloatVector
+from ...checks import BoolVector, FloatVector
 from ...conversions.equilibrium_program import EquilibriumProgram
 from ...conversions.program import QuadraticProgram
 from ...errors import UnsupportedModel
@@ -22,12 +23,14 @@ from .answers import ComplementarityModel, NLModel, PairRows, ProgramModel
 from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
 from .reading import read_content
+from .side_conditions import SideConditions, pair_bounds
 from .tokens import row_name
 
 if TYPE_CHECKING:
     from .equilibria import EquilibriumModel
 
 MOST_NAMES = 5
+KINDS = {"QuadraticProgram": "a quadratic program", "EquilibriumProgram": "an objective beside complementarities"}
 ROUNDING = 2.0**-40  # of a row without variables
 
 
@@ -65,9 +68,15 @@ def model_of(content: NLContent) -> NLModel:
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
     """Return the LCP that an ``.nl`` file states; raise UnsupportedModel where it states something else."""
     model = read_nl(path)
-    if isinstance(model.problem, LCP):
+    beside = model.beside.names() if isinstance(model, ComplementarityModel) else []
+    if isinstance(model.problem, LCP) and not beside:
         return model.problem
-    kind = "a quadratic program" if isinstance(model, ProgramModel) else "a nonlinear complementarity problem"
+    if beside:
+        raise UnsupportedModel(
+            f"{path} states more than a complementarity problem: {beside[0]} stands beside the complementarities; "
+            "lcp_plugin.modeling.nl.read_nl(path).solve() and `lcp-plugin solve` hold it against the answer"
+        )
+    kind = KINDS.get(type(model.problem).__name__, "a nonlinear complementarity problem")
     raise UnsupportedModel(
         f"{path} states {kind}, not a linear complementarity problem: lcp_plugin.modeling.nl.read_nl(path).solve() and "
         "`lcp-plugin solve` take it"
@@ -106,7 +115,7 @@ class Statement:
         self.is_paired[content.partners[self.pairs]] = True
         if self.pairs.size:
             self._check_partners()
-        self.known = self._known()
+        self.known = self._known(self.says_nothing)
         lifts = bool(self.pairs.size) or not (self.inequalities.size or content.is_maximized.size)
         self.expressions = Expressions(content, self.known, lifts=lifts)
         self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
@@ -145,7 +154,7 @@ class Statement:
         return row_name(self.content, int(row))
 
     def _check_partners(self) -> None:
-        """Raise where two rows go with one variable, or where its bounds are not those that the row speaks of."""
+        """Raise where two rows go with one variable."""
         content, rows = self.content, self.pairs
         columns = content.partners[rows]
         order = np.argsort(columns, kind="stable")
@@ -157,23 +166,12 @@ class Statement:
                 f"{both} are both complementary to {self.name(content.partners[first])}; give one of them a variable "
                 "of its own"
             )
-        low, high = content.lower[columns], content.upper[columns]
-        kinds = np.isfinite(low) + 2 * np.isfinite(high)
-        wrong = np.flatnonzero((kinds != content.partner_bounds[rows]) & (low != high))
-        if wrong.size:
-            k = wrong[0]
-            told = ("no bound", "the lower bound", "the upper bound", "both bounds")[content.partner_bounds[rows[k]]]
-            raise UnsupportedModel(
-                f"{self.row(rows[k])} states {told} of {self.name(columns[k])} beside its complementarity, and the "
-                f"variable's own are {low[k]:g} and {high[k]:g}: nothing says what gives way at the others; state the "
-                "same in both places"
-            )
 
-    def _known(self) -> FloatVector:
-        """Return the values of variables that nothing is left to say of: fixed ones, and those that nothing holds."""
+    def _known(self, leaves_out: BoolVector) -> FloatVector:
+        """Return the values of variables that no row but those left out holds: fixed ones, and those in none."""
         content, occurs = self.content, self.is_paired.copy()
         parts = (
-            (content.trees, content.linear, self.says_nothing),
+            (content.trees, content.linear, leaves_out),
             (content.objective_trees, content.objective_linear, np.zeros(content.is_maximized.size, dtype=bool)),
             (content.defined_trees, content.defined_linear, np.zeros(content.defined_trees.size, dtype=bool)),
         )
@@ -186,18 +184,15 @@ class Statement:
         return np.where(is_known, np.clip(content.start, content.lower, content.upper), np.nan)
 
     def is_complementarity_problem(self) -> bool:
-        """Return whether it is one: what has an objective or an inequality is a program, and what is not square."""
+        """Return whether it is one: what has an objective is a program, and so are affine rows that are not square."""
         if self.pairs.size:
-            if self.inequalities.size:
-                raise UnsupportedModel(
-                    f"{self.row(self.inequalities[0])} is an inequality without a partner beside complementarities; "
-                    "state what gives way at it, as in row complements variable >= 0"
-                )
             return True
-        if self.has_objective() or self.inequalities.size:
+        if self.has_objective():
             return False
         if not self.is_affine.all():
-            return True
+            return self.equations.size > 0
+        if self.inequalities.size:
+            return False
         unknowns = np.flatnonzero(np.isnan(self.known))
         is_free = np.isneginf(self.content.lower[unknowns]) & np.isposinf(self.content.upper[unknowns])
         return bool(is_free.all()) and unknowns.size == self.equations.size > 0
@@ -225,6 +220,8 @@ class Statement:
             program, place[content.partners[rows]], found.matrix[rows][:, : found.unknowns.size], found.offset[rows],
             sign * constant,
         )
+        lower, upper = pair_bounds(content, rows)
+        problem = replace(problem, lower=lower, upper=upper)
         return EquilibriumModel(content, problem, found.unknowns, self.known, sign, rows)
 
     def _program_of(self, rows: Indices) -> tuple[QuadraticProgram, float, float]:
@@ -256,13 +253,19 @@ class Statement:
 
     def complementarities(self) -> ComplementarityModel:
         """Return the complementarity problem."""
+        if self.inequalities.size:
+            self.known = self._known(self.says_nothing | np.isin(np.arange(self.m), self.inequalities))
+            self.expressions = Expressions(self.content, self.known)
         content, found = self.content, self.expressions
         pairs, equations, folded = self._put_in_auxiliaries()
         shift = np.zeros(found.offset.size)
         shift[equations] = self.right[equations]
         found.offset = found.offset - shift
         equations = self._without_empty(equations)
-        assembly = _Assembly(content, found, keeps_bounds=not pairs.size)
+        spare = self._spare(pairs, equations)
+        pairs = np.setdiff1d(pairs, spare)
+        beside = SideConditions(content, pairs, self.inequalities, spare)
+        assembly = _Assembly(content, found, beside.bounded, keeps_bounds=not pairs.size)
         place = np.full(self.n + content.defined_trees.size, -1)
         place[found.unknowns] = np.arange(found.unknowns.size)
         for rows, takes in ((pairs, assembly.take_pairs), (equations, assembly.take_equations)):
@@ -271,8 +274,23 @@ class Statement:
                 if part.size:
                     takes(part, place)
         arrangement = assembly.arranged()
-        of_pairs = PairRows(pairs, content.partners[pairs], *folded)
-        return ComplementarityModel(content, arrangement, found.unknowns, self.known, of_pairs)
+        constants = np.zeros(self.m)
+        constants[spare] = found.offset[spare]
+        rows, variables, weights, offsets = folded
+        of_pairs = PairRows(pairs, content.partners[pairs], rows, variables, weights, offsets, constants)
+        return ComplementarityModel(content, arrangement, found.unknowns, self.known, of_pairs, beside)
+
+    def _spare(self, pairs: Indices, equations: Indices) -> Indices:
+        """Return the complementarity rows that hold no unknown, where there are as many equations too many.
+
+        So Pyomo's mpec.nl writes the pair of a variable that is fixed, as a price which is the unit: an equation gives
+        the other side a name, and no unknown is left that gives way.
+        """
+        found = self.expressions
+        constant = pairs[np.diff(found.matrix.indptr)[pairs] == 0]
+        surplus = equations.size + pairs.size - found.unknowns.size
+        choices = (constant[found.offset[constant] == 0.0], constant)
+        return next((spare for spare in choices if spare.size == surplus), pairs[:0])
 
     def _without_empty(self, equations: Indices) -> Indices:
         """Leave out the equations that hold no unknown; raise where they do not hold."""
@@ -332,9 +350,10 @@ class Statement:
 class _Assembly(Assembly):
     """The model of a file."""
 
-    def __init__(self, content: NLContent, found: Expressions, *, keeps_bounds: bool) -> None:
+    def __init__(self, content: NLContent, found: Expressions, is_free: BoolVector, *, keeps_bounds: bool) -> None:
         free = np.full(content.defined_trees.size, np.inf)
-        lower, upper = np.append(content.lower, -free), np.append(content.upper, free)
+        lower = np.append(np.where(is_free, -np.inf, content.lower), -free)
+        upper = np.append(np.where(is_free, np.inf, content.upper), free)
         super().__init__(found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns])
         self.content, self.found, self.keeps_bounds = content, found, keeps_bounds
 

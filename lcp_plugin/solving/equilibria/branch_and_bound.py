@@ -257,8 +257,9 @@ class BranchAndBound:
             status = ended
         else:
             is_excluded = best is None and lower == math.inf and not self._is_stuck
-            excluded = Status.INFEASIBLE if len(self.tree) == 1 else Status.NO_SOLUTION
-            status = excluded if is_excluded else Status.STALLED
+            status = Status.STALLED
+            if is_excluded:
+                status = Status.INFEASIBLE if self._is_infeasible_without_cuts() else Status.NO_SOLUTION
         is_stationary = True if status is Status.SOLVED else None
         if status is Status.STALLED or status is ended:
             is_stationary = self.local.is_stationary()
@@ -268,6 +269,13 @@ class BranchAndBound:
             self.strengthened, status, x, value, lower, is_stationary, self.nodes, self.relaxations.solved,
             self.clock.read(), self.tolerance, tuple(self.tree), self.descent,
         )
+
+    def _is_infeasible_without_cuts(self) -> bool:
+        """Return whether the linear constraints are refuted, where all are with the cuts, which hold of solutions."""
+        original = self.strengthened.original
+        if len(self.tree) > 1 or self.problem is original:
+            return len(self.tree) == 1
+        return Relaxations(original, self.tolerance).solved_node(original.all_cases).bound == math.inf
 
 
 class _Log:

@@ -26,14 +26,15 @@ ADVICE = {
         "every way to make the pairs complementary is refuted, and result.proof proves it: check the pairs and the "
         "constraints beside them"
     ),
-    Status.MAX_ITERATIONS: "max_nodes came first: raise it; x is the best solution found so far, lower_bound holds",
-    Status.MAX_SECONDS: "max_seconds came first: raise it; x is the best solution found so far, lower_bound holds",
+    Status.MAX_ITERATIONS: "the limit of nodes came first: raise it",
+    Status.MAX_SECONDS: "max_seconds came first: raise it",
     Status.STALLED: (
         "some way to make the pairs complementary could be neither solved nor refuted: bound the unknowns, or rescale "
         "the data"
     ),
-    Status.INTERRUPTED: "stopped by Ctrl-C or the callback; x is the best solution found so far, lower_bound holds",
+    Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
+LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -194,7 +195,11 @@ class EquilibriumResult(Answer):
     @property
     def advice(self) -> str:
         """What the status means for this search, in a sentence."""
-        return ADVICE.get(self.status, self.status.value)
+        advice = ADVICE.get(self.status, self.status.value)
+        if self.status not in LIMITS:
+            return advice
+        found = "no solution was found so far" if self.x is None else "x is the best solution found so far"
+        return f"{advice}; {found}, lower_bound holds"
 
     def _numbers(self) -> dict[str, float]:
         own = {"lower_bound": self.lower_bound, "gap": self.gap, "programs": self.programs, "tolerance": self.tolerance}
@@ -202,8 +207,12 @@ class EquilibriumResult(Answer):
 
     def reached(self) -> str:
         """Return the value and the bound."""
-        bound = "" if self.is_refuted else f", bound {self.lower_bound:.9g}, gap {self.gap:.1e}"
-        return f"objective {self.value:.9g}{bound}"
+        if self.is_refuted:
+            return "no least objective" if self.status is Status.UNBOUNDED else "no solution"
+        bound = f"bound {self.lower_bound:.9g}"
+        if self.x is None:
+            return f"no solution found, {bound}"
+        return f"objective {self.value:.9g}, {bound}, gap {self.gap:.1e}"
 
     def _effort(self) -> str:
         return f"{self.algorithm}: {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"

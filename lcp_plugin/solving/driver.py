@@ -121,7 +121,7 @@ def solve(
         STALLED, at the start where a look at all cases of a small problem in doubles has excluded every z.
     threads : int, optional
         How many threads this solve may use; by default all that the process may use, but one where the rows are on
-        ranks. The answer is the same bit for bit for any number.
+        ranks. The answer is the same bit for bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.
     verbose : bool
         Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
         seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.

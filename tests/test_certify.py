@@ -719,7 +719,8 @@ def test_exit_codes_of_the_command(tmp_path: Path) -> None:
         (["bent.npz", "--solver", "CLARABEL"], "not convex: the smallest eigenvalue of P is -2"),
         (["two.npz", "--tolerance", "0"], "tolerance must be a number > 0"),
         (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "no such file"),
-        (["two.npz", "--solver", ","], "at least"), (["notes.txt"], "an .npz, .mat, .qps, .mps or .nl file"),
+        (["two.npz", "--solver", ","], "at least"),
+        (["notes.txt"], "a program is an .npz, .mat, .qps, .mps or .nl file"),
     ):
         done = run(app, ["certify", str(tmp_path / arguments[0]), *arguments[1:]])
         assert done.exit_code == 2, done.output

@@ -46,7 +46,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 Target = Annotated[
     str,
     typer.Argument(
-        help="A file (.npz or .mat with M and q), a folder with M.mtx and q.mtx, or a scene: name:key=value,…",
+        help="A file (.npz or .mat with M and q, .nl), a folder with M.mtx and q.mtx, or a scene: name:key=value,…",
+        autocompletion=scene_names,
+    ),
+]
+AnyTarget = Annotated[
+    str,
+    typer.Argument(
+        help="A file, a folder with M.mtx and q.mtx, or a scene: name:key=value,… A file is an .npz or .mat with M, q "
+        "(an LCP), with P, q, A, l, u or the like (a program: `certify --help`), or with A, b (least squares), an "
+        ".nl, .qps or .mps.",
         autocompletion=scene_names,
     ),
 ]
@@ -131,11 +140,12 @@ def main(
     "solve",
     "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
-    "solve folder_with_M_and_q/ --json", "solve model.nl --out answer.npz",
+    "solve folder_with_M_and_q/ --json", "solve program.qps --out answer.npz", "solve model.nl",
+    "solve own.npz --plot out.png --grid 500x500",
     "solve obstacle-2d --size 500 --backend petsc --out answer",
 )
 def solve(
-    target: Target,
+    target: AnyTarget,
     algorithm: AlgorithmName = "auto",
     relaxation: Annotated[
         str | None, typer.Option(help="Relaxation of the algorithm: a number, or auto for psor.")
@@ -159,14 +169,20 @@ def solve(
         int | None, typer.Option(help="How many threads it may use, all by default; BLAS's: OMP_NUM_THREADS.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
-    out: Annotated[Path | None, typer.Option(help="Save z and w: a .npz file, with petsc a folder.")] = None,
+    grid: Annotated[
+        str | None, typer.Option(help="Of a file's unknowns, for the picture: rows x columns, as 500x500.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Save z and w, or x and its multipliers: an .npz file; with petsc a folder."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     size: Annotated[int | None, typer.Option(help="Size of a scene, as name:size=… says it.")] = None,
     backend: Annotated[
         str, typer.Option(help="serial, or petsc: the rows spread over the ranks of mpiexec.")
     ] = "serial",
 ) -> bool:
-    """Solve a file or a scene; print status, residuals and counts."""
+    """Solve a problem of any kind, from a file or a scene; print status, residuals and counts, and x of a program."""
     from . import distributed, models, solving
 
     kinds = {"serial": solving.OneProcess, "petsc": distributed.OnRanks}
@@ -177,10 +193,10 @@ def solve(
         max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, refute=refute,
         threads=threads,
     )
-    options = solving.options(relaxation, option or [])
+    options, shape = solving.options(relaxation, option or []), solving.checked_grid(grid, plot)
     if models.is_model(target):
-        return models.run(target, size, backend, algorithm, options, settings, plot, out, as_json=json)
-    return solving.run(kinds[backend](), target, size, algorithm, options, settings, plot, out, as_json=json)
+        return models.run(target, size, backend, algorithm, options, settings, plot, shape, out, as_json=json)
+    return solving.run(kinds[backend](), target, size, algorithm, options, settings, plot, shape, out, as_json=json)
 
 
 @_command(
@@ -198,7 +214,7 @@ def check(
     from ..evidence.cross_check import cross_validate
     from .target import read_target
 
-    problem, _ = read_target(target)
+    problem, _ = read_target(target, "lcp-plugin check")
     outcome = cross_validate(problem, reference=reference, algorithm=algorithm, max_seconds=max_seconds)
     typer.echo(str(outcome))
     return outcome.agrees
@@ -207,7 +223,7 @@ def check(
 @_command(
     "certify",
     "0 every answer is proved, 1 one is unproved, refuted or missing, 2 bad input",
-    "certify problem.npz --solver CLARABEL,OSQP", "certify problem.qps --solver LCP --json",
+    "certify problem.npz --solver CLARABEL,OSQP", "certify problem.qps --out x.npz",
 )
 def certify(
     file: Annotated[
@@ -222,23 +238,36 @@ def certify(
         float | None, typer.Option(help="What is to be proved; by default 1e-6, or else 1e-3.")
     ] = None,
     max_seconds: Annotated[float, typer.Option(help="Limit of wall-clock seconds of each proof.")] = 60.0,
+    out: Annotated[
+        Path | None, typer.Option(help="Save x and its multipliers, of the first answer proved best: an .npz file.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
 ) -> bool:
     """Solve a quadratic program by any solvers, and tell what is proved of their answers."""
     from ..conversions.program_files import load_program
     from ..evidence.convex_solvers import HEAD, JudgedAnswer, judged_answers
+    from .solving import OneProcess
 
     names = list(dict.fromkeys(name.strip() for name in solver.split(",") if name.strip()))
     if not names:
         raise InvalidOption("--solver wants at least one name, as --solver CLARABEL,OSQP")
+    OneProcess().check_outputs(file, None, out)
     program, offset, *_ = load_program(file)
     answers: list[JudgedAnswer] = []
     for answer in judged_answers(program, names, tolerance=tolerance, max_seconds=max_seconds):
         if not json:
-            typer.echo(str(answer) if answers else f"{file}: {program!r}\n{HEAD}\n{answer}")
+            typer.echo(str(answer) if answers else f"{file}: {program}\n{HEAD}\n{answer}")
         answers.append(answer)
     if json:
         _print_json({"file": file, "offset": offset, "answers": [answer.to_content() for answer in answers]})
+    best = min((answer for answer in answers if answer.is_proved_point), key=lambda one: one.tolerance, default=None)
+    if out is not None and best is not None:
+        best.save(out)
+        typer.echo(f"saved {out}: x of {best.solver}", err=json)
+    elif out is not None:
+        typer.echo(f"{out} is not written: no x is proved", err=json)
+    elif best is not None and not json:
+        typer.echo(f"x of {best.solver}: lcp-plugin certify {file} --solver {best.solver} --out x.npz")
     return all(answer.certification is not None and answer.certification.verdict == "proved" for answer in answers)
 
 
@@ -251,7 +280,7 @@ def analyze(
     from .tables import analysis, analysis_content
     from .target import read_target
 
-    problem, _ = read_target(target)
+    problem, _ = read_target(target, "lcp-plugin analyze")
     if json:
         _print_json(analysis_content(problem))
     else:
@@ -297,12 +326,11 @@ def report(
     from ..evidence.gallery import Scene
     from ..evidence.report.page import collect, require_jinja, write_report
     from ..evidence.report.section import plan
-    from ..problem.lcp import LCP
-    from .target import scene_text
+    from .target import lcp_of_file, scene_text
     from .terminal import PartsLine
 
     def scene_of_file(path: str) -> Scene:
-        problem = LCP.load(path)
+        problem = lcp_of_file(path, "lcp-plugin report")
         return Scene(problem=problem, name=path, description=f"your own problem, {problem}", is_declared=False)
 
     require_matplotlib()

@@ -49,7 +49,7 @@ class OneProcess:
 
     def read(self, target: str, size: int | None) -> tuple[LCP, Any]:
         """Return the problem, and the scene where it is of one."""
-        return read_target(target, size)
+        return read_target(target, "lcp-plugin solve", size)
 
     def beyond(self) -> tuple[dict[str, Any], list[str]]:
         """Return what else --json prints and a person reads."""
@@ -66,7 +66,7 @@ class OneProcess:
 
 def run(
     here: OneProcess, target: str, size: int | None, algorithm: str, options: dict[str, Any], settings: dict[str, Any],
-    plot: Path | None, out: Path | None, *, as_json: bool,
+    plot: Path | None, grid: tuple[int, ...] | None, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved, the same on every rank."""
     from ..policy.choice import policy_for
@@ -76,6 +76,7 @@ def run(
         chosen = policy_for(algorithm, options, on_ranks=not here.communicator.is_alone).chosen
         here.communicator.from_first(lambda: here.check_outputs(target, plot, out))
         problem, scene = here.read(target, size)
+        pictured = scene if grid is None else on_grid(problem, target, scene, grid)
         results = _solve_all(problem, scene, {**settings, "algorithm": chosen, "record": plot is not None})
         more, lines = here.beyond()
         content, story = _content(results) | more, _story(results, scene, lines)
@@ -84,11 +85,34 @@ def run(
         if plot is not None:
             from ..evidence.pictures import draw
 
-            draw(results[-1], plot, scene, results)
+            draw(results[-1], plot, pictured, results)
             saved.insert(0, plot)
         if saved:
             typer.echo(f"saved {', '.join(map(str, saved))}", err=as_json)
     return results[-1].is_solved
+
+
+def on_grid(problem: LCP, target: str, scene: Any, grid: tuple[int, ...]) -> Any:
+    """Return the scene that a picture of a file's problem on a grid is drawn from."""
+    from ..evidence.gallery import Scene
+    from ..evidence.plots import checked_shape, labels_of
+
+    if scene is not None:
+        raise InvalidOption("--grid is for a file; a scene knows its grid, leave it out")
+    shape = checked_shape(grid, problem.n)
+    return Scene(problem=problem, name=target, is_declared=False, grid=shape, axis_labels=labels_of(grid))
+
+
+def checked_grid(text: str | None, plot: Path | None) -> tuple[int, ...] | None:
+    """Return the shape that --grid names, rows x columns, or raise InvalidOption."""
+    if text is None:
+        return None
+    if plot is None:
+        raise InvalidOption(f"--grid {text} is the grid of a picture; give --plot FILE as well")
+    sizes = text.lower().replace("×", "x").split("x")
+    if not all(size.strip().isdecimal() and int(size) for size in sizes):
+        raise InvalidOption(f"--grid wants whole numbers, rows x columns, as --grid 500x500; got {text!r}")
+    return tuple(int(size) for size in sizes)
 
 
 def require_place(folder: Path, path: Path) -> None:

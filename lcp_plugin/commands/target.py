@@ -6,17 +6,28 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption, LCPError, did_you_mean
+from ..kinds import refusal
 from ..problem.lcp import LCP
 
 
-def read_target(target: str, size: int | None = None) -> tuple[LCP, Any]:
-    """Return (problem, None) of a file or (problem, scene) of a scene's name."""
+def read_target(target: str, way: str, size: int | None = None) -> tuple[LCP, Any]:
+    """Return (problem, None) of a file or (problem, scene) of a scene's name; of another kind what to write instead."""
     from ..evidence import gallery
 
     if (text := scene_text(target, size)) is None:
-        return LCP.load(target), None
+        return lcp_of_file(target, way), None
     scene = gallery.parse(text)
     return scene.problem, scene
+
+
+def lcp_of_file(path: str, way: str) -> LCP:
+    """Return the LCP of a file; raise InvalidOption in the words of the table of kinds where it states another."""
+    from ..conversions.program_files import load_problem
+
+    problem = load_problem(path)
+    if not isinstance(problem, LCP):
+        raise InvalidOption(f"{path}: {refusal(way, problem)}")
+    return problem
 
 
 def scene_text(target: str, size: int | None = None) -> str | None:

@@ -82,9 +82,13 @@ def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedL
 def kind_in(path: str | PathLike[str]) -> type:
     """Return the class of the problem that a file seems to state, by its ending and the names in it; LCP in doubt."""
     source = checked_path(path)
-    if source.suffix.lower() in MPS and not source.is_dir():
+    try:
+        is_file = source.is_file()
+    except OSError:  # a name that no file can have
+        is_file = False
+    if source.suffix.lower() in MPS:
         return QuadraticProgram
-    if source.suffix.lower() not in ARRAYS or not source.is_file():
+    if source.suffix.lower() not in ARRAYS or not is_file:
         return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}
     if "M" in names or names & {*MATRIX_KEYS}:
@@ -128,7 +132,9 @@ def load_program(path: str | PathLike[str]) -> Stated:
         return Stated(*program_in_nl(source))
     if not source.exists():
         raise UnreadableFile(f"no such file: {source}")
-    raise UnreadableFile(f"cannot read {source}: a quadratic program is an .npz, .mat, .qps, .mps or .nl file")
+    raise UnreadableFile(
+        f"cannot read {source}: a program is an .npz, .mat, .qps, .mps or .nl file; an LCP is for `lcp-plugin solve`"
+    )
 
 
 def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
@@ -154,9 +160,13 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
 
 
 def _from_arrays(source: Path) -> Stated:
+    names = set(names_in(source))
+    if others := names & {"M", *MATRIX_KEYS} or (names & {"b"} if kind_in(source) is BoundedLeastSquares else set()):
+        raise UnreadableFile(
+            f"{source} holds {'a least squares problem' if others == {'b'} else 'an LCP'} (key {min(others)}), not a "
+            f"program: `lcp-plugin solve` takes it; {LAYOUT}"
+        )
     content = _arrays(source, KEYS)
-    if "M" in names_in(source):
-        raise UnreadableFile(f"{source} holds an LCP (key M), not a program; `lcp-plugin solve` takes it")
     renamed = QUADPROG if content.keys() & {"H", "f"} else ALIASES
     program: dict[str, Any] = {}
     for name, array in content.items():

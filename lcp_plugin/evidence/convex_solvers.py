@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,10 @@ class JudgedAnswer:
         None where there is no answer.
     tolerance : float
         To which it was judged: the smaller of two where that is proved.
+    x : ndarray, shape (n,), or None
+        What was judged; None where the claim is that there is no minimum.
+    multipliers : dict or None
+        Of the rows of G and A.
     """
 
     solver: str
@@ -52,6 +57,20 @@ class JudgedAnswer:
     seconds: float
     certification: Certification | None
     tolerance: float
+    x: FloatVector | None = None
+    multipliers: dict[str, FloatVector] | None = None
+
+    @property
+    def is_proved_point(self) -> bool:
+        """Whether there is an x, and it is proved to be best."""
+        return self.x is not None and self.certification is not None and self.certification.verdict == "proved"
+
+    def save(self, path: Path) -> None:
+        """Write x, the multipliers where the solver has told them, and the solver's name into an ``.npz`` file."""
+        from ..problem.files import write_whole
+
+        vectors: dict[str, Any] = {"x": self.x, **(self.multipliers or {}), "solver": np.array(self.solver)}
+        write_whole({path: lambda file: np.savez_compressed(file, **vectors)})
 
     @property
     def verdict(self) -> str:
@@ -118,7 +137,7 @@ def _judged(
         said = certify(program, *point, claim=claim, tolerance=level, max_seconds=max_seconds)
         if said.verdict == "proved":
             break
-    return JudgedAnswer(name, reply.status, reply.seconds, said, level)
+    return JudgedAnswer(name, reply.status, reply.seconds, said, level, *point)
 
 
 def _solver(name: str) -> Any:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..solving.answer import Answer, AnswerSequence
 from ..solving.equilibria.result import EquilibriumResult
 from ..solving.march import March
 from ..solving.result import Result
-from .drawing import COLOURS, HEIGHTS, require_matplotlib, styled
+from .drawing import COLOURS, HEIGHTS, require_matplotlib, save, styled
 from .pictures import ACTIVE, FREE, MOST_DOTS, draw_line, draw_map, draw_residuals, field_of
 
 LABELS = ("layer", "row", "column")
@@ -57,17 +58,27 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     if not isinstance(answer, (Answer, AnswerSequence)):
         raise InvalidOption(f"plot_answer needs what solve returns, got {type(answer).__name__}")
     require_matplotlib()
+    return _plotted(answer, axes, shape, _shown_by_pyplot)
+
+
+def save_plot(answer: Answer, path: Path, shape: Sequence[int] | None = None) -> None:
+    """Write what `plot_answer` draws into a file, .png, .pdf or .svg."""
+    save(_plotted(answer, None, shape, require_matplotlib()).figure, path)
+
+
+def _plotted(answer: Any, axes: Any, shape: Sequence[int] | None, new: Callable[..., Any]) -> Any:
+    """Return the axes of the picture, in a new figure where none are given."""
     if isinstance(answer, March):
-        return _plot_march(answer, axes, shape)
+        return _plot_march(answer, axes, shape, new)
     if isinstance(answer, AnswerSequence):
-        return _plot_batch(answer, axes, shape)
+        return _plot_batch(answer, axes, shape, new)
     beside = _panel_beside(answer)
     if answer.x is None and beside is None:
         raise UnsuitableProblem(f"there is no x to draw: {answer.status.name}")
     panels = [panel for panel in (None if answer.x is None else partial(_draw_x, answer=answer, shape=shape), beside)
               if panel is not None]
     with _style_of(axes):
-        every = _axes_for(len(panels)) if axes is None else [axes]
+        every = _axes_for(new, len(panels)) if axes is None else [axes]
         for one, panel in zip(every, panels, strict=False):  # into the caller's axes goes the first
             panel(one)
         if axes is None:
@@ -177,7 +188,7 @@ def _draw_search(axes: Any, *, answer: EquilibriumResult) -> None:
 # --- Sequences --------------------------------------------------------------------------------------------------
 
 
-def _plot_march(march: March, axes: Any, shape: Sequence[int] | None) -> Any:
+def _plot_march(march: March, axes: Any, shape: Sequence[int] | None, new: Callable[..., Any]) -> Any:
     if not len(march):
         raise UnsuitableProblem("the march has no step to draw")
     grid = checked_shape(shape, march[0].z.size)
@@ -185,7 +196,7 @@ def _plot_march(march: March, axes: Any, shape: Sequence[int] | None) -> Any:
     count = (1 if axes is not None else PANELS) if is_map else SLICES
     steps = sorted({round(k) for k in np.linspace(len(march) - 1, 0, min(count, len(march)))})
     with _style_of(axes):
-        every = _axes_for(len(steps) if is_map else 1) if axes is None else [axes]
+        every = _axes_for(new, len(steps) if is_map else 1) if axes is None else [axes]
         if is_map:
             for one, k in zip(every, steps, strict=True):
                 _draw_values(one, march.z[k], *_bounds(march[k]), grid, f"z after step {k + 1}")
@@ -210,7 +221,9 @@ def _draw_slices(axes: Any, march: March, steps: Sequence[int]) -> None:
     axes.set(xlabel="index", ylabel="z")
 
 
-def _plot_batch(answers: AnswerSequence[Any], axes: Any, shape: Sequence[int] | None) -> Any:
+def _plot_batch(
+    answers: AnswerSequence[Any], axes: Any, shape: Sequence[int] | None, new: Callable[..., Any]
+) -> Any:
     if shape is not None:
         raise InvalidOption("shape goes with one answer: answers[k].plot(shape=…)")
     status: list[Status | None] = list(answers.status)
@@ -228,7 +241,7 @@ def _plot_batch(answers: AnswerSequence[Any], axes: Any, shape: Sequence[int] | 
     colours = [colour if colour not in colours[:k] else next(others) for k, colour in enumerate(colours)]
     with _style_of(axes):
         if axes is None:
-            (axes,) = _axes_for(1)
+            (axes,) = _axes_for(new, 1)
         if kinds:
             axes.hist(counts, bins=edges, stacked=True, color=colours, label=[
                 f"{name}: {len(count)}" for name, count in zip(names, counts, strict=True)
@@ -245,9 +258,14 @@ def _style_of(axes: Any) -> Any:
     return styled() if axes is None else nullcontext()
 
 
-def _axes_for(count: int) -> list[Any]:
-    """Return axes side by side in a new figure of pyplot, which shows it."""
+def _axes_for(new: Callable[..., Any], count: int) -> list[Any]:
+    """Return axes side by side in a new figure."""
+    figure = new(figsize=(count * PANEL[0], PANEL[1]), layout="constrained")
+    return [*figure.subplots(1, count, squeeze=False)[0]]
+
+
+def _shown_by_pyplot(**how: Any) -> Any:
+    """Return a figure that pyplot and notebooks show."""
     from matplotlib import pyplot
 
-    size = count * PANEL[0], PANEL[1]
-    return [*pyplot.subplots(1, count, figsize=size, layout="constrained", squeeze=False)[1][0]]
+    return pyplot.figure(**how)

@@ -81,6 +81,10 @@ class BoundedLeastSquares:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
 
+    def __repr__(self) -> str:
+        kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
+        return f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind})"
+
     @property
     def is_cheap_to_copy(self) -> bool:
         """Whether A has entries, and so few places for them that dense copies cost little."""

@@ -70,7 +70,8 @@ from .doors.pyomo_answers import Answer, answered, imported
 from .errors import InvalidOption, did_you_mean
 from .settings import Status
 
-NAME = "lcp_plugin"
+NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable that is called so
+DOC = "Complementarity problems and convex quadratic programs, by lcp_plugin"
 ENDS = {
     Status.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
     Status.UNBOUNDED: (SolverStatus.warning, TerminationCondition.unbounded),
@@ -85,7 +86,8 @@ ENDS = {
 }
 
 
-@SolverFactory.register(NAME, doc="Complementarity problems and convex quadratic programs, by lcp_plugin")
+@SolverFactory.register(HYPHENATED, doc=DOC)
+@SolverFactory.register(NAME, doc=DOC)
 class LCPPlugin:
     """The solver that ``SolverFactory("lcp_plugin")`` gives; see ``help("lcp_plugin.pyomo")``."""
 
@@ -229,3 +231,4 @@ except ImportError:  # an older Pyomo has no such interface, or another one
     pass
 else:
     register(NAME)
+    register(HYPHENATED)

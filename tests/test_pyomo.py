@@ -630,6 +630,15 @@ def test_the_newer_interface_knows_the_solver_by_the_same_name() -> None:
     assert solver.solve(m).incumbent_objective == pytest.approx(1.0)
 
 
+def test_the_name_with_a_hyphen_is_the_same_solver() -> None:
+    """SolverFactory("lcp-plugin"), older and newer, is no executable of that name."""
+    m = simple()
+    pe.assert_optimal_termination(pe.SolverFactory("lcp-plugin").solve(m))
+    assert m.x.value == pytest.approx(np.log(2))
+    factory = pytest.importorskip("pyomo.contrib.solver.common.factory").SolverFactory
+    assert factory("lcp-plugin").solve(simple()).solution_status.name == "optimal"
+
+
 def test_pyomo_is_loaded_by_its_door_alone_and_asked_for_in_words() -> None:
     """``import lcp_plugin`` loads no Pyomo; without it the door says what to install."""
     code = (

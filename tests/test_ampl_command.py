@@ -15,7 +15,7 @@ import pytest
 import scipy.sparse as sp
 from fresh_process import printed_by
 
-from lcp_plugin.commands import ampl
+from lcp_plugin.commands import ampl, cli
 from lcp_plugin.modeling.nl import read_sol, write_nl
 from lcp_plugin.modeling.nl.content import NLContent, Trees
 
@@ -245,7 +245,9 @@ def test_it_tells_what_it_is_asked(capsys: Any) -> None:
         assert ampl.main([word]) == 0
         assert said in capsys.readouterr().out
     assert ampl.main(["-="]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == sorted(ampl.KEYWORDS)
+    *keywords, mark = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in keywords] == sorted(ampl.KEYWORDS)
+    assert mark.startswith("* not where an objective")
 
 
 def test_a_call_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
@@ -271,6 +273,17 @@ def test_an_interrupt_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert read_sol(tmp_path / "m.sol").code == 402
     monkeypatch.setattr(reading, "read_content", interrupted)
     assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 130
+
+
+def test_the_other_command_answers_too_where_it_is_called_as_a_solver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`lcp-plugin stub -AMPL`, as Pyomo's SolverFactory("lcp-plugin") calls it without lcp_plugin.pyomo."""
+    write_nl(SOLVABLE, tmp_path / "m.nl")
+    monkeypatch.setattr(sys, "argv", ["lcp-plugin", str(tmp_path / "m.nl"), "-AMPL", "tolerance=1e-10"])
+    with pytest.raises(SystemExit) as ended:
+        cli.run()
+    assert (ended.value.code, read_sol(tmp_path / "m.sol").code) == (0, 0)
 
 
 def test_a_proof_is_told_as_what_it_proves(tmp_path: Path) -> None:

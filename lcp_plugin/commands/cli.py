@@ -68,7 +68,11 @@ AlgorithmName = Annotated[
 
 
 def run() -> None:
-    """Entry point of the command."""
+    """Entry point of the command; called as AMPL calls a solver, it is ``lcp-plugin-ampl``."""
+    if "-AMPL" in sys.argv:
+        from .ampl import run as run_for_ampl
+
+        run_for_ampl()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal without Unicode shows '?', not a traceback
@@ -125,7 +129,7 @@ def _drop_output() -> None:
 
 @app.callback(invoke_without_command=True)
 def main(
-    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", "-v", help="Print the version.")] = False
 ) -> None:
     """Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary."""
     if version:

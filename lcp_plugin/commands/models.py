@@ -36,7 +36,7 @@ class Found:
     names : sequence of str
         Of the variables.
     vectors : dict
-        What is saved; x where there is one.
+        What is saved; x, if there is one.
     result : Answer
         What `solve` has returned.
     more : dict
@@ -100,9 +100,8 @@ def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
     model = read_nl(target)
     show = show_search if isinstance(model.problem, EquilibriumProgram) else show_step
     answer = model.solve(chosen, callback=show if LINE.is_there else None, **asked)
-    vectors: dict[str, Any] = {"names": np.array(model.names(), dtype=np.str_)}
-    if answer.x is not None:
-        vectors |= {"x": answer.x, "duals": answer.duals}
+    vectors: dict[str, Any] = {} if answer.x is None else {"x": answer.x, "duals": answer.duals}
+    vectors["names"] = np.array(model.names(), dtype=np.str_)
     if model.content.row_names is not None:
         vectors["row_names"] = np.array(model.content.row_names, dtype=np.str_)
     more = {"code": answer.code, "message": answer.message, "objective": answer.objective}

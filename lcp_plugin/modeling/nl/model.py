@@ -190,7 +190,7 @@ class Statement:
         if self.has_objective():
             return False
         if not self.is_affine.all():
-            return self.equations.size > 0
+            return bool(self.expressions.matrix[self.equations].nnz)
         if self.inequalities.size:
             return False
         unknowns = np.flatnonzero(np.isnan(self.known))
@@ -276,8 +276,7 @@ class Statement:
         arrangement = assembly.arranged()
         constants = np.zeros(self.m)
         constants[spare] = found.offset[spare]
-        rows, variables, weights, offsets = folded
-        of_pairs = PairRows(pairs, content.partners[pairs], rows, variables, weights, offsets, constants)
+        of_pairs = PairRows(pairs, content.partners[pairs], *folded, constants)
         return ComplementarityModel(content, arrangement, found.unknowns, self.known, of_pairs, beside)
 
     def _spare(self, pairs: Indices, equations: Indices) -> Indices:
@@ -306,7 +305,7 @@ class Statement:
         left: Indices = equations[~is_empty]
         return left
 
-    def _put_in_auxiliaries(self) -> tuple[Indices, Indices, tuple[Any, ...]]:
+    def _put_in_auxiliaries(self) -> tuple[Indices, Indices, tuple[Any, Any, Any, Any]]:
         """Put the unknowns that only name the value of a pair's row into it; return pairs and equations left.
 
         Pyomo writes F >= 0 complements x >= 0 as b == F and a row that holds b alone: the row becomes F, and b is known

@@ -7,13 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..exact.linear_systems import (
-    EXACT_SIZE,
-    eigenvalue_below,
-    exact_symmetric_part,
-    has_nonnegative_pivots,
-    has_positive_pivots,
-)
+from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
+from ..exact.near_singular import eigenvalue_below
 from ..kernels.floats import TINY, UNIT
 from .definiteness import (
     LARGEST_SUMMAND,

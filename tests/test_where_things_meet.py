@@ -27,6 +27,7 @@ from lcp_plugin import (
     UnsuitableMatrix,
     UnsuitableProblem,
     all_solutions,
+    analyze,
     certify,
     convergence_guarantee,
     cross_validate,
@@ -144,7 +145,8 @@ def by_derivative(sample: Sample, folder: Path) -> None:
 def by_certify(sample: Sample, folder: Path) -> None:
     answer = solved(sample)
     if answer.is_solved:
-        assert certify(sample.problem, answer.x).verdict == "proved"
+        for given in (answer.x, answer.solution, answer):
+            assert certify(sample.problem, given).verdict == "proved"
     else:
         assert certify(sample.problem, claim=answer.status.name.lower()).verdict == "proved"
 
@@ -163,6 +165,11 @@ def by_bound(sample: Sample, folder: Path) -> None:
     else:
         assert sample.x is not None
         assert bound.infinity <= CLOSE
+
+
+def by_analyze(sample: Sample, folder: Path) -> None:
+    M = sample.problem.csr.toarray()
+    assert analyze(sample.problem).is_symmetric == np.array_equal(M, M.T)
 
 
 def by_all_solutions(sample: Sample, folder: Path) -> None:
@@ -337,7 +344,8 @@ def by_command_report(sample: Sample, folder: Path) -> None:
 TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "solve": by_solve, "solve_batch": by_batch, "solve_many": by_many, "prepare": by_prepare, "march": by_march,
     "march_many": by_marches, "derivative": by_derivative, "certify": by_certify, "Certificate.of": by_certificate,
-    "error_bound": by_bound, "all_solutions": by_all_solutions, "convergence_guarantee": by_guarantee,
+    "error_bound": by_bound, "analyze": by_analyze, "all_solutions": by_all_solutions,
+    "convergence_guarantee": by_guarantee,
     "cross_validate": by_cross_validation, "error_against_time": by_curves, "presolve": by_presolve,
     "save": by_files, "pickle": by_pickle, "cvxpy": by_cvxpy, "Pyomo": by_pyomo, "AMPL": by_ampl,
     "qpsolvers": by_qpsolvers, "lcp-plugin solve": by_command_solve, "lcp-plugin check": by_command_check,
@@ -350,6 +358,7 @@ REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]), "derivative": lambda _, answer: derivative(answer()),
     "certify": lambda p, answer: certify(p, answer().x), "Certificate.of": lambda p, _: Certificate.of(p, [1.0, 1.0]),
     "error_bound": lambda p, _: error_bound(p, [1.0, 1.0]), "all_solutions": lambda p, _: all_solutions(p),
+    "analyze": lambda p, _: analyze(p),
     "convergence_guarantee": lambda p, _: convergence_guarantee(p), "cross_validate": lambda p, _: cross_validate(p),
     "error_against_time": lambda p, _: error_against_time(p), "presolve": lambda p, _: presolve(p),
 }
@@ -470,3 +479,19 @@ def test_without_time_the_start_is_returned(sample: Sample) -> None:
     answer = solved(sample, max_seconds=0.0)
     assert answer.status in (Status.MAX_SECONDS, *sample.ends)
     assert answer.x.shape[0] >= 2
+
+
+# --- Sequences of answers --------------------------------------------------------------------------------------------
+
+
+def one_of_each_kind() -> list[Any]:
+    """Return a problem of each kind that solve_batch takes."""
+    return list({one.kind: one.problem for one in SOLVABLE if one.kind != "NonlinearProblem"}.values())
+
+
+def test_derivative_names_the_answer_that_it_takes() -> None:
+    """An answer of another kind is not called no result; of a list it takes those to LCPs."""
+    answers = solve_batch(one_of_each_kind())
+    with pytest.raises(InvalidOption, match=r"needs the answer to an LCP or NonlinearProblem, .*answers\[k\]"):
+        derivative(answers)
+    assert derivative(answers[0]).jvp(dq=np.ones(2)).shape == (2,)

@@ -22,6 +22,7 @@ from lcp_plugin import (
     InvalidOption,
     LCPError,
     NotConverged,
+    QuadraticProgram,
     QuadraticProgramBatch,
     Status,
     UnsuitableMatrix,
@@ -473,12 +474,12 @@ def test_a_callback_ends_the_run(sample: Sample, how: str) -> None:
     assert answer.status.name in str(answer)
 
 
-@pytest.mark.parametrize("sample", [sample for sample in SAMPLES if sample.kind != "EquilibriumProgram"], ids=repr)
+@pytest.mark.parametrize("sample", SAMPLES, ids=repr)
 def test_without_time_the_start_is_returned(sample: Sample) -> None:
     """max_seconds=0 ends with MAX_SECONDS, or with what is known without a step."""
     answer = solved(sample, max_seconds=0.0)
     assert answer.status in (Status.MAX_SECONDS, *sample.ends)
-    assert answer.x.shape[0] >= 2
+    assert answer.x is None if sample.kind == "EquilibriumProgram" else answer.x.shape[0] >= 2
 
 
 # --- Sequences of answers --------------------------------------------------------------------------------------------
@@ -487,6 +488,63 @@ def test_without_time_the_start_is_returned(sample: Sample) -> None:
 def one_of_each_kind() -> list[Any]:
     """Return a problem of each kind that solve_batch takes."""
     return list({one.kind: one.problem for one in SOLVABLE if one.kind != "NonlinearProblem"}.values())
+
+
+def test_time_ends_a_batch_of_several_kinds() -> None:
+    """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time."""
+    problems = one_of_each_kind() * 500
+    answers = solve_batch(problems, max_seconds=0.2)
+    assert len(answers) == len(answers.status) == len(problems)
+    assert answers.seconds < 5.0
+    assert answers.status[-1] is answers[-1].status is Status.MAX_SECONDS
+    assert not answers.is_solved
+    assert "MAX_SECONDS" in repr(answers)
+    assert {answers[-k].status for k in (1, 2, 3, 4)} == {Status.MAX_SECONDS}
+
+
+def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was solved is kept, and those left are INTERRUPTED."""
+    _, two, *_ = problems = one_of_each_kind()
+
+    def interrupted(problem: Any, **wishes: Any) -> Any:
+        if problem is two and not wishes:
+            raise KeyboardInterrupt
+        return solve(problem, **wishes)
+
+    monkeypatch.setattr("lcp_plugin.solving.batch.solve", interrupted)
+    answers = solve_batch(problems)
+    assert len(answers) == len(problems)
+    assert [status.name for status in answers.status] == ["SOLVED"] + ["INTERRUPTED"] * (len(problems) - 1)
+    assert answers[-1].status is Status.INTERRUPTED
+
+
+def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
+    """Its errors and its story name the reason."""
+    bent = QuadraticProgram([[-1.0]], [0.0])
+    for answers in (solve_batch([one_of_each_kind()[0], bent]), solve_batch([[[np.nan]]], [[1.0]])):
+        k = len(answers) - 1
+        assert answers.status[k] is None
+        assert str(answers.errors[k]) in answers.explain()
+        with pytest.raises(NotConverged, match=r"no problem: .*(convex|finite|NaN)"):
+            answers.require_solved()
+
+
+@pytest.mark.parametrize("no", [
+    solve_batch([]), solve_batch(np.eye(2), np.zeros((0, 2))), march(LCP(np.eye(2), [0, 0]), np.zeros((0, 2))),
+    solve_batch(QuadraticProgramBatch(np.eye(2), np.zeros((0, 2)))),
+], ids=lambda answers: type(answers).__name__)  # fmt: skip
+def test_a_sequence_of_no_answers(no: Any) -> None:
+    """It is solved, and says that there is none."""
+    assert len(no) == len(no.status) == 0
+    assert no.is_solved
+    assert no.require_solved() is no
+    assert "none" in repr(no)
+    assert "none" in no.explain()
+
+
+def test_no_marches() -> None:
+    """They have no answer, as a batch of no problems has none."""
+    assert march_many(LCP(np.eye(2), [0, 0]), np.zeros((0, 3, 2))) == []
 
 
 def test_derivative_names_the_answer_that_it_takes() -> None:

@@ -30,12 +30,13 @@ than another ``solve``, which starts from the values that the variables have.
 ``complements(inequality(0, x, 5), F)``, or equations, of variables or expressions; constraints that are equations;
 smooth functions, ``Expression``; fixed variables, deactivated components, mutable parameters anywhere. There must be
 as many equations and pairs as variables. Without complementarities: linear and convex quadratic programs, and systems
-of equations.
+of equations. A convex objective beside complementarities of affine sides asks for the best of all solutions, found with
+a proved gap; equations, inequalities and bounds beside the pairs are constraints then, and may be any number.
 
-- Bounds that a variable has of its own, and inequalities beside complementarities, are no part of a pair: they are
-  looked at afterwards, and where one does not hold the answer is not optimal and the message names it.
+- Without an objective, bounds that a variable has of its own, and inequalities beside complementarities, are no part of
+  a pair: they are looked at afterwards, and where one does not hold the answer is not optimal and the message names it.
 - A pair whose variable is fixed is looked at afterwards too, as that of a price which is the unit.
-- Refused in words: objectives beside complementarities, integers, disjunctions, functions that are not smooth.
+- Refused in words: integers, disjunctions, functions that are not smooth, objectives that are not convex.
 - Pyomo's own ``mpec.nl`` is not used: in 6.10 it fails on a range beside an expression, states another problem for a
   range beside a variable, and loosens upper bounds. A model to which it was applied is solved as it left it.
 

@@ -316,7 +316,7 @@ def report(
     scenes: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Scenes, name:key=value,…, or files as solve takes them; by default the usual choice.",
+            help="Scenes, name:key=value,…, or files of LCPs as solve takes them; by default the usual choice.",
             autocompletion=scene_names,
         ),
     ] = None,

@@ -529,6 +529,12 @@ def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
             answers.require_solved()
 
 
+def test_a_batch_names_what_is_no_problem() -> None:
+    """By its number, before anything is solved."""
+    with pytest.raises(LCPError, match=r"item 1 of the batch: solve_batch needs .* got int; write"):
+        solve_batch([QuadraticProgram([[1.0]], [0.0]), 3])
+
+
 @pytest.mark.parametrize("no", [
     solve_batch([]), solve_batch(np.eye(2), np.zeros((0, 2))), march(LCP(np.eye(2), [0, 0]), np.zeros((0, 2))),
     solve_batch(QuadraticProgramBatch(np.eye(2), np.zeros((0, 2)))),

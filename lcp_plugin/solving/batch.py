@@ -179,6 +179,9 @@ def solve_batch(
         if "solve_batch" not in kind.ways:
             raise InvalidProblem(refusal("solve_batch", one))
     if any(not isinstance(one, LCP) for one in others):
+        for k, one in enumerate(M):
+            if kind_of(one) is None:
+                raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
         _refuse_data("these problems", "new ones", q, lower, upper)
         asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, measure=measure, max_iterations=max_iterations,
                      absolute_tolerance=absolute_tolerance, refute=refute)

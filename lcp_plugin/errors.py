@@ -14,7 +14,7 @@ class LCPError(Exception):
 
 
 class InvalidProblem(LCPError, ValueError):
-    """The data do not state a linear complementarity problem."""
+    """The data do not state a problem of the kind that they are given for."""
 
 
 class InvalidOption(LCPError, TypeError):

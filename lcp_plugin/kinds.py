@@ -18,7 +18,8 @@ from .errors import InvalidOption, did_you_mean
 ROOT = __name__.rsplit(".", 1)[0]
 FUNCTIONS = (
     "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "derivative", "certify", "Certificate.of",
-    "error_bound", "all_solutions", "convergence_guarantee", "cross_validate", "error_against_time", "presolve",
+    "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate", "error_against_time",
+    "presolve",
 )
 STORES = ("save", "pickle")
 LANGUAGES = ("cvxpy", "Pyomo", "AMPL", "qpsolvers")
@@ -146,6 +147,7 @@ KINDS = (
             **{f"{name}=": "a program is judged by its own residuals, leave it out"
                for name in ("measure", "absolute_tolerance")},
             "error_bound": "certify(program, x) bounds the objective and the distance",
+            "analyze": "program.is_convex says whether P is positive semidefinite, analyze(program.P) the rest",
             "cross_validate": "certify(program, x) judges anybody's answer; lcp-plugin certify compares solvers",
             "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and load_problem(path) reads them",
             "lcp-plugin check": "lcp-plugin certify compares solvers on a program",
@@ -211,7 +213,7 @@ def refusal(way: str, given: Any) -> str:
     """Return what to say where a way does not take what it was given, with what to write instead."""
     takes = [kind.word for kind in KINDS if way in kind.ways]
     needs = " or ".join(filter(None, [", ".join(takes[:-1]), takes[-1]]))
-    needs = "the result of solve" if way == "derivative" else _with_article(needs)
+    needs = f"the answer to {_with_article(needs)}" if way == "derivative" else _with_article(needs)
     kind = kind_of(given)
     if way == "derivative" and kind is None:
         kind = next((one for one in KINDS[2:] if one.result.endswith(f".{type(given).__name__}")), None)
@@ -221,6 +223,8 @@ def refusal(way: str, given: Any) -> str:
 
 def _remedy(way: str, given: Any) -> str:
     """Return what to write for what is no problem of any kind, but near one."""
+    if way == "derivative" and hasattr(given, "all_solved"):
+        return "write derivative(answers[k]) for one that is the answer to an LCP"
     if way == "derivative":
         return "write derivative(solve(problem))"
     if way == "certify" and hasattr(given, "is_stationary"):

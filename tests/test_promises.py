@@ -29,6 +29,7 @@ from lcp_plugin import (
     LCP,
     Certificate,
     LCPError,
+    QuadraticProgram,
     Status,
     UnreadableFile,
     UnsuitableMatrix,
@@ -150,14 +151,17 @@ def test_verdicts_are_proved(last: float) -> None:
 
 
 def test_refutations_are_proofs() -> None:
-    """“INFEASIBLE and NO_SOLUTION come with a proof”: it verifies, and no z passes both conditions it speaks of."""
+    """“INFEASIBLE, NO_SOLUTION and UNBOUNDED come with a proof”: it verifies, and what is solved has none."""
     infeasible = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0]))
     nothing = solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [1.0, -1.0], upper=[np.inf, np.inf]))
     assert infeasible.status is Status.INFEASIBLE
-    assert infeasible.infeasibility.verify()
+    assert infeasible.proof.verify()
     assert nothing.status in (Status.INFEASIBLE, Status.NO_SOLUTION)
-    assert nothing.infeasibility.verify()
-    assert solve(TWO).infeasibility is None
+    assert nothing.proof.verify()
+    assert solve(TWO).proof is None
+    falls = solve(QuadraticProgram(None, [-1.0, 0.0], lower=0.0))
+    assert falls.status is Status.UNBOUNDED
+    assert falls.proof.verify()
 
 
 # --- Bits -----------------------------------------------------------------------------------------------------------

@@ -22,11 +22,13 @@ from lcp_plugin import (
     InvalidOption,
     LCPError,
     NotConverged,
+    QuadraticProgram,
     QuadraticProgramBatch,
     Status,
     UnsuitableMatrix,
     UnsuitableProblem,
     all_solutions,
+    analyze,
     certify,
     convergence_guarantee,
     cross_validate,
@@ -144,7 +146,8 @@ def by_derivative(sample: Sample, folder: Path) -> None:
 def by_certify(sample: Sample, folder: Path) -> None:
     answer = solved(sample)
     if answer.is_solved:
-        assert certify(sample.problem, answer.x).verdict == "proved"
+        for given in (answer.x, answer.solution, answer):
+            assert certify(sample.problem, given).verdict == "proved"
     else:
         assert certify(sample.problem, claim=answer.status.name.lower()).verdict == "proved"
 
@@ -163,6 +166,11 @@ def by_bound(sample: Sample, folder: Path) -> None:
     else:
         assert sample.x is not None
         assert bound.infinity <= CLOSE
+
+
+def by_analyze(sample: Sample, folder: Path) -> None:
+    M = sample.problem.csr.toarray()
+    assert analyze(sample.problem).is_symmetric == np.array_equal(M, M.T)
 
 
 def by_all_solutions(sample: Sample, folder: Path) -> None:
@@ -337,7 +345,8 @@ def by_command_report(sample: Sample, folder: Path) -> None:
 TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "solve": by_solve, "solve_batch": by_batch, "solve_many": by_many, "prepare": by_prepare, "march": by_march,
     "march_many": by_marches, "derivative": by_derivative, "certify": by_certify, "Certificate.of": by_certificate,
-    "error_bound": by_bound, "all_solutions": by_all_solutions, "convergence_guarantee": by_guarantee,
+    "error_bound": by_bound, "analyze": by_analyze, "all_solutions": by_all_solutions,
+    "convergence_guarantee": by_guarantee,
     "cross_validate": by_cross_validation, "error_against_time": by_curves, "presolve": by_presolve,
     "save": by_files, "pickle": by_pickle, "cvxpy": by_cvxpy, "Pyomo": by_pyomo, "AMPL": by_ampl,
     "qpsolvers": by_qpsolvers, "lcp-plugin solve": by_command_solve, "lcp-plugin check": by_command_check,
@@ -350,6 +359,7 @@ REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]), "derivative": lambda _, answer: derivative(answer()),
     "certify": lambda p, answer: certify(p, answer().x), "Certificate.of": lambda p, _: Certificate.of(p, [1.0, 1.0]),
     "error_bound": lambda p, _: error_bound(p, [1.0, 1.0]), "all_solutions": lambda p, _: all_solutions(p),
+    "analyze": lambda p, _: analyze(p),
     "convergence_guarantee": lambda p, _: convergence_guarantee(p), "cross_validate": lambda p, _: cross_validate(p),
     "error_against_time": lambda p, _: error_against_time(p), "presolve": lambda p, _: presolve(p),
 }
@@ -464,9 +474,88 @@ def test_a_callback_ends_the_run(sample: Sample, how: str) -> None:
     assert answer.status.name in str(answer)
 
 
-@pytest.mark.parametrize("sample", [sample for sample in SAMPLES if sample.kind != "EquilibriumProgram"], ids=repr)
+@pytest.mark.parametrize("sample", SAMPLES, ids=repr)
 def test_without_time_the_start_is_returned(sample: Sample) -> None:
     """max_seconds=0 ends with MAX_SECONDS, or with what is known without a step."""
     answer = solved(sample, max_seconds=0.0)
     assert answer.status in (Status.MAX_SECONDS, *sample.ends)
-    assert answer.x.shape[0] >= 2
+    assert answer.x is None if sample.kind == "EquilibriumProgram" else answer.x.shape[0] >= 2
+
+
+# --- Sequences of answers --------------------------------------------------------------------------------------------
+
+
+def one_of_each_kind() -> list[Any]:
+    """Return a problem of each kind that solve_batch takes."""
+    return list({one.kind: one.problem for one in SOLVABLE if one.kind != "NonlinearProblem"}.values())
+
+
+def test_time_ends_a_batch_of_several_kinds() -> None:
+    """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time."""
+    problems = one_of_each_kind() * 500
+    answers = solve_batch(problems, max_seconds=0.2)
+    assert len(answers) == len(answers.status) == len(problems)
+    assert answers.seconds < 5.0
+    assert answers.status[-1] is answers[-1].status is Status.MAX_SECONDS
+    assert not answers.is_solved
+    assert "MAX_SECONDS" in repr(answers)
+    assert {answers[-k].status for k in (1, 2, 3, 4)} == {Status.MAX_SECONDS}
+
+
+def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was solved is kept, and those left are INTERRUPTED."""
+    _, two, *_ = problems = one_of_each_kind()
+
+    def interrupted(problem: Any, **wishes: Any) -> Any:
+        if problem is two and not wishes:
+            raise KeyboardInterrupt
+        return solve(problem, **wishes)
+
+    monkeypatch.setattr("lcp_plugin.solving.batch.solve", interrupted)
+    answers = solve_batch(problems)
+    assert len(answers) == len(problems)
+    assert [status.name for status in answers.status] == ["SOLVED"] + ["INTERRUPTED"] * (len(problems) - 1)
+    assert answers[-1].status is Status.INTERRUPTED
+
+
+def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
+    """Its errors and its story name the reason."""
+    bent = QuadraticProgram([[-1.0]], [0.0])
+    for answers in (solve_batch([one_of_each_kind()[0], bent]), solve_batch([[[np.nan]]], [[1.0]])):
+        k = len(answers) - 1
+        assert answers.status[k] is None
+        assert str(answers.errors[k]) in answers.explain()
+        with pytest.raises(NotConverged, match=r"no problem: .*(convex|finite|NaN)"):
+            answers.require_solved()
+
+
+def test_a_batch_names_what_is_no_problem() -> None:
+    """By its number, before anything is solved."""
+    with pytest.raises(LCPError, match=r"item 1 of the batch: solve_batch needs .* got int; write"):
+        solve_batch([QuadraticProgram([[1.0]], [0.0]), 3])
+
+
+@pytest.mark.parametrize("no", [
+    solve_batch([]), solve_batch(np.eye(2), np.zeros((0, 2))), march(LCP(np.eye(2), [0, 0]), np.zeros((0, 2))),
+    solve_batch(QuadraticProgramBatch(np.eye(2), np.zeros((0, 2)))),
+], ids=lambda answers: type(answers).__name__)  # fmt: skip
+def test_a_sequence_of_no_answers(no: Any) -> None:
+    """It is solved, and says that there is none."""
+    assert len(no) == len(no.status) == 0
+    assert no.is_solved
+    assert no.require_solved() is no
+    assert "none" in repr(no)
+    assert "none" in no.explain()
+
+
+def test_no_marches() -> None:
+    """They have no answer, as a batch of no problems has none."""
+    assert march_many(LCP(np.eye(2), [0, 0]), np.zeros((0, 3, 2))) == []
+
+
+def test_derivative_names_the_answer_that_it_takes() -> None:
+    """An answer of another kind is not called no result; of a list it takes those to LCPs."""
+    answers = solve_batch(one_of_each_kind())
+    with pytest.raises(InvalidOption, match=r"needs the answer to an LCP or NonlinearProblem, .*answers\[k\]"):
+        derivative(answers)
+    assert derivative(answers[0]).jvp(dq=np.ones(2)).shape == (2,)

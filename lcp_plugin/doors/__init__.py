@@ -3,7 +3,7 @@
 | you have | you write |
 |---|---|
 | a Pyomo model | ``import lcp_plugin.pyomo``, then ``SolverFactory("lcp_plugin")`` |
-| AMPL, JuMP, an ``.nl`` file | the executable ``lcp-plugin-ampl``, ``LCP.load("m.nl")`` |
+| AMPL, JuMP, an ``.nl`` file | the executable ``lcp-plugin-ampl``, ``modeling.nl.read_nl("m.nl").solve()`` |
 | qpsolvers | ``lcp_plugin.register_with_qpsolvers()``, then ``solver="lcp_plugin"`` |
 | cvxpylayers | ``CvxpyLayer(…, solver=LCPSolver())`` |
 | QuantEcon | ``from lcp_plugin import lemke as lcp_lemke``, ``LCP.from_game(game)`` |
@@ -41,7 +41,8 @@ and in Julia (JuMP's ``.nl`` writer takes complementarities in releases from 202
     @constraint(model, exp(x) - 3 ⟂ x)
     optimize!(model)
 
-What they have written, ``lcp-plugin solve m.nl`` and ``report``, ``certify``, ``check``, ``analyze`` take as well.
+What they have written, ``lcp-plugin solve m.nl`` takes as well; ``certify`` where it is a program, ``report``,
+``check`` and ``analyze`` where it is an LCP.
 
 **qpsolvers** (extra ``[qpsolvers]``) Duals are in its convention; ``solution.extras`` has the status, the residuals and
 the proof; ``tolerance``, ``algorithm``, ``max_seconds`` are ours.

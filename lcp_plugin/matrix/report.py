@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InvalidProblem
+from ..kinds import kind_of, refusal
 from . import structure, verdicts
 from .h_matrix import h_verdict
 from .matrix import Matrix, fact
@@ -224,6 +226,8 @@ def analyze(M: Any) -> MatrixReport:
 
 def matrix_of(M: Any) -> Matrix:
     """Return a problem's matrix, a matrix as it is, or what an array states."""
+    if not hasattr(M, "matrix") and kind_of(M) is not None:
+        raise InvalidProblem(refusal("analyze", M))
     matrix = getattr(M, "matrix", M)
     return matrix if isinstance(matrix, Matrix) else Matrix(M)
 

@@ -18,7 +18,7 @@ that ``M @ x`` costs one conversion of M.
 **Afterwards** ``pair.dual_value`` is w, of two expressions the second, and ``pair.violation()`` the largest natural
 residual; the inequalities inside carry the duals that a quadratic program would give them. A model that is proved to
 have no solution gets the status "infeasible", and the proof is ``problem.solver_stats.extra_stats.proof``;
-``extra_stats`` is a `Result`, with an objective an `EquilibriumResult`.
+``extra_stats`` is a `Result`, with an objective an `EquilibriumResult`, of a program a `QuadraticProgramResult`.
 
 >>> import cvxpy as cp
 >>> import numpy as np

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from operator import index
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
-from ..errors import NotConverged
+from ..errors import LCPError, NotConverged
 from ..settings import PROVEN, Status
 
 
@@ -205,9 +205,15 @@ class AnswerSequence(Results[T]):
         told = next((k for k, status in enumerate(self.status) if status is not Status.SOLVED), len(self) - 1)
         lines = [f"{len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s"]
         if told >= 0:
-            one = f"no {self.ITEM}" if self.status[told] is None else str(self.at(told))
-            lines.append(f"{self.ITEM} {told}: {one}")
+            lines.append(f"{self.ITEM} {told}: {self._told(told)}")
         return "\n".join(lines)
+
+    def _told(self, k: int) -> str:
+        """Return the story of item k, or what is wrong with it."""
+        try:
+            return str(self.at(k))
+        except LCPError as error:
+            return f"no {self.ITEM}: {error}"
 
     def require_solved(self) -> Self:
         """Return this, or raise where one of them is not solved.

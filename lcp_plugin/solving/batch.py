@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, overload
 
 import numpy as np
@@ -11,20 +12,20 @@ from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm
 from ..algorithms.active_sets.banded import Banded
-from ..communicator.alone import ALONE
+from ..conversions.equilibrium_program import EquilibriumProgram
 from ..conversions.program import QuadraticProgram
 from ..conversions.program_batch import QuadraticProgramBatch
-from ..deadline import Clock
-from ..errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm
+from ..errors import InvalidOption, InvalidProblem, LCPError
 from ..kernels.threads import threads_for
 from ..kinds import kind_of, refusal
 from ..matrix.factors import bands
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..problem.lcp import LCP
+from ..problem.least_squares import BoundedLeastSquares
 from ..settings import CallersOwn, Settings, Status, checked_threads
-from .answer import Answer, AnswerSequence
+from .answer import Answer
 from .batch_items import Items, Listed, Stacked
-from .batch_run import BatchResult, BatchRun
+from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun
 from .driver import solve
 from .program_batch import ProgramBatchResult, ProgramBatchRun
 from .result import Result
@@ -77,6 +78,18 @@ def solve_batch(
     max_iterations: int | None = None, max_seconds: float | None = None, refute: bool = True,
     threads: int | None = None,
 ) -> ProgramBatchResult: ...
+@overload
+def solve_batch(  # type: ignore[overload-overlap]  # a list of LCPs is one of problems, too
+    M: Sequence[LCP], *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
+    measure: str = "relative", max_iterations: int | None = None, max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0, refute: bool = True, threads: int | None = None,
+) -> BatchResult: ...
+@overload
+def solve_batch(
+    M: Sequence[LCP | QuadraticProgram | EquilibriumProgram | BoundedLeastSquares], *,
+    algorithm: str | Algorithm = "auto", tolerance: float = 1e-8, max_iterations: int | None = None,
+    max_seconds: float | None = None, refute: bool = True, threads: int | None = None,
+) -> AnswerList: ...
 @overload
 def solve_batch(
     M: Any, q: ArrayLike | None = None, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf,
@@ -132,7 +145,7 @@ def solve_batch(
     Raises
     ------
     InvalidProblem
-        Where shapes do not fit together, or an item of the sequence is no LCP.
+        Where shapes do not fit together, or an item of the sequence is no problem.
     UnknownAlgorithm, InvalidOption
         As :func:`lcp_plugin.solve`.
 
@@ -166,11 +179,15 @@ def solve_batch(
         if "solve_batch" not in kind.ways:
             raise InvalidProblem(refusal("solve_batch", one))
     if any(not isinstance(one, LCP) for one in others):
+        for k, one in enumerate(M):
+            if kind_of(one) is None:
+                raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
         _refuse_data("these problems", "new ones", q, lower, upper)
         asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, measure=measure, max_iterations=max_iterations,
                      absolute_tolerance=absolute_tolerance, refute=refute)
         defaults = solve_batch.__kwdefaults__ or {}
-        return _one_by_one(M, {name: wish for name, wish in asked.items() if wish is not defaults[name]}, limit)
+        wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
+        return MixedRun(M, wishes, limit=limit).run()
     if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
         items = Listed(_checked_list(M, q, lower, upper), z0)
     else:
@@ -182,47 +199,54 @@ def solve_batch(
     return BatchRun(items, algorithm, wishes, threads=checked, limit=limit).run()
 
 
-class AnswerList(AnswerSequence[Answer]):
+class MixedRun(BatchLoop):
+    """The answers to problems of several kinds, one after the other."""
+
+    def __init__(self, problems: Sequence[Any], wishes: dict[str, Any], *, limit: float) -> None:
+        super().__init__(len(problems), "auto", wishes, {}, threads=1, limit=limit)
+        self.problems = problems
+        self.results: dict[int, Answer] = {}
+
+    def run(self) -> AnswerList:
+        """Solve all, and gather what was found."""
+        self._solve_all()
+        self.status[self.is_open] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
+        self.seconds = self.clock.read()
+        return AnswerList(self, self.result_of)
+
+    def _solve_compiled(self) -> None:
+        """There is no loop for all kinds."""
+
+    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
+        found = solve(self.problems[k], **wishes)
+        self.results[k], self.status[k], self.is_open[k] = found, found.status, False
+        self.is_interrupted |= found.status is Status.INTERRUPTED
+
+    def result_of(self, k: int) -> Answer:
+        """Return the answer to problem k, which has no error; one that was not begun has what its start has."""
+        if k not in self.results:
+            found = solve(self.problems[k], **self.wishes, max_seconds=0.0)
+            self.results[k] = replace(found, status=self.status[k])
+        return self.results[k]
+
+
+class AnswerList(BatchAnswers[Answer]):
     """The answers to problems of several kinds, in order.
 
     Parameters
     ----------
-    answers : list of Answer or LCPError
-        What is wrong with problem k where something is; looking at it raises it.
+    run : MixedRun
+        At its end.
+
+    Attributes
+    ----------
+    status : array of Status, shape (B,)
+        None where the data are no problem that can be solved, as a program that is not convex.
     seconds : float
+        Wall-clock seconds of the whole batch.
+    errors : dict
+        What is wrong with problem k, where something is; ``answers[k]`` raises it.
     """
-
-    status: list[Status | None]
-
-    def __init__(self, answers: list[Answer | LCPError], seconds: float) -> None:
-        self._answers, self.seconds = answers, seconds
-        self.status = [None if isinstance(one, LCPError) else one.status for one in answers]
-
-    def __len__(self) -> int:
-        return len(self._answers)
-
-    def at(self, k: int) -> Answer:
-        """Return answer k, or raise what is wrong with its problem."""
-        answer = self._answers[k]
-        if isinstance(answer, LCPError):
-            raise answer
-        return answer
-
-
-def _one_by_one(problems: Sequence[Any], wishes: dict[str, Any], limit: float) -> AnswerList:
-    """Solve one problem after the other; those that time or Ctrl-C leaves out are not in the list."""
-    answers, clock = list[Answer | LCPError](), Clock(ALONE)
-    for problem in problems:
-        left = {} if limit == math.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
-        try:
-            answers.append(solve(problem, **{**wishes, **left}))
-        except (InvalidOption, UnknownAlgorithm):
-            raise
-        except LCPError as error:
-            answers.append(error)
-        if isinstance(answers[-1], Answer) and answers[-1].status is Status.INTERRUPTED:
-            break
-    return AnswerList(answers, clock.read())
 
 
 def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Sequence[LCP]:

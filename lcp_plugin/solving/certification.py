@@ -37,8 +37,8 @@ def certify(
     ----------
     problem : cvxpy.Problem or QuadraticProgram
         A cvxpy problem that some solver has filled; it is left as it is.
-    x : array, shape (n,), or QPSolution, optional
-        The answer to a `QuadraticProgram`.
+    x : array, shape (n,), QPSolution or QuadraticProgramResult, optional
+        The answer to a `QuadraticProgram`; ``certify(result)`` is ``certify(result.program, result)``.
     multipliers : array, pair of arrays or QPSolution, optional
         Those of G and A that came with x: one array of them, with those of the lower and upper bounds behind them if
         you like, or a pair, or all four. Shapes (rows of G,), (rows of A,), (n,), (n,), signs as in
@@ -125,6 +125,8 @@ def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[FloatV
     """Return x and the checked multipliers, of G and A or of all constraints."""
     if x is None:
         raise InvalidProblem("certify needs the x that is claimed to be optimal; give certify(program, x), or a claim")
+    if isinstance(x, QuadraticProgramResult):
+        x = x.solution
     if isinstance(x, QPSolution):
         x, multipliers = x.x, x if multipliers is None else multipliers
     point = checked_vector(x, "x", program.n)

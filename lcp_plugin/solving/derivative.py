@@ -72,8 +72,8 @@ def derivative(result: Result | BatchResult | March) -> Derivative | BatchDeriva
     Parameters
     ----------
     result : Result or BatchResult or March
-        SOLVED. What its run has built (the hierarchy of M) serves again, and M is read where it lies: do not change
-        its entries between the solve and this.
+        SOLVED, of an LCP; or of a NonlinearProblem, where dq is a change of F. What its run has built (the hierarchy
+        of M) serves again, and M is read where it lies: do not change its entries between the solve and this.
 
     Returns
     -------

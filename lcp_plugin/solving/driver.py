@@ -150,7 +150,8 @@ def solve(
 
     - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.solve_nonlinear`;
     - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and
-      UNBOUNDED with a proof, see :class:`~lcp_plugin.QuadraticProgramResult`; options as for an LCP;
+      UNBOUNDED with a proof, see :class:`~lcp_plugin.QuadraticProgramResult`; options as for an LCP, z0 is the
+      ``result.z`` of an earlier run, a start where that has as many unknowns;
     - ``EquilibriumProgram``: :func:`~lcp_plugin.minimize_over_solutions`;
     - ``BoundedLeastSquares``: :func:`~lcp_plugin.bounded_least_squares`.
 

@@ -83,8 +83,8 @@ def march_many(
     rows = {name: rows_of_a_batch(given, name, n)
             for name, given in (("lower", lower), ("upper", upper), ("z0", z0)) if given is not None}
     count = length_of_all({
-        **({"forcing": len(offsets)} if len(offsets) > 1 else {}),
-        **{name: len(given) for name, given in rows.items() if len(given) > 1},
+        **({"forcing": len(offsets)} if len(offsets) != 1 else {}),
+        **{name: len(given) for name, given in rows.items() if len(given) != 1},
     })
     wishes |= {"algorithm": algorithm}
     marches: list[March] = []

@@ -70,7 +70,7 @@ def minimize_over_solutions(
     UnsupportedModel
         Where the objective is not convex.
     InvalidOption
-        Where a tolerance or a limit is no positive number, or the problem is of another kind.
+        Where the tolerance is not positive, a limit is negative, or the problem is of another kind.
 
     Notes
     -----
@@ -88,12 +88,14 @@ def minimize_over_solutions(
     ('SOLVED', -0.75, array([0.5, 0. , 0. ]), True)
     """
     if not isinstance(problem, EquilibriumProgram):
-        raise InvalidOption(f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}")
-    limits = {"tolerance": tolerance, "max_nodes": max_nodes, "max_seconds": max_seconds}
-    for name, value in limits.items():
-        is_left_out = value is None and name != "tolerance"
-        if not is_left_out and not (is_number(value) and value > 0):  # type: ignore[operator]
-            raise InvalidOption(f"{name} must be a number > 0, got {value!r}")
+        raise InvalidOption(
+            f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}; solve takes every kind"
+        )
+    if not (is_number(tolerance) and tolerance > 0):
+        raise InvalidOption(f"tolerance must be a number > 0, got {tolerance!r}")
+    for name, limit in {"max_nodes": max_nodes, "max_seconds": max_seconds}.items():
+        if limit is not None and not (is_number(limit) and limit >= 0):
+            raise InvalidOption(f"{name} must be a number ≥ 0, got {limit!r}")
     refuse_nonconvex(problem.program)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)

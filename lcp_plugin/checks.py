@@ -16,7 +16,6 @@ BoolVector = NDArray[np.bool_]
 
 DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000
-WRITTEN_UP_TO = 8  # unknowns: up to here a repr holds all data
 FEW = 1000  # numbers, of which a temporary costs less than a change of numpy's error state
 
 
@@ -364,32 +363,3 @@ def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
     if not np.isfinite(start).all():
         raise InvalidOption(f"z0 must be a finite vector of length {problem.own}, got NaN or infinite entries")
     return np.clip(start, problem.lower, problem.upper)
-
-
-def written_matrix(M: Any) -> str:
-    """Return what can be pasted for a matrix of floats, and is kept as this one is: a list of rows, or a CSR array.
-
-    Examples
-    --------
-    >>> written_matrix(np.eye(2)), written_matrix(sp.csr_array([[0.5, 2.0]]))
-    ('[[1.0, 0.0], [0.0, 1.0]]', 'csr_array([[0.5, 2.0]])')
-    """
-    return f"csr_array({M.toarray().tolist()})" if sp.issparse(M) else repr(M.tolist())
-
-
-def written_bounds(lower: FloatVector, upper: FloatVector, least: float) -> list[str]:
-    """Return the bounds as keyword arguments; those that are `least` and ∞ throughout need none.
-
-    Examples
-    --------
-    >>> written_bounds(np.zeros(2), np.array([1.0, np.inf]), 0.0), written_bounds(-np.ones(2), np.ones(2), 0.0)
-    (['upper=[1.0, inf]'], ['lower=-1.0', 'upper=1.0'])
-    """
-    given = []
-    for name, bound, default in (("lower", lower, least), ("upper", upper, np.inf)):
-        values = bound.tolist()
-        if len({value.hex() for value in values}) > 1:
-            given.append(f"{name}={values}")
-        elif values and values[0].hex() != float(default).hex():
-            given.append(f"{name}={values[0]}")
-    return given

@@ -22,23 +22,17 @@ MEASURES = ("relative", "euclidean")
 
 
 class Status(Enum):
-    """Why a run ended; the value of each member is the advice that goes with it."""
+    """Why a run ended, the value of each member in words; `advice` of a result says besides what to do."""
 
     SOLVED = "within the tolerance, as proved on your data"
     PRECISION_LIMIT = (
         "the residual is above the tolerance, but no larger than rounding in double precision explains; "
         "a smaller one cannot be measured: accept z, or rescale the data"
     )
-    MAX_ITERATIONS = "the iteration limit came first: raise max_iterations, go on from z0=result.z, or change algorithm"
-    MAX_SECONDS = "the time limit came first: raise max_seconds, go on from z0=result.z, or change algorithm"
-    STALLED = (
-        "the residual no longer falls enough to converge within max_iterations; for a projected-type method try "
-        'scaling="auto", otherwise algorithm="auto" or a better start z0'
-    )
-    DIVERGED = (
-        'the iteration left every reasonable range; for a projected-type method try scaling="auto", for a '
-        "relaxation method a smaller relaxation"
-    )
+    MAX_ITERATIONS = "the iteration limit came first: raise max_iterations"
+    MAX_SECONDS = "the time limit came first: raise max_seconds"
+    STALLED = "the residual no longer falls enough to converge within max_iterations"
+    DIVERGED = "the iteration left every reasonable range"
     INFEASIBLE = (
         "no z within the bounds gives w the signs it needs, by more than the tolerance; result.infeasibility proves "
         "it: check the data"

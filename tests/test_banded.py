@@ -258,7 +258,7 @@ def test_the_band_is_solved_without_its_zeros_being_kept() -> None:
     """A factor that would be too large is refused, with what to do."""
     n = 300_000
     M = sp.csr_array(sp.eye_array(n) + sp.coo_array(([0.5], ([0], [n - 1])), shape=(n, n)))
-    with pytest.raises(UnsuitableMatrix, match=r'banded needs a narrow band.*300000 rows.*try algorithm="newton"'):
+    with pytest.raises(UnsuitableMatrix, match=r'banded needs a narrow band.*300000 rows.*try algorithm="auto"'):
         solve(LCP(M, -np.ones(n)), "banded")
 
 

@@ -13,11 +13,12 @@ from lcp_plugin.certificates import error_bounds, row_inequality, solution_bound
 from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.certificates.row_inequality import RowInequality
 from lcp_plugin.certificates.row_residuals import ratio
-from lcp_plugin.certificates.solution_bounds import EigenvalueBound, smallest_eigenvalue_bound
+from lcp_plugin.certificates.solution_bounds import EigenvalueBound, bounds_of, smallest_eigenvalue_bound
 from lcp_plugin.exact.rounding import gamma
 from lcp_plugin.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.kernels.floats import UNIT
-from lcp_plugin.matrix import comparison_certificate, factors, free_systems
+from lcp_plugin.matrix import factors, free_systems
+from lcp_plugin.matrix.equilibration import unit_diagonal
 from lcp_plugin.matrix.factors import positive_factor
 
 CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_min = 1, no H-matrix
@@ -63,8 +64,13 @@ def test_the_margin_of_a_dense_factor_is_what_the_theorem_asks_for() -> None:
     """An eigenvalue 1.5 times the margin (n + 3) u · trace of the theorem is proven positive, one of half of it not."""
     n = 50
     margin = (n + 3) * UNIT * n
-    assert smallest_eigenvalue_bound(LCP(with_least_eigenvalue(n, 1.6 * margin), np.zeros(n)).matrix) is not None
-    assert smallest_eigenvalue_bound(LCP(with_least_eigenvalue(n, 0.5 * margin), np.zeros(n)).matrix) is None
+    for times, is_proven in ((1.6, True), (0.5, False)):
+        M = with_least_eigenvalue(n, times * margin)
+        part = solution_bounds._symmetric_part(M, unit_diagonal(M.diagonal()))
+        assert (solution_bounds._proven_bound(*part) is not None) == is_proven
+        bound = smallest_eigenvalue_bound(LCP(M, np.zeros(n)).matrix)  # where the factor does not, ⟨M⟩v > 0 proves one
+        assert bound is not None
+        assert 0.0 < bound.value < times * margin
 
 
 def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
@@ -128,6 +134,8 @@ def test_no_estimate_without_convergence(monkeypatch) -> None:
         raise scipy.sparse.linalg.ArpackNoConvergence("no", np.array([]), np.array([]))
 
     monkeypatch.setattr(scipy.sparse.linalg, "eigsh", fails)
+    assert error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300)).kind == "rigorous"  # analyze proves it
+    monkeypatch.setattr(solution_bounds, "eigenvalue_proven", lambda *_: None)
     with pytest.raises(UnsuitableMatrix):
         error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300))
 
@@ -148,16 +156,16 @@ def test_two_stages_are_sharp_where_the_signs_agree(monkeypatch) -> None:
     M = chain(n, 2.01)
     error = sp.linalg.spsolve(M.tocsc(), np.random.default_rng(0).random(n) ** 4)
     problem = LCP(M, np.zeros(n), lower=-np.inf)
-    certificate = comparison_certificate(problem.matrix)
+    family = bounds_of(problem.matrix)
     y = error_bound(problem, error, sharp=False).componentwise
     with np.errstate(all="ignore"):
         at = RowInequality.at(problem, error)
-        stages = error_bounds._two_stage(at, certificate, y)
+        stages = error_bounds._two_stage(at, family, y)
         assert (error <= stages).all()
         assert (stages <= error * (1.0 + 1e-10)).all()
         assert y.max() > 1.2 * error.max()
         monkeypatch.setattr(error_bounds, "comparison_solve", lambda *_, **__: None)
-        np.testing.assert_array_equal(error_bounds._two_stage(at, certificate, y), y)
+        np.testing.assert_array_equal(error_bounds._two_stage(at, family, y), y)
 
 
 def test_steps_that_lead_astray_lead_home() -> None:
@@ -306,9 +314,9 @@ def test_refinements_go_on_while_they_gain(monkeypatch) -> None:
 
 
 def two_stage(problem: LCP, z: np.ndarray) -> np.ndarray:
-    certificate = comparison_certificate(problem.matrix)
+    family = bounds_of(problem.matrix)
     y = error_bound(problem, z, sharp=False).componentwise
-    return error_bounds._two_stage(RowInequality.at(problem, z), certificate, y)
+    return error_bounds._two_stage(RowInequality.at(problem, z), family, y)
 
 
 @pytest.mark.parametrize("power", [0, -30, 30, -1000, 1000])

@@ -79,7 +79,7 @@ def test_file_is_solved(path: str) -> None:
         Path(f"run1_{file.name}").write_bytes(file.read_bytes())
     done = lcp_plugin("solve", path, "-a", "psor")
     assert done.exit_code == 0
-    assert repr(BOX) in done.stdout
+    assert str(BOX) in done.stdout
     assert "psor: " in done.stdout
 
 
@@ -169,7 +169,7 @@ def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
     with np.load("z.npz") as saved:
         assert saved["z"].size == 3
     assert lcp_plugin("solve", "p.npz", "--out", "./p.npz").exit_code == 2
-    assert repr(LCP.load("p.npz")) == repr(BOX)
+    assert str(LCP.load("p.npz")) == str(BOX)
 
 
 def test_march_prints_its_totals() -> None:
@@ -317,7 +317,7 @@ BAD_INPUT = [
     ("solve text.npz", r"cannot read text\.npz"),
     ("solve zeros.npz", r"cannot read zeros\.npz"),
     ("solve keys.npz", r"keys\.npz lacks the keys"),
-    ("solve qp.npz", r"qp\.npz holds a quadratic program"),
+    ("solve qp.npz", r"qp\.npz lacks the keys .* the CSC matrix P is P_data, P_indices"),
     ("solve taken.npz", r"cannot read taken\.npz"),
     ("solve murtyy", r"'murtyy' is neither a file nor a scene; did you mean 'murty'\?"),
     ("solve Murty", r"'Murty' is neither a file nor a scene; did you mean 'murty'\?"),
@@ -449,7 +449,7 @@ def test_list_shows_everything_there_is() -> None:
     """Every algorithm with its source, and every scene with each of its parameters and defaults, is in the list."""
     done = lcp_plugin("list")
     assert done.exit_code == 0
-    rows = re.findall(r"^ (\w+) {2,}\S", done.stdout, re.MULTILINE)
+    rows = re.findall(r"^ (\w+) {2,}\S", done.stdout.partition("Algorithms")[2], re.MULTILINE)
     assert [row for row in rows if row != "name"] == [*REGISTRY, *gallery.names()]
     assert all(algorithm_class(name).reference in done.stdout for name in REGISTRY)
     for _, _, parameters in gallery.describe():

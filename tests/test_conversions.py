@@ -524,7 +524,7 @@ def test_rounding_in_the_symmetry_is_averaged_away() -> None:
     program = QuadraticProgram(P, [0, 0])
     assert program.asymmetry == pytest.approx(1e-15, rel=0.2)
     assert program.P[0, 1] == program.P[1, 0]
-    assert "asymmetry" in repr(program)
+    assert "asymmetry" in str(program)
 
 
 def test_data_are_read_only_and_the_callers_own_stay_as_they_are() -> None:

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact import exact_solution, has_positive_pivots, solve_fractions
+from exact import exact_rows, exact_solution, has_positive_pivots, solve_fractions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -475,3 +475,28 @@ def test_numbers_near_the_end_of_the_range_are_refused_without_a_warning() -> No
     """Why there is no bound is told of a matrix whose quotients overflow, too."""
     with pytest.raises(UnsuitableMatrix, match="needs an H₊-matrix"):
         error_bound(LCP([[1e-300, 1e300], [1e300, 1e-300]], [1.0, 1.0]), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_eigenvalues_near_rounding_are_bounded_from_below_by_what_proves_them(seed: int) -> None:
+    """For n > 10, too, the bound is below the exact least eigenvalue, and is had wherever M is proved definite."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(11, 16))
+    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    M = np.eye(n) - (1.0 - 10.0 ** -rng.uniform(12.0, 16.0)) * np.outer(Q[0], Q[0])
+    M = 0.5 * (M + M.T)
+    if seed % 2:
+        skew = np.triu(rng.standard_normal((n, n)), 1)
+        M = M + skew - skew.T
+    matrix = LCP(M, np.zeros(n)).matrix
+    exponents = unit_diagonal(matrix.diagonal).row
+    value = eigenvalue_proven(matrix, exponents)
+    assert (value is not None) == (analyze(M).is_positive_definite is True)
+    if value is not None:
+        scale = [Fraction(2) ** int(k) for k in exponents]
+        rows = exact_rows(matrix.csr)
+        shifted = [
+            [scale[i] * (rows[i][j] + rows[j][i]) / 2 * scale[j] - Fraction(value) * (i == j) for j in range(n)]
+            for i in range(n)
+        ]
+        assert has_positive_pivots(shifted)

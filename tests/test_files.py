@@ -39,7 +39,7 @@ def assert_same(one: LCP, other: LCP) -> None:
     """The same bits in every array."""
     for mine, theirs in zip(bits(one), bits(other), strict=True):
         assert mine == theirs
-    assert (other.n, repr(other)) == (one.n, repr(one))
+    assert (other.n, str(other)) == (one.n, str(one))
 
 
 def bits(p: LCP) -> list[bytes]:
@@ -169,12 +169,12 @@ def test_empty_problem_comes_back_from_a_folder(tmp_path: Path) -> None:
 
 
 def load_elsewhere(path: Path) -> str:
-    """The repr of the problem, or the refusal, from another process: damaged text files have crashed this one."""
+    """What str says of the problem, or the refusal, from another process: damaged text files have crashed this one."""
     script = (
         "import sys\n"
         "from lcp_plugin import LCP, LCPError\n"
         "sys.stdout.reconfigure(encoding='utf-8')\n"
-        "try: print(repr(LCP.load(sys.argv[1])))\n"
+        "try: print(str(LCP.load(sys.argv[1])))\n"
         "except LCPError as error: print(type(error).__name__, error)\n"
     )
     done = subprocess.run([sys.executable, "-c", script, path], capture_output=True, encoding="utf-8", check=False)

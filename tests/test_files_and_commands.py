@@ -144,6 +144,16 @@ def test_files_of_mps_are_answered_in_their_own_terms() -> None:
         np.testing.assert_allclose(saved["y"], [1.0], atol=1e-7)
 
 
+def test_the_tolerance_of_the_command_reaches_a_program() -> None:
+    """--tolerance is passed on whatever it is; without it a program has the default of its own."""
+    np.savez("qp.npz", **PROGRAM)
+    goals = [
+        json.loads(lcp_plugin("solve", "qp.npz", "--json", *words).stdout)["run"]["goal"]
+        for words in ((), ("--tolerance", "1e-8"), ("--tolerance", "1e-4"))
+    ]
+    assert goals == [1e-6, 1e-6, 1e-3]
+
+
 def test_no_minimum_is_told_and_shows_no_point() -> None:
     """Infeasible and unbounded programs: exit code 1, the status and its proof, and no x that could be mistaken."""
     np.savez("no.npz", P=M, q=q, A=[[1.0, 0.0], [1.0, 0.0]], l=[-np.inf, 3.0], u=[2.0, 9.0])

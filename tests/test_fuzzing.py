@@ -13,6 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from random_nl_models import drawn_words, judged, random_model
 from typer.testing import CliRunner
 
 from lcp_plugin import LCP, LCPError
@@ -227,3 +228,13 @@ def test_mutated_commands_end_in_zero_one_or_two(
     assert LCP.load("folder").q.tolist() == PROBLEM.q.tolist()
     if "p.npz" not in line[2:]:  # --out may replace another file than the problem
         assert LCP.load("p.npz").q.tolist() == PROBLEM.q.tolist()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_models_by_chance_are_answered_by_the_executable(seed: int, tmp_path: Path) -> None:
+    """A .sol with a code of AMPL's table and what read_nl says; what is solved meets rows, pairs and bounds."""
+    for case in range(25):
+        rng = np.random.default_rng([seed, case])
+        content, words = random_model(rng), drawn_words(rng)
+        said = judged(content, words, tmp_path / "m")
+        assert not said[:2].isupper(), (case, words, said)

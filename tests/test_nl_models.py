@@ -633,6 +633,14 @@ def test_what_stands_beside_complementarities_is_held_against_the_answer(kind: s
         LCP.load(tmp_path / "m.nl")
 
 
+def test_an_inequality_that_holds_no_unknown_is_held_against_the_answer_too() -> None:
+    """0 ≤ 0 holds beside the pairs, 0 ≥ 1 does not."""
+    for least, status in ((0.0, Status.SOLVED), (1.0, Status.STALLED)):
+        pairs = paired(content_of(2, [("-", X[0], 2.0), 0.0]))
+        content = replace(pairs, partners=np.array([0, -1]), row_lower=np.array([-INFINITY, least]))
+        assert model_of(content).solve().status is status
+
+
 def test_a_row_that_a_fixed_variable_leaves_constant_is_held_against_the_answer() -> None:
     """0 ≤ v ⟂ 1 beside v = x − 1 and x ⟂ x − 1: an equation too many, and v = 0 where x = 1; not where x = 2."""
     for root, status in ((1.0, Status.SOLVED), (2.0, Status.STALLED)):

@@ -630,6 +630,74 @@ def test_the_newer_interface_knows_the_solver_by_the_same_name() -> None:
     assert solver.solve(m).incumbent_objective == pytest.approx(1.0)
 
 
+def walked() -> dict[str, tuple[Callable[[Any], None], str]]:
+    """Models of every kind and the condition of each: solvable, infeasible, unbounded."""
+
+    def of(objective: Any = None, pairs: Any = (), rows: Any = ()) -> Callable[[Any], None]:
+        def build(m: Any) -> None:
+            m.x, m.y = pe.Var(initialize=0.7), pe.Var(initialize=0.7)
+            for k, one in enumerate(pairs):
+                pair(m, *one(m), name=f"pair{k}")
+            m.rows = pe.ConstraintList()
+            for one in rows:
+                m.rows.add(one(m))
+            if objective is not None:
+                m.cost = pe.Objective(expr=objective(m))
+
+        return build
+
+    first = (lambda m: (m.x >= 0, m.x + m.y >= 1),)
+    linear = (*first, lambda m: (m.y >= 0, m.y - m.x >= -0.2))
+    smooth = (lambda m: (m.x >= 0, pe.exp(m.x) >= 3), linear[1])
+    square, line = (lambda m: (m.x - 1) ** 2 + (2 * m.y - 1) ** 2), (lambda m: m.x + 2 * m.y)
+    above, below, positive = (lambda m: m.x + m.y >= 1), (lambda m: m.x + m.y <= 0), (lambda m: m.y >= 0)
+    return {
+        "linear pairs": (of(pairs=linear), "optimal"),
+        "linear pairs without": (of(pairs=(lambda m: (m.x >= 0, -m.x - 3 >= 0), linear[1])), "infeasible"),
+        "box": (of(pairs=(lambda m: (pe.inequality(0, m.x, 1), m.x + m.y - 3), linear[1])), "optimal"),
+        "free row": (of(pairs=first, rows=(lambda m: m.y == m.x - 2,)), "optimal"),
+        "smooth pairs": (of(pairs=smooth), "optimal"),
+        "smooth pairs without": (of(pairs=(lambda m: (m.x >= 0, -pe.exp(m.x) >= 3), linear[1])), "noSolution"),
+        "equations": (of(rows=(lambda m: pe.exp(m.x) == 3, lambda m: m.y == m.x)), "optimal"),
+        "least squares": (of(square, rows=(above,)), "optimal"),
+        "quadratic without": (of(square, rows=(above, below)), "infeasible"),
+        "quadratic unbounded": (of(lambda m: m.x**2 + m.y, rows=(below,)), "unbounded"),
+        "linear program": (of(line, rows=(above, positive, lambda m: m.x >= 0)), "optimal"),
+        "linear without": (of(line, rows=(above, below)), "infeasible"),
+        "linear unbounded": (of(line, rows=(below,)), "unbounded"),
+        "best": (of(line, first, (positive,)), "optimal"),
+        "best without": (of(line, first, (positive, lambda m: m.x >= 2)), "infeasible"),
+        "best unbounded": (of(lambda m: -m.y, first), "unbounded"),
+    }
+
+
+@pytest.mark.parametrize("name", list(walked()))
+def test_every_kind_of_model_ends_alike_in_both_interfaces(name: str) -> None:
+    """Condition, values loaded now or later, suffixes and the time limit; nothing is loaded where there is nothing."""
+    build, wanted = walked()[name]
+    factory = pytest.importorskip("pyomo.contrib.solver.common.factory").SolverFactory
+    newer = {"optimal": "convergenceCriteriaSatisfied", "infeasible": "provenInfeasible", "noSolution": "unknown"}
+    for options in ({}, {"max_seconds": 1e-9}):
+        m, again, third = (model(build) for _ in range(3))
+        results = pe.SolverFactory("lcp_plugin").solve(m, options=options)
+        if not options:
+            assert results.solver.termination_condition.value == wanted
+        later = pe.SolverFactory("lcp_plugin").solve(again, options=options, load_solutions=False)
+        assert (again.x.value, again.y.value) == (0.7, 0.7)
+        if len(later.solution):
+            again.solutions.load_from(later)
+        assert (again.x.value, again.y.value) == (m.x.value, m.y.value)
+        assert np.isfinite([m.x.value, m.y.value]).all()
+        told = factory("lcp_plugin").solve(third, solver_options=options, threads=1, load_solutions=False,
+                                           raise_exception_on_nonoptimal_result=False)  # fmt: skip
+        if not options:
+            assert told.termination_condition.name == newer.get(wanted, wanted)
+        assert told.extra_info.message.split(";")[0] == results.solver.message.split(";")[0]
+        if told.solution_loader.get_number_of_solutions():
+            told.solution_loader.load_vars()
+        assert (third.x.value, third.y.value) == (m.x.value, m.y.value)
+
+
 def test_the_name_with_a_hyphen_is_the_same_solver() -> None:
     """SolverFactory("lcp-plugin"), older and newer, is no executable of that name."""
     m = simple()

@@ -102,7 +102,7 @@ class Algorithm(ABC):
     `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
     `problem.communicator` for what other ranks know; `is_monotone` False says that rises of the residual are legal, and
     that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
-    run whose best residual stands still.
+    run whose best residual stands still; `why_no_start` is said of a start that is given and not used.
     """
 
     name: ClassVar[str]
@@ -113,6 +113,11 @@ class Algorithm(ABC):
     runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
     is_watched: ClassVar[bool] = False
+    why_no_start: ClassVar[str] = ""
+
+    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
+        """Return whether the run depends on the start z0, shape (n,), where that is another than z°."""
+        return True
 
     @abstractmethod
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -251,9 +256,9 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     def check() -> None:
         if not usable.all():
             i = int(np.flatnonzero(~usable)[0])
-            row = problem.first + i
+            row, other = problem.first + i, "npsor" if problem.is_distributed else "auto"
             raise UnsuitableMatrix(
-                f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="npsor"'
+                f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="{other}"'
             )
 
     problem.communicator.together(check)

@@ -28,12 +28,12 @@ FAILURE, INTERRUPTED = 500, 402
 WRITE, SHOW_VALUES, SHOW_DUALS, NO_MESSAGE = 1, 2, 4, 8  # bits of wantsol
 
 OF_SOLVE = {
-    "absolute_tolerance": (float, "residual in the unit of the variables that is small enough in any case (0)"),
-    "algorithm": (str, "a name that lcp-plugin list shows (auto)"),
-    "max_iterations": (int, "limit of iterations (100000), of nodes beside an objective with complementarities (none)"),
+    "absolute_tolerance": (float, "residual in the unit of the variables that is small enough in any case (0) *"),
+    "algorithm": (str, "a name that lcp-plugin list shows (auto) *"),
+    "max_iterations": (int, "limit of iterations (100000), or of nodes (none)"),
     "max_seconds": (float, "limit of wall-clock seconds (none)"),
     "threads": (int, "how many threads it may use (all)"),
-    "tolerance": (float, "solved means a residual of at most this (1e-8)"),
+    "tolerance": (float, "solved means a residual of at most this (1e-8), or a proved gap (1e-6)"),
 }
 OF_COMMAND = {
     "outlev": (int, "1 prints the run (0)"),
@@ -42,6 +42,7 @@ OF_COMMAND = {
     "wantsol": (int, "without -AMPL, the sum of: 1 write .sol, 2 print values, 4 print duals, 8 no message (0)"),
 }
 KEYWORDS: dict[str, tuple[Any, str]] = dict(sorted((OF_SOLVE | OF_COMMAND).items()))
+MARK = "* not where an objective stands beside complementarities, whose nodes and gap are those of branch and bound"
 OPTIONS = {
     "--": "end of options", "-=": "show the keywords of assignments", "-?": "show usage",
     "-o FILE": "write .sol to FILE", "-s": "write .sol (without -AMPL)", "-v": "just show the version",
@@ -116,15 +117,16 @@ def _information(words: list[str]) -> str | None:
     first = next((word for word in words if word in ("-=", "-?", "-h", "--help", "-v", "--version")), "")
     if first == "-=":
         width = max(map(len, KEYWORDS)) + 2
-        return "\n".join(f"{name:<{width}}{what}" for name, (_, what) in KEYWORDS.items())
+        return "\n".join([*(f"{name:<{width}}{what}" for name, (_, what) in KEYWORDS.items()), MARK])
     if first in ("-v", "--version"):
         return _version()
     if first or not words:
         options = "\n".join(f"\t{name:<9}{{{what}}}" for name, what in OPTIONS.items())
         return (
             f"usage: {NAME} [options] stub [-AMPL] [<assignment> ...]\n\n"
-            "Solves complementarity problems and convex quadratic programs in stub.nl. Assignments are key=value, on\n"
-            f"the command line or in the environment variable {VARIABLE}.\n\nOptions:\n{options}"
+            "Solves complementarity problems and convex quadratic programs in stub.nl, and finds the best solution of\n"
+            "the former where both are given. Assignments are key=value, on the command line or in the environment\n"
+            f"variable {VARIABLE}.\n\nOptions:\n{options}"
         )
     return None
 

@@ -157,7 +157,10 @@ def solve(
     option: Annotated[
         list[str] | None, typer.Option("--option", "-o", help="Any option of the algorithm: name=value.")
     ] = None,
-    tolerance: Annotated[float, typer.Option(help="SOLVED means a residual of at most this.")] = 1e-8,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(help="SOLVED means a residual of at most this; by default 1e-8, of a program 1e-9.")
+    ] = None,
     absolute_tolerance: Annotated[
         float, typer.Option(help="A residual in the unit of z that is small enough in any case.")
     ] = 0.0,
@@ -193,9 +196,9 @@ def solve(
     if backend not in kinds:
         raise InvalidOption(f"--backend {backend!r} is not offered{did_you_mean(backend, kinds)}")
     settings: dict[str, Any] = dict(
-        tolerance=tolerance, tolerance_on=tolerance_on, error_bound=error_bound, measure=measure,
+        tolerance_on=tolerance_on, error_bound=error_bound, measure=measure,
         max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, refute=refute,
-        threads=threads,
+        threads=threads, **({} if tolerance is None else {"tolerance": tolerance}),
     )
     options, shape = solving.options(relaxation, option or []), solving.checked_grid(grid, plot)
     if models.is_model(target):
@@ -316,7 +319,7 @@ def report(
     scenes: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Scenes, name:key=value,…, or files of LCPs as solve takes them; by default the usual choice.",
+            help="Scenes, name:key=value,…, or files and folders of LCPs; by default the usual choice.",
             autocompletion=scene_names,
         ),
     ] = None,

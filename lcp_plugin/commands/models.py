@@ -70,7 +70,7 @@ def run(
             raise InvalidOption(f"{name} is for {whose}, not for this file; leave it out")
     Settings(**settings)
     plain = {one.name: one.default for one in fields(Settings)}
-    asked = {name: value for name, value in settings.items() if value != plain[name]}
+    asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
     chosen = policy_for(algorithm, options).chosen
     OneProcess().check_outputs(target, plot, out)
     find = _in_nl if Path(target.strip()).suffix.lower() == ".nl" else _in_arrays

@@ -11,7 +11,6 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..checks import (
-    WRITTEN_UP_TO,
     FloatVector,
     assembled,
     check_order,
@@ -20,14 +19,13 @@ from ..checks import (
     read_only,
     rectangular_matrix,
     restored,
-    written_bounds,
-    written_matrix,
 )
 from ..errors import InvalidProblem, UnsupportedModel
 from ..kernels.floats import EPSILON
 from ..matrix.definiteness import is_semidefinite_to_rounding
 from ..matrix.matrix import largest_in_rows
 from ..matrix.symmetry import is_its_mirror, mismatch
+from ..problem.written import WRITTEN_UP_TO, written_bounds, written_matrix
 from .constraints import Constraints, dual_unit
 from .program_matrices import ProgramMatrices, as_csr
 from .qp_certificates import proof_of_no_minimum

@@ -151,7 +151,7 @@ class DirectForm(QPOrigin):
         if left:
             raise UnsuitableProblem(
                 f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
-                'nonzero (or contradict one another); use form="dual" or form="kkt"'
+                'nonzero (or contradict one another); use form="kkt", or form="dual" where P is positive definite'
             )
         return LCP(program.matrices.hessian, program.c, lower=program.lower, upper=program.upper)
 

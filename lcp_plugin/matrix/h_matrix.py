@@ -20,7 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
-from ..exact.linear_systems import EXACT_SIZE, exact_comparison, exact_weights, has_positive_pivots
+from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pivots
+from ..exact.near_singular import exact_weights
 from ..exact.rational import enclosures, rounded_down
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
 from .comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of, shared_comparison

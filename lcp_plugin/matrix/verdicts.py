@@ -7,18 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..exact.linear_systems import (
-    EXACT_SIZE,
-    eigenvalue_below,
-    exact_symmetric_part,
-    has_nonnegative_pivots,
-    has_positive_pivots,
-)
+from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
+from ..exact.near_singular import eigenvalue_below
 from ..kernels.floats import TINY, UNIT
 from .definiteness import (
     LARGEST_SUMMAND,
     is_positive_definite,
     is_semidefinite_to_rounding,
+    positive_definite_solver,
     semidefinite_margin,
     symmetric_part,
 )
@@ -284,11 +280,12 @@ def eigenvalue_proven(matrix: Matrix, exponents: IntVector) -> float | None:
         return None
     if matrix.n <= EXACT_SIZE:
         return eigenvalue_below(matrix.csr, exponents.tolist()) or None
-    squares = np.ldexp(1.0, 2 * exponents) * (1.0 - 8.0 * UNIT)
-    proof = _symmetric_part_certificate(matrix)
+    squares, least = np.ldexp(1.0, 2 * exponents) * (1.0 - 8.0 * UNIT), 0.0
+    is_symmetric = symmetric(matrix).value
+    proof = h_verdict(matrix).certificate if is_symmetric else _symmetric_part_certificate(matrix)
     if proof is not None:
         least = float((squares * (proof.margin / proof.v)).min())
-    else:
+    elif _is_well_rounded(matrix) and positive_definite_solver(symmetric_part_of(matrix)) is not None:
         least = 3.0 * matrix.n * UNIT * float((squares * matrix.diagonal).min())
     return least if 0.0 < least < np.inf else None
 

@@ -10,20 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..checks import (
-    WRITTEN_UP_TO,
-    FloatVector,
-    check_order,
-    checked_bound,
-    finite_vector,
-    read_only,
-    real_vector,
-    restored,
-    written_bounds,
-    written_matrix,
-)
+from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from ..communicator.alone import Communicator
 from ..matrix.matrix import Matrix
+from .written import written_lcp
 
 
 class LCP:
@@ -58,8 +48,6 @@ class LCP:
     >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
     >>> problem
     LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    >>> print(problem)
-    LCP(n=2, nonzeros=4, bounds 0 ≤ z)
     >>> problem.slack([2.5, 0])
     array([0. , 3.5])
     """
@@ -390,17 +378,11 @@ class LCP:
 
         return load(LCP, path)
 
-    def __repr__(self) -> str:
-        """Return the call that makes a small problem again, bit for bit; of a large one, what `str` says."""
-        if self.is_distributed or not 0 < self.n <= WRITTEN_UP_TO:
-            return str(self)
-        bounds = written_bounds(self.lower, self.upper, least=0.0)
-        return f"LCP({', '.join([written_matrix(self.M), repr(self.q.tolist()), *bounds])})"
+    __repr__ = written_lcp
 
     def __str__(self) -> str:
-        if self.is_distributed:
-            return f"LCP(n={self.n}, nonzeros={self.nonzeros}, ranks={self.communicator.size})"
-        return f"LCP(n={self.n}, nonzeros={self.nonzeros}, bounds {self._bounds})"
+        last = f"ranks={self.communicator.size}" if self.is_distributed else f"bounds {self._bounds}"
+        return f"LCP(n={self.n}, nonzeros={self.nonzeros}, {last})"
 
     @property
     def _bounds(self) -> str:

@@ -91,7 +91,9 @@ def solve(
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
-        Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0.
+        Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. ``interior_point``
+        uses one on dense symmetric M and programs only, ``lemke`` where its residual is a tenth of that point's or
+        less; where it changes nothing ``explain()`` says so.
     tolerance : float
         SOLVED means that the measured residual of the returned z is at most this: in every part of the problem
         (connected component of M's pattern) relative to that part's own reference.
@@ -121,7 +123,7 @@ def solve(
         STALLED, at the start where a look at all cases of a small problem in doubles has excluded every z.
     threads : int, optional
         How many threads this solve may use; by default all that the process may use, but one where the rows are on
-        ranks. The answer is the same bit for bit for any number.
+        ranks. The answer is the same bit for bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.
     verbose : bool
         Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
         seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.

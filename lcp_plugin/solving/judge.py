@@ -25,7 +25,7 @@ ASKED_AGAIN = 5  # after a fifth of the steps up to now
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem, too
 IN_OTHER_UNITS = (
     "a w has a sign that its own row does not allow, which the residual hides where unknowns have very different units "
-    '(certificate.term_residual): try algorithm="lemke", or units in which the entries of M are alike'
+    "(certificate.term_residual): other units, in which the entries of M are alike, show it"
 )
 
 

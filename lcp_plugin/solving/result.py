@@ -180,7 +180,7 @@ class Result(Answer):
     @property
     def advice(self) -> str:
         """What the status means for this run, in a sentence."""
-        words = ON_ERROR if self.tolerance_on == "error" else self._advice
+        words = {**self._advice, **ON_ERROR} if self.tolerance_on == "error" else self._advice
         advice = words.get(self.status, self.status.value)
         if self.is_solved or self.is_refuted:
             return "; ".join([advice, *(self._sign() if self.is_refuted else [])])
@@ -227,6 +227,7 @@ class Result(Answer):
                 for stage in self.stages
             ]
         if self.is_solved:
+            lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
             lines += [*(f"the stored doubles are {small}" for small in self._small_contradiction()), *self._sign()]
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))
@@ -305,8 +306,9 @@ class Result(Answer):
         """Return a line where z was accepted and a product of z and w is large."""
         if self.status not in (Status.SOLVED, Status.PRECISION_LIMIT) or not self.certificate.large_product:
             return []
+        other = "" if "lemke" in self.algorithm else 'try another algorithm ("lemke" for a small problem) or '
         return [f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
-                'product counts, try another algorithm ("lemke" for a small problem) or a start z0 near a smaller z']
+                f"product counts, {other}begin from a z0 near a smaller z"]
 
     def to_content(self) -> dict[str, Any]:
         """Return what :meth:`to_json` writes, as a dictionary."""

@@ -19,7 +19,9 @@ from ..deadline import Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..policy.choice import Policy, name_of
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage
+from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status
+from .advice import advice_of_run, unused_start
 from .error_watch import BoundOrReason
 from .judge import Judge
 from .result import Result, Sample, StageRecord, status_of
@@ -221,9 +223,12 @@ class Run:
         state, settings, stages = self.state, self.settings, self.state.records()
         certificate, status = self.ended(start, reason)
         words = dict(self.judge.words)
+        if isinstance(self.judge.asked, LCP):
+            words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
+            if unused := unused_start(self.problem, self.policy.chosen, start):
+                stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
         if not settings.refute:
-            stalled = words.get(Status.STALLED, Status.STALLED.value)
-            words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"
+            words[Status.STALLED] += "; not refuted: you asked for none"
         result = Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on, measure=settings.measure,

@@ -11,6 +11,7 @@ from typing import Any
 from ..deadline import NEW_KERNELS, compilation
 from ..matrix import verdicts
 from ..matrix.matrix import Matrix
+from ..matrix.sign import sign_remark
 from ..matrix.structure import triangular_form
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP
@@ -39,6 +40,8 @@ class RunLog:
         self._next = 0
         classes = ", ".join(_classes(problem.matrix)) if isinstance(problem, LCP) else ""
         self._say(f"{problem}{classes and f'; M {classes}'}")
+        if isinstance(problem, LCP) and (remark := sign_remark(problem.matrix)):
+            self._say(remark)
         self._say(f"{'iteration':>12} {'work':>10} {settings.measure + ' residual':>19} {'seconds':>9}")
 
     def telling_of_compilation(self) -> AbstractContextManager[None]:

@@ -192,7 +192,7 @@ class Banded(Algorithm):
         if band is None:
             raise UnsuitableMatrix(
                 f"{self.name} needs a narrow band, but a factor of that of M is too large: "
-                f'its {problem.n} rows reach too far beside the diagonal; try algorithm="newton"'
+                f'its {problem.n} rows reach too far beside the diagonal; try algorithm="auto"'
             )
         return band
 

@@ -57,7 +57,7 @@ class InteriorPoint(Algorithm):
     system is solved, so that the residual of the answer is at rounding level and not only the gap. On dense symmetric M
     a few projected Gauss–Seidel sweeps guess the active set beforehand, and a primal active set method corrects the
     guess with one Cholesky factor; only where that takes long do interior steps follow, three as a rule, before it
-    tries again.
+    tries again. Elsewhere a start z0 changes nothing, but for KKT forms of programs.
 
     References
     ----------
@@ -78,6 +78,15 @@ class InteriorPoint(Algorithm):
     cost: ClassVar[str] = "1 factorisation"
     reference: ClassVar[str] = "Mehrotra 1992, doi:10.1137/0802028"
     is_monotone: ClassVar[bool] = False
+    why_no_start: ClassVar[str] = (
+        "z0 was not used: interior_point begins from a start where M is dense and symmetric, or that of a program"
+    )
+
+    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
+        """Return whether an active set is guessed before interior steps are taken."""
+        kept = np.flatnonzero(np.isnan(known_before(problem)))
+        of = suited(problem.matrix, None if kept.size == problem.n else kept)
+        return of.is_symmetric or of.is_program
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield one step a factorisation, and the solutions of the active sets tried; end where nothing improves."""

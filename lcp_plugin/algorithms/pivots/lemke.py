@@ -63,8 +63,10 @@ class Lemke(Algorithm):
     Notes
     -----
     The path is followed on 0 ≤ z ≤ u: an upper bound is a bound of the variables, not a row. Free rows are
-    eliminated where their block is well conditioned and split into two nonnegative variables elsewhere. Connected
-    parts of the problem are solved one by one. Ties are broken lexicographically, so no basis comes twice. A path
+    eliminated where their block is well conditioned and split into two nonnegative variables elsewhere. A given z0
+    is the first start where its residual is at most a tenth of that of z°, the point of the bounds nearest to 0;
+    otherwise it changes nothing as long as the usual starts lead to a solution. Connected parts of the problem are
+    solved one by one. Ties are broken lexicographically, so no basis comes twice. A path
     from r > 0 ends in a solution where M is a P-matrix or all bounds are finite, and for a copositive-plus M
     (a positive semidefinite one, say) where the problem is feasible.
 
@@ -86,6 +88,10 @@ class Lemke(Algorithm):
         "Lemke 1965, doi:10.1287/mnsc.11.7.681; Cao, Ferris 1996, doi:10.1287/moor.21.2.484"
     )
     is_monotone: ClassVar[bool] = False
+    why_no_start: ClassVar[str] = (
+        "z0 was not used: lemke begins from a start whose residual is at most a tenth of that of the point of the "
+        "bounds nearest to 0, and from any other one only where the usual starts fail"
+    )
 
     max_pivots: int | None = None
     restarts: int | None = None
@@ -95,6 +101,10 @@ class Lemke(Algorithm):
             is_count = isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0
             if not is_count and value is not None:
                 raise InvalidOption(f"lemke: {option} must be a whole number ≥ 0, got {value!r}")
+
+    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
+        """Return whether the first path begins there."""
+        return _is_near(problem, z0)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the z of the path after each block of pivots, last the solution if one was found.
@@ -268,7 +278,7 @@ def _parts_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
     if size > PIVOTED_UP_TO:
         raise UnsuitableProblem(
             f"lemke keeps a dense inverse and takes connected parts up to n = {PIVOTED_UP_TO}, got one of {size}; "
-            'try algorithm="newton" or "interior_point"'
+            'try algorithm="auto"'
         )
     return parts
 

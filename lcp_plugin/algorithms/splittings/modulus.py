@@ -108,7 +108,7 @@ def _require_lower_bounds_only(problem: LCP, name: str) -> None:
         i = int(np.flatnonzero(wrong)[0])
         raise UnsuitableProblem(
             f"{name} needs a finite lower and no upper bound on every row, but row {i} has bounds "
-            f'[{problem.lower[i]}, {problem.upper[i]}]; try algorithm="npsor" or "psor"'
+            f'[{problem.lower[i]}, {problem.upper[i]}]; try algorithm="auto"'
         )
 
 

@@ -154,12 +154,9 @@ class ProjectedType(_Scaled, Splitting):
             inverse: FloatVector = 1.0 / pivot
         if pivot.size and not pivot.min() > 0.0:
             i = int(np.flatnonzero(~(pivot > 0.0))[0])
-            remedy = 'scaling="auto"'
-            if self.scaling or alpha <= 1.0:
-                remedy = f"npsor with {'' if self.scaling else remedy + ' and '}a relaxation above 1"
             raise UnsuitableMatrix(
                 f"{self.name} needs d/α + d + 2 > 0 on every row, but M[{i}, {i}] = {problem.diagonal[i]} "
-                f"gives {pivot[i]}; try {remedy}"
+                f'gives {pivot[i]}; try algorithm="auto"'
             )
         huge = np.isinf(pivot)
         inverse[huge] = 1.0 / scaled_diagonal[huge] / (1.0 / alpha + 1.0)
@@ -343,7 +340,6 @@ class NPSplitting(_Scaled):
         try:
             return sparse_lu(matrix)
         except RuntimeError as error:
-            hint = ', or scaling="auto"' if self.scaling is None else ""
             raise UnsuitableMatrix(
-                f"npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting{hint}"
+                f'npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting, or algorithm="auto"'
             ) from error

@@ -24,17 +24,21 @@ ComplementarityModel(LCP(n=2, nonzeros=4, bounds 0 ≤ z))
 | rows complementary to variables, and equations, all affine | an `LCP`; ``LCP.load("m.nl")`` gives it, too |
 | the same with smooth functions, or as many smooth equations as variables | a `NonlinearProblem` |
 | a linear or convex quadratic objective, or none; affine rows and bounds | a `QuadraticProgram` |
+| the same objective beside affine complementarities: the best of all solutions | an `EquilibriumProgram` |
 
 **Taken:** ``+ - * / ^ sqrt exp log log10 sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh``, sums, defined
 variables, ranges, fixed variables, a start. **Refused in words,** with the row: integers, logical and piecewise rows,
-external functions, ``abs min max if`` and what else is not smooth, an objective beside complementarities, nonlinear
-objectives, nonlinear inequalities, and a variable whose bounds are not those that its complementarity speaks of.
+external functions, ``abs min max if`` and what else is not smooth, nonlinear objectives, those that are not convex, and
+nonlinear rows beside an objective or without as many equations as unknowns.
 
 **What holds of a complementarity row:** it is ≥ 0 where its variable is at the lower bound, ≤ 0 at the upper one, 0
 between. Its dual is its value. A dual of a program is the derivative of the objective by the row's right-hand side.
 Variables that only name the value of such a row, which Pyomo adds, are put in. Equations without complementarities
-keep the bounds of variables; SOLVED means that they hold. Every answer is held against the rows as they stand in the
-file, by an evaluation of its own.
+keep the bounds of variables; SOLVED means that they hold. Without an objective no unknown gives way to an inequality
+that has no partner, to a bound of which its variable's complementarity does not speak, or to one of a variable without
+a complementarity: they are held against the answer, which is STALLED where one does not hold. With an objective they
+are constraints like others. Every answer is held against the rows as they stand in the file, by an evaluation of its
+own.
 
 **Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
 complementarity rows, expressions, defined variables, starts, suffixes, names from ``.col`` and ``.row``. What is

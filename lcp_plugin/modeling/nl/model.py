@@ -190,7 +190,7 @@ class Statement:
         if self.has_objective():
             return False
         if not self.is_affine.all():
-            return self.equations.size > 0
+            return bool(self.expressions.matrix[self.equations].nnz)
         if self.inequalities.size:
             return False
         unknowns = np.flatnonzero(np.isnan(self.known))

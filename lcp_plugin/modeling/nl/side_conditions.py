@@ -115,5 +115,6 @@ class SideConditions:
 def _excess(body: FloatVector, lower: FloatVector, upper: FloatVector, units: FloatVector) -> FloatVector:
     """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's where that is less."""
     sizes = np.maximum(*(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)))
-    excess: FloatVector = np.maximum(np.maximum(lower - body, body - upper), 0.0)
-    return np.where(excess == 0.0, 0.0, excess / np.minimum(np.maximum(1.0, sizes), units + sizes))
+    scales = np.minimum(np.maximum(1.0, sizes), np.where(units > 0.0, units, np.abs(body)) + sizes)
+    excess: FloatVector = np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(scales > 0.0, scales, 1.0)
+    return excess

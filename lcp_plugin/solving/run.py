@@ -224,11 +224,13 @@ class Run:
         certificate, status = self.ended(start, reason)
         words = dict(self.judge.words)
         if isinstance(self.judge.asked, LCP):
-            words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
             if unused := unused_start(self.problem, self.policy.chosen, start):
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
+            if status is not Status.SOLVED:
+                words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
         if not settings.refute:
-            words[Status.STALLED] += "; not refuted: you asked for none"
+            stalled = words.get(Status.STALLED, Status.STALLED.value)
+            words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"
         result = Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on, measure=settings.measure,

@@ -125,8 +125,7 @@ KINDS = (
             "Certificate.of": "solve(problem, x0=x, max_iterations=0).certificate is that of x",
             "error_bound": "solve(problem, x0=x, error_bound=True).error_bound proves a solution near x, given an "
                            "enclosure",
-            "certify": "solve(problem, x0=x, error_bound=True).error_bound proves a solution near x, given an "
-                       "enclosure",
+            "certify": "solve(problem, x0=x, max_iterations=0).certificate has the residuals of any x",
             "save": "it is made of functions: state it in cvxpy, Pyomo or AMPL, whose .nl files are read",
             "qpsolvers": "its program has no place for it: write solve(problem, x0=…)",
             "lcp-plugin check": "a convex solver has nothing to compare with: lcp-plugin solve judges it",
@@ -215,7 +214,7 @@ def refusal(way: str, given: Any) -> str:
     needs = " or ".join(filter(None, [", ".join(takes[:-1]), takes[-1]]))
     needs = f"the answer to {_with_article(needs)}" if way == "derivative" else _with_article(needs)
     kind = kind_of(given)
-    if way == "derivative" and kind is None:
+    if way in ("derivative", "certify") and kind is None:  # an answer
         kind = next((one for one in KINDS[2:] if one.result.endswith(f".{type(given).__name__}")), None)
     instead = _remedy(way, given) if kind is None else kind.words(way) or f"write {way}(solve(problem))"
     return f"{way} needs {needs}, got {type(given).__name__}; {instead}"

@@ -15,6 +15,7 @@ from test_driver import TRAP
 
 from lcp_plugin import (
     LCP,
+    BoundedLeastSquares,
     LCPError,
     NonlinearProblem,
     QuadraticProgram,
@@ -29,7 +30,6 @@ from lcp_plugin import (
     prepare,
     solve,
     solve_many,
-    solve_nonlinear,
 )
 from lcp_plugin.algorithms import REGISTRY, create
 from lcp_plugin.crossovers import PIVOTED_UP_TO
@@ -259,11 +259,10 @@ def test_what_certify_names_runs() -> None:
     names |= {"Certificate": type(result.certificate)}
     for given, scope in (
         (problem, names), (result, names),
-        (curved, {"problem": curved, "x": [1.0], "solve_nonlinear": solve_nonlinear}),
-        (made, {"problem": made, "z": solve(made).z, "certify": certify}),
+        (curved, {"problem": curved, "x": [1.0], "solve": solve}),
         (made.origin.recover(solve(made)), {"program": made.origin.program, "certify": certify,
                                             "solution": made.origin.recover(solve(made))}),
-        (bounded_least_squares([[1.0]], [1.0]), {"result": bounded_least_squares([[1.0]], [1.0])}),
+        (bounded_least_squares([[1.0]], [1.0]), {"problem": BoundedLeastSquares([[1.0]], [1.0]), "solve": solve}),
     ):
         with pytest.raises(LCPError) as caught:
             certify(given)

@@ -348,7 +348,7 @@ def test_the_measure_is_the_one_asked_for() -> None:
     assert certificate.measured("euclidean") == certificate.euclidean_residual != certificate.relative_residual
     with pytest.raises(InvalidOption, match="did you mean 'euclidean'"):
         certificate.measured("euclidian")
-    with pytest.raises(Exception, match="a certificate needs an LCP, got list"):
+    with pytest.raises(Exception, match=r"Certificate\.of needs an LCP, got list"):
         Certificate.of([[1.0]], [0.0])  # type: ignore[arg-type]
 
 

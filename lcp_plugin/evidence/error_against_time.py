@@ -136,7 +136,7 @@ def _as_scene(target: Any) -> Scene:
         return target
     if isinstance(target, LCP):
         return Scene(problem=target, name="problem", is_declared=False)
-    raise InvalidOption(refusal("error_against_time", target))
+    raise InvalidOption(f'{refusal("error_against_time", target)}; or a scene, as gallery.build("half_active")')
 
 
 def _checked(repeats: Any, references: Any, max_work: Any, progress: Any) -> list[str]:

@@ -63,7 +63,7 @@ def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status
     assert problem.status == status
     result = problem.solver_stats.extra_stats
     if status != cp.OPTIMAL:
-        assert WIDE <= result.infeasibility.radius < np.inf
+        assert WIDE <= result.proof.radius < np.inf
         assert "up to" in result.explain()
 
 

@@ -313,7 +313,7 @@ def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things() -> None:
             solve_batch([drawn], **options)
     pairs = [(np.eye(2), np.ones(2)), (np.eye(3), np.ones(3))]
     for wrong in ([drawn, (np.eye(1), [1.0])], pairs, drawn, iter([drawn])):
-        with pytest.raises(InvalidProblem, match=r"list of LCPs|write LCP\(M, q\)"):
+        with pytest.raises(InvalidProblem, match=r"list of LCPs|write LCP\(M, q\)|many problems, got one LCP"):
             solve_batch(wrong)
     with pytest.raises(InvalidProblem, match="give its transpose"):
         solve_batch(np.ones((4, 3, 3)), np.ones((3, 4)))

@@ -52,8 +52,8 @@ the proof; ``tolerance``, ``algorithm``, ``max_seconds`` are ours.
 >>> lcp_plugin.register_with_qpsolvers()
 >>> program = qpsolvers.Problem(2 * np.eye(2), np.array([-2.0, -4.0]), np.array([[1.0, 1.0]]), np.array([2.0]))
 >>> solution = qpsolvers.solve_problem(program, solver="lcp_plugin")
->>> solution.x, solution.z, solution.extras["status"]
-(array([0.5, 1.5]), array([1.]), 'optimal')
+>>> solution.x, solution.z, solution.extras["status"].name
+(array([0.5, 1.5]), array([1.]), 'SOLVED')
 
 What any other of its solvers has found, here x = (0.5, 1.5), `certify` judges:
 

@@ -84,7 +84,8 @@ class InteriorPoint(Algorithm):
 
     def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
         """Return whether an active set is guessed before interior steps are taken."""
-        kept = np.flatnonzero(np.isnan(known_before(problem)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            kept = np.flatnonzero(np.isnan(known_before(problem)))
         of = suited(problem.matrix, None if kept.size == problem.n else kept)
         return of.is_symmetric or of.is_program
 

@@ -91,6 +91,7 @@ def test_every_subcommand_and_every_format_has_its_row() -> None:
     assert all(cells.keys() == {kind for kind, _ in FILES.values()} for cells in CELLS.values())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("name", "command"), [
     (name, command) for name, (kind, _) in FILES.items() for command, cells in CELLS.items()
     if (command, cells[kind]) != ("report", DONE)  # which takes a minute: tests/test_report.py
@@ -114,6 +115,7 @@ def test_each_cell_works_or_names_the_command_that_does(name: str, command: str)
 SOLUTIONS = {"lcp": [2.5, 0.0], "saved": [2.5, 0.0], "folder": [2.5, 0.0], "qp": [2.0, 0.0], "fit": [1.5, 0.0]}
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", [name for name in FILES if name not in ("qp.qps", "lp.mps", "qp.nl", "folder/M.mtx")])
 def test_solve_saves_and_tells_the_answer(name: str) -> None:
     """--out holds z or x, --json one object with the status, and a person reads the first values of x."""
@@ -236,6 +238,7 @@ def mistakes() -> dict[str, str]:
     }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("command", CELLS)
 def test_mistakes_cost_one_line(command: str) -> None:
     """Missing, empty, damaged, misnamed, a folder, without q, with NaN: exit code 2 and a line that names the file."""

@@ -147,6 +147,7 @@ def hard(seed: int = 0) -> tuple[LCP, np.ndarray]:
     return LCP(A, w - A @ z), z
 
 
+@pytest.mark.full
 def test_auto_is_not_advised_to_itself() -> None:
     """Where auto finds nothing, its advice names neither auto nor a scaling but another start, which is right."""
     problem, z = hard()

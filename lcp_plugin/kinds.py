@@ -75,6 +75,13 @@ class Kind:
             return None
         return {one.name: one.default for one in parameters}
 
+    def refuse(self, wishes: Mapping[str, Any]) -> None:
+        """Raise InvalidOption where the table says what to write instead of one of these options."""
+        for name in wishes:
+            if f"{name}=" in self.instead:
+                instead = self.instead[f"{name}="]
+                raise InvalidOption(f"solve takes no {name} for {_with_article(self.word)}; {instead}")
+
     def solve(self, problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
         """Return the answer to a problem of this kind.
 
@@ -85,10 +92,9 @@ class Kind:
         """
         if self.options is None or "algorithm" in self.options or algorithm != "auto":
             wishes = {"algorithm": algorithm, **wishes}
+        self.refuse(wishes)
         article = _with_article(self.word)
         for name in wishes:
-            if f"{name}=" in self.instead:
-                raise InvalidOption(f"solve takes no {name} for {article}; {self.instead[f'{name}=']}")
             if self.options is not None and name not in self.options:
                 raise InvalidOption(f"solve takes no {name} for {article}{did_you_mean(name, self.options)}")
         for name, default in (self.options or {}).items():

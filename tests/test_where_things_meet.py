@@ -561,3 +561,13 @@ def test_derivative_names_the_answer_that_it_takes() -> None:
     with pytest.raises(InvalidOption, match=r"needs the answer to an LCP or NonlinearProblem, .*answers\[k\]"):
         derivative(answers)
     assert derivative(answers[0]).jvp(dq=np.ones(2)).shape == (2,)
+
+
+def test_a_start_is_refused_in_words_that_say_what_it_is_called() -> None:
+    """x0 of an LCP is called z0; a z0 with NaN is an InvalidOption for every kind that takes one."""
+    by_name = {sample.name: sample.problem for sample in SAMPLES}
+    with pytest.raises(InvalidOption, match="solve takes no x0 for an LCP; a start is called z0 here"):
+        solve(by_name["LCP"], x0=[1.0, 1.0])
+    for name in ("LCP", "QP"):
+        with pytest.raises(InvalidOption, match=r"z0 must be finite|z0 must be a finite vector|z0\[0\] = nan"):
+            solve(by_name[name], z0=[np.nan, 1.0])

@@ -201,7 +201,7 @@ class LeastSquaresResult(Answer):
     @property
     def advice(self) -> str:
         """What the status means, in a sentence."""
-        return ADVICE.get(self.status, self.status.value).replace("z0=result.z", "x0=result.x")
+        return ADVICE.get(self.status, self.status.value)
 
     def _numbers(self) -> dict[str, float]:
         return {**super()._numbers(), "optimality": self.optimality, "tolerance": self.tolerance}

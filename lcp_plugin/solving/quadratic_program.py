@@ -22,7 +22,7 @@ from ..conversions.qp_solution import QPSolution
 from ..conversions.quadratic_program import attempts
 from ..conversions.reductions import fold_simple_rows, substitute_definitions
 from ..deadline import Clock, is_over, seconds_left
-from ..errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ..settings import Status, checked_callback
 from .answer import Answer
 from .driver import asked_of_solve, solve
@@ -172,7 +172,10 @@ def judged_program(
     A `z0` is a guess: programs are solved in several forms, and it is the start of those that have as many unknowns.
     """
     if (start := options.pop("z0", None)) is not None:
-        options["guess"] = checked_vector(start, "z0", None)
+        try:
+            options["guess"] = checked_vector(start, "z0", None)
+        except InvalidProblem as error:
+            raise InvalidOption(str(error)) from error
     result, solution = solve_quadratic_program(program, algorithm, tolerance=tolerance, **options)
     goal, proof = program_goal(tolerance), None
     is_optimal = solution.is_stationary(goal)

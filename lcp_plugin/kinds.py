@@ -149,8 +149,7 @@ KINDS = (
                           "complementarity problem",
             **{f"{name}=": "certify(program, result.x) bounds the objective and the distance"
                for name in ("error_bound", "tolerance_on")},
-            **{f"{name}=": "a program is judged by its own residuals, leave it out"
-               for name in ("measure", "absolute_tolerance")},
+            "absolute_tolerance=": "a program is judged by its own residuals, leave it out",
             "error_bound": "certify(program, x) bounds the objective and the distance",
             "analyze": "program.is_convex says whether P is positive semidefinite, analyze(program.P) the rest",
             "cross_validate": "certify(program, x) judges anybody's answer; lcp-plugin certify compares solvers",

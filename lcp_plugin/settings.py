@@ -18,7 +18,6 @@ from .errors import InvalidOption, did_you_mean
 DEFAULT_MAX_ITERATIONS = 100_000
 NOTHING, BELOW, LARGEST = 2.0**-200, 1.0 - 2.0**-50, 2.0**900  # instead of 0; for rounding; for ∞
 TARGETS = ("residual", "error")
-MEASURES = ("relative", "euclidean")
 
 
 class Status(Enum):
@@ -61,8 +60,6 @@ class Settings:
         ≥ 0 and finite.
     tolerance_on : {"residual", "error"}
         What the tolerance speaks of.
-    measure : {"relative", "euclidean"}
-        The residual that is followed.
     max_iterations : int or None
         None means 100 000.
     max_seconds : float or None
@@ -86,7 +83,6 @@ class Settings:
 
     tolerance: Any = 1e-8
     tolerance_on: Any = "residual"
-    measure: Any = "relative"
     max_iterations: Any = None
     max_seconds: Any = None
     absolute_tolerance: Any = 0.0
@@ -102,10 +98,9 @@ class Settings:
             value = given[name]
             if value is None or not (value is default or (type(value) is type(default) and value == default)):
                 object.__setattr__(self, name, check(value, name))
-        if self.absolute_tolerance and (self.is_on_error or self.measure != "relative"):
+        if self.absolute_tolerance and self.is_on_error:
             raise InvalidOption(
-                "absolute_tolerance goes with the relative residual, got it with "
-                + ('tolerance_on="error"' if self.is_on_error else f"measure={self.measure!r}") + "; leave one out"
+                'absolute_tolerance goes with the residual, got it with tolerance_on="error"; leave one out'
             )
 
     @property
@@ -120,26 +115,12 @@ class Settings:
 
     @property
     def is_unobserved(self) -> bool:
-        """True where nobody wants more of the way than that it ends within the tolerance on the relative residual."""
-        is_plain = self.measure == "relative" and not self.is_on_error
-        return is_plain and not (self.record or self.error_bound or self.verbose)
+        """True where nobody wants more of the way than that it ends within the tolerance on the residual."""
+        return not (self.is_on_error or self.record or self.error_bound or self.verbose)
 
-    def accept(self, certificate: Any, *, is_right_in_terms: bool = False) -> bool:
-        """Return whether a certificate shows the residual that is asked for, and each row right in its own terms.
-
-        The latter may be known already.
-        """
-        if self.absolute_tolerance:
-            is_small = certificate.relative_above(self.least_reference) <= self.goal
-        else:
-            is_small = certificate.measured(self.measure) <= self.tolerance
-        return bool(is_small) and (is_right_in_terms or self.accept_terms(certificate))
-
-    def accept_terms(self, certificate: Any) -> bool:
-        """Return whether every row is right in its own terms, as is asked where residuals are relative."""
-        if self.measure != "relative" or self.is_on_error:
-            return True
-        return bool(certificate.is_right_in_terms(self.goal, self.least_reference))
+    def accept(self, certificate: Any) -> bool:
+        """Return whether a certificate shows the residual that is asked for."""
+        return bool(certificate.relative_above(self.least_reference) <= self.goal)
 
     @property
     def is_on_error(self) -> bool:
@@ -209,7 +190,7 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": _number, "tolerance_on": partial(_choice, choices=TARGETS),
-    "measure": partial(_choice, choices=MEASURES), "max_iterations": _count, "max_seconds": _seconds,
+    "max_iterations": _count, "max_seconds": _seconds,
     "absolute_tolerance": _number, "record": _flag, "error_bound": _flag,
     "threads": checked_threads, "verbose": _flag, "refute": _flag,
 }

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, ConvergenceWarning, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.certificates.references import reference_ends, reference_residual
+from lcp_plugin.certificates.criterion import reference_ends, reference_residual
 from lcp_plugin.certificates.row_residuals import scaled_residual
 from lcp_plugin.evidence import gallery
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps

@@ -22,7 +22,7 @@ from lcp_plugin.certificates.infeasibility import (
     decide_feasibility,
     find_forced_contradiction,
 )
-from lcp_plugin.certificates.references import reference_residual
+from lcp_plugin.certificates.criterion import reference_residual
 from lcp_plugin.certificates.refutation import Choices, Infeasibility
 from lcp_plugin.deadline import time_limit
 from lcp_plugin.exact.linear_systems import rank_profile, solve_exactly

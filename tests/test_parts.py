@@ -13,7 +13,7 @@ from collection.truth import ExactData
 
 from lcp_plugin import LCP, Certificate, Status, derivative, error_bound, march, solve, solve_batch, solve_many
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.certificates.references import CommonUnits, references_of_parts
+from lcp_plugin.certificates.criterion import CommonUnits, references_of_parts
 from lcp_plugin.matrix.structure import parts
 
 TOLERANCE = 1e-8

@@ -82,15 +82,12 @@ class FusedSolve:
         In passes over M, summed step by step.
     parts : tuple of (label, iterations, work)
         What ran, in order.
-    is_right_in_terms : bool
-        Whether each row is known to be right in its own terms (:mod:`lcp_plugin.certificates.own_terms`).
     """
 
     z: FloatVector
     residual: float
     work: float
     parts: tuple[tuple[str, int, float], ...]
-    is_right_in_terms: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -158,7 +158,7 @@ class Answers:
             return None
         phases = zip(PARTS, self.made[k].tolist(), self.work[k].tolist(), strict=False)
         parts = tuple((label, count, spent) for label, count, spent in phases if spent > 0.0)
-        return FusedSolve(self.z[k], self.residual[k].item(), self.work[k, 3].item(), parts, is_right_in_terms=True)
+        return FusedSolve(self.z[k], self.residual[k].item(), self.work[k, 3].item(), parts)
 
 
 def as_batch(array: Any) -> Any:

@@ -20,7 +20,7 @@ from ..exact.upward import quotient_above, sum_above
 from ..kinds import refusal
 from ..matrix import comparison_solve, h_verdict
 from ..problem.lcp import LCP
-from .references import largest_of_parts
+from .criterion import largest_of_parts
 from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
 from .row_residuals import scaled_residual
 from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of

@@ -21,7 +21,7 @@ from ..kernels.floats import EPSILON, TINY
 from ..matrix.structure import IntVector, compressed_rows, row_numbers
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import DECISIVE, LinearConstraints, activity
-from .references import reference_residual
+from .criterion import reference_residual
 from .refutation import (
     LOWER,
     SLACKLESS,
@@ -63,9 +63,7 @@ class Feasibility:
 
 
 @np.errstate(all="ignore")
-def decide_feasibility(
-    problem: LCP, *, effort_limit: int | None = None, measure: str = "relative"
-) -> Feasibility:
+def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feasibility:
     """Return whether the linear constraints can be satisfied, with the proof that they cannot or a point that does.
 
     Without a solution of its linear constraints a problem has none; a monotone one (M positive semidefinite) that can
@@ -75,8 +73,6 @@ def decide_feasibility(
     ----------
     effort_limit : int, optional
         Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
-    measure : {"relative", "euclidean"}
-        Whose margin a proof should have nearly the largest of.
 
     Raises
     ------
@@ -104,22 +100,18 @@ def decide_feasibility(
         return Feasibility("infeasible", row, reason="one row contradicts its bounds")
     if not effort_limit:
         return Feasibility("undecided", reason="no linear program was tried")
-    known = _decided_by_program(problem, int(effort_limit), measure)
-    if row is None or (known.proof is not None and known.proof.measured(measure) >= row.measured(measure)):
+    known = _decided_by_program(problem, int(effort_limit))
+    if row is None or (known.proof is not None and known.proof.margin >= row.margin):
         return known
     return Feasibility("infeasible", row, reason="one row contradicts its bounds")
 
 
-def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
+def _decided_by_program(problem: LCP, effort: int) -> Feasibility:
     from ..problem.farkas import FarkasProgram
 
-    constraints, unit = _linear_constraints(problem), None
-    if measure == "relative":
-        reference = reference_residual(problem)
-        constraints = replace(constraints, reference=reference)
-        unit = reference if 0.0 < reference < np.inf else None  # then the optimum is minus the largest margin
-    else:  # within a factor √n, y is then best for that residual
-        constraints = replace(constraints, weights=np.ones(problem.n))
+    reference = reference_residual(problem)
+    constraints = replace(_linear_constraints(problem), reference=reference)
+    unit = reference if 0.0 < reference < np.inf else None  # then the optimum is minus the largest margin
     contradiction: Feasibility | None = None
     for _ in range(UNITS_TRIED):
         program = FarkasProgram(constraints, unit, effort)
@@ -131,7 +123,7 @@ def _decided_by_program(problem: LCP, effort: int, measure: str) -> Feasibility:
         if answer.is_contradiction:
             proof = program.proof(
                 answer, lambda y: _proven(problem, {i: value for i, value in enumerate(y) if value}),
-                lambda proof: proof.measured(measure),
+                lambda proof: proof.margin,
             )
             if proof is not None:
                 return Feasibility("infeasible", proof, reason="linear constraints contradict")

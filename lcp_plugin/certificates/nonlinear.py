@@ -38,14 +38,14 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector, read_only
+from ..checks import BoolVector, FloatVector, read_only
 from ..errors import InvalidProblem
 from ..kernels.floats import EPSILON
 from ..matrix.matrix import largest_in_rows
 from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, NonlinearProblem
-from .references import VectorEnds, for_each_row, largest_of_parts
+from .criterion import VectorEnds, for_each_row, largest_of_parts
 from .residuals import GAINED, Certificate
 from .row_residuals import largest_ratio, residual_ends_of, scaled_residual
 
@@ -206,6 +206,7 @@ class NonlinearCertificate(Certificate):
     """
 
     is_linearised: ClassVar[bool] = True
+    _units: ClassVar[None] = None  # F is judged in the units it is given in
 
     nonlinear: NonlinearProblem = field(kw_only=True, repr=False)
     value: FloatVector = field(kw_only=True, repr=False)
@@ -241,16 +242,12 @@ class NonlinearCertificate(Certificate):
         """How wrong the worst row is in its own terms."""
         return float(self._term_residuals.max(initial=0.0))
 
-    def is_right_in_terms(self, tolerance: float, least: float = 0.0) -> bool:
-        """Return True: the relative residual is no smaller than the term residual."""
-        return True
-
-    def relative_above(self, least: float) -> float:
+    def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
         """Return the relative residual with no part's reference, and no row's terms, taken for less than `least`."""
         if not least:
             return self.relative_residual
         rows = np.fmin(self._term_residuals, np.abs(self._scaled_ends[1]) / least)
-        return max(super().relative_above(least), float(rows.max(initial=0.0)))
+        return max(super().relative_above(least, answered), float(rows.max(initial=0.0)))
 
     @cached_property
     def relative_residual(self) -> float:

@@ -5,7 +5,6 @@ Each is a set of cases, with a Farkas vector for every one; the linear constrain
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -22,11 +21,10 @@ from ..matrix.structure import IntVector
 from ..problem.exactly import integer_matrix
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import Contradiction, within
-from .references import exact_reference, rounding_of_data
+from .criterion import exact_reference, residual_scale_of_criterion, rounding_of_data
 
 LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
 FEW = 500  # rows up to which all of M is kept in integers
-ROOT_BITS = 160
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
@@ -54,14 +52,11 @@ class Closing:
         At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the part of row i.
     absolute : Fraction
         At least Σ weight_i.
-    squares : Fraction
-        At least the sum of their squares, r the natural residual.
     """
 
     contradiction: Fraction
     relative: Fraction
     absolute: Fraction
-    squares: Fraction
 
 
 class Refutation:
@@ -112,11 +107,6 @@ class Refutation:
         return rounded_down(self._least[0])
 
     @cached_property
-    def euclidean_margin(self) -> float:
-        """A verified lower bound of ``Certificate.euclidean_residual`` for every z within the bounds."""
-        return rounded_down(_root(self._least[2]))
-
-    @cached_property
     def absolute_margin(self) -> float:
         """A verified lower bound of ‖r(z)‖∞, in the unit of z, for every z within the bounds."""
         return rounded_down(self._least[1])
@@ -126,13 +116,8 @@ class Refutation:
         """Whether what contradicts is no more than rounding of the largest number in q: of max_i |q_i|/d_i."""
         return self.absolute_margin <= rounding_of_data(self.problem)
 
-    def measured(self, measure: str) -> float:
-        """Return the margin in the measure of a run, "relative" or "euclidean"."""
-        return self.margin if measure == "relative" else self.euclidean_margin
-
     def excludes(
-        self, tolerance: float, measure: str = "relative", tolerance_on: str = "residual",
-        absolute_tolerance: float = 0.0,
+        self, tolerance: float, tolerance_on: str = "residual", absolute_tolerance: float = 0.0,
     ) -> bool:
         """Return whether no z within the bounds could be called SOLVED with these settings of a run.
 
@@ -141,24 +126,23 @@ class Refutation:
         """
         if tolerance_on == "error":
             return self.exact
-        if self.is_rounding or not self.measured(measure) > tolerance:
+        if self.is_rounding or not self.margin > tolerance:
             return False
         # Rows may use up one tolerance in one part, and the other in another.
         return not absolute_tolerance or (
-            tolerance / self.measured(measure) + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
+            tolerance / self.margin + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
         )
 
     @cached_property
-    def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
-        """The least relative residual, the least one, and the least square of the euclidean one; None for ∞."""
+    def _least(self) -> tuple[Fraction | None, Fraction | None]:
+        """The least relative residual, and the least one; None for ∞."""
         found = list(self.closings())
         closings = [closing for closing in found if closing is not None]
         if len(closings) < len(found):
-            return ZERO, ZERO, ZERO
+            return ZERO, ZERO
         relative = [one.contradiction / one.relative for one in closings if one.relative]
         absolute = [one.contradiction / one.absolute for one in closings if one.absolute]
-        squared = [one.contradiction**2 / one.squares for one in closings if one.squares]
-        return min(relative, default=None), min(absolute, default=None), min(squared, default=None)
+        return min(relative, default=None), min(absolute, default=None)
 
 
 class Choices(NamedTuple):
@@ -207,7 +191,7 @@ class Choices(NamedTuple):
         """Return what closes the case, for all z that data of a size may mean; None where it is not closed."""
         if not found.holds(data):
             return None
-        scale, path = self.problem.residual_scale, self.path
+        scale, path = residual_scale_of_criterion(self.problem), self.path
         sizes = {i: abs(y) for i, y in found.y.items() if path.get(i) not in (LOWER, UPPER)}
         scaled = [(i, size * Fraction(float(scale[i]))) for i, size in sizes.items()]
         leaving = {i: abs(value) for i, value in found.product.items()
@@ -216,7 +200,6 @@ class Choices(NamedTuple):
         return Closing(
             found.size, sum((share * exact_reference(self.problem, i) for i, share in shares), ZERO),
             sum((share for _, share in shares), ZERO),
-            sum((size * size for size in (*sizes.values(), *leaving.values())), ZERO),
         )
 
 
@@ -227,8 +210,7 @@ class Infeasibility(Refutation):
     Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
     y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some part P
-    ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, and the euclidean residual is at least c/‖y‖₂: `margin` and
-    `euclidean_margin`. Where Mᵀy should be 0 and is rounding beside its terms, all this is said of the z whose entries
+    ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin`. Where Mᵀy should be 0 and is rounding beside its terms, all this is said of the z whose entries
     without bounds are at most `radius` in size.
 
     Attributes
@@ -303,12 +285,3 @@ class Infeasibility(Refutation):
 def in_other_units(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
     """Return the Farkas vector of the problem whose q and bounds are those of row i times 2^exponents_i: D⁻¹ y."""
     return [value / Fraction(2) ** k if value else value for value, k in zip(y, exponents.tolist(), strict=True)]
-
-
-def _root(square: Fraction | None) -> Fraction | None:
-    """Return a lower bound of the square root, right to far more digits than a double has."""
-    if not square:
-        return square
-    shift = ROOT_BITS - (square.numerator.bit_length() - square.denominator.bit_length()) // 2
-    scaled = square * Fraction(2) ** (2 * shift)
-    return Fraction(math.isqrt(int(scaled))) / Fraction(2) ** shift

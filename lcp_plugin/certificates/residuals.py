@@ -9,15 +9,20 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, read_only, restored
-from ..errors import InvalidOption, InvalidProblem, did_you_mean
+from ..checks import BoolVector, FloatVector, read_only, restored
+from ..errors import InvalidProblem
 from ..exact.rounding import gamma
 from ..kinds import refusal
 from ..matrix.structure import parts
 from ..problem.lcp import LCP
-from ..settings import MEASURES
-from .own_terms import term_residual
-from .references import VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
+from .criterion import (
+    RowUnits,
+    VectorEnds,
+    for_each_row,
+    hold_at_zero,
+    largest_of_parts,
+    references_of_parts,
+)
 from .row_residuals import (
     at_rounding_level,
     euclidean_norm,
@@ -54,14 +59,12 @@ class Certificate:
     z, w : ndarray, shape (n,)
         The point and its slack M z + q in double precision; on ranks the own parts, shape (own,).
     scaled_residual : float
-        The numerator of the relative residual, ‖r(z)‖∞ of the worst part, in the unit of z, measured.
+        The numerator of the relative residual, in the units of the criterion, measured.
     relative_residual : float
         The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts P, the connected components of the graph of M, with
-        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0. Invariant
-        under row scaling and under the unit of z, which may be another in each part.
-    term_residual : float
-        How wrong the worst row is in its own terms (:mod:`lcp_plugin.certificates.own_terms`): what the relative
-        residual hides where unknowns of one part have units 10³ apart. SOLVED asks for both.
+        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the units
+        in which M is balanced (:mod:`lcp_plugin.certificates.criterion`): the units of rows and unknowns do not
+        change it.
     parts : int
         How many parts there are.
     natural_residual : float
@@ -154,12 +157,20 @@ class Certificate:
         references: FloatVector = for_each_row(self.problem, self.references[1])
         return references
 
+    @property
+    def _row_floors(self) -> FloatVector:
+        """A lower bound of the same."""
+        references: FloatVector = for_each_row(self.problem, self.references[0])
+        return references
+
     @cached_property
     def _worst(self) -> tuple[float, float, int]:
         """The largest residual beside the reference of its part, this residual, and its row."""
         several = parts(self.problem.matrix)
         with np.errstate(all="ignore"):
-            residual = np.abs(scaled_residual(self.problem, self.z, self.w))
+            residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
+            if self._units is not None:
+                residual = self._units.upwards(residual)
             relative = residual
             if several is not None:  # as the relative residual is proved, so that its part is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
@@ -201,13 +212,27 @@ class Certificate:
     @property
     def _proved_rows(self) -> FloatVector:
         """An upper bound of every |r_i|, sharp in parts that z° solves: there only what is exactly 0 will do."""
-        ends, least = self._scaled_ends[1], self.references[0]
+        ends, least = self._in_units(self._scaled_ends[1]), self.references[0]
         several = parts(self.problem.matrix)
         of_rows = least if several is None else least[several.labels]
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
         if self.problem.communicator.everywhere(not is_exact.any()):
             return ends
-        return np.where(is_exact, self._sharp_ends(), ends)
+        return np.where(is_exact, self._in_units(self._sharp_ends()), ends)
+
+    @cached_property
+    def _units(self) -> RowUnits | None:
+        """The units of the criterion; None where they are the caller's."""
+        return RowUnits.of(self.problem)
+
+    @property
+    def _scale(self) -> FloatVector:
+        """What w is divided by in the residual that SOLVED speaks of."""
+        return self.problem.residual_scale if self._units is None else self._units.scale
+
+    def _in_units(self, residuals: FloatVector) -> FloatVector:
+        """Return upper bounds of |r| in the units of the criterion."""
+        return residuals if self._units is None else self._units.upwards(residuals)
 
     @property
     def references(self) -> VectorEnds:
@@ -215,12 +240,12 @@ class Certificate:
         return references_of_parts(self.problem)
 
     def _sharp_ends(self) -> FloatVector:
-        return sharp_residual_ends(self.problem, self.z)[1]
+        return sharp_residual_ends(self.problem, self.z, self._scale)[1]
 
     @cached_property
     def _scaled_ends(self) -> tuple[FloatVector, FloatVector]:
         """Bounds of every |r_i|."""
-        return self._ends(self.problem.residual_scale)
+        return self._ends(self._scale)
 
     def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
         problem = self.problem
@@ -246,10 +271,9 @@ class Certificate:
     @cached_property
     def backward_error(self) -> float:
         """max_i |r_i| / (|z_i| + (|M||z| + |q|)_i / d_i), invariant under row and column scaling."""
-        problem = self.problem
         with np.errstate(all="ignore"):
-            residual = np.abs(scaled_residual(problem, self.z, self.w))
-            size = np.abs(self.z) + self._magnitude / problem.residual_scale
+            residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
+            size = np.abs(self.z) + self._magnitude / self._scale
             return self._largest(np.where(residual == 0.0, 0.0, residual / size))
 
     @property
@@ -294,7 +318,10 @@ class Certificate:
         """max_i of those products with w_i/d_i for w_i, over ‖r(z°)‖∞²; 0 for 0/0."""
         reference = self._row_references
         with np.errstate(all="ignore"):
-            products = over(over(self._products / self.problem.residual_scale, reference), reference)
+            products = self._products / self._scale
+            if self._units is not None:
+                products = np.ldexp(products, -2 * self._units.column)
+            products = over(over(products, reference), reference)
         return self._largest(products)
 
     @property
@@ -304,7 +331,7 @@ class Certificate:
             return ""
         if self.problem.is_distributed:
             return "a z_i far from its bound has a w_i that is not 0: large beside the residual"
-        i = int(np.argmax(self._products / self.problem.residual_scale))
+        i = int(np.argmax(self._products / self._scale))
         bound = self.problem.lower[i] if self.w[i] > 0.0 else self.problem.upper[i]
         distance = abs(self.z[i] - bound)
         return f"z[{i}] is {distance:.1e} from its bound and w[{i}] = {self.w[i]:.1e}: large beside the residual"
@@ -315,7 +342,7 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
         """
-        return rounding_floor(self.problem, self._magnitude)
+        return rounding_floor(self.problem, self._magnitude, self._scale)
 
     @cached_property
     def scale_spread(self) -> float:
@@ -347,27 +374,22 @@ class Certificate:
             return True
         return self.problem.communicator.everywhere(not (is_large & ~hold_at_zero(self.problem)).any())
 
-    @cached_property
-    def term_residual(self) -> float:
-        """How wrong the worst row is in its own terms, where no unit of its unknown excuses it; 0 on ranks."""
-        return term_residual(self.problem, self.z, self.w)
+    def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
+        """Return the relative residual with no reference taken for less than `least`, in the caller's unit of z.
 
-    def is_right_in_terms(self, tolerance: float, least: float = 0.0) -> bool:
-        """Return whether no row with |r_i| > tolerance · least has a term residual above the tolerance."""
-        return term_residual(self.problem, self.z, self.w, tolerance, least) <= tolerance
-
-    def relative_above(self, least: float) -> float:
-        """Return the relative residual with no part's reference taken for less than `least`."""
-        if not least:
+        Parameters
+        ----------
+        least : float
+        answered : array of bool, shape (own,), optional
+            Rows that do not count.
+        """
+        if not least and answered is None:
             return self.relative_residual
-        largest, references = self.residuals_of_parts
-        return self.problem.communicator.largest(largest_ratio(largest, np.maximum(references, least)))
-
-    def measured(self, measure: str) -> float:
-        """Return the residual of that measure, "relative" or "euclidean" (InvalidOption for another)."""
-        if not isinstance(measure, str) or measure not in MEASURES:
-            raise InvalidOption(f"measure={measure!r} is not offered{did_you_mean(measure, MEASURES)}")
-        return self.relative_residual if measure == "relative" else self.euclidean_residual
+        references, floors, rows = self._row_floors, np.full(self.z.size, least), self._proved_rows
+        if self._units is not None:
+            floors = self._units.downwards(floors)
+        rows = rows if answered is None else np.where(answered, 0.0, rows)
+        return self.problem.communicator.largest(largest_ratio(rows, np.maximum(references, floors)))
 
     @property
     def _worst_part(self) -> str:

@@ -34,7 +34,7 @@ from ..exact.upward import product_above, quotient_above, sum_above
 from ..matrix import Weights
 from ..matrix.free_systems import KRYLOV_GOAL, FreeSystem
 from ..problem.lcp import LCP
-from .references import for_each_row, largest_of_parts
+from .criterion import for_each_row, largest_of_parts
 
 
 class Branches(NamedTuple):

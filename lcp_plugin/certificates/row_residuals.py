@@ -19,13 +19,15 @@ BLOCK = 2**14  # rows
 FEWEST = 2**13  # rows a thread: on five-point rows some 0.15 ms, several times what a hand-over takes
 
 
-def scaled_residual(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
+def scaled_residual(
+    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
+) -> FloatVector:
     """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,); ∞ where w_i is not finite.
 
     It is computed as mid(z − upper, z − lower, w/d), the same number, but a small step is not lost beside a large z. A
     w that overflowed on the way could have either sign, and says nothing.
     """
-    residual, scale = np.empty(z.size), problem.residual_scale
+    residual, scale = np.empty(z.size), problem.residual_scale if scale is None else scale
     for first in range(0, z.size, BLOCK):  # what stands between w and the residual stays in the cache
         rows = slice(first, first + BLOCK)
         step = w[rows] / scale[rows]
@@ -87,13 +89,13 @@ def residual_ends_of(
     return smallest, largest
 
 
-def sharp_residual_ends(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
+def sharp_residual_ends(problem: LCP, z: FloatVector, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return bounds of every |r_i(z)| for a few times the price: both 0 where w is known to be exactly 0."""
     matrix = problem.matrix
     value, radius = compensated_product(matrix.csr_rows, matrix.whole(z), problem.q)
     low, high = lower_end(value, radius), upper_end(value, radius)
     nothing = sp.csr_array((problem.own, problem.own))
-    below, above = (residual_ends_of(nothing, z, problem, z, problem.residual_scale, q=w) for w in (low, high))
+    below, above = (residual_ends_of(nothing, z, problem, z, scale, q=w) for w in (low, high))
     smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
     return smallest, np.maximum(below[1], above[1])
 
@@ -106,17 +108,19 @@ def magnitude(problem: LCP, whole: FloatVector) -> FloatVector:
     return sizes
 
 
-def rounding_floor(problem: LCP, magnitude: FloatVector) -> FloatVector:
+def rounding_floor(problem: LCP, magnitude: FloatVector, scale: FloatVector) -> FloatVector:
     """Return what rounding alone can make of each residual, k_i ε (|M||z| + |q|)_i / d_i, k_i = nonzeros of row i + 2.
 
     Parameters
     ----------
     magnitude : array, shape (own,)
         |M||z| + |q|.
+    scale : array, shape (own,)
+        d.
     """
     terms = np.diff(problem.matrix.csr_rows.indptr) + 2
     with np.errstate(all="ignore"):
-        floor: FloatVector = terms * (EPSILON * magnitude + TINY) / problem.residual_scale
+        floor: FloatVector = terms * (EPSILON * magnitude + TINY) / scale
     return floor
 
 

@@ -168,7 +168,6 @@ def solve(
         str, typer.Option(help="residual, or error: SOLVED then means a proved relative error.")
     ] = "residual",
     error_bound: Annotated[bool, typer.Option("--error-bound", help="Bound the error of the answer.")] = False,
-    measure: Annotated[str, typer.Option(help="relative, or euclidean (the paper's Res).")] = "relative",
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
     refute: Annotated[bool, typer.Option(help="Look for a proof where there is no solution.")] = True,
@@ -196,7 +195,7 @@ def solve(
     if backend not in kinds:
         raise InvalidOption(f"--backend {backend!r} is not offered{did_you_mean(backend, kinds)}")
     settings: dict[str, Any] = dict(
-        tolerance_on=tolerance_on, error_bound=error_bound, measure=measure,
+        tolerance_on=tolerance_on, error_bound=error_bound,
         max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, refute=refute,
         threads=threads, **({} if tolerance is None else {"tolerance": tolerance}),
     )

@@ -19,7 +19,7 @@ from ..solving.result import Result
 from .target import read_target
 from .terminal import LINE, show_step
 
-OWN_FLAGS = ("tolerance", "absolute_tolerance", "measure", "max_iterations", "max_seconds", "threads", "algorithm")
+OWN_FLAGS = ("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "threads", "algorithm")
 WORDS = {"none": None, "true": True, "false": False}
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.references import rounding_of_data
+from ..certificates.criterion import RowUnits, exactly_weighted, rounding_of_data
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import UnsuitableProblem
@@ -283,14 +283,15 @@ def _lie_about_residual(result: Result) -> str:
     problem = result.certificate.problem
     if result.status is Status.SOLVED and problem.n > LARGEST_EXACT and _is_surely_solved(result):
         return ""
-    residuals = exact_residuals(problem, result.z)
     if result.status is Status.PRECISION_LIMIT:
+        residuals = exact_residuals(problem, result.z)
         floors = rounding_floors(problem, result.z)
         explained = all(r <= FLOORS_MEASURED * floor for r, floor in zip(residuals, floors, strict=True))
         if result.infeasibility is not None and result.infeasibility.is_rounding:
             explained |= max(residuals) <= Fraction(rounding_of_data(problem)) * (1 + EPSILON)
         return "" if explained else "PRECISION_LIMIT, but rounding does not explain the residual"
-    references = _references(problem, exact_residuals(problem, problem.nearest_to_zero))
+    residuals = exactly_weighted(problem, result.z)
+    references = _references(problem, exactly_weighted(problem, problem.nearest_to_zero))
     is_true = all(r <= Fraction(result.tolerance) * of for r, of in zip(residuals, references, strict=True))
     return "" if is_true else "SOLVED, but the exact residual is above the tolerance"
 
@@ -310,6 +311,8 @@ def _references(problem: LCP, at_zero: Sequence[Any]) -> list[Any]:
 def _is_surely_solved(result: Result) -> bool:
     """Return whether bounds of the exact residuals already prove the tolerance; False says nothing."""
     problem = result.certificate.problem
+    if RowUnits.of(problem) is not None:
+        return False
     _, above = _residual_bounds(problem, result.z)
     below, _ = _residual_bounds(problem, problem.nearest_to_zero)
     references = np.array(_references(problem, below.tolist()))

@@ -206,7 +206,7 @@ def draw_residuals(axes: Any, result: Result) -> None:
         axes.annotate("tolerance", (0.99, result.tolerance), (0, 3), xycoords=("axes fraction", "data"),
                       textcoords="offset points", ha="right", color=ACTIVE, fontsize=8)
     axes.locator_params(axis="x", nbins=5)
-    axes.set(xlabel="seconds", ylabel=f"{result.measure} residual", title="how the residual fell")
+    axes.set(xlabel="seconds", ylabel="relative residual", title="how the residual fell")
 
 
 # --- Sketches -------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.references import reference_residual
+from ..certificates.criterion import reference_residual
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector

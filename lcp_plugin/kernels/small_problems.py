@@ -26,7 +26,6 @@ from .compilation import (
 )
 from .enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from .floats import NEGLIGIBLE_DIAGONAL
-from .own_terms import is_right_in_terms
 from .small_systems import solve_free
 from .tableau import follow_path
 from .workspace import (
@@ -47,7 +46,6 @@ from .workspace import (
 
 SWEEP, ROUND, PIVOT, OVER, BEGINNING, UNUSUAL = 0, 1, 2, 3, 4, 5
 TOTAL = 3  # behind the work of the phases
-GOES_ON, SOLVED, IN_DOUBT = 0, 1, 2
 ALL, NONE_YET, ONE_MORE = -1, 0, 1  # steps that a call takes: the first two begin, the last goes on
 
 # The row STATE: what comes next, how many of these were made, the fewest swaps of a round so far, rounds without fewer,
@@ -277,17 +275,13 @@ def _is_dense(nonzeros, n):  # type: ignore[no-untyped-def]
 
 @compiled_into_others
 def _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):  # type: ignore[no-untyped-def]
-    """Write the relative residual of Z, enclosed where `size` lets it hope for that, and return what it says.
-
-    IN_DOUBT is within the tolerance, but a row is not right in its own terms: others know whether that is excused.
-    """
+    """Write the relative residual of Z, enclosed where `size` lets it hope for that; return whether it will do."""
     residual[item] = size
     if not size / most <= tolerance:
-        return GOES_ON
+        return False
     _, largest = _ends(M, k, real, False, is_dense)
     residual[item] = _ratio_upwards(largest, least)
-    is_within = residual[item] <= tolerance
-    return GOES_ON if not is_within else SOLVED if is_right_in_terms(M, k, real, tolerance) else IN_DOUBT
+    return residual[item] <= tolerance
 
 
 @interpreted_while_small
@@ -343,9 +337,8 @@ def run_all(  # type: ignore[no-untyped-def]
                 work[item, phase] += touched / whole[STATE, NONZEROS]
                 work[item, TOTAL] += touched / whole[STATE, NONZEROS]
             count += 1
-            ended = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
-            has_converged[item] = ended == SOLVED
-            if ended != GOES_ON:
+            has_converged[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
+            if has_converged[item]:
                 break
         for i in range(n):
             z[item, i] = real[Z, i]
@@ -379,6 +372,6 @@ def follow_all(  # type: ignore[no-untyped-def]
         passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
         work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes
         is_dense = _is_dense(nonzeros, n)
-        has_converged[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item) == SOLVED
+        has_converged[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
         for i in range(n):
             z[item, i] = real[Z, i]

@@ -9,17 +9,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import FloatVector, read_only
+from ..checks import FloatVector
 from ..kernels.floats import DIAGONAL_SPREAD, LARGEST_RATIO
-from .matrix import Matrix, fact, residual_scale_of
 from .structure import IntVector, row_numbers
-from .symmetry import has_symmetric_entries
 
 DENSE_LIMIT = 300
 BALANCING_SWEEPS = 12
 LARGEST_EXPONENT = 1000.0
-LARGEST_ENTRIES = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
-ALIKE = 10  # log2 of the spread of units up to which unknowns have the same
 
 
 class Exponents(NamedTuple):
@@ -70,63 +66,6 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
     position = _balanced(ratios, rows[off], M.indices[off], diagonal.size)
     column = np.rint(np.clip(position, -LARGEST_EXPONENT, LARGEST_EXPONENT)).astype(np.int64)
     return Exponents(-column - np.rint(diagonal).astype(np.int64), column)
-
-
-@fact
-def has_even_entries(matrix: Matrix) -> bool:
-    """Return whether no entry of M needs a look for units of the unknowns: none is far larger than the diagonal."""
-    M, pivots = matrix.array, np.abs(matrix.diagonal)
-    entries = M.data if sp.issparse(M) else M
-    if not entries.size:
-        return True
-    least = float(pivots.min())
-    largest = max(float(entries.max()), -float(entries.min()))
-    return least > 0.0 and pivots.max() <= least * 2.0**DIAGONAL_SPREAD and largest <= least * 2.0**LARGEST_RATIO
-
-
-class Units(NamedTuple):
-    """What the unknowns are measured in beside each other, and the rows beside them.
-
-    Attributes
-    ----------
-    exponents : Exponents
-        An unknown is measured in 2^column, and w in 2^−row.
-    residual_scale : array, shape (n,)
-        Of ``scaled(M, exponents)``.
-    """
-
-    exponents: Exponents
-    residual_scale: FloatVector
-
-
-@fact
-def units_of_unknowns(matrix: Matrix) -> Units | None:
-    """Return the units in which D⁻¹M, D the diagonal of M, is balanced; None where they are alike.
-
-    Balancing undoes any units of rows and unknowns of a matrix that was balanced, and leaves far fields of one unit as
-    they are. Where the diagonal has a zero, columns are evened. Where M is not symmetric, units differ only where an
-    entry of D⁻¹M is large: else one penalty row and a wind would be taken for a grading of units.
-
-    Examples
-    --------
-    >>> columns = np.array([1.0, 2.0**30, 2.0**-30])
-    >>> units_of_unknowns(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).exponents.column.tolist()
-    [0, 30, -30]
-    """
-    M = matrix.csr
-    if has_even_entries(matrix):
-        return None
-    is_symmetric, pivots = has_symmetric_entries(matrix), np.abs(matrix.diagonal)
-    if not pivots.all():
-        found: Exponents | None = evened(M, LARGEST_ENTRIES)
-    elif not is_symmetric and bool(np.all(np.abs(M.data) * 2.0**-LARGEST_RATIO <= pivots[row_numbers(M)])):
-        found = None
-    else:
-        found = scaling_exponents(M, is_symmetric)
-    if found is None or np.ptp(found.column) <= ALIKE:
-        return None
-    in_units = scaled(M, found)
-    return Units(found, read_only(residual_scale_of(in_units, in_units.diagonal())))
 
 
 def unit_diagonal(diagonal: FloatVector) -> Exponents:
@@ -189,7 +128,7 @@ def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) 
     First the least squares fit of ratio_ij + s_j − s_i ≈ 0, which undoes any diagonal similarity at once, then
     sweeps of Osborne's balancing.
     """
-    position: Any = _least_squares(ratios, rows, columns, n)
+    position: Any = fitted(ratios, rows, columns, n)
     for _ in range(BALANCING_SWEEPS):
         magnitude = np.exp2(np.clip(ratios + position[columns] - position[rows], -LARGEST_EXPONENT, LARGEST_EXPONENT))
         row_sum = np.bincount(rows, magnitude, n)
@@ -204,7 +143,8 @@ def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) 
     return centred
 
 
-def _least_squares(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
+def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
+    """Return s, shape (n,), for which ratio_k + s_column − s_row is about 0 in the least squares sense."""
     rhs: Any = np.bincount(rows, ratios, n) - np.bincount(columns, ratios, n)
     degree: Any = np.bincount(rows, minlength=n) + np.bincount(columns, minlength=n)
     if n <= DENSE_LIMIT:

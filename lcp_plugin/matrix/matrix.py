@@ -56,6 +56,10 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         """Return whether it was asked for before."""
         return (self, *args) in matrix._facts
 
+    def keep(self, matrix: Matrix, value: T) -> None:
+        """Keep a value that is known without computing it."""
+        matrix._facts[self,] = value
+
 
 class Matrix:
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.

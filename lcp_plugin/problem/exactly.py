@@ -40,10 +40,11 @@ def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fractio
     return [Fraction(q) + unit * total for q, total in zip(problem.q.tolist(), sums, strict=True)]
 
 
-def exact_residuals(problem: LCP, z: FloatVector) -> list[Fraction]:
-    """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z."""
+def exact_residuals(problem: LCP, z: FloatVector, scale: FloatVector | None = None) -> list[Fraction]:
+    """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z; d is the scale."""
+    scale = problem.residual_scale if scale is None else scale
     rows = zip(
-        map(Fraction, z.tolist()), exact_slack(problem, z), problem.residual_scale.tolist(), problem.lower.tolist(),
+        map(Fraction, z.tolist()), exact_slack(problem, z), scale.tolist(), problem.lower.tolist(),
         problem.upper.tolist(), strict=True,
     )
     # The comparison of a fraction with ±∞ is exact as well.

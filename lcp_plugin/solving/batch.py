@@ -81,7 +81,7 @@ def solve_batch(
 @overload
 def solve_batch(  # type: ignore[overload-overlap]  # a list of LCPs is one of problems, too
     M: Sequence[LCP], *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
-    measure: str = "relative", max_iterations: int | None = None, max_seconds: float | None = None,
+    max_iterations: int | None = None, max_seconds: float | None = None,
     absolute_tolerance: float = 0.0, refute: bool = True, threads: int | None = None,
 ) -> BatchResult: ...
 @overload
@@ -94,7 +94,7 @@ def solve_batch(
 def solve_batch(
     M: Any, q: ArrayLike | None = None, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf,
     z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
-    measure: str = "relative", max_iterations: int | None = None, max_seconds: float | None = None,
+    max_iterations: int | None = None, max_seconds: float | None = None,
     absolute_tolerance: float = 0.0, refute: bool = True, threads: int | None = None,
 ) -> BatchResult: ...
 def solve_batch(
@@ -106,7 +106,6 @@ def solve_batch(
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     tolerance: float = 1e-8,
-    measure: str = "relative",
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     absolute_tolerance: float = 0.0,
@@ -126,7 +125,7 @@ def solve_batch(
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
         Warm starts; a list of vectors, or None, beside a list of LCPs.
-    algorithm, tolerance, measure, max_iterations, absolute_tolerance, refute
+    algorithm, tolerance, max_iterations, absolute_tolerance, refute
         For each problem, as in :func:`lcp_plugin.solve`.
     max_seconds : float, optional
         In seconds, for the whole batch: those not solved by then end with MAX_SECONDS.
@@ -165,8 +164,8 @@ def solve_batch(
     """
     checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
     if isinstance(M, QuadraticProgramBatch):
-        if z0 is not None or measure != "relative" or absolute_tolerance != 0.0:
-            raise InvalidOption("a batch of programs takes no z0, measure or absolute_tolerance; leave them out")
+        if z0 is not None or absolute_tolerance != 0.0:
+            raise InvalidOption("a batch of programs takes no z0 or absolute_tolerance; leave them out")
         _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
         of_each = {"tolerance": tolerance, "max_iterations": max_iterations, "refute": refute, "threads": 1}
         return ProgramBatchRun(M, algorithm, of_each, threads=checked, limit=limit).run()
@@ -183,7 +182,7 @@ def solve_batch(
             if kind_of(one) is None:
                 raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
         _refuse_data("these problems", "new ones", q, lower, upper)
-        asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, measure=measure, max_iterations=max_iterations,
+        asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, max_iterations=max_iterations,
                      absolute_tolerance=absolute_tolerance, refute=refute)
         defaults = solve_batch.__kwdefaults__ or {}
         wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
@@ -193,7 +192,7 @@ def solve_batch(
     else:
         items = Stacked(M, q, lower, upper, z0)
     wishes = {
-        "tolerance": tolerance, "measure": measure, "max_iterations": max_iterations,
+        "tolerance": tolerance, "max_iterations": max_iterations,
         "absolute_tolerance": absolute_tolerance, "refute": refute, "threads": 1,
     }
     return BatchRun(items, algorithm, wishes, threads=checked, limit=limit).run()

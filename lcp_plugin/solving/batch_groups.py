@@ -11,12 +11,13 @@ from ..algorithms.base import Phases
 from ..algorithms.search import LARGEST_CHOICES, LARGEST_SIZE
 from ..algorithms.search.stages import FIRST_ENTRIES, MOST_CASES
 from ..algorithms.small_dense import Answers, run
-from ..certificates.references import CommonUnits
+from ..certificates.criterion import CommonUnits
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import largest_ratio
 from ..checks import BoolVector, read_only
 from ..kernels.threads import in_chunks
 from ..matrix.structure import IntVector, parts
+from ..matrix.units import are_in_one_unit
 from ..problem.lcp import LCP
 from ..settings import Settings
 from .driver import beside_the_largest
@@ -63,6 +64,12 @@ class Group(NamedTuple):
         q, lower, upper = (vector.reshape(-1) for vector in self.vectors("q", "lower", "upper"))
         M = sp.csr_array((M[blocks, rows, columns], places), shape=(count * n, count * n))
         return LCP(M, q, lower=lower, upper=upper)
+
+
+def in_one_unit(group: Group) -> Group:
+    """Return the problems that keep their units in the criterion; a compiled loop knows of no others."""
+    are = are_in_one_unit(group.M)
+    return group if are.all() else group.chosen(np.flatnonzero(are & np.ones(group.items.size, np.bool_)))
 
 
 def by_parts(group: Group) -> tuple[Group, Group]:

@@ -22,7 +22,7 @@ from ..policy.direct_methods import may_be_searched
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Status
 from .answer import AnswerSequence, T
-from .batch_groups import Group, answers_in_common_units, by_parts, excluded
+from .batch_groups import Group, answers_in_common_units, by_parts, excluded, in_one_unit
 from .batch_items import Items, Stacked, put
 from .driver import asked_of_solve, fused_result, solve
 from .result import Result
@@ -171,7 +171,7 @@ class BatchRun(BatchLoop):
         for group in () if phases is None else self.items.groups():
             if not phases or (group.starts.shape[1] and not phases[1]):  # pivots alone begin at z°
                 continue
-            whole, in_parts = by_parts(group)
+            whole, in_parts = by_parts(in_one_unit(group))
             if whole.items.size:
                 self._leave_out_excluded(whole, self._run_compiled(whole, phases))
             if in_parts.items.size and self.has_time:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..algorithms import Algorithm, FusedSolve
-from ..certificates.references import CommonUnits, least_reference, reference_residual
+from ..certificates.criterion import CommonUnits, least_reference, reference_residual
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, checked_start
 from ..crossovers import INTERIOR_STEPS
@@ -45,7 +45,7 @@ LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
 @overload
 def solve(
     problem: LCP, algorithm: str | Algorithm | Policy = "auto", *, z0: ArrayLike | None = None,
-    tolerance: float = 1e-8, tolerance_on: str = "residual", measure: str = "relative",
+    tolerance: float = 1e-8, tolerance_on: str = "residual",
     max_iterations: int | None = None, max_seconds: float | None = None, absolute_tolerance: float = 0.0,
     record: bool = False, callback: Callback | None = None, error_bound: bool = False, refute: bool = True,
     threads: int | None = None, verbose: bool = False, **options: Any,
@@ -69,7 +69,6 @@ def solve(
     z0: ArrayLike | None = None,
     tolerance: float = 1e-8,
     tolerance_on: str = "residual",
-    measure: str = "relative",
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     absolute_tolerance: float = 0.0,
@@ -100,9 +99,6 @@ def solve(
         (connected component of M's pattern) relative to that part's own reference.
     tolerance_on : {"residual", "error"}
         With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved of every part, z* the solution.
-    measure : {"relative", "euclidean"}
-        The residual to stop on: ``Certificate.relative_residual`` (without unit) or the paper's
-        ``Certificate.euclidean_residual``.
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, set-up included and compilation of kernels excluded; obeyed at the end of
@@ -110,7 +106,7 @@ def solve(
         on in a thread of its own until it is done, and what it finds is dropped.
     absolute_tolerance : float
         In the unit of z: a part with ‖r‖∞ ≤ absolute_tolerance is solved whatever its reference, as a contact at rest
-        is whose gaps are rounding; INFEASIBLE and NO_SOLUTION are proved beyond it. With the relative residual only.
+        is whose gaps are rounding; INFEASIBLE and NO_SOLUTION are proved beyond it.
     record : bool
         Keep samples of the run at geometric intervals in ``Result.history``.
     callback : callable, optional
@@ -173,7 +169,7 @@ def solve(
     """
     if not isinstance(problem, LCP):
         given = dict(
-            z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, measure=measure, max_iterations=max_iterations,
+            z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, max_iterations=max_iterations,
             max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, record=record, callback=callback,
             error_bound=error_bound, refute=refute, threads=threads, verbose=verbose,
         )
@@ -187,7 +183,7 @@ def solve(
         policy, settings, callers, start = communicator.together(lambda: (
             policy_for(algorithm, options, on_ranks=problem.is_distributed, refutes=refute),
             Settings(
-                tolerance, tolerance_on, measure, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
+                tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
                 threads, verbose, refute,
             ),
             checked_callback(callback), checked_start(problem, z0),
@@ -200,8 +196,7 @@ def solve(
             try:
                 if policy.chosen != "auto":
                     warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
-                if settings.measure == "relative":
-                    units = CommonUnits.of(problem, settings.least_reference)
+                units = CommonUnits.of(problem, settings.least_reference)
                 start, first = units.inward(start), policy.first(units.problem)
                 if callers is None and (result := fused(units, policy, first, settings, start, clock)) is not None:
                     return result
@@ -240,13 +235,11 @@ def fused(
     found = algorithm.solve_fused(problem, start, _tolerance_of_all(units, settings, is_one), settings.max_iterations)
     if found is None:
         return None
-    if is_one:  # the kernel has enclosed the residual of the whole
+    if is_one and units.is_the_callers:  # the kernel has enclosed the residual of the whole
         certificate = Certificate.enclosed(units.callers, found.z, found.residual)
     else:
         certificate = Certificate.of(units.callers, units.outward(found.z))
-    is_right = is_one and found.is_right_in_terms
-    is_accepted = settings.accept(certificate, is_right_in_terms=is_right)
-    if not is_accepted or answers_program(units.callers, settings, certificate.z) is False:
+    if not settings.accept(certificate) or answers_program(units.callers, settings, certificate.z) is False:
         return None
     return fused_result(certificate, policy, first, found, settings, clock.read())
 
@@ -277,7 +270,7 @@ def fused_result(
     )
     return Result(
         z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
-        tolerance=settings.tolerance, measure=settings.measure, algorithm=name_of(policy, stages),
+        tolerance=settings.tolerance, algorithm=name_of(policy, stages),
         iterations=sum(stage.iterations for stage in stages), work=found.work,
         absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
         setup_seconds=0.0, stages=stages, _asked=policy.chosen,
@@ -292,21 +285,13 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
     """
     left, clock, units = seconds_left(), Clock(problem.communicator), CommonUnits.of(problem)
     policy = LinearPolicy(algorithm)
-    settings = _ResidualAlone(tolerance, max_seconds=None if left == math.inf else left)
+    settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
     if (result := fused(units, policy, first, settings, start, clock)) is not None:
         return result
     run = Run(units, policy, settings, CallersOwn(_Patience()) if problem.n > LARGE else None, clock)
     return run.judged(start, run.drive(start, first))
-
-
-class _ResidualAlone(Settings):
-    """What a linearisation is asked for: the nonlinear problem judges its rows in their own terms itself."""
-
-    def accept_terms(self, certificate: Certificate) -> bool:
-        """Return True."""
-        return True
 
 
 class _Patience:

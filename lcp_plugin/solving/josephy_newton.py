@@ -14,8 +14,8 @@ import scipy.sparse as sp
 from ..algorithms import Algorithm, Step
 from ..algorithms.active_sets.semismooth_newton import Linearised, fischer_burmeister, phi_jacobian
 from ..algorithms.base import without_warnings
+from ..certificates.criterion import largest_of_parts
 from ..certificates.nonlinear import NonlinearCertificate, Reference
-from ..certificates.references import largest_of_parts
 from ..certificates.row_residuals import largest_ratio, scaled_residual
 from ..checks import FloatVector
 from ..deadline import is_over
@@ -57,7 +57,7 @@ class JosephyNewton(Algorithm):
     linear : str or Algorithm
         What solves them.
     tolerance : float
-        The relative residual that the run asks for; 0 where it asks for another measure.
+        The relative residual that the run asks for.
 
     Notes
     -----

@@ -4,35 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ..algorithms import Algorithm, Step
-from ..certificates.references import CommonUnits, rounding_of_data
+from ..certificates.criterion import CommonUnits, rounding_of_data
 from ..certificates.residuals import GAINED, Certificate
-from ..certificates.row_residuals import largest_ratio, measured_residual, ratio
+from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
 from ..settings import PROVEN, Settings, Status
 from .error_watch import BoundOrReason, ErrorWatch
 
 FAR_OUT = 1e-2
-SAFE_TO_SQUARE = (1e-140, 1e140)  # beyond, a sum of squares has lost digits or overflowed
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem, too
-IN_OTHER_UNITS = (
-    "a w has a sign that its own row does not allow, which the residual hides where unknowns have very different units "
-    "(certificate.term_residual): other units, in which the entries of M are alike, show it"
-)
 
 
 def answers_program(problem: Any, settings: Settings, z: FloatVector) -> bool | None:
     """Return whether z answers the program that the problem was made from, by its own criteria; None without one."""
     is_answered = getattr(problem.origin, "is_answered", None)
-    if is_answered is None or settings.measure != "relative" or settings.is_on_error or settings.absolute_tolerance:
+    if is_answered is None or settings.is_on_error or settings.absolute_tolerance:
         return None
     return bool(is_answered(z, settings.tolerance))
 
@@ -63,7 +57,6 @@ class Judge:
     words: Mapping[Status, str] = MappingProxyType({})
     _answer: FloatVector | None = None  # as the caller has it, where it need not be the z of the smallest residual
     _asked_at, _ask_again = math.inf, 0  # residual and iteration
-    _misses_terms = False  # the last z within the tolerance was not right in its own terms
 
     def __init__(self, units: CommonUnits, settings: Settings) -> None:
         self.units, self.problem, self.settings = units, units.callers, settings
@@ -80,20 +73,14 @@ class Judge:
     @property
     def per_increment(self) -> float:
         """How large a residual is beside the increment that goes with it near the answer, about."""
-        return ratio(1.0, self.reference) if self.settings.measure == "relative" else 1.0
+        return ratio(1.0, self.reference)
 
     def residual_of(self, step: Step) -> float | None:
-        """Return the residual of a step in the measure of the run where the algorithm knows it."""
-        if self.settings.measure == "relative":
-            return None if step.residual is None else self._relative(step.residual)
-        if step.euclidean is not None and SAFE_TO_SQUARE[0] < step.euclidean < SAFE_TO_SQUARE[1]:
-            return step.euclidean
-        return None
+        """Return the relative residual of a step where the algorithm knows it."""
+        return None if step.residual is None else self._relative(step.residual)
 
     def measure(self, z: FloatVector) -> float:
-        """Return the residual of z in the measure of the run, as double precision gives it."""
-        if self.settings.measure == "euclidean":
-            return self.certificate_of(z).euclidean_residual
+        """Return the relative residual of z as double precision gives it."""
         return self._relative(measured_residual(self.units.problem, z))
 
     def _relative(self, residual: float) -> float:
@@ -103,30 +90,17 @@ class Judge:
         return ratio(residual, self.reference)
 
     def certified(self, z: FloatVector) -> float:
-        """Return an upper bound of the residual of z in the measure of the run; no step changes what z° answers."""
+        """Return an upper bound of the relative residual of z; no step changes what z° answers."""
         self._certificate = self.certificate_of(z)
-        if self.settings.measure == "relative":
-            return self._relative_in_open_parts(self._certificate)
-        return self._certificate.euclidean_residual
+        return self._relative_in_open_parts(self._certificate)
 
     def _relative_in_open_parts(self, certificate: Certificate) -> float:
-        if self.units.answered is None:
-            return certificate.relative_above(self.settings.least_reference)
-        largest, least = map(self.units.in_open_parts, certificate.residuals_of_parts)
-        least = np.maximum(least, self.settings.least_reference)
-        return self.problem.communicator.largest(largest_ratio(largest, least))
-
-    @cached_property
-    def unit(self) -> float:
-        """The size of a residual that is nothing to worry about: that of z°."""
-        return 1.0 if self.settings.measure == "relative" else self.measure(self.units.problem.nearest_to_zero)
+        return certificate.relative_above(self.settings.least_reference, self.units.answered)
 
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for."""
         if self.errors is None or not self.settings.is_on_error:
             return bool(residual <= self.settings.goal) and self._answers(self.units.outward(z), residual, iteration)
-        if self.settings.measure == "euclidean":  # another norm, in another unit
-            residual = self.certificate_of(z).relative_residual
         return self.errors.proves(self.units.outward(z), residual * self.reference, iteration)
 
     def _answers(self, z: FloatVector, residual: float, iteration: int) -> bool:
@@ -135,10 +109,7 @@ class Judge:
             return False
         answers = self.is_answered(z)
         if answers is None:
-            is_right = self.settings.accept_terms(self._certificate)
-            self._answer = z.copy() if is_right and self._misses_terms else None
-            self._misses_terms = not is_right
-            return is_right
+            return True
         self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
         self._answer = z.copy() if answers else None
         return answers
@@ -146,7 +117,7 @@ class Judge:
     def is_answered(self, z: FloatVector) -> bool | None:
         """Return whether z, the caller's, answers the program that the problem was made from; None where there is none.
 
-        Another measure, another tolerance than a relative one is asked of the complementarity problem alone.
+        Another tolerance than a relative one is asked of the complementarity problem alone.
         """
         return answers_program(self.problem, self.settings, z)
 
@@ -188,17 +159,16 @@ class Judge:
         program, that has to be refuted in its own units as well.
         """
         settings, units = self.settings, self.units
-        if units.exponents is not None:
-            proof = proof.in_units(units.callers, -units.exponents)
+        if units.row_exponents is not None:
+            proof = proof.in_units(units.callers, -units.row_exponents)
         if not proof.verify():
             return False
-        if self.proof is None or proof.measured(settings.measure) > self.proof.measured(settings.measure):
+        if self.proof is None or proof.margin > self.proof.margin:
             self.proof = proof
         is_program = getattr(self.problem.origin, "is_refuted", None) is not None
         if not is_program and getattr(proof, "radius", math.inf) < math.inf:
             return False  # a near-singular M has solutions that large
-        limits = settings.tolerance, settings.measure, settings.tolerance_on, settings.absolute_tolerance
-        if not proof.excludes(*limits):
+        if not proof.excludes(settings.tolerance, settings.tolerance_on, settings.absolute_tolerance):
             return False
         is_refuted = getattr(self.problem.origin, "is_refuted", None)
         return is_refuted is None or is_refuted(settings.tolerance)
@@ -209,11 +179,11 @@ class Judge:
         answer = self.units.outward(z)
         proof = None if self.errors is None else self.errors.proof
         passed = self._answer if proof is None else proof[0]
-        if passed is not None:  # in another measure it need not be the best
+        if passed is not None:  # by another criterion it need not be the best
             answer, z = passed, self.units.inward(passed)
         if certificate is None or not everywhere(np.array_equal(certificate.z, answer)):
             certificate = self.certificate_of(z)
-        may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS) and self.settings.measure == "relative"
+        may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS)
         if last is None or not may_finish or not everywhere(bool(np.isfinite(z).all())):
             return certificate
         finished = last.finish(self.units.problem, z)
@@ -221,9 +191,7 @@ class Judge:
         residual = self._relative_in_open_parts(certificate)
         if cleaned is certificate or not self._relative_in_open_parts(cleaned) <= residual < math.inf:
             return certificate
-        accepts = self.settings.accept_terms
-        keeps_terms = accepts(cleaned) or not accepts(certificate)
-        return cleaned if keeps_terms and self.is_answered(cleaned.z) is not False else certificate
+        return cleaned if self.is_answered(cleaned.z) is not False else certificate
 
     def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
         """Return the status: what the certificate proves, or else why the run ended."""
@@ -239,7 +207,5 @@ class Judge:
             return reason
         if certificate.is_limited_by_rounding or self.misses_by_rounding(self.units.inward(certificate.z)):
             return Status.PRECISION_LIMIT
-        if not self.settings.accept_terms(certificate):
-            self.words = {**self.words, Status.STALLED: IN_OTHER_UNITS}
         is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT)
         return Status.STALLED if is_unfounded or (reason is Status.DIVERGED and is_chain) else reason

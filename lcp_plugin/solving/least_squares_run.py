@@ -15,8 +15,8 @@ from ..algorithms.base import Algorithm, Step
 from ..algorithms.least_squares.face_steps import active_set_steps, block_pivot_steps, interior_steps
 from ..algorithms.least_squares.faces import Faces, Point
 from ..algorithms.least_squares.projected_steps import projected_steps
+from ..certificates.criterion import CommonUnits
 from ..certificates.least_squares import Enclosures, Optimality, duality_gap
-from ..certificates.references import CommonUnits
 from ..checks import FloatVector
 from ..deadline import Clock
 from ..policy.choice import Policy

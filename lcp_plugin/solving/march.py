@@ -17,8 +17,8 @@ from ..checks import FloatVector, check_kind, checked_vector, is_number, read_on
 from ..deadline import Clock
 from ..errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ..kinds import refusal
-from ..matrix.equilibration import units_of_unknowns
 from ..matrix.structure import parts
+from ..matrix.units import units_of
 from ..policy.choice import Policy
 from ..policy.marching import Lesson, StepPolicy
 from ..problem.lcp import LCP
@@ -323,7 +323,7 @@ def _fused(
 
 def has_common_units(problem: LCP) -> bool:
     """Return whether a compiled loop may judge all rows alike: in no units of a step's own, nor of the unknowns."""
-    return parts(problem.matrix) is None and units_of_unknowns(problem.matrix) is None
+    return parts(problem.matrix) is None and units_of(problem.matrix) is None
 
 
 def _checked_forcing(forcing: Any, n: int) -> FloatVector:

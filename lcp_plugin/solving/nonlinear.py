@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..algorithms import Algorithm
+from ..certificates.criterion import CommonUnits
 from ..certificates.nonlinear import NonlinearCertificate, Reference
-from ..certificates.references import CommonUnits
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, checked_vector, read_only
 from ..communicator.alone import ALONE
@@ -40,7 +40,6 @@ def solve_nonlinear(
     algorithm: str | Algorithm = "auto",
     *,
     tolerance: float = 1e-8,
-    measure: str = "relative",
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     absolute_tolerance: float = 0.0,
@@ -61,10 +60,8 @@ def solve_nonlinear(
     algorithm : str or Algorithm
         What solves the linear complementarity problem of each step.
     tolerance : float
-        SOLVED means that the measured residual of the returned x is at most this.
-    measure : {"relative", "euclidean"}
-        As for :func:`lcp_plugin.solve`, with F(x) for w: in every part relative to the residual of F at the point of
-        the bounds nearest to 0, which counts for no more than that of an affine F with this derivative could be there
+        SOLVED means that the measured residual of the returned x is at most this. As for :func:`lcp_plugin.solve`, with
+        F(x) for w: in every part relative to the residual of F at the point of the bounds nearest to 0, which counts for no more than that of an affine F with this derivative could be there
         (``certificate.relative_to``), and every row in its own terms (:mod:`lcp_plugin.certificates.nonlinear`).
     max_iterations : int, default 100 000
         Newton steps.
@@ -119,7 +116,7 @@ def solve_nonlinear(
             "solve(problem) for an LCP"
         )
     settings = Settings(
-        tolerance, "residual", measure, max_iterations, max_seconds, absolute_tolerance, record, error_bound, threads,
+        tolerance, "residual", max_iterations, max_seconds, absolute_tolerance, record, error_bound, threads,
         verbose,
     )
     policy_for(algorithm, {})
@@ -131,7 +128,7 @@ def solve_nonlinear(
         points = Linearisations(problem)
         reference = Reference.of(problem, start)
         first = points.at(start)
-        asked = settings.goal if settings.measure == "relative" else 0.0
+        asked = settings.goal
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)
         run = Run(judge.units, Single(newton, refutes=False), settings, callers, clock, judge)
@@ -176,14 +173,6 @@ class NonlinearJudge(Judge):
         self.reference = 1.0  # the certificate knows what each part is compared with
         self.errors = self.proof = self._certificate = None
 
-    @cached_property
-    def unit(self) -> float:
-        """The size of a residual that is nothing to worry about: that of the reference, where F is defined there."""
-        x, value, problem = self.compared_with.x, self.compared_with.value, self.problem
-        if self.settings.measure == "relative" or not np.isfinite(value).all():
-            return float(self.settings.measure == "relative")
-        return float(np.linalg.norm(x - np.clip(x - value, problem.lower, problem.upper)))
-
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z by F(z) and F′(z)."""
         if self._certificate is None or not np.array_equal(self._certificate.z, z):
@@ -191,11 +180,8 @@ class NonlinearJudge(Judge):
         return self._certificate
 
     def measure(self, z: FloatVector) -> float:
-        """Return the residual of z in the measure of the run."""
-        certificate = self.certificate_of(z)
-        if self.settings.measure == "relative":
-            return certificate.relative_above(self.settings.least_reference)
-        return certificate.measured(self.settings.measure)
+        """Return the relative residual of z."""
+        return self.certificate_of(z).relative_above(self.settings.least_reference)
 
     def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return how a solution near the answer is proved."""

@@ -32,7 +32,7 @@ from .result import Result, Sample, StageRecord
 TAKE_SMALL_PROGRAMS = ("auto", "interior_point")
 ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
-SEEN = ("callback", "record", "verbose", "error_bound", "z0", "measure", "tolerance_on", "absolute_tolerance")
+SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 REACHED = 1e-9  # the tolerance that the compiled call is asked for at the least
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
@@ -310,7 +310,7 @@ class ProgramResult(Result):
         made.__dict__.update(
             origin=origin, z=read_only(z), status=Status.SOLVED, iterations=stage.iterations, work=stage.work,
             algorithm=stage.name if algorithm == stage.name else f"{algorithm}: {stage.name}", seconds=seconds,
-            setup_seconds=0.0, tolerance=tolerance, measure="relative", history=(), stages=(stage,),
+            setup_seconds=0.0, tolerance=tolerance, history=(), stages=(stage,),
             infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm,
             _bound=BoundOrReason(), _advice={},
         )

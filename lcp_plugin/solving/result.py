@@ -68,7 +68,7 @@ class Sample:
     seconds : float
         Seconds of the algorithm so far, set-up included; the clock stands still while a sample is measured.
     residual : float or None
-        In the measure of the run; None in a callback at a step where nobody measured it.
+        The relative one; None in a callback at a step where nobody measured it.
     label : str
         The algorithm at work.
     error_bound : float or None
@@ -100,7 +100,7 @@ class Result(Answer):
         What ran; for ``auto`` the chain of what it chose.
     iterations, work, seconds, setup_seconds
         Of the whole run; see :class:`Sample` for the units.
-    tolerance, tolerance_on, measure, absolute_tolerance
+    tolerance, tolerance_on, absolute_tolerance
         As given to :func:`lcp_plugin.solve`.
     history : tuple of Sample
         Empty unless asked for with ``record=True``.
@@ -108,7 +108,7 @@ class Result(Answer):
         What ran, in order; more than one for ``auto``.
     infeasibility : Refutation or None
         A proof that the stored doubles have no solution, which can ``verify()`` itself on the problem's data. Its
-        ``measured(measure)`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION where
+        ``margin`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION where
         that exceeds the tolerance. With another status the contradiction is smaller: `advice` says by how much.
     """
 
@@ -122,7 +122,6 @@ class Result(Answer):
     seconds: float
     setup_seconds: float
     tolerance: float
-    measure: str
     history: tuple[Sample, ...] = field(default=(), repr=False)
     stages: tuple[StageRecord, ...] = field(default=(), repr=False)
     infeasibility: Any = field(default=None, repr=False)
@@ -174,8 +173,8 @@ class Result(Answer):
 
     @property
     def residual(self) -> float:
-        """The residual in the measure of the run."""
-        return self.certificate.measured(self.measure)
+        """The relative residual."""
+        return self.certificate.relative_residual
 
     @property
     def advice(self) -> str:
@@ -205,12 +204,12 @@ class Result(Answer):
                     f"absolute_tolerance={1.1 * max(self.certificate.scaled_residual, size):.1e} accepts z"]
         if (radius := getattr(self.infeasibility, "radius", np.inf)) < np.inf:
             return [f"{what} up to ‖z‖∞ = {radius:.0e}"]
-        margin = self.infeasibility.measured(self.measure)
+        margin = self.infeasibility.margin
         if margin > self.tolerance and self.absolute_tolerance:
             return [f"{what}, but only by {self.infeasibility.absolute_margin:.0e} in the unit of z"]
         if margin > self.tolerance:
             return [f"{what} beside its own data, but not beside those of the program that it was made from"]
-        return [f"{what}, but only by {margin:.0e} {'relative' if self.measure == 'relative' else 'in that measure'}"]
+        return [f"{what}, but only by {margin:.0e} relative"]
 
     def explain(self) -> str:
         """Return the story of the run in a few lines."""
@@ -253,7 +252,7 @@ class Result(Answer):
 
     def reached(self) -> str:
         """Return what was reached beside what was asked for."""
-        residual = f"{self.measure} residual {self.residual:.3e}"
+        residual = f"relative residual {self.residual:.3e}"
         asked_on_error = self.tolerance_on == "error"
         if self.error_bound is None:
             what = "a relative error of " if asked_on_error else ""
@@ -313,7 +312,7 @@ class Result(Answer):
     def to_content(self) -> dict[str, Any]:
         """Return what :meth:`to_json` writes, as a dictionary."""
         kind = {} if self.error_bound is None else {"error_bound_kind": self.error_bound.kind}
-        return {**super().to_content(), "measure": self.measure, "tolerance_on": self.tolerance_on, **kind}
+        return {**super().to_content(), "tolerance_on": self.tolerance_on, **kind}
 
     def _numbers(self) -> dict[str, float]:
         certificate, bound = self.certificate, self.error_bound

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..algorithms import Step
-from ..certificates.references import CommonUnits
+from ..certificates.criterion import CommonUnits
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, read_only
 from ..deadline import Clock, OutOfTimeError, time_limit
@@ -162,7 +162,7 @@ class Run:
                 return Status.SOLVED
             is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
             is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
-            if is_beyond and not residual <= DIVERGED_BEYOND * self.judge.unit:
+            if is_beyond and not residual <= DIVERGED_BEYOND:
                 return Status.DIVERGED
         elif step.increment is not None and not math.isfinite(step.increment):
             return Status.DIVERGED
@@ -233,7 +233,7 @@ class Run:
             words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"
         result = Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
-            tolerance=settings.tolerance, tolerance_on=settings.tolerance_on, measure=settings.measure,
+            tolerance=settings.tolerance, tolerance_on=settings.tolerance_on,
             absolute_tolerance=settings.absolute_tolerance,
             algorithm=name_of(self.policy, stages), iterations=max(state.iteration, 0), work=state.work,
             seconds=self.clock.read(), setup_seconds=state.setup_seconds, history=tuple(state.samples),

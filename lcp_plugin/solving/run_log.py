@@ -42,7 +42,7 @@ class RunLog:
         self._say(f"{problem}{classes and f'; M {classes}'}")
         if isinstance(problem, LCP) and (remark := sign_remark(problem.matrix)):
             self._say(remark)
-        self._say(f"{'iteration':>12} {'work':>10} {settings.measure + ' residual':>19} {'seconds':>9}")
+        self._say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 
     def telling_of_compilation(self) -> AbstractContextManager[None]:
         """Say it once where kernels are compiled inside a ``with`` statement, when that takes more than a second."""
@@ -71,7 +71,7 @@ class RunLog:
     def end(self, result: Result) -> None:
         """Print what came out."""
         self._say(
-            f"{result.status.name}: {result.measure} residual {result.residual:.2e} after {result.iterations} "
+            f"{result.status.name}: relative residual {result.residual:.2e} after {result.iterations} "
             f"iterations, work {result.work:.1f} passes over M, {result.seconds:.3g} s; {result.advice}"
         )
 

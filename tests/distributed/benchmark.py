@@ -147,7 +147,7 @@ def _snesvi(size: int) -> dict[str, Any]:
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    from lcp_plugin.certificates.references import reference_residual
+    from lcp_plugin.certificates.criterion import reference_residual
     from lcp_plugin.certificates.row_residuals import measured_residual
     from lcp_plugin.communicator.ranks.halo import numbered_over_all
     from lcp_plugin.evidence.gallery.on_ranks import build

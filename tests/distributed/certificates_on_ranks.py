@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from checks import check, run_checks
 
 from lcp_plugin import LCP, Certificate, error_bound
-from lcp_plugin.certificates.references import reference_residual
+from lcp_plugin.certificates.criterion import reference_residual
 from lcp_plugin.certificates.residuals import MEASURED
 from lcp_plugin.errors import UnsuitableMatrix
 from lcp_plugin.matrix import comparison_certificate

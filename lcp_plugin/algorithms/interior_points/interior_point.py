@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...certificates.references import reference_residual
+from ...certificates.criterion import reference_residual
 from ...certificates.row_residuals import scaled_residual
 from ...checks import BoolVector, FloatVector
 from ...crossovers import SWEEPS_FIRST_UP_TO

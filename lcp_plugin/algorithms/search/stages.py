@@ -13,8 +13,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...certificates.criterion import reference_residual
 from ...certificates.infeasibility import Case, decide_feasibility, find_forced_contradiction
-from ...certificates.references import reference_residual
 from ...certificates.refutation import LOWER, SLACKLESS, UPPER, Infeasibility
 from ...checks import FloatVector
 from ...crossovers import LINEAR_PROGRAM_UP_TO
@@ -25,7 +25,6 @@ from ...matrix.free_systems import FreeSystem
 from ...matrix.matrix import Matrix
 from ...matrix.structure import IntVector
 from ...problem.lcp import LCP
-from ...settings import MEASURES
 from ..base import Algorithm, Step, without_warnings
 from ..small_dense import as_dense
 from . import LARGEST_CHOICES, LARGEST_SIZE, Effort, Found, NoSolution, explore, is_searchable
@@ -58,11 +57,8 @@ class FeasibilityCheck(Algorithm):
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         effort = None if problem.n <= LINEAR_PROGRAM_UP_TO else 0
-        # Where one contradiction is too small for the caller's measure and tolerance, another one may be large enough.
-        for measure in MEASURES:
-            proof = decide_feasibility(problem, effort_limit=effort, measure=measure).proof
-            if proof is None:
-                break
+        proof = decide_feasibility(problem, effort_limit=effort).proof
+        if proof is not None:
             yield Step(z0, proof=proof)
         chain = find_forced_contradiction(problem)
         if chain is not None:

@@ -1,0 +1,243 @@
+r"""The units in which M is balanced: exact powers of two for its rows and unknowns, found from M alone.
+
+M̂ = R M C, R = diag(2^row), C = diag(2^column). A part (connected component) of M keeps its units where they are alike:
+
+- the largest entries of all its rows and columns lie within 2¹⁰ of each other, zeros on the diagonal or not; or
+- its rows are diagonally dominant, Σ_{j≠i} |m_ij| ≤ |m_ii|: then the maximum norm in these units is the one in which
+  the projected iterations are a contraction, however stiff M is, so that grids with jumps keep theirs; or
+- what follows would change its unknowns by less than 2⁶ beside each other: the units of rows change no residual.
+
+Else, where the diagonal can, it is brought to 1, and c minimises Σ (log₂|m̂_ij|)² over the other entries: c = d^(−1/2)
+where M is symmetric, the best conditioned scaling of a positive definite one up to the factor n (van der Sluis). Where
+the diagonal has zeros or nothing but noise, rows and columns are fitted together over all entries (Curtis, Reid).
+
+Both are the same for every D₁ M D₂, D₁ and D₂ positive diagonals: M̂ does not depend on the units of rows and unknowns,
+bit for bit where these are powers of two, since integers along a spanning forest of the entries take them out first.
+M̂ leaves one number open for each connected component of the graph of rows and columns: one a part, or several where
+the diagonal has zeros, as those of a game and of a linear program have two.
+
+References
+----------
+Curtis, Reid, On the automatic scaling of matrices for Gaussian elimination, J. Inst. Math. Appl. 10 (1972),
+doi:10.1093/imamat/10.1.118. van der Sluis, Condition numbers and equilibration of matrices, Numer. Math. 14 (1969),
+doi:10.1007/BF02165096.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import BoolVector, FloatVector, read_only
+from .equilibration import Exponents, fitted, scaled
+from .matrix import Matrix, fact, largest_in_rows, residual_scale_of
+from .structure import IntVector, parts, row_numbers
+
+SPREAD = 10  # log2 of what entries in one unit differ by
+ALIKE = 6  # log2 of what unknowns in one unit differ by
+DOMINANT = 1.0 + 2.0**-20  # rounding of stored sums
+NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
+LARGEST_OFF = 2.0**SPREAD  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
+
+
+class Units(NamedTuple):
+    """What rows and unknowns are measured in, and the matrix there.
+
+    Attributes
+    ----------
+    row, column : array of int, shape (n,)
+        w_i is measured in 2^−row, z_j in 2^column; 0 in parts that keep their units.
+    of_row, of_column : array of int, shape (n,)
+        The connected component of the graph of rows and columns: M̂ stays where 2^k multiplies a component's rows and
+        divides its columns.
+    matrix : Matrix
+        M̂, in its own units.
+    scale : array, shape (n,)
+        d̂_i / 2^(row_i + column_i), d̂ the residual scale of M̂: what the caller's w_i is divided by.
+    """
+
+    row: IntVector
+    column: IntVector
+    of_row: IntVector
+    of_column: IntVector
+    matrix: Matrix
+    scale: FloatVector
+
+
+@fact
+def units_of(matrix: Matrix) -> Units | None:
+    """Return the units in which M is balanced; None where these are its own, and where rows are spread over ranks.
+
+    Examples
+    --------
+    >>> columns = np.array([1.0, 2.0**30, 2.0**-30])
+    >>> units_of(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).column.tolist()
+    [0, 30, -30]
+    """
+    if not matrix.communicator.is_alone or _is_even(matrix):
+        return None
+    several = parts(matrix)
+    labels = np.zeros(matrix.n, np.int64) if several is None else several.labels
+    M = matrix.csr
+    uneven = _uneven_parts(M, labels, np.abs(matrix.diagonal))
+    if not uneven.any():
+        return None
+    row, column = np.zeros((2, matrix.n), np.int64)
+    some = np.flatnonzero(uneven[labels])
+    row[some], column[some] = _balanced(M[some][:, some] if some.size < matrix.n else M, labels[some])
+    return _units(matrix, labels, row, column)
+
+
+def are_in_one_unit(matrices: Any) -> BoolVector:
+    """Return which of several dense matrices, shape (k, n, n), keep their units for certain, shape (k,)."""
+    sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
+    most = sizes.max(axis=(1, 2), initial=0.0)
+    are: BoolVector = most <= pivots.min(axis=1, initial=np.inf) * 2.0**SPREAD
+    for k in np.flatnonzero(~are):
+        sides = np.concatenate([sizes[k].max(axis=0), sizes[k].max(axis=1)])
+        is_dominant = (sizes[k].sum(axis=1) <= (1.0 + DOMINANT) * pivots[k]).all()
+        are[k] = is_dominant or most[k] <= sides[sides > 0.0].min(initial=np.inf) * 2.0**SPREAD
+    return are
+
+
+def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector) -> Units | None:
+    """Return the units of these exponents, centred, but 0 in parts whose unknowns they leave alike."""
+    first = np.unique(labels, return_inverse=True)[1]
+    most, least = (_extremes(column, first, side) for side in (np.maximum, np.minimum))
+    middle = (most + least) // 2
+    is_alike = (most - least <= ALIKE)[first]
+    if is_alike.all():
+        return None
+    row, column = (np.where(is_alike, 0, side) for side in (row + middle[first], column - middle[first]))
+    of_row, of_column = _components(matrix.csr)
+    balanced = Matrix(scaled(matrix.array, Exponents(row, column)))
+    units_of.keep(balanced, None)
+    with np.errstate(all="ignore"):
+        scale = np.ldexp(residual_scale_of(balanced.array, balanced.diagonal), -(row + column))
+    row, column, of_row, of_column = (read_only(side) for side in (row, column, of_row, of_column))
+    return Units(row, column, of_row, of_column, balanced, read_only(np.where(scale > 0.0, scale, np.finfo(float).tiny)))
+
+
+def _is_even(matrix: Matrix) -> bool:
+    """Return whether the entries of all of M are alike, told in one pass where the diagonal is full."""
+    M = matrix.array
+    entries = M.data if sp.issparse(M) else M
+    if not entries.size:
+        return True
+    largest, least = max(float(entries.max()), -float(entries.min())), float(np.abs(matrix.diagonal).min())
+    if largest <= least * 2.0**SPREAD:
+        return True
+    if sp.issparse(M):
+        return False
+    return bool(are_in_one_unit(M[np.newaxis])[0])
+
+
+def _uneven_parts(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> BoolVector:
+    """Return which parts, shape (parts,), are neither even nor dominant."""
+    rows, columns = largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))
+    most, least = np.zeros(labels.max() + 1), np.full(labels.max() + 1, np.inf)
+    for side in (rows, columns):
+        np.maximum.at(most, labels, side)
+        np.minimum.at(least, labels, np.where(side > 0.0, side, np.inf))
+    with np.errstate(over="ignore"):
+        is_dominant = np.asarray(abs(M).sum(axis=1)) <= (1.0 + DOMINANT) * pivots
+    dominates = np.ones(most.size, np.bool_)
+    np.logical_and.at(dominates, labels, is_dominant)
+    return (most > least * 2.0**SPREAD) & ~dominates
+
+
+def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
+    """Return the exponents that balance M, the square block of some parts, up to one number a component."""
+    pivots = np.abs(M.diagonal())
+    has_pivots = np.ones(labels.max() + 1, np.bool_)
+    np.logical_and.at(has_pivots, labels, pivots > 0.0)
+    found = _with_unit_diagonal(M, pivots) if has_pivots[labels].any() else None
+    if found is None:
+        return _fitted_together(M)
+    off = largest_in_rows(scaled(M, found)) <= LARGEST_OFF
+    np.logical_and.at(has_pivots, labels, off)
+    keeps = has_pivots[labels]
+    if keeps.all():
+        return found
+    other = _fitted_together(M)
+    return Exponents(*(np.where(keeps, one, two) for one, two in zip(found, other, strict=True)))
+
+
+def _with_unit_diagonal(M: sp.csr_array, pivots: FloatVector) -> Exponents:
+    """Return the exponents that make the diagonal 1 and the other entries even."""
+    rows = row_numbers(M)
+    off = (rows != M.indices) & (M.data != 0.0)
+    mantissas, exponents = np.frexp(np.abs(M.data[off]))
+    of_pivot, pivot = np.frexp(np.where(pivots > 0.0, pivots, 1.0))
+    rows, columns = rows[off], M.indices[off].astype(np.int64)
+    whole = exponents.astype(np.int64) - pivot[rows]
+    column = _fit(whole, np.log2(mantissas) - np.log2(of_pivot)[rows], rows, columns, M.shape[0])
+    return Exponents(-column - pivot.astype(np.int64) + 1, column)
+
+
+def _fitted_together(M: sp.csr_array) -> Exponents:
+    """Return the exponents of rows and of columns that make all entries even."""
+    n, kept = M.shape[0], M.data != 0.0
+    mantissas, exponents = np.frexp(np.abs(M.data[kept]))
+    rows, columns = row_numbers(M)[kept], M.indices[kept].astype(np.int64) + n
+    position = _fit(exponents.astype(np.int64), np.log2(mantissas), rows, columns, 2 * n)
+    return Exponents(-position[:n], position[n:])
+
+
+def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector, nodes: int) -> IntVector:
+    """Return integers s for which whole_k + part_k + s_head − s_tail is about 0 in the least squares sense.
+
+    Potentials that make `whole` vanish along a spanning forest come first: whatever powers of two multiplied rows and
+    columns, the rest is the same. A second fit leaves out what the first has shown to be noise.
+    """
+    start = _potentials(whole, tails, heads, nodes)
+    rest = (whole + start[heads] - start[tails]) + part
+    found = fitted(rest, tails, heads, nodes)
+    size = rest + found[heads] - found[tails]
+    if (size < NOISE).any():
+        kept = size >= NOISE
+        found = fitted(rest[kept], tails[kept], heads[kept], nodes)
+    return start + np.rint(found).astype(np.int64)
+
+
+def _potentials(whole: IntVector, tails: IntVector, heads: IntVector, nodes: int) -> IntVector:
+    """Return integers p with whole_k + p_head − p_tail = 0 along a breadth first forest, 0 at its roots."""
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    graph = _graph(tails, heads, nodes)
+    roots = np.unique(connected_components(graph, directed=False)[1], return_index=True)[1]
+    origin = np.full(roots.size, nodes)  # one node more, which all roots hang on
+    tied = _graph(np.append(tails, origin), np.append(heads, roots), nodes + 1)
+    before = breadth_first_order(tied, nodes, directed=False)[1][:nodes]
+    step = np.zeros(nodes + 1, np.int64)
+    ends = np.concatenate([np.stack([tails, heads, whole]), np.stack([heads, tails, -whole])], axis=1)
+    is_tree = before[ends[1]] == ends[0]
+    ends = ends[:, is_tree][:, ::-1]  # of two entries between a pair the first counts
+    step[ends[1]] = -ends[2]
+    parent, potential = np.append(np.where(before < 0, nodes, before), nodes), step
+    while (parent != nodes).any():  # each jump doubles how far back a node has looked
+        potential = potential + potential[parent]
+        parent = parent[parent]
+    return potential[:nodes]
+
+
+def _components(M: sp.csr_array) -> tuple[IntVector, IntVector]:
+    """Return the components of the graph of rows and columns, of each row and of each column."""
+    from scipy.sparse.csgraph import connected_components
+
+    n = M.shape[0]
+    graph = _graph(row_numbers(M), M.indices.astype(np.int64) + n, 2 * n)
+    labels = connected_components(graph, directed=False)[1].astype(np.int64)
+    return labels[:n], labels[n:]
+
+
+def _graph(tails: IntVector, heads: IntVector, nodes: int) -> sp.csr_array:
+    return sp.csr_array((np.ones(tails.size, np.int8), (tails, heads)), shape=(nodes, nodes))
+
+
+def _extremes(values: IntVector, places: IntVector, of: Any) -> IntVector:
+    found = np.full(int(places.max()) + 1, np.iinfo(np.int64).min if of is np.maximum else np.iinfo(np.int64).max)
+    of.at(found, places, values)
+    return found

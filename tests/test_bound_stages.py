@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import LCP, Certificate, InvalidOption, UnsuitableMatrix
+from lcp_plugin import LCP, Certificate, UnsuitableMatrix
 from lcp_plugin.certificates import error_bounds, row_inequality, solution_bounds
 from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.certificates.row_inequality import RowInequality
@@ -341,13 +341,8 @@ def test_small_diagonals_are_h_plus_too() -> None:
 # --- Residuals ----------------------------------------------------------------------------------------------
 
 
-def test_the_measure_is_the_one_asked_for() -> None:
-    """Relative or euclidean; another word is refused with a proposal."""
-    certificate = Certificate.of(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), [1.0, 1.0])
-    assert certificate.measured("relative") == certificate.relative_residual
-    assert certificate.measured("euclidean") == certificate.euclidean_residual != certificate.relative_residual
-    with pytest.raises(InvalidOption, match="did you mean 'euclidean'"):
-        certificate.measured("euclidian")
+def test_a_certificate_is_of_an_lcp() -> None:
+    """Anything else is refused by its name."""
     with pytest.raises(Exception, match=r"Certificate\.of needs an LCP, got list"):
         Certificate.of([[1.0]], [0.0])  # type: ignore[arg-type]
 

@@ -183,7 +183,6 @@ def command_lines(draw: st.DrawFn) -> list[str]:
         "--option": st.builds("{}={}".format, OPTIONS, NUMBERS | st.sampled_from(["forward", "none", "diagonal"])),
         "--tolerance": NUMBERS,
         "--tolerance-on": st.sampled_from(["residual", "error", "x", ""]),
-        "--measure": st.sampled_from(["relative", "euclidean", "x"]),
         "--max-iterations": NUMBERS,
         "--max-seconds": NUMBERS,
         "--out": st.sampled_from(["z.npz", "z.txt", "no/z.npz", "folder", "p.npz", "", "empty"]),

@@ -627,13 +627,6 @@ def test_a_step_far_past_an_exponential_is_no_progress() -> None:
     np.testing.assert_allclose(result.z, answer, atol=1e-9)
 
 
-def test_euclidean_measure() -> None:
-    """measure="euclidean" stops on the unscaled norm."""
-    result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), measure="euclidean", tolerance=1e-6)
-    solved(result)
-    assert np.linalg.norm(np.minimum(result.z, result.w)) <= 1e-6
-
-
 def test_nothing_of_the_callers_is_changed() -> None:
     """x0, bounds and what F returns stay as they are, and F gets no array that it could write to."""
     x0, lower, kept = np.ones(2), np.zeros(2), np.array([-1.0, 2.0])

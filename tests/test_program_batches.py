@@ -393,7 +393,7 @@ def test_what_concerns_all_programs_is_said_before_the_first() -> None:
     programs = QuadraticProgramBatch(*ONE)
     ask: Any = partial(solve_batch, programs)
     for options, words in (
-        ({"z0": [0.0, 0.0]}, "takes no z0"), ({"measure": "euclidean"}, "takes no"), ({"lower": 1.0}, "programs bring"),
+        ({"z0": [0.0, 0.0]}, "takes no z0"), ({"lower": 1.0}, "programs bring"),
         ({"q": [1.0, 1.0]}, "programs bring q"), ({"threads": 0}, "threads"), ({"tolerance": -1.0}, "tolerance"),
     ):
         with pytest.raises(InvalidOption, match=words):

@@ -115,20 +115,7 @@ def test_a_power_of_two_as_unit_changes_no_count(name: str, exponent: int) -> No
     assert np.array_equal(result.z, np.ldexp(plain.z, exponent))
 
 
-@EVERY_ALGORITHM
-@pytest.mark.parametrize("exponent", [-700, 700])
-def test_the_euclidean_measure_neither_overflows_nor_vanishes(name: str, exponent: int) -> None:
-    """With measure="euclidean" and the tolerance in the same unit the run is the same in any unit."""
-    scene = gallery.paper_example_1(n=100)
-    plain = solve(scene.problem, name, measure="euclidean", tolerance=1e-5)
-    assert plain.status is Status.SOLVED
-    result = solve(
-        scene.problem.with_q(np.ldexp(scene.problem.q, exponent)), name, measure="euclidean",
-        tolerance=math.ldexp(1e-5, exponent),
-    )  # fmt: skip
-    assert result.status is Status.SOLVED
-    assert result.iterations == plain.iterations
-    assert np.array_equal(result.z, np.ldexp(plain.z, exponent))
+
 
 
 # --- The edge of the number range --------------------------------------------------------------------------
@@ -419,12 +406,11 @@ def test_a_nan_that_comes_first_is_divergence() -> None:
     assert not result.certificate.relative_residual <= 1e300
 
 
-@pytest.mark.parametrize("measure", ["relative", "euclidean"])
 @pytest.mark.parametrize("count", [1, 5, 400])
-def test_a_liar_is_never_solved(measure: str, count: int) -> None:
+def test_a_liar_is_never_solved(count: int) -> None:
     """An algorithm that claims residual 0 at a wrong z gets any status but SOLVED."""
     lies = steps(*[[1.0, 1.0]] * count, residual=0.0, euclidean=0.0)
-    result = solve(PROBLEM, Scripted(steps=lies), measure=measure, max_iterations=300)
+    result = solve(PROBLEM, Scripted(steps=lies), max_iterations=300)
     assert result.status in (Status.STALLED, Status.MAX_ITERATIONS)
     assert result.residual > 0.1
 
@@ -529,14 +515,13 @@ def test_a_front_is_no_standstill(name: str) -> None:
 # --- Slacks beyond the number range -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("measure", ["relative", "euclidean"])
 @pytest.mark.parametrize("name", ALL)
-def test_a_slack_that_overflows_is_no_solution(name: str, measure: str) -> None:
+def test_a_slack_that_overflows_is_no_solution(name: str) -> None:
     """Where partial sums of w overflow to +∞ although w is negative, the status is not SOLVED."""
     M = np.eye(5)
     M[0] = [1e308, 1e308, 1e308, -1.5e308, -1.5e308]  # true slack of row 0 at z = (0, 1, 1, 1, 1): -1e308
     try:
-        result = solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, measure=measure, max_iterations=300)
+        result = solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, max_iterations=300)
     except (UnsuitableMatrix, UnsuitableProblem):
         return
     assert_honest(result)

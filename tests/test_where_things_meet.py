@@ -414,7 +414,7 @@ def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_pa
 # --- Options of solve, Ctrl-C ----------------------------------------------------------------------------------------
 
 WISHES: dict[str, Any] = {
-    "tolerance": 1e-7, "tolerance_on": "error", "measure": "euclidean", "max_iterations": 10_000, "max_seconds": 60.0,
+    "tolerance": 1e-7, "tolerance_on": "error", "max_iterations": 10_000, "max_seconds": 60.0,
     "absolute_tolerance": 1e-12, "record": True, "error_bound": True, "threads": 1, "verbose": True, "refute": False,
     "z0": np.ones(2), "x0": np.ones(2), "callback": lambda *given: None, "algorithm": "lemke", "max_nodes": 1000,
 }

@@ -29,10 +29,11 @@ verdict stays undecided and a bound may be an estimate.
 tried as often as the run can afford it. ``tolerance_on="error"``: SOLVED means that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is
 proved; a matrix that allows no rigorous bound is refused before the first step.
 
-**Units.** One size of z for all unknowns of a part hides errors of those in small units. Where balancing M shows units
-2¹⁰ apart, SOLVED asks besides that ``certificate.term_residual`` is within the tolerance: each row is right in
-its own terms, or its residual is small in these units (:mod:`lcp_plugin.certificates.own_terms`). With
-``measure="euclidean"`` and ``tolerance_on="error"`` it does not, nor where rows are spread over ranks.
+**Units.** SOLVED speaks of the residual in the units in which M is balanced, exact powers of two for rows and unknowns:
+multiply rows or unknowns by any powers of two, and status and ``certificate.relative_residual`` stay bit for bit. M
+keeps the units it is given in where its rows and columns are of one size (within 2¹⁰), or where its rows are diagonally
+dominant, as those of grids are however stiff; formula, theorem and what the criterion cannot see:
+``help("lcp_plugin.certificates.criterion")``.
 
 **Without a bound.** SOLVED speaks of the residual; on stiff data a small one can go with a larger error in z.
 ``explain()`` says so where the diagonal spans more than six decades, where M is so nearly singular on the free rows
@@ -56,7 +57,7 @@ proved lower bound of at most the tolerance, unless x is proved to be wrong alth
 ('proved', -4.5, True)
 
 **No solution.** ``result.infeasibility`` proves it for the stored doubles, and ``verify()`` checks it again. Its
-``margin`` is the smallest relative residual that it leaves to any z (``measured(measure)`` in the run's measure); with
+``margin`` is the smallest relative residual that it leaves to any z, in the units of SOLVED; with
 ``tolerance_on="error"`` any proof counts, however small that is. Where it is within the tolerance the methods go on; if
 none converges, ``result.advice`` says "infeasible, but only by 9e-16 relative", and the proof stays in the result.
 "auto" looks for a proof where its methods find no solution, and so does a run with newton, interior_point or lemke;

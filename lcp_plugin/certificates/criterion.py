@@ -261,7 +261,8 @@ class CommonUnits:
         run = (_scaled(inner, exponents, exponents, inner.matrix) if has_units else None) or inner
         rows, columns = (exponents, exponents) if has_units and run is not inner else (None, None)
         if balanced is not None and units is not None:
-            rows, columns = units.row + (0 if rows is None else rows), (0 if columns is None else columns) - units.column
+            rows = units.row if rows is None else units.row + rows
+            columns = -units.column if columns is None else columns - units.column
         return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least)
 
     @cached_property

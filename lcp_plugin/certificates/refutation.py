@@ -210,8 +210,9 @@ class Infeasibility(Refutation):
     Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
     y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some part P
-    ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin`. Where Mᵀy should be 0 and is rounding beside its terms, all this is said of the z whose entries
-    without bounds are at most `radius` in size.
+    ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r in the
+    units of :mod:`lcp_plugin.certificates.criterion`). Where Mᵀy should be 0 and is rounding beside its terms, all this
+    is said of the z whose entries without bounds are at most `radius` in size.
 
     Attributes
     ----------

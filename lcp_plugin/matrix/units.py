@@ -117,7 +117,8 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
     with np.errstate(all="ignore"):
         scale = np.ldexp(residual_scale_of(balanced.array, balanced.diagonal), -(row + column))
     row, column, of_row, of_column = (read_only(side) for side in (row, column, of_row, of_column))
-    return Units(row, column, of_row, of_column, balanced, read_only(np.where(scale > 0.0, scale, np.finfo(float).tiny)))
+    scale = np.maximum(scale, np.finfo(float).tiny)
+    return Units(row, column, of_row, of_column, balanced, read_only(scale))
 
 
 def _is_even(matrix: Matrix) -> bool:

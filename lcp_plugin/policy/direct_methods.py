@@ -161,7 +161,7 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
         left_out.append(newton.algorithm)  # whose active sets change at random there
     row = contradictory_row(problem) if refutes else None
-    if row is not None and row.excludes(EPSILON, "relative", "residual"):
+    if row is not None and row.excludes(EPSILON):
         yield replace(check, because="one row contradicts its bounds by itself")
     elif newton.algorithm not in left_out and not left.is_dense and _suits_newton(left):
         yield newton

@@ -15,11 +15,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu, spsolve_triangular
 
+from lcp_plugin.algorithms import create
 from lcp_plugin.checks import FloatVector
 from lcp_plugin.evidence.gallery import build
-from lcp_plugin.evidence.paper_tables import TOLERANCE
+from lcp_plugin.evidence.paper_tables import TOLERANCE, iterated
 from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.solving.driver import solve
 
 from .timing import Calls, rounds
 
@@ -34,9 +34,9 @@ def run(*, quick: bool = False) -> Iterator[str]:
     M, q, start = scene.problem.csr, np.array(scene.problem.q), np.array(scene.start)
 
     def ours() -> tuple[FloatVector, int]:
-        settings: dict[str, Any] = {"scaling": None, "tolerance": TOLERANCE, "measure": "euclidean"}
-        result = solve(LCP(M, q), "npsor", relaxation=RELAXATION, z0=start, **settings)
-        return result.z, result.iterations
+        algorithm = create("npsor", {"relaxation": RELAXATION, "scaling": None})
+        z, count, _, _ = iterated(LCP(M, q), start, algorithm)
+        return z, count
 
     scipys: dict[str, Prepare] = {
         "splu": factorised, "splu, tuned": factorised_without_panels, "spsolve_triangular": substituted

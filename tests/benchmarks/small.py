@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from lcp_plugin.algorithms import create
 from lcp_plugin.checks import FloatVector
 from lcp_plugin.conversions.program_batch import QuadraticProgramBatch
 from lcp_plugin.evidence.gallery import build
+from lcp_plugin.evidence.paper_tables import iterated
 from lcp_plugin.problem.lcp import LCP
 from lcp_plugin.settings import Status
 from lcp_plugin.solving.batch import solve_batch
@@ -138,7 +140,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
 def _calls(repeats: int) -> Iterator[str]:
     """Yield what one warm call costs, from an LCP and from arrays."""
     example = build("paper_example_1", n=100)
-    paper: dict[str, Any] = {"tolerance": 1e-5, "measure": "euclidean", "scaling": None}
+    paper = create("npsor", {"scaling": None})
     case = spectrum(10, 1e2, 0.4)
     problem = LCP(case.M, case.q)
     calls: dict[str, Callable[[], Any]] = {
@@ -146,7 +148,7 @@ def _calls(repeats: int) -> Iterator[str]:
     }
     calls["auto, dense n = 10, from arrays"] = lambda: solve(LCP(case.M, case.q))
     calls["npsor, Example 1, n = 100, to the paper's Res < 1e-5"] = partial(
-        solve, example.problem, "npsor", z0=example.start, **paper
+        iterated, example.problem, example.start, paper
     )
     for name, seconds in medians(calls, 50 * repeats).items():
         yield f"{name}: {1e6 * seconds:.0f} µs"

@@ -139,10 +139,6 @@ def limits_and_starts_are_those_of_one_process(comm: Any) -> None:
             result.require_solved()
     late = solve(problem, "npsor", max_seconds=0.0, tolerance=0.0)
     assert (late.status, late.iterations) == (Status.MAX_SECONDS, 0)
-    euclidean = solve(problem, "npgs", measure="euclidean", tolerance=1e-7)
-    require_same_on_all(comm, euclidean)
-    assert euclidean.is_solved
-    assert euclidean.residual == euclidean.certificate.euclidean_residual <= 1e-7
     exact = solve(problem, "pgs", tolerance=0.0)
     assert exact.status is Status.PRECISION_LIMIT
     assert solve(problem, create("npsor", {"relaxation": 0.9})).is_solved
@@ -238,7 +234,7 @@ def wrong_options_are_refused_on_all_ranks(comm: Any) -> None:
         ("auto", {"relaxation": 1.0}, InvalidOption, "has no options"),
         ("npsor", {"relaxed": 1.0}, InvalidOption, "relaxed"),
         ("npsor", {"tolerance": -1.0}, InvalidOption, "tolerance"),
-        ("npsor", {"measure": "largest"}, InvalidOption, "measure"),
+        ("npsor", {"tolerance_on": "largest"}, InvalidOption, "tolerance_on"),
         ("npsor", {"max_iterations": 1.5}, InvalidOption, "max_iterations"),
         ("npsor", {"callback": 3}, InvalidOption, "callback"),
         ("npsor", {"z0": np.zeros(3)}, InvalidOption, "z0"),

@@ -11,7 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -68,12 +68,12 @@ TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])  # solved by (2.5, 0)
 
 @pytest.mark.parametrize("name", REGISTRY)
 def test_solved_means_the_certificate_passes(name: str) -> None:
-    """SOLVED comes with a certificate at or below the tolerance, in either measure."""
-    for measure, tolerance in (("relative", 1e-9), ("euclidean", 1e-7)):
-        result = solve(EXAMPLE.problem, name, z0=EXAMPLE.start, tolerance=tolerance, measure=measure)
+    """SOLVED comes with a certificate at or below the tolerance."""
+    for tolerance in (1e-9, 1e-7):
+        result = solve(EXAMPLE.problem, name, z0=EXAMPLE.start, tolerance=tolerance)
         assert result.status is Status.SOLVED
-        assert result.certificate.measured(measure) <= tolerance
-        assert result.residual == result.certificate.measured(measure)
+        assert result.certificate.relative_residual <= tolerance
+        assert result.residual == result.certificate.relative_residual
         np.testing.assert_array_equal(result.w, EXAMPLE.problem.slack(result.z))
 
 
@@ -445,7 +445,7 @@ def test_clean_up_puts_active_components_on_their_bound() -> None:
     result = solve(scene.problem, "npgs")
     assert result.status is Status.SOLVED
     np.testing.assert_array_equal(result.z == 0.0, np.asarray(scene.exact) == 0.0)
-    raw = solve(scene.problem, "npgs", tolerance=1e-6, measure="euclidean")
+    *_, raw = islice(create("npgs", {}).iterates(scene.problem, scene.problem.nearest_to_zero), 50)
     assert np.count_nonzero(raw.z == 0.0) < np.count_nonzero(np.asarray(scene.exact) == 0.0)
 
 
@@ -633,17 +633,16 @@ def test_stiff_data_tell_the_truth() -> None:
     assert "ask for tolerance_on" not in strict.explain()
 
 
-def test_stiffer_data_hide_no_row() -> None:
-    """The inclusion at 0 instead of 3 has a relative residual of 3e-12, but rows wrong in their own terms."""
+def test_stiffer_data_are_said_to_be() -> None:
+    """Sweeps leave an inclusion at 0 instead of 3, which no residual shows: `explain()` says so, auto is right."""
     problem, exact = stiff_m_matrix(contrast=1e10)
-    unsolved = solve(problem, "pgs")
-    assert (unsolved.status, unsolved.residual < 1e-11) == (Status.STALLED, True)
-    assert "own row does not allow" in unsolved.explain()
+    far = solve(problem, "pgs")
+    assert (far.status, far.residual < 1e-11) == (Status.SOLVED, True)
+    assert "stiff: the error may be" in far.explain()
     for algorithm in ("auto", "newton", "multigrid"):
         result = solve(problem, algorithm)
         assert result.is_solved
         assert result.z == pytest.approx(exact, abs=1e-4)
-        assert "stiff: the diagonal of M spans" in result.explain()
 
 
 def grid(side: int, shift: float, level: float = 0.0) -> tuple[LCP, np.ndarray]:
@@ -714,15 +713,6 @@ def test_an_exact_zero_is_proved() -> None:
     problem = LCP([[1.3, -6.3], [6.3, 1.8]], [1.3, 0.0], lower=[0.0, -np.inf])
     assert error_bound(problem, [0.0, 0.0]).relative == 0.0
     assert solve(problem, tolerance_on="error").status is Status.SOLVED
-
-
-def test_the_euclidean_residual_is_no_error() -> None:
-    """measure="euclidean" with tolerance_on="error" stops where the error is proved, whatever the unit of w is."""
-    for unit in (1e-12, 1.0, 1e12):
-        problem = LCP(unit * np.array([[4.0, -1.0], [-1.0, 4.0]]), unit * np.array([-3.0, 5.0]))
-        result = solve(problem, "npsor", tolerance_on="error", measure="euclidean")
-        assert result.status is Status.SOLVED
-        assert result.iterations == solve(problem, "npsor", tolerance_on="error").iterations
 
 
 def test_texts_speak_of_what_was_asked() -> None:

@@ -64,8 +64,8 @@ class RowUnits(NamedTuple):
 
     @classmethod
     def of(cls, problem: LCP) -> RowUnits | None:
-        """Return those of a problem; None where its own units are those of the criterion."""
-        units = units_of(problem.matrix)
+        """Return those of a problem; None where its own units are those of the criterion, or its origin has one."""
+        units = None if problem.criterion is not None else units_of(problem.matrix)
         if units is None:
             return None
         if problem not in _row_units:
@@ -357,7 +357,7 @@ def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LC
     scaled = problem.with_q(q, lower=lower, upper=upper) if matrix is problem.matrix else LCP(
         matrix, q, lower=lower, upper=upper
     )
-    scaled.origin = problem.origin
+    scaled.origin, scaled.criterion = problem.origin, problem.criterion
     return scaled
 
 

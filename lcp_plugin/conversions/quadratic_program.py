@@ -152,7 +152,7 @@ def optimality_conditions(
         form = "direct" if not rows.left.size else "dual" if dual.is_worthwhile() else "kkt"
     origin = dual if form == "dual" else FORMS[form](rows, substitution)
     problem = origin.problem()
-    problem.origin = origin
+    problem.origin = problem.criterion = origin
     return problem
 
 

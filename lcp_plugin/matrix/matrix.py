@@ -184,7 +184,13 @@ class Matrix:
 
         d_i = m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
-        return read_only(residual_scale_of(self.rows, self.diagonal))
+        return read_only(residual_scale_of(self.rows, self.diagonal, self.largest))
+
+    @property
+    @fact
+    def largest(self) -> float:
+        """max_ij |m_ij| of the own rows, 0 where there is none."""
+        return largest_entry(self.rows)
 
     @property
     @fact
@@ -240,12 +246,16 @@ def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
     return largest
 
 
-def residual_scale_of(M: Any, diagonal: FloatVector) -> FloatVector:
-    """Return D of the scaled residual of the rows of an ndarray or CSR array; see :attr:`Matrix.residual_scale`."""
+def largest_entry(M: Any) -> float:
+    """Return the largest |entry| of an ndarray or CSR array, 0 where there is none."""
     entries = M.data if sp.issparse(M) else M
-    if entries.size == 0:
+    return max(float(entries.max()), -float(entries.min())) if entries.size else 0.0
+
+
+def residual_scale_of(M: Any, diagonal: FloatVector, largest: float) -> FloatVector:
+    """Return D of the scaled residual of the rows of an ndarray or CSR array; see :attr:`Matrix.residual_scale`."""
+    if not largest:
         return np.ones(M.shape[0])
-    largest = max(float(entries.max()), -float(entries.min()))
     if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
         return diagonal
     row_largest = largest_in_rows(M)

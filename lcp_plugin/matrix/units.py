@@ -13,6 +13,7 @@ the diagonal has zeros or nothing but noise, rows and columns are fitted togethe
 
 Both are the same for every D₁ M D₂, D₁ and D₂ positive diagonals: M̂ does not depend on the units of rows and unknowns,
 bit for bit where these are powers of two, since integers along a spanning forest of the entries take them out first.
+Where some D₁ M D₂ has symmetric sizes, |M̂| is symmetric: what is definite or monotone stays so.
 M̂ leaves one number open for each connected component of the graph of rows and columns: one a part, or several where
 the diagonal has zeros, as those of a game and of a linear program have two.
 
@@ -32,14 +33,19 @@ import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
 from .equilibration import Exponents, fitted, scaled
-from .matrix import Matrix, fact, largest_in_rows, residual_scale_of
+from .matrix import Matrix, fact, largest_in_rows
 from .structure import IntVector, parts, row_numbers
 
 SPREAD = 10  # log2 of what entries in one unit differ by
 ALIKE = 6  # log2 of what unknowns in one unit differ by
 DOMINANT = 1.0 + 2.0**-20  # rounding of stored sums
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
+ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding
 LARGEST_OFF = 2.0**SPREAD  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
+
+
+Fit = tuple[Any, Any]
+"""Integers and what is to be added to them."""
 
 
 class Units(NamedTuple):
@@ -93,12 +99,13 @@ def units_of(matrix: Matrix) -> Units | None:
 def are_in_one_unit(matrices: Any) -> BoolVector:
     """Return which of several dense matrices, shape (k, n, n), keep their units for certain, shape (k,)."""
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
-    most = sizes.max(axis=(1, 2), initial=0.0)
-    are: BoolVector = most <= pivots.min(axis=1, initial=np.inf) * 2.0**SPREAD
+    most = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD
+    are: BoolVector = most <= pivots.min(axis=1, initial=np.inf)
     for k in np.flatnonzero(~are):
         sides = np.concatenate([sizes[k].max(axis=0), sizes[k].max(axis=1)])
-        is_dominant = (sizes[k].sum(axis=1) <= (1.0 + DOMINANT) * pivots[k]).all()
-        are[k] = is_dominant or most[k] <= sides[sides > 0.0].min(initial=np.inf) * 2.0**SPREAD
+        with np.errstate(over="ignore"):
+            is_dominant = (sizes[k].sum(axis=1) <= (1.0 + DOMINANT) * pivots[k]).all()
+        are[k] = is_dominant or most[k] <= sides[sides > 0.0].min(initial=np.inf)
     return are
 
 
@@ -115,7 +122,7 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
     balanced = Matrix(scaled(matrix.array, Exponents(row, column)))
     units_of.keep(balanced, None)
     with np.errstate(all="ignore"):
-        scale = np.ldexp(residual_scale_of(balanced.array, balanced.diagonal), -(row + column))
+        scale = np.ldexp(balanced.residual_scale, -(row + column))
     row, column, of_row, of_column = (read_only(side) for side in (row, column, of_row, of_column))
     scale = np.maximum(scale, np.finfo(float).tiny)
     return Units(row, column, of_row, of_column, balanced, read_only(scale))
@@ -123,16 +130,10 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
 
 def _is_even(matrix: Matrix) -> bool:
     """Return whether the entries of all of M are alike, told in one pass where the diagonal is full."""
-    M = matrix.array
-    entries = M.data if sp.issparse(M) else M
-    if not entries.size:
+    diagonal, largest = matrix.diagonal, matrix.largest * 2.0**-SPREAD
+    if not largest or diagonal.min() >= largest or np.abs(diagonal).min() >= largest:
         return True
-    largest, least = max(float(entries.max()), -float(entries.min())), float(np.abs(matrix.diagonal).min())
-    if largest <= least * 2.0**SPREAD:
-        return True
-    if sp.issparse(M):
-        return False
-    return bool(are_in_one_unit(M[np.newaxis])[0])
+    return matrix.is_dense and bool(are_in_one_unit(matrix.array[np.newaxis])[0])
 
 
 def _uneven_parts(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> BoolVector:
@@ -146,7 +147,7 @@ def _uneven_parts(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> Bo
         is_dominant = np.asarray(abs(M).sum(axis=1)) <= (1.0 + DOMINANT) * pivots
     dominates = np.ones(most.size, np.bool_)
     np.logical_and.at(dominates, labels, is_dominant)
-    return (most > least * 2.0**SPREAD) & ~dominates
+    return (most * 2.0**-SPREAD > least) & ~dominates
 
 
 def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
@@ -154,19 +155,45 @@ def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
     pivots = np.abs(M.diagonal())
     has_pivots = np.ones(labels.max() + 1, np.bool_)
     np.logical_and.at(has_pivots, labels, pivots > 0.0)
-    found = _with_unit_diagonal(M, pivots) if has_pivots[labels].any() else None
-    if found is None:
-        return _fitted_together(M)
-    off = largest_in_rows(scaled(M, found)) <= LARGEST_OFF
-    np.logical_and.at(has_pivots, labels, off)
+    whole, part = _with_unit_diagonal(M, pivots)
+    if has_pivots[labels].any():
+        off = largest_in_rows(scaled(M, Exponents(*_rounded(whole, part)))) <= LARGEST_OFF
+        np.logical_and.at(has_pivots, labels, off)
     keeps = has_pivots[labels]
-    if keeps.all():
-        return found
-    other = _fitted_together(M)
-    return Exponents(*(np.where(keeps, one, two) for one, two in zip(found, other, strict=True)))
+    if not keeps.all():
+        other = _fitted_together(M)
+        whole, part = (np.where(keeps, one, two) for one, two in zip((whole, part), other, strict=True))
+    row, column = _rounded(whole, part)
+    ratio, is_symmetric = _symmetrising(M, labels)
+    # Rows beside columns by this ratio, so that |M̂| is symmetric; what M̂ leaves open decides between t and t + 1.
+    total = whole[0] + whole[1] - ratio
+    roots = np.unique(labels, return_index=True)
+    first = np.zeros(labels.max() + 1, np.int64)
+    first[roots[0]] = total[roots[1]] % 2
+    ratio, total = ratio + first[labels], total - first[labels]
+    middle = total // 2 + np.rint(0.5 * (total % 2 + part[0] + part[1])).astype(np.int64)
+    return Exponents(np.where(is_symmetric, middle + ratio, row), np.where(is_symmetric, middle, column))
 
 
-def _with_unit_diagonal(M: sp.csr_array, pivots: FloatVector) -> Exponents:
+def _symmetrising(M: sp.csr_array, labels: IntVector) -> tuple[IntVector, BoolVector]:
+    """Return t with 2^t_i |m_ij| = 2^t_j |m_ji|, but for rounding, and the rows of parts that have such a t."""
+    n, mirror = M.shape[0], sp.csr_array(M.T)
+    mirror.sort_indices()
+    has_mirror = np.array_equal(M.indptr, mirror.indptr) and np.array_equal(M.indices, mirror.indices)
+    if not has_mirror:
+        return np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    rows, columns = row_numbers(M), M.indices.astype(np.int64)
+    here, there = np.frexp(np.abs(M.data)), np.frexp(np.abs(mirror.data))
+    difference = np.log2(there[0]) - np.log2(here[0])
+    whole = (there[1] - here[1]).astype(np.int64) + np.rint(difference).astype(np.int64)
+    ratio = _potentials(whole, rows, columns, n)
+    fits = (whole + ratio[columns] == ratio[rows]) & (np.abs(difference - np.rint(difference)) <= ROUNDED)
+    are = np.ones(labels.max() + 1, np.bool_)
+    np.logical_and.at(are, labels[rows], fits)
+    return ratio, are[labels]
+
+
+def _with_unit_diagonal(M: sp.csr_array, pivots: FloatVector) -> Fit:
     """Return the exponents that make the diagonal 1 and the other entries even."""
     rows = row_numbers(M)
     off = (rows != M.indices) & (M.data != 0.0)
@@ -174,21 +201,25 @@ def _with_unit_diagonal(M: sp.csr_array, pivots: FloatVector) -> Exponents:
     of_pivot, pivot = np.frexp(np.where(pivots > 0.0, pivots, 1.0))
     rows, columns = rows[off], M.indices[off].astype(np.int64)
     whole = exponents.astype(np.int64) - pivot[rows]
-    column = _fit(whole, np.log2(mantissas) - np.log2(of_pivot)[rows], rows, columns, M.shape[0])
-    return Exponents(-column - pivot.astype(np.int64) + 1, column)
+    column, part = _fit(whole, np.log2(mantissas) - np.log2(of_pivot)[rows], rows, columns, M.shape[0])
+    return np.stack([1 - pivot.astype(np.int64) - column, column]), np.stack([-part, part])
 
 
-def _fitted_together(M: sp.csr_array) -> Exponents:
+def _fitted_together(M: sp.csr_array) -> Fit:
     """Return the exponents of rows and of columns that make all entries even."""
     n, kept = M.shape[0], M.data != 0.0
     mantissas, exponents = np.frexp(np.abs(M.data[kept]))
     rows, columns = row_numbers(M)[kept], M.indices[kept].astype(np.int64) + n
-    position = _fit(exponents.astype(np.int64), np.log2(mantissas), rows, columns, 2 * n)
-    return Exponents(-position[:n], position[n:])
+    whole, part = _fit(exponents.astype(np.int64), np.log2(mantissas), rows, columns, 2 * n)
+    return np.stack([-whole[:n], whole[n:]]), np.stack([-part[:n], part[n:]])
 
 
-def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector, nodes: int) -> IntVector:
-    """Return integers s for which whole_k + part_k + s_head − s_tail is about 0 in the least squares sense.
+def _rounded(whole: Any, part: Any) -> Any:
+    return whole + np.rint(part).astype(np.int64)
+
+
+def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector, nodes: int) -> Fit:
+    """Return s, integers and the rest of it, for which whole_k + part_k + s_head − s_tail is about 0: least squares.
 
     Potentials that make `whole` vanish along a spanning forest come first: whatever powers of two multiplied rows and
     columns, the rest is the same. A second fit leaves out what the first has shown to be noise.
@@ -200,7 +231,7 @@ def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector
     if (size < NOISE).any():
         kept = size >= NOISE
         found = fitted(rest[kept], tails[kept], heads[kept], nodes)
-    return start + np.rint(found).astype(np.int64)
+    return start, found
 
 
 def _potentials(whole: IntVector, tails: IntVector, heads: IntVector, nodes: int) -> IntVector:

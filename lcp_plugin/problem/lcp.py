@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,6 +14,16 @@ from ..checks import FloatVector, check_order, checked_bound, finite_vector, rea
 from ..communicator.alone import Communicator
 from ..matrix.matrix import Matrix
 from .written import written_lcp
+
+
+class OriginsCriterion(Protocol):
+    """What an answer of a problem has to be for what it was converted from, a program for one."""
+
+    def is_answered(self, z: FloatVector, tolerance: float) -> bool:
+        """Return whether z, shape (n,), stands for an answer of that where a run has this tolerance."""
+
+    def is_refuted(self, tolerance: float) -> bool:
+        """Return whether that is proved to have none."""
 
 
 class LCP:
@@ -56,6 +66,7 @@ class LCP:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
         self._set_vectors(q, lower, upper)
         self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
+        self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual
 
     def _set_vectors(self, q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
         self.q: FloatVector = finite_vector(q, "q", self.own)
@@ -190,7 +201,7 @@ class LCP:
             As the constructor.
         """
         other = object.__new__(LCP)
-        other.origin, other.matrix = None, self.matrix
+        other.origin, other.criterion, other.matrix = None, None, self.matrix
         if lower is None and upper is None:  # they have been checked, and cannot be written to
             other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero
             other.q = self.communicator.together(lambda: finite_vector(q, "q", self.own))
@@ -231,7 +242,7 @@ class LCP:
 
         matrix = matrix_of_rows(comm, rows, first_row)
         problem = object.__new__(LCP)
-        problem.origin, problem.matrix = None, matrix
+        problem.origin, problem.criterion, problem.matrix = None, None, matrix
         matrix.communicator.together(lambda: problem._set_vectors(q, lower, upper))
         require_same_numbers(matrix.communicator, lower=lower, upper=upper)
         return problem

@@ -15,6 +15,7 @@ from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
+from ..problem.lcp import LCP
 from ..settings import PROVEN, Settings, Status
 from .error_watch import BoundOrReason, ErrorWatch
 
@@ -23,12 +24,12 @@ ASKED_AGAIN = 5  # after a fifth of the steps up to now
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem, too
 
 
-def answers_program(problem: Any, settings: Settings, z: FloatVector) -> bool | None:
+def answers_program(problem: LCP, settings: Settings, z: FloatVector) -> bool | None:
     """Return whether z answers the program that the problem was made from, by its own criteria; None without one."""
-    is_answered = getattr(problem.origin, "is_answered", None)
-    if is_answered is None or settings.is_on_error or settings.absolute_tolerance:
+    if problem.criterion is None or settings.is_on_error or settings.absolute_tolerance:
         return None
-    return bool(is_answered(z, settings.tolerance))
+    answers: bool = problem.criterion.is_answered(z, settings.tolerance)
+    return answers
 
 
 class Judge:
@@ -165,13 +166,12 @@ class Judge:
             return False
         if self.proof is None or proof.margin > self.proof.margin:
             self.proof = proof
-        is_program = getattr(self.problem.origin, "is_refuted", None) is not None
-        if not is_program and getattr(proof, "radius", math.inf) < math.inf:
+        criterion = self.problem.criterion
+        if criterion is None and getattr(proof, "radius", math.inf) < math.inf:
             return False  # a near-singular M has solutions that large
         if not proof.excludes(settings.tolerance, settings.tolerance_on, settings.absolute_tolerance):
             return False
-        is_refuted = getattr(self.problem.origin, "is_refuted", None)
-        return is_refuted is None or is_refuted(settings.tolerance)
+        return criterion is None or criterion.is_refuted(settings.tolerance)
 
     def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""

@@ -320,7 +320,7 @@ class ProgramResult(Result):
     def certificate(self) -> Certificate:
         """The certificate of z in the KKT form of the program."""
         problem = self.origin.problem()
-        problem.origin = self.origin
+        problem.origin = problem.criterion = self.origin
         return Certificate.of(problem, self.z)
 
     @cached_property

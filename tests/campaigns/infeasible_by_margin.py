@@ -6,8 +6,8 @@ else bound the smallest residual of any z from below (by y) and from above (by z
 
 - a margin of ten times the tolerance or more, and of rounding of q, is refuted in 99 % by auto, with a proof that
   verifies;
-- a margin below the tolerance is never refuted, by any method and in any measure;
-- no problem is SOLVED by one run and refuted by another in the same measure;
+- a margin below the tolerance is never refuted, by any method;
+- no problem is SOLVED by one run and refuted by another;
 - no proof claims a larger margin than z̄ has, or than the z that any method ends with;
 - a program with a margin of a hundredth of the tolerance or less is solved in 99 %.
 
@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator
 from fractions import Fraction
 from functools import partial
@@ -35,6 +35,7 @@ from exact_parts import part_of_rows, references_of_rows
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.certificates.criterion import RowUnits
 from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
 from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.solving.quadratic_program import solve_quadratic_program
@@ -56,12 +57,10 @@ class Margin(NamedTuple):
 
 
 class Planted(NamedTuple):
-    """A problem with what is known of it, and its margins in both measures."""
+    """A problem with what is known of it, and its margin."""
 
     problem: LCP
     relative: Margin
-    euclidean: Margin
-    tolerance: float  # in the euclidean measure
     is_linear: bool  # the linear constraints contradict, not only complementarity
     is_data: bool  # the margin is more than rounding of the largest number in q
 
@@ -97,7 +96,7 @@ def planted_lcp(rng: np.random.Generator) -> Planted:
     rows, columns = (2.0 ** rng.integers(-8, 9, n) if rng.random() < 0.3 else np.ones(n) for _ in range(2))
     M, y = rows[:, None] * M * columns, y / rows
     lower, upper, z = lower / columns, upper / columns, z / columns
-    scale = LCP(M, np.zeros(n)).residual_scale
+    scale = divisors(LCP(M, np.zeros(n)))
     ok = rng.integers(0, 3, n) * np.where(kinds == "upper", -1.0, np.where(kinds == "free", 0.0, 1.0)) * rows
     sign = rng.choice([1.0, 1.0, 1.0, -1.0])  # −1: feasible by that margin
 
@@ -116,16 +115,20 @@ def planted_lcp(rng: np.random.Generator) -> Planted:
 def measured(problem: LCP, y: Any, z: Any) -> Planted:
     """The exact margins that y and z̄ prove of the problem as it is stored."""
     references = exact_references(problem)
-    d = [Fraction(float(v)) for v in problem.residual_scale]
+    d = [Fraction(float(v)) for v in divisors(problem)]
     exact_y = [Fraction(float(v)) for v in y]
     missing = wrong_signs(problem, [Fraction(float(v)) for v in np.clip(z, problem.lower, problem.upper)])
     c = max(contradiction(problem, exact_y), Fraction(0))
     weight = sum(abs(v) * s * of for v, s, of in zip(exact_y, d, references, strict=True))
     absolute = c / sum(abs(v) * s for v, s in zip(exact_y, d, strict=True))
     high = max(v / s / of for v, s, of in zip(missing, d, references, strict=True))
-    squares = float(sum(v * v for v in exact_y)) ** 0.5, float(sum(v * v for v in missing)) ** 0.5
-    relative, euclidean = Margin(float(c / weight), float(high)), Margin(float(c) / squares[0], squares[1])
-    return Planted(problem, relative, euclidean, TOLERANCE * float(max(references)), True, is_data(problem, absolute))
+    return Planted(problem, Margin(float(c / weight), float(high)), True, is_data(problem, absolute))
+
+
+def divisors(problem: LCP) -> Any:
+    """What w is divided by in the residual that SOLVED speaks of."""
+    units = RowUnits.of(problem)
+    return problem.residual_scale if units is None else units.scale
 
 
 def is_data(problem: LCP, absolute: Fraction) -> bool:
@@ -148,9 +151,7 @@ def forced(rng: np.random.Generator) -> Planted:
     problem = LCP(whole, q)
     reference, absolute = exact_references(problem)[-1], Fraction(-q[-1]) / Fraction(s) / 2
     margin = float(absolute / reference)
-    least = float(t * s / np.hypot(1.0, s))
-    known = Margin(margin, margin), Margin(least, least), TOLERANCE * float(reference)
-    return Planted(problem, *known, False, is_data(problem, absolute))
+    return Planted(problem, Margin(margin, margin), False, is_data(problem, absolute))
 
 
 def exact_slack(problem: LCP, z: list[Fraction]) -> list[Fraction]:
@@ -162,18 +163,22 @@ def exact_slack(problem: LCP, z: list[Fraction]) -> list[Fraction]:
 
 
 def exact_references(problem: LCP) -> list[Fraction]:
-    """‖r_P(z°)‖∞ of the part of each row, exactly."""
+    """What each row's residual is compared with: ‖r̂_P(z°)‖∞ of its part, in the unit of its z, exactly."""
     z = [Fraction(float(v)) for v in np.clip(0.0, problem.lower, problem.upper)]
     at_zero = []
     for v, w, d, low, high in zip(
-        z, exact_slack(problem, z), problem.residual_scale.tolist(), problem.lower.tolist(), problem.upper.tolist(),
+        z, exact_slack(problem, z), divisors(problem).tolist(), problem.lower.tolist(), problem.upper.tolist(),
         strict=True,
     ):
         step = v - w / Fraction(d)
         step = max(step, Fraction(low)) if np.isfinite(low) else step
         step = min(step, Fraction(high)) if np.isfinite(high) else step
         at_zero.append(v - step)
-    return references_of_rows(at_zero, part_of_rows(problem.csr))
+    units = RowUnits.of(problem)
+    weights = [Fraction(1)] * problem.n if units is None else [Fraction(2) ** -k for k in units.column.tolist()]
+    weighted = [r * weight for r, weight in zip(at_zero, weights, strict=True)]
+    of_rows = references_of_rows(weighted, part_of_rows(problem.csr))
+    return [of / weight for of, weight in zip(of_rows, weights, strict=True)]
 
 
 def wrong_signs(problem: LCP, z: list[Fraction]) -> list[Fraction]:
@@ -269,45 +274,38 @@ def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
 # --- judging -----------------------------------------------------------------------------------------------------
 
 
-def runs(case: Planted, number: int) -> Iterator[tuple[str, str, Any]]:
-    """Run the methods in both measures."""
-    for k, (measure, tolerance) in enumerate((("relative", TOLERANCE), ("euclidean", case.tolerance))):
-        few = ("auto", DIRECT[number // 2 % 3]) if number % 2 == k else ("auto",)
-        for name in few if number % ALL_METHODS_EVERY else ("auto", *REGISTRY):
-            limit = None if name == "auto" else MOST_STEPS
-            try:
-                yield measure, name, solve(
-                    case.problem, name, measure=measure, tolerance=tolerance, max_iterations=limit
-                )
-            except (UnsuitableMatrix, UnsuitableProblem):
-                continue
+def runs(case: Planted, number: int) -> Iterator[tuple[str, Any]]:
+    """Run the methods."""
+    few = ("auto", DIRECT[number // 2 % 3])
+    for name in few if number % ALL_METHODS_EVERY else ("auto", *REGISTRY):
+        try:
+            yield name, solve(case.problem, name, max_iterations=None if name == "auto" else MOST_STEPS)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            continue
 
 
-def violations(case: Planted, number: int) -> tuple[list[str], dict[str, Status]]:
-    """What contradicts the claims, and the status of auto in each measure; the number says what else runs."""
-    bad, told = [], {}
-    seen: dict[str, set[Status]] = defaultdict(set)
-    reached: dict[str, float] = defaultdict(lambda: np.inf)
-    claimed: dict[str, float] = defaultdict(float)
-    for measure, name, result in runs(case, number):
-        margin, tolerance = (case.relative, TOLERANCE) if measure == "relative" else (case.euclidean, case.tolerance)
-        seen[measure].add(result.status)
+def violations(case: Planted, number: int) -> tuple[list[str], Status]:
+    """What contradicts the claims, and the status of auto; the number says what else runs."""
+    bad, told, margin = [], Status.STALLED, case.relative
+    seen: set[Status] = set()
+    reached, claimed = np.inf, 0.0
+    for name, result in runs(case, number):
+        seen.add(result.status)
         if name == "auto":
-            told[measure] = result.status
+            told = result.status
         proof = result.infeasibility
         is_bounded = result.status is Status.INFEASIBLE or not case.is_linear  # z̄ meets the linear constraints only
-        if result.status in REFUTED and is_bounded and margin.high <= tolerance:
-            bad.append(f"{name}, {measure}: {result.status.name} at a margin of {margin.high:.3e}")
-        if result.status in REFUTED and not (proof.verify() and proof.measured(measure) > tolerance):
-            bad.append(f"{name}, {measure}: {result.status.name} without a proof that counts")
-        if proof is not None and is_bounded and proof.measured(measure) > margin.high * (1.0 + 1e-12):
-            bad.append(f"{name}, {measure}: margin {proof.measured(measure):.3e} claimed of {margin.high:.3e}")
-        reached[measure] = min(reached[measure], result.residual)
-        claimed[measure] = max(claimed[measure], 0.0 if proof is None else proof.measured(measure))
-    bad += [f"{measure}: a residual of {reached[measure]:.3e} where {claimed[measure]:.3e} is claimed to be the least"
-            for measure in seen if claimed[measure] > max(TOLERANCE, reached[measure] * (1.0 + 1e-6))]
-    bad += [f"{measure}: SOLVED and refuted" for measure, all_of in seen.items()
-            if Status.SOLVED in all_of and all_of & set(REFUTED)]
+        if result.status in REFUTED and is_bounded and margin.high <= TOLERANCE:
+            bad.append(f"{name}: {result.status.name} at a margin of {margin.high:.3e}")
+        if result.status in REFUTED and not (proof.verify() and proof.margin > TOLERANCE):
+            bad.append(f"{name}: {result.status.name} without a proof that counts")
+        if proof is not None and is_bounded and proof.margin > margin.high * (1.0 + 1e-12):
+            bad.append(f"{name}: margin {proof.margin:.3e} claimed of {margin.high:.3e}")
+        reached = min(reached, result.residual)
+        claimed = max(claimed, 0.0 if proof is None else proof.margin)
+    if claimed > max(TOLERANCE, reached * (1.0 + 1e-6)):
+        bad.append(f"a residual of {reached:.3e} where {claimed:.3e} is claimed to be the least")
+    bad += ["SOLVED and refuted"] * (Status.SOLVED in seen and bool(seen & set(REFUTED)))
     return bad, told
 
 
@@ -355,9 +353,8 @@ def one(seed: int, case: int) -> tuple[list[str], list[tuple[str, str, str]]]:
         return bad, [("program", decade(program.margin, CONSTRAINTS), status)]
     kind, planted = ("cases", forced(rng)) if case % 12 == 0 else ("lcp", planted_lcp(rng))
     bad, told = violations(planted, case)
-    margins = {"relative": (planted.relative, TOLERANCE), "euclidean": (planted.euclidean, planted.tolerance)}
-    where = {m: decade(*of) if planted.is_data else "rounding of q" for m, of in margins.items()}
-    return bad, [(f"{kind}, {m}", where[m], status.name) for m, status in told.items()]
+    where = decade(planted.relative, TOLERANCE) if planted.is_data else "rounding of q"
+    return bad, [(kind, where, told.name)]
 
 
 def main(cases: int, seed: int, workers: int) -> int:

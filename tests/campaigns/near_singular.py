@@ -2,7 +2,7 @@
 
     python tests/campaigns/near_singular.py --cases 20000 --seed 0 --jobs 2
 
-Every problem is solved by auto and by every registered algorithm, in both measures, and judged in rational arithmetic:
+Every problem is solved by auto and by every registered algorithm, and judged in rational arithmetic:
 a lie is a SOLVED whose exact residual exceeds the tolerance times the exact reference, a PRECISION_LIMIT that rounding
 does not explain, or an INFEASIBLE or NO_SOLUTION where a solution was planted. Printed besides: how many SOLVED are off
 by more than half of the exact solution, and how many of these `explain()` warns of. Exit code 1 on a lie or an
@@ -26,7 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from collection.judgement import false_claim
-from collection.truth import SOLVABLE, ExactData
+from collection.truth import SOLVABLE
 from exact import exact_solution
 
 from lcp_plugin import LCP, Status, solve
@@ -123,17 +123,6 @@ KINDS: dict[str, Callable[[Generator], LCP]] = {
 # --- The judgement ----------------------------------------------------------------------------------------------------
 
 
-def euclidean_lie(problem: LCP, z: np.ndarray) -> bool:
-    """Whether ‖z − mid(lower, upper, z − w)‖₂ exceeds the tolerance, exactly."""
-    data = ExactData(problem)
-    total = Fraction(0)
-    for x, w, low, high in zip(map(Fraction, z.tolist()), data.slack(z.tolist()), data.lower, data.upper, strict=True):
-        step = w if high is None else max(w, x - high)
-        step = step if low is None else min(step, x - low)
-        total += step * step
-    return total > Fraction(TOLERANCE) ** 2
-
-
 def truth_of(problem: LCP) -> tuple[str, tuple[Fraction, ...] | None]:
     """SOLVABLE with a solution where one is found by active sets, else that nothing is known."""
     if problem.n > 6:
@@ -153,9 +142,8 @@ def judged(kind: str, number: int) -> tuple[Counter[str], list[str]]:
     lines = []
     for name in ALGORITHMS:
         limit = {} if name == "auto" else {"max_iterations": STEPS}
-        measure = "relative" if rng.random() < 0.75 else "euclidean"
         try:
-            result = solve(problem, name, tolerance=TOLERANCE, measure=measure, **limit)
+            result = solve(problem, name, tolerance=TOLERANCE, **limit)
         except (UnsuitableMatrix, UnsuitableProblem):
             counts["refused"] += 1
             continue
@@ -164,21 +152,16 @@ def judged(kind: str, number: int) -> tuple[Counter[str], list[str]]:
             lines.append(f"{kind}:{number} {name}: {type(error).__name__}: {error}")
             continue
         counts[result.status.name] += 1
-        if result.status is Status.SOLVED and measure == "euclidean":
-            wrong = "lie in the euclidean measure" if euclidean_lie(problem, result.z) else ""
-        else:
-            wrong = false_claim(problem, truth or result_truth(result.status.name), result, TOLERANCE)
+        wrong = false_claim(problem, truth or result_truth(result.status.name), result, TOLERANCE)
         if wrong:
             counts["lies"] += 1
-            lines.append(f"{kind}:{number} {name} ({measure}): {wrong}")
-        if result.status is Status.SOLVED and exact is not None and measure == "relative":
+            lines.append(f"{kind}:{number} {name}: {wrong}")
+        if result.status is Status.SOLVED and exact is not None:
             error = max(abs(Fraction(a) - b) for a, b in zip(result.z.tolist(), exact, strict=True))
             if error > Fraction(1, 2) * max(map(abs, exact)):
                 told = result.explain()
                 counts["far"] += 1
                 counts["far, warned of"] += "near-singular" in told or "stiff" in told
-        elif result.status is Status.SOLVED and exact is not None:
-            counts["solved in the euclidean measure"] += 1
         if result.status is Status.SOLVED and exact is not None and rng.random() < 0.05:
             error = max(abs(Fraction(a) - b) for a, b in zip(result.z.tolist(), exact, strict=True))
             if error <= Fraction(1, 10**4) * max(map(abs, exact)):

@@ -18,6 +18,8 @@ import numpy as np
 import scipy.sparse as sp
 from exact_parts import part_of_rows, relative_residual
 
+from lcp_plugin.certificates.criterion import RowUnits
+
 Bound = Fraction | None
 Point = tuple[Fraction, ...]
 
@@ -212,6 +214,11 @@ class ExactData:
         self.upper = [fraction(x) for x in problem.upper.tolist()]
         self.divisor = [self._divisor(i, row) for i, row in enumerate(self.rows)]
         self.parts = part_of_rows(csr)
+        units = RowUnits.of(problem)
+        self.weights: list[Fraction] = [Fraction(1)] * len(self.rows)
+        if units is not None:  # that M̂ is the same for every D₁MD₂ is tested elsewhere; here they are used exactly
+            self.divisor = [Fraction(float(x)) for x in units.scale]
+            self.weights = [Fraction(2) ** -k for k in units.column.tolist()]
 
     def _divisor(self, i: int, row: list[tuple[int, int]]) -> Fraction:
         """d_i of the scaled residual: the diagonal, or the row's largest entry where that is negligible, or 1."""
@@ -239,14 +246,18 @@ class ExactData:
             residual.append(abs(step))
         return residual
 
-    def at_zero(self) -> list[Fraction]:
-        """Return the residuals of the point of the bounds nearest to zero."""
+    @property
+    def nearest(self) -> list[Fraction]:
+        """The point of the bounds nearest to zero."""
         zero = Fraction(0)
-        nearest = [
+        return [
             high if high is not None and high < 0 else low if low is not None and low > 0 else zero
             for low, high in zip(self.lower, self.upper, strict=True)
         ]
-        return self.residual(nearest)
+
+    def at_zero(self) -> list[Fraction]:
+        """Return the residuals there."""
+        return self.residual(self.nearest)
 
     def floor(self, z: Sequence[Any]) -> list[Fraction]:
         """Return what rounding may make of each residual: (nonzeros + 2) (ε (|M||z| + |q|)_i + η) / d_i."""
@@ -265,7 +276,11 @@ class ExactData:
         """Whether calling z solved is a lie: ‖r_P(z)‖ > tolerance · ‖r_P(z°)‖, both exact, in a part P."""
         if not np.isfinite(np.array([float(x) for x in z])).all():
             return True
-        return bool(relative_residual(self.residual(z), self.at_zero(), self.parts) > Fraction(tolerance))
+        return bool(relative_residual(self.weighted(z), self.weighted(self.nearest), self.parts) > Fraction(tolerance))
+
+    def weighted(self, z: Sequence[Any]) -> list[Fraction]:
+        """Return the residuals in the units of the criterion."""
+        return [r * weight for r, weight in zip(self.residual(z), self.weights, strict=True)]
 
     def misses_by_rounding_of_q(self, z: Sequence[Any]) -> bool:
         """Whether every residual is at most 2⁻⁴⁴ of the largest |q_i|/d_i, which is what may contradict in q."""

@@ -1,0 +1,161 @@
+"""Right and wrong answers of planted problems in any units: what passes, what is refused, what auto says.
+
+    python tests/campaigns/units.py --cases 500 --seed 0
+
+Of each kind, in random units of rows and unknowns (powers of two from 2⁻²⁰ to 2²⁰; "smooth": such as differ little
+from one unknown to the next), so many cases. An answer wrong by 10⁻³ in one unknown's own unit must not pass a
+tolerance of 1e-6, unless it solves the problem too, as multipliers may; one that is right to 10⁻¹⁰ must pass 1e-8; the
+same problem in two mixed units must have the same residual and the same status; what auto calls SOLVED must be as near
+as the planted answer. Exit code 1 where one of these fails, but for "jumps": coefficients that jump by 2¹⁰ to 2³⁰ in
+mixed units, which nothing in M tells from these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from lcp_plugin import LCP, Certificate, solve
+
+Entries = np.ndarray
+
+
+def definite(rng: np.random.Generator, n: int) -> Entries:
+    """Symmetric."""
+    B = rng.standard_normal((n, n))
+    return np.asarray(B @ B.T + 0.5 * np.eye(n))
+
+
+def monotone(rng: np.random.Generator, n: int) -> Entries:
+    """Not symmetric."""
+    S = rng.standard_normal((n, n))
+    return 0.5 * definite(rng, n) + S - S.T
+
+
+def dominant(rng: np.random.Generator, n: int) -> Entries:
+    """Sparse, rows strictly dominant."""
+    B = rng.standard_normal((n, n)) * (rng.random((n, n)) < 0.6)
+    np.fill_diagonal(B, 0.0)
+    return B + np.diag(1.1 * np.abs(B).sum(axis=1) + 0.1)
+
+
+def saddle(rng: np.random.Generator, n: int) -> Entries:
+    """A KKT form: zeros on a third of the diagonal."""
+    m = n // 3
+    G = rng.standard_normal((m, n - m))
+    return np.block([[definite(rng, n - m) / n, -G.T], [G, np.zeros((m, m))]])
+
+
+def friction(rng: np.random.Generator, n: int) -> Entries:
+    """Pyramids: normal impulses, four directions each, and a multiplier with a zero on the diagonal."""
+    c = max(1, n // 6)
+    J = rng.standard_normal((5 * c, 3 * c + 2))
+    A, E, U = J @ J.T + 0.1 * np.eye(5 * c), np.kron(np.eye(c), np.ones((4, 1))), np.diag(0.3 + rng.random(c))
+    right = np.vstack([np.zeros((c, c)), E])
+    return np.block([[A, right], [np.hstack([U, -E.T]), np.zeros((c, c))]])
+
+
+def game(rng: np.random.Generator, n: int) -> Entries:
+    """Zeros on the whole diagonal, in two blocks."""
+    k = n // 2
+    A, B = rng.random((k, n - k)) + 0.5, rng.random((n - k, k)) + 0.5
+    return np.block([[np.zeros((k, k)), A], [B, np.zeros((n - k, n - k))]])
+
+
+def grid(rng: np.random.Generator, n: int) -> Entries:
+    """Five-point differences, 6 × 6."""
+    T = 2.0 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1)
+    return np.kron(T, np.eye(6)) + np.kron(np.eye(6), T)
+
+
+def jumps(rng: np.random.Generator, n: int) -> Entries:
+    """The same in series with coefficients that jump by 2¹⁰ to 2³⁰."""
+    a, M = np.exp2(rng.integers(0, 2, 36) * rng.integers(10, 31)), grid(rng, n)
+    off = np.where(M < 0.0, -2.0 / (1.0 / a[:, None] + 1.0 / a), 0.0)
+    return off + np.diag(2.0 * a * (M.sum(axis=1) + 0.1) - off.sum(axis=1))
+
+
+KINDS = [definite, monotone, dominant, saddle, friction, game, grid, jumps]
+
+
+def answered(kind: Any, seed: int) -> tuple[Entries, Entries, Entries]:
+    """M, q and an answer z of size 1, with some rows at their bound."""
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    M = kind(rng, int(rng.integers(4, 13)))
+    is_free = rng.random(len(M)) < 0.6
+    sizes = np.exp(rng.uniform(-1.0, 1.0, (2, len(M))))
+    z, w = np.where(is_free, sizes[0], 0.0), np.where(is_free, 0.0, sizes[1] * np.abs(M).max(axis=1))
+    return M, w - M @ z, z
+
+
+def measured(M: Entries, q: Entries, rows: Entries, units: Entries) -> LCP:
+    """The problem with its rows and unknowns in other units."""
+    return LCP(rows[:, None] * M / units, rows * q)
+
+
+def random_units(seed: int, n: int, kind: str = "mixed") -> tuple[Entries, Entries]:
+    """Of rows and of unknowns, powers of two; smooth ones differ little from one unknown to the next."""
+    rng = np.random.default_rng([seed, 7])
+    rows, units = np.exp2(rng.integers(-20, 21, (2, n)))
+    if kind == "smooth":
+        ends = rng.uniform(-20.0, 20.0, 2)
+        units = np.exp2(np.rint(np.linspace(*ends, n)))
+    return rows, units
+
+
+def is_answer(M: Entries, q: Entries, z: Entries) -> bool:
+    """Whether z solves the problem, rounding aside."""
+    return bool(np.abs(np.minimum(z, M @ z + q)).max() <= 1e-12 * np.abs(q).max())
+
+
+def judged(kind: Any, seed: int, units: str) -> list[str]:
+    """What is to be counted of a case."""
+    M, q, z = answered(kind, seed)
+    rng, (rows, of_z) = np.random.default_rng([seed, 1]), random_units(seed, z.size, units)
+    problem, found = measured(M, q, rows, of_z), []
+    wrong = z + 1e-3 * np.eye(z.size)[int(rng.integers(z.size))]
+    residual = Certificate.of(problem, wrong * of_z).relative_residual
+    if residual <= 1e-6:
+        found.append("an answer as well" if is_answer(M, q, wrong) else "wrong passed")
+    right = z * (1.0 + 1e-10 * rng.uniform(-1.0, 1.0, z.size))
+    if not Certificate.of(problem, right * of_z).relative_residual <= 1e-8:
+        found.append("right refused")
+    others = random_units(seed + 10**6, z.size, units)
+    again = measured(M, q, *others)
+    if units == "mixed" and Certificate.of(again, wrong * others[1]).relative_residual != residual:
+        found.append("other units, another residual")
+    result, other = solve(problem), solve(again)
+    found.append(f"auto {result.status.name}")
+    if units == "mixed" and other.status is not result.status:
+        found.append("other units, another status")
+    if result.is_solved and not np.abs(result.z / of_z - z).max() <= 1e-3 and not is_answer(M, q, result.z / of_z):
+        found.append("SOLVED, but far")
+    return found
+
+
+FAILURES = ("wrong passed", "right refused", "other units, another residual", "other units, another status",
+            "SOLVED, but far")
+
+
+def main(cases: int, seed: int) -> int:
+    failed = 0
+    for kind in KINDS:
+        for units in ("mixed", "smooth"):
+            counts = Counter(told for k in range(cases) for told in judged(kind, seed + k, units))
+            failed += sum(counts[name] for name in FAILURES) * (kind is not jumps)
+            print(f"{kind.__name__:<10}{units:<8}{', '.join(f'{name} {n}' for name, n in sorted(counts.items()))}",
+                  flush=True)
+    print(f"{2 * cases * len(KINDS)} cases, {failed} failures")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=350)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    sys.exit(main(arguments.cases, arguments.seed))

@@ -16,6 +16,7 @@ from ..problem.files import MATRIX_KEYS, checked_path, flat, names_in, read_npz,
 from ..problem.lcp import LCP
 from ..problem.least_squares import BoundedLeastSquares
 from ..problem.mat_files import read_mat
+from ..registry import ask
 from .program import QuadraticProgram
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps"), ".nl"
@@ -127,9 +128,7 @@ def load_program(path: str | PathLike[str]) -> Stated:
     if suffix in MPS:
         return _from_mps(source)
     if suffix == NL:
-        from .. import program_in_nl
-
-        return Stated(*program_in_nl(source))
+        return Stated(*ask("file format", "a program in .nl")(source))
     if not source.exists():
         raise UnreadableFile(f"no such file: {source}")
     raise UnreadableFile(

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from ..communicator.alone import Communicator
 from ..matrix.matrix import Matrix
+from ..registry import ask
 from .written import written_lcp
 
 
@@ -227,13 +228,11 @@ class LCP:
         InvalidProblem
             On every rank, where any part is damaged or the parts do not fit together.
         """
-        from .on_ranks import matrix_of_rows, require_same_numbers
-
-        matrix = matrix_of_rows(comm, rows, first_row)
+        matrix = ask("ranks", "matrix")(comm, rows, first_row)
         problem = object.__new__(LCP)
         problem.origin, problem.matrix = None, matrix
         matrix.communicator.together(lambda: problem._set_vectors(q, lower, upper))
-        require_same_numbers(matrix.communicator, lower=lower, upper=upper)
+        ask("ranks", "require_same_numbers")(matrix.communicator, lower=lower, upper=upper)
         return problem
 
     @classmethod
@@ -250,9 +249,7 @@ class LCP:
         InvalidProblem
             Where the ranks give different problems.
         """
-        from .on_ranks import equal_part
-
-        return cls.from_rows(comm, *equal_part(comm, problem))
+        return cls.from_rows(comm, *ask("ranks", "equal_part")(comm, problem))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
@@ -270,11 +267,7 @@ class LCP:
         UnreadableFile
             Where it cannot be written, or looks like a file of another kind, as a.mat does.
         """
-        if self.is_distributed:
-            from .on_ranks import save
-        else:
-            from .files import save
-        save(self, path)
+        ask(*(("ranks", "save") if self.is_distributed else ("file format", "save")))(self, path)
 
     @classmethod
     def from_qp(
@@ -303,9 +296,9 @@ class LCP:
         form : {"auto", "direct", "dual", "kkt"}
             Which optimality conditions become the problem.
         """
-        from .. import QuadraticProgram, lcp_from_qp
-
-        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper), form)
+        program = ask("kind", "QuadraticProgram").type(P, c, G, h, A, b, lower, upper)
+        problem: LCP = ask("conversion", "from_qp")(program, form)
+        return problem
 
     @classmethod
     def from_game(cls, A: Any, B: Any = None) -> LCP:
@@ -317,15 +310,12 @@ class LCP:
             Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
             ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
         """
-        from .. import lcp_from_bimatrix_game
-
-        return lcp_from_bimatrix_game(A, B)
+        problem: LCP = ask("conversion", "from_game")(A, B)
+        return problem
 
     def to_qp(self) -> Any:
         """Return a quadratic program that this problem is; see ``conversions.quadratic_program.qp_from_lcp``."""
-        from .. import qp_from_lcp
-
-        return qp_from_lcp(self)
+        return ask("conversion", "to_qp")(self)
 
     @classmethod
     def from_cvxpy(cls, problem: Any) -> LCP:
@@ -336,15 +326,12 @@ class LCP:
         problem : cvxpy.Problem
             Of :func:`lcp_plugin.complements` and equalities.
         """
-        from .. import lcp_stated_by
-
-        return lcp_stated_by(problem)
+        stated: LCP = ask("conversion", "from_cvxpy")(problem)
+        return stated
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""
-        from .. import stated_in_cvxpy
-
-        return stated_in_cvxpy(self)
+        return ask("conversion", "to_cvxpy")(self)
 
     @classmethod
     def load(cls, path: str | PathLike[str], comm: Any = None) -> LCP:
@@ -370,13 +357,8 @@ class LCP:
         UnsupportedModel
             Where a ``.nl`` file states something else.
         """
-        if comm is not None:
-            from .on_ranks import load as load_parts
-
-            return load_parts(LCP, path, comm)
-        from .files import load
-
-        return load(LCP, path)
+        problem: LCP = ask("file format", "load")(LCP, path) if comm is None else ask("ranks", "load")(LCP, path, comm)
+        return problem
 
     __repr__ = written_lcp
 

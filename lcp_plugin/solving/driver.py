@@ -17,11 +17,12 @@ from ..deadline import Clock, seconds_left
 from ..errors import InvalidOption
 from ..kernels.floats import EPSILON
 from ..kernels.threads import threads_for
-from ..kinds import KINDS, solve_any
+from ..kinds import solve_any
 from ..matrix.structure import parts
 from ..policy.choice import LinearPolicy, Policy, name_of, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP
+from ..problem.lcp_kind import LINEAR_COMPLEMENTARITY_PROBLEM
 from ..settings import BESIDE, OF_SOLVE, CallersOwn, Settings, Status, checked_callback
 from .guarantees import warn_where_known_to_be_uncovered
 from .judge import answers_program
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from .least_squares import LeastSquaresResult
     from .quadratic_program import QuadraticProgramResult
 
-OF_LCP = KINDS[0]
 FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
 LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
 
@@ -180,7 +180,7 @@ def solve(
         wishes = {name: value for name, value in given.items() if value is not (solve.__kwdefaults__ or {})[name]}
         return solve_any(problem, algorithm, {**wishes, **options})
     if options:
-        OF_LCP.refuse(options)
+        LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)
     communicator, clock = problem.communicator, Clock(problem.communicator)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), communicator.interruptions() as clock.hears:

@@ -6,6 +6,7 @@ what it has is told so.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
@@ -73,8 +74,14 @@ def at(place: str) -> Any:
     >>> at("settings:Status").__name__
     'Status'
     """
+    module, name = _parts(place)
+    return getattr(sys.modules.get(module) or import_module(module), name)
+
+
+@cache
+def _parts(place: str) -> tuple[str, str]:
     module, _, name = place.partition(":")
-    return getattr(import_module(f"{PACKAGE}.{module}"), name)
+    return f"{PACKAGE}.{module}", name
 
 
 @cache

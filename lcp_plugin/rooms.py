@@ -38,6 +38,20 @@ OFFERS = {
         "load": "problem.on_ranks:load",
     },
     "certification": {"cvxpy": "modeling.certified_problem:certify_problem"},
+    "step of auto": {
+        "small": "algorithms.small_dense:SmallDenseSolver",
+        "direct methods": "policy.direct_methods:Turns",
+        "once more": "policy.direct_methods:Retries",
+        "feasibility": "algorithms.search.stages:FeasibilityCheck",
+    },
+    "watch": {"error": "solving.error_watch:ErrorWatch"},
+    "remark": {
+        "classes": "matrix.sign:classes_in_words",
+        "sign": "matrix.sign:sign_remark",
+        "estimated error": "certificates.active_rows:estimated_error",
+        "guarantee": "solving.guarantees:convergence_guarantee",
+        "uncovered": "solving.guarantees:warn_where_known_to_be_uncovered",
+    },
     "picture": {"answer": "evidence.plots:plot_answer"},
 }
 

@@ -10,7 +10,6 @@ norm speaks of every part within a factor 2. Where ‖r_P(z°)‖∞ = 0 the ans
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -19,17 +18,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
+from ..kernels.floats import DATA_ROUNDING
 from ..matrix.structure import IntVector, Parts, parts
-from ..problem.exactly import exact_residuals
 from ..problem.lcp import LCP
-from ..problem.linear_constraints import DATA_ROUNDING
 from .row_residuals import at_rounding_level, magnitude, residual_ends_of, rounding_floor, sharp_residual_ends
 
 Ends = tuple[float, float]  # a lower and an upper bound
 VectorEnds = tuple[FloatVector, FloatVector]
 _references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
-_exact: WeakKeyDictionary[LCP, list[Fraction]] = WeakKeyDictionary()
-SAFE_RANGE = (1e-290, 1e290)
 LARGEST_EXPONENT = 1000  # of two, that other units may give a number
 
 
@@ -92,19 +88,6 @@ def rounding_of_data(problem: LCP) -> float:
     with np.errstate(over="ignore"):
         largest = float(np.abs(problem.q / problem.residual_scale).max(initial=0.0))
     return DATA_ROUNDING * problem.communicator.largest(largest)
-
-
-def exact_reference(problem: LCP, row: int) -> Fraction:
-    """Return an upper bound of ‖r_P(z°)‖∞, P the part of an own row; fractions reach beyond the range of doubles."""
-    several = parts(problem.matrix)
-    part = 0 if several is None else int(several.labels[row])
-    most = float(references_of_parts(problem)[1][part])
-    if most == 0.0 or SAFE_RANGE[0] < most < SAFE_RANGE[1]:
-        return Fraction(most)
-    if problem not in _exact:
-        _exact[problem] = exact_residuals(problem, problem.nearest_to_zero)
-    rows = range(problem.own) if several is None else np.flatnonzero(several.labels == part).tolist()
-    return max(_exact[problem][i] for i in rows)
 
 
 def _no_entries(rows: int, columns: int) -> sp.csr_array:

@@ -126,9 +126,13 @@ def may_be_searched(problem: LCP) -> bool:
     A convex program is a matter of convex methods, which give the multipliers that its users expect.
     """
     from ..algorithms.search import is_searchable
-    from ..conversions.qp_forms import QPOrigin
 
-    return is_searchable(problem) and not isinstance(problem.origin, QPOrigin)
+    return is_searchable(problem) and not is_of_convex_program(problem.origin)
+
+
+def is_of_convex_program(origin: Any) -> bool:
+    """Return whether a problem of this origin states a convex program: only such are converted."""
+    return bool(getattr(origin, "is_of_convex_program", False))
 
 
 def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
@@ -204,12 +208,11 @@ def _suits_newton(problem: LCP) -> bool:
 
 def _seems_monotone(problem: LCP, origin: Any) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
-    from ..conversions.qp_forms import QPOrigin
     from ..matrix.symmetry import is_nearly_symmetric
 
     if problem.n == 0:
         return False
-    if isinstance(origin, QPOrigin):  # only convex programs are converted
+    if is_of_convex_program(origin):
         return True
     if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
         return True

@@ -19,11 +19,11 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...certificates.convergence import PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
 from ...certificates.row_residuals import euclidean_norm, scaled_residual
 from ...checks import FloatVector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...matrix.factors import sparse_lu
+from ...matrix.iteration_facts import PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
 from ...matrix.row_sums import automatic_factors, part_of, split_factors
 from ...problem.lcp import LCP
 from ..base import (

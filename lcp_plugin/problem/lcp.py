@@ -340,7 +340,8 @@ class LCP:
         A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
         they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. MATLAB's ``.mat``
         (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
-        absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers. AMPL's
+        absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
+        which reads these, may end the process on a damaged one. AMPL's
         ``.nl`` may state other problems, too: :func:`lcp_plugin.modeling.nl.read_nl`.
 
         Parameters

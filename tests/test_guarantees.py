@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
-from lcp_plugin.algorithms.splittings.projected_type import NPSplitting
+from lcp_plugin.algorithms.splittings.np_splitting import NPSplitting
 from lcp_plugin.certificates.theorems import theorem_4_1
 from lcp_plugin.commands.cli import app
 from lcp_plugin.errors import InvalidOption, UnknownAlgorithm
@@ -185,7 +185,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
-    monkeypatch.setattr("lcp_plugin.policy.direct_methods.PIVOTED_UP_TO", 1)
+    monkeypatch.setattr("lcp_plugin.policy.choice.PIVOTED_UP_TO", 1)
     assert "psor: " in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
 

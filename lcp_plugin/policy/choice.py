@@ -57,7 +57,7 @@ from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.base import in_driven_sweeps
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
-from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
+from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal
 from ..matrix.symmetry import has_symmetric_entries
@@ -325,6 +325,11 @@ def _triangle(problem: LCP) -> str | None:
     from ..matrix.structure import triangular_form
 
     return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
+
+
+def last_resort(problem: LCP) -> Algorithm:
+    """Return the method that auto follows to its end where nothing before it converges."""
+    return create("lemke" if problem.n <= PIVOTED_UP_TO else "psor", {})
 
 
 def name_of(policy: Policy, stages: Sequence[Any]) -> str:

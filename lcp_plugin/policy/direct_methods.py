@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from ..algorithms import Algorithm, create
+from ..algorithms import create
 from ..algorithms.base import has_positive_diagonal
 from ..algorithms.pivots.lemke import has_parts_that_fit
 from ..certificates.infeasibility import contradictory_row
@@ -41,6 +41,7 @@ from ..crossovers import INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PI
 from ..kernels.floats import EPSILON
 from ..matrix.sign import is_negated_m_matrix, is_negative
 from ..problem.lcp import LCP
+from .choice import last_resort
 from .stages import Choice, Stage
 
 CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
@@ -193,11 +194,6 @@ def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
         yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them to the end")
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
-
-
-def last_resort(problem: LCP) -> Algorithm:
-    """Return the method that auto follows to its end where nothing before it converges."""
-    return create("lemke" if problem.n <= PIVOTED_UP_TO else "psor", {})
 
 
 def _suits_newton(problem: LCP) -> bool:

@@ -31,8 +31,7 @@ from ..matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SP
 from ..matrix.matrix import Matrix, fact
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
 from ..matrix.structure import within_blocks
-from ..policy.choice import Policy, Single, policy_for
-from ..policy.direct_methods import last_resort
+from ..policy.choice import Policy, Single, last_resort, policy_for
 from ..problem.lcp import LCP
 
 NEAR_ONE = (0.05, 1.0)

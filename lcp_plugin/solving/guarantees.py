@@ -27,10 +27,10 @@ from ..errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, Unsuit
 from ..kinds import refusal
 from ..matrix import analyze, comparison_certificate, h_verdict
 from ..matrix.comparison import jacobi_radius
+from ..matrix.graph import within_blocks
 from ..matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
 from ..matrix.matrix import Matrix, fact
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
-from ..matrix.structure import within_blocks
 from ..policy.choice import Policy, Single, last_resort, policy_for
 from ..problem.lcp import LCP
 

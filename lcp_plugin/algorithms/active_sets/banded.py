@@ -15,8 +15,8 @@ from ...crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...errors import UnsuitableMatrix
 from ...exact.rounding import read_only_views
 from ...matrix.factors import Bands, bands
+from ...matrix.graph import bandwidth
 from ...matrix.matrix import Matrix, fact
-from ...matrix.structure import bandwidth
 from ...problem.lcp import LCP
 from ..base import Algorithm, FusedSolve, Step
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...checks import BoolVector, FloatVector
 from ...matrix.factors import factorise
-from ...matrix.structure import bandwidth
+from ...matrix.graph import bandwidth
 from ...problem.lcp import LCP
 from ..base import Algorithm, FusedSolve, Phases, Step, direct_passes, without_warnings
 from ..small_dense import ROUNDS_ONLY, is_short, solve_fused, steps

@@ -15,7 +15,7 @@ from ...certificates.row_residuals import measured_residual
 from ...checks import FloatVector
 from ...crossovers import PIVOTED_UP_TO
 from ...errors import InvalidOption, UnsuitableProblem
-from ...matrix.structure import block_rows
+from ...matrix.graph import block_rows
 from ...matrix.structure import parts as parts_of
 from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set

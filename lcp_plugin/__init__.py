@@ -21,6 +21,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from . import rooms as rooms
+
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
@@ -29,13 +31,10 @@ if TYPE_CHECKING:
     from .certificates.error_bounds import error_bound as error_bound
     from .certificates.residuals import Certificate as Certificate
     from .certificates.theorems import Guarantee as Guarantee
-    from .conversions.bimatrix_game import lcp_from_bimatrix_game as lcp_from_bimatrix_game
     from .conversions.equilibrium_program import EquilibriumProgram as EquilibriumProgram
     from .conversions.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
     from .conversions.program_files import load_problem as load_problem
     from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
-    from .conversions.quadratic_program import lcp_from_qp as lcp_from_qp
-    from .conversions.quadratic_program import qp_from_lcp as qp_from_lcp
     from .doors.qpsolvers import register_with_qpsolvers as register_with_qpsolvers
     from .doors.quantecon import lemke as lemke
     from .evidence.cross_check import CrossCheck as CrossCheck
@@ -44,15 +43,12 @@ if TYPE_CHECKING:
     from .evidence.stability import stability_atlas as stability_atlas
     from .matrix import MatrixReport as MatrixReport
     from .matrix import analyze as analyze
-    from .modeling.certified_problem import certify_problem as certify_problem
     from .modeling.constraint import box as box
     from .modeling.constraint import complements as complements
     from .modeling.qp_solver import QPSolver as QPSolver
     from .modeling.registration import ComplementarityProblem as ComplementarityProblem
     from .modeling.registration import is_complementarity_problem as is_complementarity_problem
-    from .modeling.registration import lcp_stated_by as lcp_stated_by
     from .modeling.registration import register as register
-    from .modeling.registration import stated_in_cvxpy as stated_in_cvxpy
     from .problem.lcp import LCP as LCP
     from .problem.least_squares import BoundedLeastSquares as BoundedLeastSquares
     from .problem.nonlinear import NonlinearProblem as NonlinearProblem
@@ -151,28 +147,16 @@ _HOME = {
     },
 }
 
-_FROM_ABOVE = {  # what a room further up does for one below, which imports it from here when it is asked for
-    "lcp_from_qp": "conversions.quadratic_program",
-    "qp_from_lcp": "conversions.quadratic_program",
-    "lcp_from_bimatrix_game": "conversions.bimatrix_game",
-    "lcp_stated_by": "modeling.registration",
-    "stated_in_cvxpy": "modeling.registration",
-    "certify_problem": "modeling.certified_problem",
-    "lcp_in_nl": "modeling.nl.model",
-    "program_in_nl": "modeling.nl.model",
-    "plot_answer": "evidence.plots",
-}
-
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without
 __all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 - the names are strings, from the table
 
 
 def __getattr__(name: str) -> Any:
-    home = _HOME.get(name) or _FROM_ABOVE.get(name)
+    home = _HOME.get(name)
     if home is None:
         raise AttributeError(f"module 'lcp_plugin' has no attribute {name!r}")
     module = import_module(f"{__name__}.{home}")
-    if name in _HOME and home.startswith("modeling"):
+    if home.startswith("modeling"):
         import_module(f"{__name__}.modeling.registration").register()
     # A room of that name is the thing itself; otherwise the thing lives in the room.
     value = module if home.split(".")[-1] == name and not hasattr(module, name) else getattr(module, name)

@@ -1,7 +1,8 @@
 """The kinds of problems: what solves each, and which ways in and out take it.
 
-A kind is a row of a table, a way a column. Who is given a kind that it does not take says so in the words of its cell.
-README shows the table in small, ``lcp-plugin list`` prints it, and a test walks all cells with problems of each kind.
+A kind is a row of a table, which its room offers, a way a column. Who is given a kind that it does not take says so in
+the words of its cell. README shows the table in small, ``lcp-plugin list`` prints it, and a test walks all cells with
+problems of each kind.
 """
 
 from __future__ import annotations
@@ -10,12 +11,11 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 from .errors import InvalidOption, did_you_mean
+from .registry import ask, at, offered
 
-ROOT = __name__.rsplit(".", 1)[0]
 FUNCTIONS = (
     "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "derivative", "certify", "Certificate.of",
     "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate", "error_against_time",
@@ -36,7 +36,7 @@ class Kind:
     name : str
         What it is called in a sentence.
     home, solver, result : str
-        Where its class lies, what solves it, what that returns: module of the package and name.
+        Where its class lies, what solves it, what that returns: places, as in "problem.lcp:LCP".
     ways : tuple of str
         Those of `WAYS` that take it, or its result.
     otherwise : str
@@ -56,12 +56,12 @@ class Kind:
     @cached_property
     def type(self) -> Any:
         """Its class."""
-        return _named(self.home)
+        return at(self.home)
 
     @property
     def word(self) -> str:
         """The name of its class."""
-        return self.home.rsplit(".", 1)[1]
+        return self.home.partition(":")[2]
 
     def words(self, way: str) -> str:
         """Return what to write for a way that does not take this kind, '' for one that does."""
@@ -70,7 +70,7 @@ class Kind:
     @cached_property
     def options(self) -> Mapping[str, Any] | None:
         """The options that its solver has, with their defaults; None where it takes those of an algorithm as well."""
-        parameters = list(inspect.signature(_named(self.solver)).parameters.values())[1:]
+        parameters = list(inspect.signature(at(self.solver)).parameters.values())[1:]
         if any(one.kind is one.VAR_KEYWORD for one in parameters):
             return None
         return {one.name: one.default for one in parameters}
@@ -100,109 +100,18 @@ class Kind:
         for name, default in (self.options or {}).items():
             if default is inspect.Parameter.empty and name not in wishes:
                 raise InvalidOption(f"solve needs {name} for {article}: write solve(problem, {name}=…)")
-        return _named(self.solver)(problem, **wishes)
+        return at(self.solver)(problem, **wishes)
 
 
-KINDS = (
-    Kind(
-        "linear complementarity problem", "problem.lcp.LCP", "solving.driver.solve", "solving.result.Result",
-        tuple(way for way in WAYS if way not in ("certify", "qpsolvers", "lcp-plugin certify")), "",
-        {
-            "x0=": "a start is called z0 here",
-            "certify": "Certificate.of(problem, z) has the residuals of a z, error_bound(problem, z) bounds its "
-                       "distance from the solution",
-            "qpsolvers": "problem.to_qp() makes a program of a symmetric M",
-            "lcp-plugin certify": "lcp-plugin solve judges an LCP, --error-bound bounds the error",
-        },
-    ),
-    Kind(
-        "nonlinear complementarity problem", "problem.nonlinear.NonlinearProblem", "solving.nonlinear.solve_nonlinear",
-        "solving.result.Result",
-        ("solve", "derivative", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
-        "problem.linearised(x) is the LCP at a point x",
-        {
-            "z0=": "a start is called x0 here",
-            "refute=": "nothing refutes a nonlinear problem, leave it out",
-            "tolerance_on=": "error_bound=True proves a solution near x, given an enclosure",
-            "solve_batch": "write [solve(problem, x0=…) for problem in problems]",
-            "solve_many": "write [solve(problem, x0=…) for problem in problems]",
-            "march": "write solve(problem, x0=result.x) for each step",
-            "march_many": "write solve(problem, x0=result.x) for each step",
-            "Certificate.of": "solve(problem, x0=x, max_iterations=0).certificate is that of x",
-            "error_bound": "solve(problem, x0=x, error_bound=True).error_bound proves a solution near x, given an "
-                           "enclosure",
-            "certify": "solve(problem, x0=x, max_iterations=0).certificate has the residuals of any x",
-            "save": "it is made of functions: state it in cvxpy, Pyomo or AMPL, whose .nl files are read",
-            "qpsolvers": "its program has no place for it: write solve(problem, x0=…)",
-            "lcp-plugin check": "a convex solver has nothing to compare with: lcp-plugin solve judges it",
-            "lcp-plugin certify": "lcp-plugin solve judges it",
-        },
-    ),
-    Kind(
-        "quadratic program", "conversions.program.QuadraticProgram", "solving.quadratic_program.judged_program",
-        "solving.quadratic_program.QuadraticProgramResult",
-        ("solve", "solve_batch", "certify", "pickle", *LANGUAGES, "lcp-plugin solve", "lcp-plugin certify"),
-        "LCP.from_qp(program) makes an LCP of it",
-        {
-            "x0=": "z0=result.z goes on from an earlier result",
-            "derivative": "requires_grad=True in cvxpy; or derivative(result.lcp_result), by the data of its "
-                          "complementarity problem",
-            **{f"{name}=": "certify(program, result.x) bounds the objective and the distance"
-               for name in ("error_bound", "tolerance_on")},
-            "absolute_tolerance=": "a program is judged by its own residuals, leave it out",
-            "error_bound": "certify(program, x) bounds the objective and the distance",
-            "analyze": "program.is_convex says whether P is positive semidefinite, analyze(program.P) the rest",
-            "cross_validate": "certify(program, x) judges anybody's answer; lcp-plugin certify compares solvers",
-            "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and load_problem(path) reads them",
-            "lcp-plugin check": "lcp-plugin certify compares solvers on a program",
-            "lcp-plugin analyze": "lcp-plugin solve and certify take a program",
-            "lcp-plugin report": "lcp-plugin solve and certify take a program",
-        },
-    ),
-    Kind(
-        "objective over equilibria", "conversions.equilibrium_program.EquilibriumProgram",
-        "solving.equilibria.branch_and_bound.minimize_over_solutions", "solving.equilibria.result.EquilibriumResult",
-        ("solve", "solve_batch", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
-        "solve(problem) takes it; its pairs alone are an LCP where they determine their unknowns",
-        {
-            "algorithm=": "branch and bound is the only one",
-            "max_iterations=": "max_nodes limits the search",
-            "z0=": "a search begins at its relaxation",
-            "x0=": "a search begins at its relaxation",
-            "error_bound=": "result.gap is proved",
-            "derivative": "the best of all solutions may jump from one to another",
-            "certify": "solve(problem).verify() checks its proof again",
-            "Certificate.of": "solve(problem).verify() checks its proof again",
-            "error_bound": "solve(problem).gap is proved",
-            "save": "state it in AMPL's .nl, which lcp-plugin solve reads",
-            "qpsolvers": "its program has no place for pairs: write solve(problem)",
-            **{f"lcp-plugin {name}": "lcp-plugin solve proves its bound" for name in ("check", "certify", "analyze")},
-        },
-    ),
-    Kind(
-        "bounded least squares problem", "problem.least_squares.BoundedLeastSquares",
-        "solving.least_squares.solve_least_squares", "solving.least_squares.LeastSquaresResult",
-        ("solve", "solve_batch", "pickle", *LANGUAGES, "lcp-plugin solve"),
-        "LCP(AᵀA, −Aᵀb, lower=…, upper=…) states it as an LCP",
-        {
-            "z0=": "a start is called x0 here",
-            "algorithm=": "what suits A is chosen",
-            "certify": "solve(problem).gap is proved",
-            "error_bound": "solve(problem).gap is proved",
-            "error_bound=": "result.gap is proved",
-            "Certificate.of": "solve(problem, x0=x, max_iterations=0) judges x",
-            "save": "numpy.savez(path, A=A, b=b) saves it, and load_problem(path) reads it",
-            **{f"lcp-plugin {name}": "lcp-plugin solve proves a gap"
-               for name in ("check", "certify", "analyze", "report")},
-        },
-    ),
-)
+def kinds() -> tuple[Kind, ...]:
+    """Return the kinds that are here, in the order of README's table."""
+    return tuple(ask("kind", name) for name in offered("kind"))
 
 
 def kind_of(problem: Any) -> Kind | None:
     """Return the kind of a problem, None where it is none."""
     names = {base.__name__ for base in type(problem).__mro__}
-    return next((kind for kind in KINDS if kind.word in names and isinstance(problem, kind.type)), None)
+    return next((kind for kind in kinds() if kind.word in names and isinstance(problem, kind.type)), None)
 
 
 def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
@@ -215,12 +124,12 @@ def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
 
 def refusal(way: str, given: Any) -> str:
     """Return what to say where a way does not take what it was given, with what to write instead."""
-    takes = [kind.word for kind in KINDS if way in kind.ways]
+    takes = [kind.word for kind in kinds() if way in kind.ways]
     needs = " or ".join(filter(None, [", ".join(takes[:-1]), takes[-1]]))
     needs = f"the answer to {_with_article(needs)}" if way == "derivative" else _with_article(needs)
     kind = kind_of(given)
     if way in ("derivative", "certify") and kind is None:  # an answer
-        kind = next((one for one in KINDS[2:] if one.result.endswith(f".{type(given).__name__}")), None)
+        kind = next((one for one in kinds()[2:] if one.result.endswith(f":{type(given).__name__}")), None)
     instead = _remedy(way, given) if kind is None else kind.words(way) or f"write {way}(solve(problem))"
     return f"{way} needs {needs}, got {type(given).__name__}; {instead}"
 
@@ -248,13 +157,8 @@ def _remedy(way: str, given: Any) -> str:
         return "solve_batch takes many"
     if isinstance(given, type) or callable(given):
         return "give an object: LCP(M, q), or NonlinearProblem(F) of a function F"
-    takes_programs = any(way in kind.ways for kind in KINDS if kind.word == "QuadraticProgram")
+    takes_programs = any(way in kind.ways for kind in kinds() if kind.word == "QuadraticProgram")
     return f"write {way}(LCP(M, q))" + (f", or {way}(QuadraticProgram(P, c, …))" if takes_programs else "")
-
-
-def _named(place: str) -> Any:
-    module, name = place.rsplit(".", 1)
-    return getattr(import_module(f"{ROOT}.{module}"), name)
 
 
 def _with_article(word: str) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pe
 import scipy.sparse as sp
+from economies import OWNED, WANTED, by_goods, technique
 from nonlinear_models import (
     NASH_5,
     NASH_5_SOLUTION,
@@ -24,7 +25,6 @@ from nonlinear_models import (
     mathiesen,
 )
 from pyomo.mpec import Complementarity, ComplementarityList, complements
-from test_published_economies import OWNED, WANTED, by_goods, technique
 
 from lcp_plugin import LCP, NonlinearProblem, solve, solve_nonlinear
 

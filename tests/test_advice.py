@@ -26,12 +26,12 @@ from lcp_plugin import (
     convergence_guarantee,
     error_bound,
     gallery,
-    lcp_from_qp,
     prepare,
     solve,
     solve_many,
 )
 from lcp_plugin.algorithms import REGISTRY, create
+from lcp_plugin.conversions.quadratic_program import lcp_from_qp
 from lcp_plugin.crossovers import PIVOTED_UP_TO
 
 CONTACT = LCP(friction(10).M, friction(10).q)

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from fresh_process import printed_by
 
-import lcp_plugin
-from lcp_plugin import algorithms
+from lcp_plugin import algorithms, registry
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
+from lcp_plugin.errors import InvalidOption
+from lcp_plugin.rooms import OFFERS
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "lcp_plugin"
@@ -20,7 +21,7 @@ HEAVY = (
     "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
     "qpsolvers", "quantecon", "cvxpylayers",
 )
-FRONT_DOORS = ("__init__", "__main__")
+FRONT_DOORS = ("__init__", "__main__", "rooms")
 
 
 def rooms_by_line() -> dict[str, int]:
@@ -88,16 +89,32 @@ def test_no_two_files_import_each_other() -> None:
         waiting = {module: targets for module, targets in waiting.items() if module not in ready}
 
 
-def test_front_door_offers_what_rooms_below_ask_of_rooms_above() -> None:
-    """What a file imports from the package itself is its version, or offered there by a room above and asked for."""
+def test_the_front_door_offers_a_file_nothing_but_the_version() -> None:
+    """Inside the package nobody imports from the package itself but its version; the rest is asked of the registry."""
     asked: set[str] = set()
     for file in FILES:
         depth = len(file.relative_to(PACKAGE).parts)
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module is None and node.level == depth:
                 asked |= {alias.name for alias in node.names}
-    rooms = {room_of(file) for file in FILES}
-    assert asked - rooms == {*lcp_plugin._FROM_ABOVE, "QuadraticProgram", "__version__"}
+    assert asked - {room_of(file) for file in FILES} == {"__version__"}
+
+
+@pytest.mark.parametrize(
+    ("what", "name"), [(what, name) for what in OFFERS for name in OFFERS[what] if what != "ranks"]
+)
+def test_what_a_room_offers_is_there(what: str, name: str) -> None:
+    """Everything on the front door's list can be had, but what needs ranks."""
+    assert registry.ask(what, name) is not None
+
+
+def test_a_room_that_is_not_here_is_named() -> None:
+    """What a room offers that this installation lacks is refused with the room's name, and offered to nobody."""
+    registry.offer("picture", {"lost": "lost.pictures:plot"})
+    assert "lost" not in registry.offered("picture")
+    assert registry.ask_or_none("picture", "lost") is None
+    with pytest.raises(InvalidOption, match=r"offered by lost\.pictures, which this installation of lcp_plugin"):
+        registry.ask("picture", "lost")
 
 
 def test_the_house_has_few_floors() -> None:

@@ -371,7 +371,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 
 PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
     "auto": ("solving.driver.Run.__init__", "solving.driver.CommonUnits.of", "policy.choice.Single.first",
-             "solving.driver.warn_where_known_to_be_uncovered"),
+             "solving.guarantees.warn_where_known_to_be_uncovered"),
     "npsor": ("policy.choice.Auto.first",),
     "lemke": ("policy.choice.Auto.first",),
 }
@@ -384,7 +384,7 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
         ("solving.driver.fused", {}),
         ("solving.driver.Run.__init__", {}),
         ("solving.driver.CommonUnits.of", {}),
-        ("solving.driver.warn_where_known_to_be_uncovered", {}),
+        ("solving.guarantees.warn_where_known_to_be_uncovered", {}),
         ("solving.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),
         ("policy.choice.Auto.first", {}),
         ("policy.choice.Single.first", {}),

@@ -14,8 +14,9 @@ from numpy.testing import assert_allclose
 from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
 from lcp_plugin.algorithms.splittings.modulus import MAOR, MGS, MJ, MSOR
+from lcp_plugin.algorithms.splittings.np_splitting import NPSplitting
 from lcp_plugin.algorithms.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
-from lcp_plugin.algorithms.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR, NPSplitting
+from lcp_plugin.algorithms.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
 from lcp_plugin.evidence import gallery
 
 STEPS = 30

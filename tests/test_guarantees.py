@@ -22,14 +22,14 @@ from typer.testing import CliRunner
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
-from lcp_plugin.algorithms.splittings.projected_type import NPSplitting
-from lcp_plugin.certificates.convergence import PROJECTED_RELAXATION, IterationFacts
+from lcp_plugin.algorithms.splittings.np_splitting import NPSplitting
 from lcp_plugin.certificates.theorems import theorem_4_1
 from lcp_plugin.commands.cli import app
 from lcp_plugin.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.evidence import gallery, paper_tables
 from lcp_plugin.matrix import analyze
 from lcp_plugin.matrix.comparison import nonnegative_radius
+from lcp_plugin.matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
 from lcp_plugin.matrix.row_sums import automatic_factors, triangle_sums
 from lcp_plugin.solving.guarantees import convergence_guarantee
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
@@ -185,7 +185,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
-    monkeypatch.setattr("lcp_plugin.policy.direct_methods.PIVOTED_UP_TO", 1)
+    monkeypatch.setattr("lcp_plugin.policy.choice.PIVOTED_UP_TO", 1)
     assert "psor: " in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
 

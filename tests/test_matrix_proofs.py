@@ -32,11 +32,11 @@ from lcp_plugin.matrix.definiteness import (
 )
 from lcp_plugin.matrix.equilibration import scaled, scaling_exponents
 from lcp_plugin.matrix.factors import positive_factor, sparse_lu
+from lcp_plugin.matrix.graph import row_excess_signs, scale_spread
 from lcp_plugin.matrix.h_matrix import _centred, _joined, is_nonpositive, positive_margin
 from lcp_plugin.matrix.hierarchy.truncation import KrylovCorrection
 from lcp_plugin.matrix.matrix import Matrix
 from lcp_plugin.matrix.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
-from lcp_plugin.matrix.structure import row_excess_signs, scale_spread
 from lcp_plugin.matrix.symmetry import ROUNDED, asymmetry, is_symmetric_entrywise, is_symmetric_to_rounding, mismatch
 
 # --- Small matrices in rational arithmetic ------------------------------------------------------------------

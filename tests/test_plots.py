@@ -21,10 +21,10 @@ from lcp_plugin import (
     UnsuitableProblem,
     gallery,
     march,
-    plot_answer,
     solve,
     solve_batch,
 )
+from lcp_plugin.evidence.plots import plot_answer
 
 figure = pytest.importorskip("matplotlib.figure")
 M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])

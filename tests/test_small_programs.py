@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import LCPError, QuadraticProgramBatch, lcp_from_qp, solve, solve_batch
+from lcp_plugin import LCPError, QuadraticProgramBatch, solve, solve_batch
 from lcp_plugin.algorithms.interior_points.small_programs import SmallPrograms
 from lcp_plugin.conversions.program import QuadraticProgram
 from lcp_plugin.conversions.qp_solution import QPSolution
+from lcp_plugin.conversions.quadratic_program import lcp_from_qp
 from lcp_plugin.kernels import small_programs
 from lcp_plugin.kernels.compilation import compiling_at_once
 from lcp_plugin.solving.quadratic_program import ProgramResult, solve_quadratic_program

@@ -31,7 +31,7 @@ from lcp_plugin.evidence.exact_answers import condition_of_answer, exact_answer,
 from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
 from lcp_plugin.evidence.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.problem.exactly import is_exact_solution
-from lcp_plugin.solving.error_watch import BoundOrReason
+from lcp_plugin.solving.result import BoundOrReason
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 ALL = ["auto", *REGISTRY]

@@ -46,7 +46,7 @@ from lcp_plugin import (
 from lcp_plugin.commands import ampl
 from lcp_plugin.commands.cli import app
 from lcp_plugin.conversions.presolve import presolve
-from lcp_plugin.kinds import COMMANDS, KINDS, WAYS, kind_of
+from lcp_plugin.kinds import COMMANDS, WAYS, kind_of, kinds
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 from lcp_plugin.modeling.nl import read_sol, write_nl
 from lcp_plugin.modeling.nl.answers import CODES
@@ -368,9 +368,9 @@ CELLS = [pytest.param(sample, way, id=f"{sample} × {way}") for sample in SAMPLE
 
 def test_every_kind_and_every_way_has_its_row() -> None:
     """A kind without samples, or a way without a trial, is found here."""
-    assert {sample.kind for sample in SAMPLES} == {kind.word for kind in KINDS}
+    assert {sample.kind for sample in SAMPLES} == {kind.word for kind in kinds()}
     assert TRIALS.keys() == set(WAYS)
-    for kind in KINDS:
+    for kind in kinds():
         assert set(kind.ways) <= set(WAYS)
         assert {name for name in kind.instead if not name.endswith("=")} <= set(WAYS) - set(kind.ways)
         assert all(kind.words(way) for way in WAYS if way not in kind.ways), kind
@@ -382,8 +382,8 @@ def test_readme_shows_the_table_in_small() -> None:
     text = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
     head, _, *rows = next(part for part in text.split("\n\n") if part.startswith("| kind |")).splitlines()
     columns = [cell.replace("`", "").split(", ") for cell in map(str.strip, head.split("|")[2:-1])]
-    assert [row.split("`")[1].partition("(")[0] for row in rows] == [kind.word for kind in KINDS]
-    for row, kind in zip(rows, KINDS, strict=True):
+    assert [row.split("`")[1].partition("(")[0] for row in rows] == [kind.word for kind in kinds()]
+    for row, kind in zip(rows, kinds(), strict=True):
         marks = [cell.strip() for cell in row.rsplit("|", len(columns) + 1)[1:-1]]
         assert marks == ["✓" * all(way in kind.ways for way in ways) for ways in columns], kind.word
 

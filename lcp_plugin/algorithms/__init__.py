@@ -18,10 +18,10 @@ from __future__ import annotations
 import inspect
 from dataclasses import MISSING, fields
 from functools import cache
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from ..registry import at, offered
 from ..settings import OF_SOLVE
 from .base import Algorithm, FusedSolve, Step
 
@@ -43,25 +43,21 @@ __all__ = [
 ENTRY_POINT_GROUP = "lcp_plugin.algorithms"
 
 REGISTRY = {
-    "npj": "splittings.projected_type:NPJ",
-    "npgs": "splittings.projected_type:NPGS",
-    "npsor": "splittings.projected_type:NPSOR",
-    "npaor": "splittings.projected_type:NPAOR",
-    "npsplitting": "splittings.projected_type:NPSplitting",
-    "pj": "splittings.projected_relaxation:PJ",
-    "pgs": "splittings.projected_relaxation:PGS",
-    "psor": "splittings.projected_relaxation:PSOR",
-    "paor": "splittings.projected_relaxation:PAOR",
-    "mj": "splittings.modulus:MJ",
-    "mgs": "splittings.modulus:MGS",
-    "msor": "splittings.modulus:MSOR",
-    "maor": "splittings.modulus:MAOR",
-    "gfp": "splittings.projected_relaxation:GFP",
-    "newton": "active_sets.semismooth_newton:Newton",
-    "interior_point": "interior_points.interior_point:InteriorPoint",
-    "banded": "active_sets.banded:Banded",
-    "lemke": "pivots.lemke:Lemke",
-    "multigrid": "multigrid:Multigrid",
+    "npj": "algorithms.splittings.projected_type:NPJ",
+    "npgs": "algorithms.splittings.projected_type:NPGS",
+    "npsor": "algorithms.splittings.projected_type:NPSOR",
+    "npaor": "algorithms.splittings.projected_type:NPAOR",
+    "npsplitting": "algorithms.splittings.np_splitting:NPSplitting",
+    "pj": "algorithms.splittings.projected_relaxation:PJ",
+    "pgs": "algorithms.splittings.projected_relaxation:PGS",
+    "psor": "algorithms.splittings.projected_relaxation:PSOR",
+    "paor": "algorithms.splittings.projected_relaxation:PAOR",
+    "mj": "algorithms.splittings.modulus:MJ",
+    "mgs": "algorithms.splittings.modulus:MGS",
+    "msor": "algorithms.splittings.modulus:MSOR",
+    "maor": "algorithms.splittings.modulus:MAOR",
+    "gfp": "algorithms.splittings.projected_relaxation:GFP",
+    **offered("algorithm"),
 }
 
 
@@ -102,8 +98,7 @@ def algorithm_class(name: str) -> type[Algorithm]:
     """
     if name not in REGISTRY:
         return _class_from_outside(name)
-    module, _, class_name = REGISTRY[name].partition(":")
-    found: type[Algorithm] = getattr(import_module(f"{__name__}.{module}"), class_name)
+    found: type[Algorithm] = at(REGISTRY[name])
     return found
 
 

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..certificates.convergence import IterationFacts
 from ..checks import FloatVector, is_number
 from ..crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO, SWEEP_ENTRIES
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
+from ..matrix.iteration_facts import IterationFacts
 from ..matrix.row_sums import has_positive_diagonal as has_positive_diagonal  # noqa: PLC0414 - offered here
 from ..matrix.row_sums import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414
 from ..matrix.row_sums import row_splits as row_splits  # noqa: PLC0414
@@ -174,8 +174,14 @@ class Algorithm(ABC):
         """
         return None
 
-    def theorem(self, problem: LCP) -> str | None:
+    def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return what proves, for a method without `facts`, that it ends in a solution whatever q is, or None.
+
+        Parameters
+        ----------
+        problem : LCP
+        report : MatrixReport
+            Of its matrix.
 
         Raises
         ------

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -110,12 +110,9 @@ class Multigrid(Algorithm):
         if not is_count or self.coarsest < 1:
             raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
 
-    def theorem(self, problem: LCP) -> str | None:
+    def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on symmetric positive definite matrices; nothing where the run may hand over."""
-        from ..matrix import analyze
-
         require_positive_diagonal(problem, self.name)
-        report = analyze(problem)
         if self.hands_over or not (report.is_symmetric and report.is_positive_definite):
             return None
         return "M is symmetric positive definite: the safeguard lets no energy rise for good (Gräser, Kornhuber 2009)"

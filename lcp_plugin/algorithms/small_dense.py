@@ -33,6 +33,11 @@ class SmallDenseSolver(Algorithm):
     name: ClassVar[str] = "small dense solver"
     is_monotone: ClassVar[bool] = False
 
+    @staticmethod
+    def takes(problem: LCP) -> bool:
+        """Return whether the problem is small enough, and all of it is here."""
+        return is_short(problem)
+
     def phases_of_small(self) -> Phases:
         """Return all phases."""
         return EVERYTHING

@@ -19,7 +19,6 @@ units, whose stiff part counts more than its share. Rows over ranks keep the uni
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
@@ -28,21 +27,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
-from ..kernels.floats import TINY
+from ..kernels.floats import DATA_ROUNDING, TINY
 from ..matrix.matrix import Matrix
 from ..matrix.structure import IntVector, Parts, parts
 from ..matrix.units import Units, units_of
-from ..problem.exactly import exact_residuals
 from ..problem.lcp import LCP
-from ..problem.linear_constraints import DATA_ROUNDING
 from .row_residuals import at_rounding_level, magnitude, residual_ends_of, rounding_floor, sharp_residual_ends
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 _references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
 _own_references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
-_exact: WeakKeyDictionary[LCP, list[Fraction]] = WeakKeyDictionary()
 _row_units: WeakKeyDictionary[LCP, RowUnits] = WeakKeyDictionary()
-SAFE_RANGE = (1e-290, 1e290)
 SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)
 LARGEST_EXPONENT = 1000  # of two, that other units may give a number
 
@@ -175,37 +170,6 @@ def rounding_of_data(problem: LCP) -> float:
     with np.errstate(over="ignore"):
         largest = float(np.abs(problem.q / problem.residual_scale).max(initial=0.0))
     return DATA_ROUNDING * problem.communicator.largest(largest)
-
-
-def exact_reference(problem: LCP, row: int) -> Fraction:
-    """Return an upper bound of what r_i of an own row is compared with; fractions reach beyond the range of doubles.
-
-    That is ‖r̂_P(z°)‖∞, P its part, in the caller's unit of z_i.
-    """
-    units = RowUnits.of(problem)
-    reference = _exact_reference(problem, row)
-    return reference if units is None else reference * Fraction(2) ** int(units.column[row])
-
-
-def exactly_weighted(problem: LCP, z: FloatVector) -> list[Fraction]:
-    """Return |r̂_i(z)| of every row without any rounding, for a finite z."""
-    units = RowUnits.of(problem)
-    if units is None:
-        return exact_residuals(problem, z)
-    residuals = exact_residuals(problem, z, units.scale)
-    return [r / Fraction(2) ** k for r, k in zip(residuals, units.column.tolist(), strict=True)]
-
-
-def _exact_reference(problem: LCP, row: int) -> Fraction:
-    several = parts(problem.matrix)
-    part = 0 if several is None else int(several.labels[row])
-    most = float(references_of_parts(problem)[1][part])
-    if most == 0.0 or SAFE_RANGE[0] < most < SAFE_RANGE[1]:
-        return Fraction(most)
-    if problem not in _exact:
-        _exact[problem] = exactly_weighted(problem, problem.nearest_to_zero)
-    rows = range(problem.own) if several is None else np.flatnonzero(several.labels == part).tolist()
-    return max(_exact[problem][i] for i in rows)
 
 
 def _no_entries(rows: int, columns: int) -> sp.csr_array:

@@ -18,7 +18,8 @@ from ..checks import FloatVector
 from ..errors import InvalidOption
 from ..exact.rational import Rational
 from ..kernels.floats import EPSILON, TINY
-from ..matrix.structure import IntVector, compressed_rows, row_numbers
+from ..matrix.graph import compressed_rows
+from ..matrix.structure import IntVector, row_numbers
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import DECISIVE, LinearConstraints, activity
 from .criterion import reference_residual
@@ -160,7 +161,7 @@ def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
 
 def _may_miss(problem: LCP, rows: Any) -> bool:
     """Return whether z within the bounds miss one of the rows, to rounding; one pass."""
-    from ..kernels.rows import is_missed  # numba, which `import lcp_plugin` must not load
+    from ..kernels.missed_rows import is_missed
 
     M = compressed_rows(problem.M)
     return bool(is_missed(*M, problem.q, problem.lower, problem.upper, rows))

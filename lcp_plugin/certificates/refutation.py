@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,7 +21,9 @@ from ..matrix.structure import IntVector
 from ..problem.exactly import integer_matrix
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import Contradiction, within
-from .criterion import exact_reference, residual_scale_of_criterion, rounding_of_data
+from ..settings import Status
+from .criterion import residual_scale_of_criterion, rounding_of_data
+from .exact_references import exact_reference
 
 LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
 FEW = 500  # rows up to which all of M is kept in integers
@@ -76,6 +78,7 @@ class Refutation:
     """
 
     problem: LCP
+    status: ClassVar[Status] = Status.NO_SOLUTION  # what it proves
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what closes each case, verified; None for a case that is not closed."""
@@ -225,6 +228,8 @@ class Infeasibility(Refutation):
     ----------
     Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §2.7 (Farkas).
     """
+
+    status: ClassVar[Status] = Status.INFEASIBLE
 
     problem: LCP = field(repr=False)
     exact_y: tuple[Fraction, ...] = field(repr=False)

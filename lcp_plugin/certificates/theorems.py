@@ -11,16 +11,9 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON, TINY
+from ..matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
 from ..problem.lcp import LCP
-from .convergence import (
-    MODULUS,
-    PROJECTED_RELAXATION,
-    PROJECTED_SPLITTING,
-    Contraction,
-    IterationFacts,
-    numbers,
-    scaled,
-)
+from .convergence import Contraction, numbers, scaled
 
 PAPER = "Kumar, Deepmala, Das"
 PAPER_TITLE = "More on projected type iteration method and linear complementarity problem"

@@ -76,7 +76,8 @@ def print_everything() -> None:
     """Print kinds of problems by the ways that take them, algorithms with needs and sources, scenes with parameters."""
     from ..algorithms import REGISTRY, Algorithm, algorithm_class, from_other_packages
     from ..evidence.gallery import describe
-    from ..kinds import KINDS, WAYS
+    from ..kinds import WAYS
+    from ..kinds import kinds as kinds_of_problems
     from .terminal import console, table
 
     foreign = from_other_packages()
@@ -94,8 +95,8 @@ def print_everything() -> None:
         for name, summary, parameters in describe()
     ]
     terminal = console(160)
-    ways = [(way, *("✓" if way in kind.ways else "–" for kind in KINDS)) for way in WAYS]
-    words = ("", *(kind.word for kind in KINDS))
+    ways = [(way, *("✓" if way in kind.ways else "–" for kind in kinds_of_problems())) for way in WAYS]
+    words = ("", *(kind.word for kind in kinds_of_problems()))
     terminal.print(table("Kinds of problems, and what takes each", words, ways, pad_edge=False))
     terminal.print()
     terminal.print(table("Algorithms", headings, algorithms, pad_edge=False))

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,9 +14,12 @@ import scipy.sparse as sp
 from ..errors import InvalidProblem, UnreadableFile, UnsupportedModel
 from ..problem.files import MATRIX_KEYS, checked_path, flat, names_in, read_npz, require_keys, with_infinities
 from ..problem.lcp import LCP
-from ..problem.least_squares import BoundedLeastSquares
 from ..problem.mat_files import read_mat
-from .program import QuadraticProgram
+from ..registry import ask
+
+if TYPE_CHECKING:
+    from ..problem.least_squares import BoundedLeastSquares
+    from .program import QuadraticProgram
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps"), ".nl"
 PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of CSC matrices
@@ -74,12 +77,12 @@ def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedL
         Where it states no problem, or one with integers.
     """
     kind = kind_in(path)
-    if kind is QuadraticProgram:
+    if kind.__name__ == "QuadraticProgram":
         return load_program(path).program
-    return load_least_squares(path) if kind is BoundedLeastSquares else LCP.load(path)
+    return load_least_squares(path) if kind.__name__ == "BoundedLeastSquares" else LCP.load(path)
 
 
-def kind_in(path: str | PathLike[str]) -> type:
+def kind_in(path: str | PathLike[str]) -> Any:
     """Return the class of the problem that a file seems to state, by its ending and the names in it; LCP in doubt."""
     source = checked_path(path)
     try:
@@ -87,15 +90,20 @@ def kind_in(path: str | PathLike[str]) -> type:
     except OSError:  # a name that no file can have
         is_file = False
     if source.suffix.lower() in MPS:
-        return QuadraticProgram
+        return _class_of("QuadraticProgram")
     if source.suffix.lower() not in ARRAYS or not is_file:
         return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}
     if "M" in names or names & {*MATRIX_KEYS}:
         return LCP
     if names & {"P", "c", "H", "f"} or {"A", "q"} <= names:
-        return QuadraticProgram
-    return BoundedLeastSquares if {"A", "b"} <= names else LCP
+        return _class_of("QuadraticProgram")
+    return _class_of("BoundedLeastSquares") if {"A", "b"} <= names else LCP
+
+
+def _class_of(kind: str) -> Any:
+    """Return the class of a kind, whose room may not be here."""
+    return ask("kind", kind).type
 
 
 def load_program(path: str | PathLike[str]) -> Stated:
@@ -127,9 +135,7 @@ def load_program(path: str | PathLike[str]) -> Stated:
     if suffix in MPS:
         return _from_mps(source)
     if suffix == NL:
-        from .. import program_in_nl
-
-        return Stated(*program_in_nl(source))
+        return Stated(*ask("file format", "a program in .nl")(source))
     if not source.exists():
         raise UnreadableFile(f"no such file: {source}")
     raise UnreadableFile(
@@ -148,7 +154,7 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
     content = {ALIASES.get(name, name): array for name, array in content.items()}
     require_keys(source, content, ("A", "b"), "a least squares problem holds A, b and, if wanted, lower and upper")
     try:
-        return BoundedLeastSquares(
+        return _class_of("BoundedLeastSquares")(  # type: ignore[no-any-return]
             content["A"], content["b"], **_limits(content, "lower", "upper"), weights=content.get("weights"),
             ridge=_number(content.get("ridge", 0.0)),
         )
@@ -161,7 +167,8 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
 
 def _from_arrays(source: Path) -> Stated:
     names = set(names_in(source))
-    if others := names & {"M", *MATRIX_KEYS} or (names & {"b"} if kind_in(source) is BoundedLeastSquares else set()):
+    is_least_squares = kind_in(source).__name__ == "BoundedLeastSquares"
+    if others := names & {"M", *MATRIX_KEYS} or (names & {"b"} if is_least_squares else set()):
         raise UnreadableFile(
             f"{source} holds {'a least squares problem' if others == {'b'} else 'an LCP'} (key {min(others)}), not a "
             f"program: `lcp-plugin solve` takes it; {LAYOUT}"
@@ -179,12 +186,13 @@ def _from_arrays(source: Path) -> Stated:
     P = sp.csr_array((c.size, c.size)) if P is None else _whole(P)
     try:
         bounds = _limits(program, "lower", "upper")
+        kind = _class_of("QuadraticProgram")
         if program.keys() & {"l", "u"}:
             _require_ranges_alone(source, program, A)
             limits = {"l": -np.inf, "u": np.inf} | _limits(program, "l", "u")
-            return Stated(QuadraticProgram.from_ranges(P, c, A, limits["l"], limits["u"], **bounds), constant)
+            return Stated(kind.from_ranges(P, c, A, limits["l"], limits["u"], **bounds), constant)
         program |= {"h": with_infinities(program["h"])} if "h" in program else {}
-        return Stated(QuadraticProgram(P, c, A=A, **program, **bounds), constant)
+        return Stated(kind(P, c, A=A, **program, **bounds), constant)
     except InvalidProblem as error:
         raise InvalidProblem(f"{source}: {error}") from error
 
@@ -279,7 +287,7 @@ def _from_mps(source: Path) -> Stated:
         P = sp.csr_array(sp.csc_array((np.array(hessian.value_), hessian.index_, hessian.start_), shape=(n, n)))
     sense = -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
     try:
-        program = QuadraticProgram.from_ranges(
+        program = _class_of("QuadraticProgram").from_ranges(
             sense * _whole(P), sense * np.array(linear.col_cost_), A, linear.row_lower_, linear.row_upper_,
             linear.col_lower_, linear.col_upper_,
         )

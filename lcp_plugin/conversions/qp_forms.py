@@ -51,6 +51,7 @@ class QPOrigin:
     rows: FoldedRows
     substitution: Substitution | None = None
     form: ClassVar[str]
+    is_of_convex_program: ClassVar[bool] = True
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
 
     @property

@@ -20,6 +20,7 @@ from .paper_tables import paper_options
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
+    "np_splitting": "projected-type (NP)",
     "projected_relaxation": "projected relaxation (P)",
     "modulus": "modulus (M)",
     "multigrid": "multigrid",

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.criterion import RowUnits, exactly_weighted, rounding_of_data
+from ..certificates.criterion import RowUnits, rounding_of_data
+from ..certificates.exact_references import exactly_weighted
 from ..certificates.row_residuals import scaled_residual
 from ..checks import FloatVector
 from ..errors import UnsuitableProblem

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import gc
 import re
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -286,7 +287,7 @@ def _sources() -> tuple[tuple[int, int], ...]:
     These are the files of the package that import this one, as functions are compiled there, and the files from which
     they import: the constants of those are compiled, too.
     """
-    package = Path(__file__).parents[1]
+    package = Path(str(sys.modules[__name__.partition(".")[0]].__file__)).parent
     found: set[Path] = set()
     for path in package.rglob("*.py"):
         text = path.read_bytes()

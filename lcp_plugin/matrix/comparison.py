@@ -18,8 +18,9 @@ from ..errors import InvalidProblem
 from ..exact.rounding import compensated_product, lower_end, upper_end
 from .equilibration import Exponents, scaled, scaling_exponents, times_power
 from .factors import diagonal_pivot_factor, factor_fits, solver_of
+from .graph import strong_blocks, within_blocks
 from .matrix import Matrix, fact
-from .structure import row_numbers, strong_blocks, within_blocks
+from .structure import row_numbers
 from .symmetry import is_symmetric_entrywise
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from ..checks import BoolVector, FloatVector
 from ..crossovers import DIRECT_UP_TO
 from .equilibration import evened, scaled, times_power, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
+from .graph import bandwidth
 from .matrix import Matrix
-from .structure import bandwidth
 from .symmetry import has_symmetric_entries, is_nearly_symmetric
 
 REFINEMENTS = 3

@@ -25,8 +25,8 @@ from ..exact.near_singular import exact_weights
 from ..exact.rational import enclosures, rounded_down
 from ..exact.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
 from .comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of, shared_comparison
+from .graph import block_rows, strong_blocks
 from .matrix import Matrix, fact
-from .structure import block_rows, strong_blocks
 from .symmetry import has_symmetric_entries
 
 CHEAP_SWEEPS = 5

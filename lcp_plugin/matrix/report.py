@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InvalidProblem
 from ..kinds import kind_of, refusal
-from . import structure, verdicts
+from . import graph, structure, verdicts
 from .h_matrix import h_verdict
 from .matrix import Matrix, fact
 from .symmetry import asymmetry
@@ -113,13 +113,13 @@ class MatrixReport:
     not_h_vector = View(lambda matrix: h_verdict(matrix).not_h_vector)
     asymmetry = View(asymmetry)
     triangular_form = View(structure.triangular_form)
-    row_excess_signs = View(structure.row_excess_signs)
+    row_excess_signs = View(graph.row_excess_signs)
     components = View(structure.components)
-    blocks = View(lambda matrix: structure.diagonal_blocks(matrix)[0])
-    block_labels = View(lambda matrix: structure.diagonal_blocks(matrix)[1])
+    blocks = View(lambda matrix: graph.diagonal_blocks(matrix)[0])
+    block_labels = View(lambda matrix: graph.diagonal_blocks(matrix)[1])
     zero_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))
     negative_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
-    scale_spread = View(structure.scale_spread)
+    scale_spread = View(graph.scale_spread)
     semidefinite_delta = View(lambda matrix: verdicts.positive_semidefinite(matrix).delta)
 
     def __init__(self, matrix: Any) -> None:

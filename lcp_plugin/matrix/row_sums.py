@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector, read_only
@@ -104,10 +103,10 @@ def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVecto
     """
     lower, upper = unit_triangle_sums(matrix)
     updated = lower if sweep == "forward" else upper if sweep == "backward" else np.maximum(lower, upper)
-    return _balanced_factors(matrix, abs(coupling), updated, (lower, upper))
+    return balanced_factors(matrix, abs(coupling), updated, (lower, upper))
 
 
-def _balanced_factors(
+def balanced_factors(
     matrix: Matrix, coupling: float, updated: FloatVector, sums: tuple[FloatVector, FloatVector]
 ) -> FloatVector:
     """Return θ, read-only, shape (n,), from g, the sums ℓ that it couples to, and (ℓ, u) of v = 1."""
@@ -125,21 +124,6 @@ def _balanced_factors(
         factors.fill(1.0)
     factors.flags.writeable = False
     return factors
-
-
-@fact
-def part_of(matrix: Matrix, splitting: str) -> sp.csr_array:
-    """Return the part of M that a splitting by name is, shape (n, n)."""
-    reach = {"diagonal": 0, "tridiagonal": 1, "lower": matrix.n}[splitting]
-    upper_reach = 0 if splitting == "lower" else reach
-    return sp.csr_array(sp.tril(sp.triu(matrix.csr, -reach), upper_reach))
-
-
-@fact
-def split_factors(matrix: Matrix, splitting: str) -> FloatVector:
-    """Return θ for a splitting that is a part of M, shape (n,); see `automatic_factors`."""
-    taken = np.add(*triangle_sums(matrix, np.ones(matrix.n), part_of(matrix, splitting)))
-    return _balanced_factors(matrix, 1.0, taken, unit_triangle_sums(matrix))
 
 
 @np.errstate(all="ignore")

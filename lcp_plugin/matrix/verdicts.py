@@ -19,10 +19,11 @@ from .definiteness import (
     symmetric_part,
 )
 from .factors import factor_fits
+from .graph import block_rows, diagonal_blocks, row_excess_signs
 from .h_matrix import HCertificate, decide, h_verdict
 from .matrix import Matrix, fact
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
-from .structure import IntVector, block_rows, diagonal_blocks, row_excess_signs, row_numbers, triangular_form
+from .structure import IntVector, row_numbers, triangular_form
 from .symmetry import asymmetry
 
 DENSE_LIMIT = 500

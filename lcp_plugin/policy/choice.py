@@ -48,35 +48,33 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
-from typing import Any
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
-from ..algorithms.active_sets.banded import Banded
 from ..algorithms.base import in_driven_sweeps
-from ..algorithms.pivots.lemke import Lemke
-from ..algorithms.small_dense import SmallDenseSolver, is_short
 from ..algorithms.splittings.projected_relaxation import PGS, PSOR
 from ..algorithms.splittings.projected_type import NPSOR
-from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, SURE_FACTOR_UP_TO
+from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..matrix.row_sums import has_positive_diagonal
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
+from ..registry import ask_or_none
 from ..settings import OF_SOLVE
-from .direct_methods import Retries, Turns
 from .stages import Choice, Stage
+
+if TYPE_CHECKING:
+    from .direct_methods import Retries, Turns
 
 TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40
 ASKED_EVERY = 20  # sweeps
 PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple of what the rival predicts
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows
-BANDED = Banded()
 NEAR = 1e-2  # of the largest unknown: so near to a bound is none that is free
-PATHS = 2  # of pivots, on a linearisation
 PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
 
 
@@ -125,9 +123,8 @@ class Single(Policy):
         is_unfit = not self._refutes or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
         if not failed or len(stages) > 1 or is_unfit:
             return None
-        from ..algorithms.search.stages import FeasibilityCheck
-
-        return Choice(FeasibilityCheck(), f"{self.name} found no solution: is there one?")
+        check = ask_or_none("step of auto", "feasibility")
+        return check and Choice(check(), f"{self.name} found no solution: is there one?")
 
 
 class Auto(Policy):
@@ -143,21 +140,22 @@ class Auto(Policy):
         self._direct: Turns | None = None
 
     @cached_property
-    def _retries(self) -> Retries:
-        return Retries()
+    def _retries(self) -> Retries | None:
+        retries: type[Retries] | None = ask_or_none("step of auto", "once more")
+        return None if retries is None else retries()
 
     def first(self, problem: LCP) -> Choice:
         """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
         if getattr(problem.origin, "form", "") == "kkt":
             self._direct = self._turns(problem)
-            if (first := self._direct.first()) is not None:
+            if self._direct is not None and (first := self._direct.first()) is not None:
                 return replace(first, because=f"multipliers have no diagonal entry to sweep with; {first.because}")
             self._direct = None
         if takes_the_small_dense_solver(problem):
-            why = "the projected-type iteration comes first, rounds and pivots follow, compiled"
-            return Choice(SmallDenseSolver(), why)
-        passes = in_driven_sweeps(problem, BANDED.predicted_passes(problem, math.inf))
-        narrow = Choice(BANDED, f"a narrow band: about {passes:.0f} sweeps")
+            return Choice(_small(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
+        banded = method_or_none("banded")
+        passes = math.inf if banded is None else in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
+        narrow = PROJECTED_TYPE if banded is None else Choice(banded, f"a narrow band: about {passes:.0f} sweeps")
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
         if passes <= TRIAL_SWEEPS:
             return narrow
@@ -173,7 +171,7 @@ class Auto(Policy):
         is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
         if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() and (order := _triangle(problem)):
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
-        if isinstance(now.algorithm, Banded):
+        if now.algorithm.name == "banded":
             return replace(PROJECTED_TYPE, because="banded came to an end") if failed else None
         failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
         is_asked, sweeps = failed or _is_asked(problem, now), 0.0
@@ -192,6 +190,8 @@ class Auto(Policy):
         if name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
             return Choice(PSOR(), f"{needs}, and a factorisation may be too large")
         predicted = {rival: rival.predicted_passes(problem, sweeps) for rival in _rivals(problem, stages)}
+        if not predicted:  # no room of rivals is here
+            return None
         least = min(predicted, key=lambda rival: predicted[rival])
         is_hovering = now.work + sweeps > PATIENCE * predicted[least]  # its prediction came true too late before
         is_enough = sweeps <= predicted[least] and not (failed or is_hovering)
@@ -199,16 +199,20 @@ class Auto(Policy):
             return None
         if predicted[least] == math.inf or least.name == DIRECT:
             self._direct = self._turns(problem)
-            first = self._direct.first()
+            first = None if self._direct is None else self._direct.first()
             return first and replace(first, because=f"{needs}; {first.because}")
         return Choice(least, f"{needs}, {least.name} about {predicted[least]:.0f} passes over M")
 
-    def _turns(self, problem: LCP) -> Turns:
-        return Turns(problem, self._retries, refutes=self._refutes, looks_at_cases=self.looks_at_cases)
+    def _turns(self, problem: LCP) -> Turns | None:
+        """Return the direct methods, where they are here."""
+        turns: type[Turns] | None = ask_or_none("step of auto", "direct methods")
+        if turns is None or self._retries is None:
+            return None
+        return turns(problem, self._retries, refutes=self._refutes, looks_at_cases=self.looks_at_cases)
 
     def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
         """Return newton or lemke, where they have not begun there."""
-        return self._retries.following(problem, stages)
+        return None if self._retries is None else self._retries.following(problem, stages)
 
 
 DIRECT = "newton"  # predicts for all direct methods
@@ -228,31 +232,13 @@ class AutoOnRanks(Policy):
         return Choice(PSOR(), "multigrid came to an end: projected sweeps") if failed and len(stages) == 1 else None
 
 
-class LinearPolicy(Policy):
-    """What solves a linearisation: the caller's policy without a look for proofs; pivots are its last resort."""
-
-    def __init__(self, algorithm: str | Algorithm) -> None:
-        self._policy = policy_for(algorithm, {}, refutes=False, looks_at_cases=False)
-        self.name, self.chosen = self._policy.name, self._policy.chosen
-
-    def first(self, problem: LCP) -> Choice:
-        """Return what the policy begins with."""
-        return self._policy.first(problem)
-
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
-        """Return the policy's next choice; pivots are the last, and nothing has two turns."""
-        if isinstance(stages[-1].algorithm, Lemke):
-            return None
-        choice = self._policy.next_step(problem, stages, target, failed)
-        if choice is None or any(stage.algorithm == choice.algorithm for stage in stages):
-            return None
-        is_pivoting = isinstance(choice.algorithm, Lemke)
-        return replace(choice, algorithm=Lemke(restarts=PATHS)) if is_pivoting else choice
-
-
 def takes_the_small_dense_solver(problem: LCP) -> bool:
     """Return whether auto solves the problem by one compiled call: small, and no tridiagonal M-matrix kept sparse."""
-    return is_short(problem) and (problem.is_dense or BANDED.predicted_passes(problem, math.inf) > TRIAL_SWEEPS)
+    small = _small()
+    if small is None or not small.takes(problem):
+        return False
+    banded = None if problem.is_dense else method_or_none("banded")
+    return banded is None or banded.predicted_passes(problem, math.inf) > TRIAL_SWEEPS
 
 
 def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:
@@ -262,12 +248,26 @@ def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:
     if not problem.is_dense and has_positive_diagonal(problem.matrix).all():
         rivals += [PSOR()] if isinstance(now, NPSOR) else []
         was_tried = any(stage.algorithm.name == "multigrid" for stage in stages)
-        rivals += [_multigrid()] if isinstance(now, (NPSOR, PSOR)) and not was_tried else []
-    return [*rivals, create(DIRECT, {})]
+        if isinstance(now, (NPSOR, PSOR)) and not was_tried and "multigrid" in REGISTRY:
+            rivals.append(_multigrid())
+    return [*rivals, *([create(DIRECT, {})] if DIRECT in REGISTRY else [])]
 
 
 def _multigrid() -> Algorithm:
     return create("multigrid", {"hands_over": True})
+
+
+@cache
+def _small() -> Any:
+    """Return the solver of small problems, None where its room is not here."""
+    solver = ask_or_none("step of auto", "small")
+    return solver and solver()
+
+
+@cache
+def method_or_none(name: str) -> Algorithm | None:
+    """Return the registered method with its own options, None where its room is not here."""
+    return create(name, {}) if name in REGISTRY else None
 
 
 def _is_asked(problem: LCP, now: Stage) -> bool:
@@ -325,6 +325,11 @@ def _triangle(problem: LCP) -> str | None:
     from ..matrix.structure import triangular_form
 
     return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
+
+
+def last_resort(problem: LCP) -> Algorithm:
+    """Return the method that auto follows to its end where nothing before it converges."""
+    return create("lemke" if problem.n <= PIVOTED_UP_TO else "psor", {})
 
 
 def name_of(policy: Policy, stages: Sequence[Any]) -> str:

@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from ..algorithms import Algorithm, create
+from ..algorithms import create
 from ..algorithms.base import has_positive_diagonal
 from ..algorithms.pivots.lemke import has_parts_that_fit
 from ..certificates.infeasibility import contradictory_row
@@ -41,6 +41,7 @@ from ..crossovers import INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PI
 from ..kernels.floats import EPSILON
 from ..matrix.sign import is_negated_m_matrix, is_negative
 from ..problem.lcp import LCP
+from .choice import last_resort
 from .stages import Choice, Stage
 
 CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
@@ -126,9 +127,13 @@ def may_be_searched(problem: LCP) -> bool:
     A convex program is a matter of convex methods, which give the multipliers that its users expect.
     """
     from ..algorithms.search import is_searchable
-    from ..conversions.qp_forms import QPOrigin
 
-    return is_searchable(problem) and not isinstance(problem.origin, QPOrigin)
+    return is_searchable(problem) and not is_of_convex_program(problem.origin)
+
+
+def is_of_convex_program(origin: Any) -> bool:
+    """Return whether a problem of this origin states a convex program: only such are converted."""
+    return bool(getattr(origin, "is_of_convex_program", False))
 
 
 def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
@@ -191,11 +196,6 @@ def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
 
 
-def last_resort(problem: LCP) -> Algorithm:
-    """Return the method that auto follows to its end where nothing before it converges."""
-    return create("lemke" if problem.n <= PIVOTED_UP_TO else "psor", {})
-
-
 def _suits_newton(problem: LCP) -> bool:
     from ..matrix import analyze
 
@@ -204,12 +204,11 @@ def _suits_newton(problem: LCP) -> bool:
 
 def _seems_monotone(problem: LCP, origin: Any) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
-    from ..conversions.qp_forms import QPOrigin
     from ..matrix.symmetry import is_nearly_symmetric
 
     if problem.n == 0:
         return False
-    if isinstance(origin, QPOrigin):  # only convex programs are converted
+    if is_of_convex_program(origin):
         return True
     if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
         return True

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..algorithms import Algorithm, Step
 from ..checks import FloatVector
-from ..conversions.presolve import Presolved
 from ..problem.lcp import LCP
+
+if TYPE_CHECKING:
+    from ..conversions.presolve import Presolved
 
 STEADY = 0.05
 KEPT_RESIDUALS = 512

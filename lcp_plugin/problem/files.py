@@ -15,6 +15,7 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector
 from ..errors import InvalidOption, InvalidProblem, UnreadableFile
+from ..registry import ask
 from .mat_files import read_mat
 from .matrix_market import read_matrix_market
 
@@ -72,9 +73,7 @@ def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
     """Read a problem from a ``.npz``, ``.mat`` or ``.nl`` file, or ``M.mtx`` and ``q.mtx`` in a folder or by prefix."""
     source = checked_path(path)
     if source.suffix.lower() == ".nl":
-        from .. import lcp_in_nl
-
-        stated: LCP = lcp_in_nl(source)
+        stated: LCP = ask("file format", "an LCP in .nl")(source)
         return stated
     if source.suffix.lower() == ".npz":
         return _load_npz(kind, source)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from ..communicator.alone import Communicator
 from ..matrix.matrix import Matrix
+from ..registry import ask
 from .written import written_lcp
 
 
@@ -238,13 +239,11 @@ class LCP:
         InvalidProblem
             On every rank, where any part is damaged or the parts do not fit together.
         """
-        from .on_ranks import matrix_of_rows, require_same_numbers
-
-        matrix = matrix_of_rows(comm, rows, first_row)
+        matrix = ask("ranks", "matrix")(comm, rows, first_row)
         problem = object.__new__(LCP)
         problem.origin, problem.criterion, problem.matrix = None, None, matrix
         matrix.communicator.together(lambda: problem._set_vectors(q, lower, upper))
-        require_same_numbers(matrix.communicator, lower=lower, upper=upper)
+        ask("ranks", "require_same_numbers")(matrix.communicator, lower=lower, upper=upper)
         return problem
 
     @classmethod
@@ -261,9 +260,7 @@ class LCP:
         InvalidProblem
             Where the ranks give different problems.
         """
-        from .on_ranks import equal_part
-
-        return cls.from_rows(comm, *equal_part(comm, problem))
+        return cls.from_rows(comm, *ask("ranks", "equal_part")(comm, problem))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
@@ -281,11 +278,7 @@ class LCP:
         UnreadableFile
             Where it cannot be written, or looks like a file of another kind, as a.mat does.
         """
-        if self.is_distributed:
-            from .on_ranks import save
-        else:
-            from .files import save
-        save(self, path)
+        ask(*(("ranks", "save") if self.is_distributed else ("file format", "save")))(self, path)
 
     @classmethod
     def from_qp(
@@ -314,9 +307,9 @@ class LCP:
         form : {"auto", "direct", "dual", "kkt"}
             Which optimality conditions become the problem.
         """
-        from .. import QuadraticProgram, lcp_from_qp
-
-        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper), form)
+        program = ask("kind", "QuadraticProgram").type(P, c, G, h, A, b, lower, upper)
+        problem: LCP = ask("conversion", "from_qp")(program, form)
+        return problem
 
     @classmethod
     def from_game(cls, A: Any, B: Any = None) -> LCP:
@@ -328,15 +321,12 @@ class LCP:
             Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
             ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
         """
-        from .. import lcp_from_bimatrix_game
-
-        return lcp_from_bimatrix_game(A, B)
+        problem: LCP = ask("conversion", "from_game")(A, B)
+        return problem
 
     def to_qp(self) -> Any:
         """Return a quadratic program that this problem is; see ``conversions.quadratic_program.qp_from_lcp``."""
-        from .. import qp_from_lcp
-
-        return qp_from_lcp(self)
+        return ask("conversion", "to_qp")(self)
 
     @classmethod
     def from_cvxpy(cls, problem: Any) -> LCP:
@@ -347,15 +337,12 @@ class LCP:
         problem : cvxpy.Problem
             Of :func:`lcp_plugin.complements` and equalities.
         """
-        from .. import lcp_stated_by
-
-        return lcp_stated_by(problem)
+        stated: LCP = ask("conversion", "from_cvxpy")(problem)
+        return stated
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""
-        from .. import stated_in_cvxpy
-
-        return stated_in_cvxpy(self)
+        return ask("conversion", "to_cvxpy")(self)
 
     @classmethod
     def load(cls, path: str | PathLike[str], comm: Any = None) -> LCP:
@@ -364,7 +351,8 @@ class LCP:
         A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
         they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. MATLAB's ``.mat``
         (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
-        absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers. AMPL's
+        absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
+        which reads these, may end the process on a damaged one. AMPL's
         ``.nl`` may state other problems, too: :func:`lcp_plugin.modeling.nl.read_nl`.
 
         Parameters
@@ -381,13 +369,8 @@ class LCP:
         UnsupportedModel
             Where a ``.nl`` file states something else.
         """
-        if comm is not None:
-            from .on_ranks import load as load_parts
-
-            return load_parts(LCP, path, comm)
-        from .files import load
-
-        return load(LCP, path)
+        problem: LCP = ask("file format", "load")(LCP, path) if comm is None else ask("ranks", "load")(LCP, path, comm)
+        return problem
 
     __repr__ = written_lcp
 

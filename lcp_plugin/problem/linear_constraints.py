@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..exact.rational import ZERO, IntegerMatrix, common_denominator, integers, power_of_two, rounded_down
+from ..kernels.floats import DATA_ROUNDING
 from ..matrix.structure import row_numbers
 
 BoolVector = NDArray[np.bool_]
 
 DECISIVE = 1e-3  # a margin that no tolerance in use reaches: where one row has a larger one, no other is looked for
 WIDE = 1e8  # times the size of the data: a proof within a smaller radius refutes nothing
-DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
 MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 

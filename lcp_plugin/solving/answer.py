@@ -10,6 +10,7 @@ from operator import index
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 from ..errors import LCPError, NotConverged
+from ..registry import ask
 from ..settings import PROVEN, Status
 
 
@@ -130,9 +131,7 @@ class Answer:
         **how
             Of :func:`lcp_plugin.evidence.plots.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns' grid.
         """
-        from .. import plot_answer
-
-        return plot_answer(self, **how)
+        return ask("picture", "answer")(self, **how)
 
     def __repr__(self) -> str:
         size = "" if self.x is None else f"n={len(self.x)}, "
@@ -229,9 +228,7 @@ class AnswerSequence(Results[T]):
 
     def plot(self, **how: Any) -> Any:
         """Return matplotlib's axes with a picture of the answers; see :meth:`Answer.plot`."""
-        from .. import plot_answer
-
-        return plot_answer(self, **how)
+        return ask("picture", "answer")(self, **how)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s)"

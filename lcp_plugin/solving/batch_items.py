@@ -12,7 +12,7 @@ from ..algorithms.small_dense import as_dense, is_short
 from ..checks import DENSE_ABOVE_DENSITY, checked_start, length_of_all, read_only, real_array, rows_of_a_batch
 from ..crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ..errors import InvalidOption, InvalidProblem, LCPError
-from ..matrix.structure import outer_on_pattern
+from ..matrix.graph import outer_on_pattern
 from ..policy.choice import takes_the_small_dense_solver
 from ..problem.lcp import LCP
 from .batch_groups import Group

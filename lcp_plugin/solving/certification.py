@@ -19,6 +19,7 @@ from ..conversions.qp_solution import QPSolution
 from ..deadline import time_limit
 from ..errors import InvalidOption, InvalidProblem, did_you_mean
 from ..kinds import kind_of, refusal
+from ..registry import ask
 from .answer import Answer
 from .program_proofs import Certification, ProgramProofs
 from .quadratic_program import QuadraticProgramResult
@@ -107,9 +108,8 @@ def certify(
                 raise InvalidProblem(refusal("certify", problem))
             if x is not None or multipliers is not None or claim is not None:
                 raise InvalidOption("x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own")
-            from .. import certify_problem
-
-            return certify_problem(problem, float(tolerance))
+            proved: Certification = ask("certification", "cvxpy")(problem, float(tolerance))
+            return proved
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
         refuse_nonconvex(problem)

@@ -31,7 +31,7 @@ from ..checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..kinds import refusal
 from ..matrix.free_systems import FreeSystem
-from ..matrix.structure import outer_on_pattern
+from ..matrix.graph import outer_on_pattern
 from ..matrix.symmetry import has_symmetric_entries
 from ..problem.lcp import LCP
 from .batch_derivative import BatchDerivative

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -12,20 +11,20 @@ from ..algorithms import Algorithm, FusedSolve
 from ..certificates.criterion import CommonUnits, least_reference, reference_residual
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, checked_start
-from ..crossovers import INTERIOR_STEPS
-from ..deadline import Clock, seconds_left
+from ..deadline import Clock
 from ..errors import InvalidOption
 from ..kernels.floats import EPSILON
 from ..kernels.threads import threads_for
-from ..kinds import KINDS, solve_any
+from ..kinds import solve_any
 from ..matrix.structure import parts
-from ..policy.choice import LinearPolicy, Policy, name_of, policy_for
+from ..policy.choice import Policy, name_of, policy_for
 from ..policy.stages import Choice
 from ..problem.lcp import LCP
-from ..settings import BESIDE, OF_SOLVE, CallersOwn, Settings, Status, checked_callback
-from .guarantees import warn_where_known_to_be_uncovered
+from ..problem.lcp_kind import LINEAR_COMPLEMENTARITY_PROBLEM
+from ..registry import ask_or_none
+from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
 from .judge import answers_program
-from .result import Result, Sample, StageRecord
+from .result import Result, StageRecord
 from .run import Callback, Run
 
 if TYPE_CHECKING:
@@ -37,9 +36,6 @@ if TYPE_CHECKING:
     from .least_squares import LeastSquaresResult
     from .quadratic_program import QuadraticProgramResult
 
-OF_LCP = KINDS[0]
-FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
-LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
 
 
 @overload
@@ -176,7 +172,7 @@ def solve(
         wishes = {name: value for name, value in given.items() if value is not (solve.__kwdefaults__ or {})[name]}
         return solve_any(problem, algorithm, {**wishes, **options})
     if options:
-        OF_LCP.refuse(options)
+        LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)
     communicator, clock = problem.communicator, Clock(problem.communicator)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), communicator.interruptions() as clock.hears:
@@ -194,8 +190,8 @@ def solve(
         with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
             units = CommonUnits(problem, problem)
             try:
-                if policy.chosen != "auto":
-                    warn_where_known_to_be_uncovered(problem, policy, stacklevel=2)
+                if policy.chosen != "auto" and (warn := ask_or_none("remark", "uncovered")) is not None:
+                    warn(problem, policy, stacklevel=2)
                 units = CommonUnits.of(problem, settings.least_reference)
                 start, first = units.inward(start), policy.first(units.problem)
                 if callers is None and (result := fused(units, policy, first, settings, start, clock)) is not None:
@@ -275,37 +271,3 @@ def fused_result(
         absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
         setup_seconds=0.0, stages=stages, _asked=policy.chosen,
     )
-
-
-def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
-    """Return the result of a run within another one, whose limits hold for it and whose Ctrl-C ends both.
-
-    It solves a linearisation of a nonlinear problem, from the projected gradient step: the methods see a start and look
-    for a solution near it.
-    """
-    left, clock, units = seconds_left(), Clock(problem.communicator), CommonUnits.of(problem)
-    policy = LinearPolicy(algorithm)
-    settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
-    step = np.nan_to_num(-problem.q / problem.residual_scale)
-    start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
-    if (result := fused(units, policy, first, settings, start, clock)) is not None:
-        return result
-    run = Run(units, policy, settings, CallersOwn(_Patience()) if problem.n > LARGE else None, clock)
-    return run.judged(start, run.drive(start, first))
-
-
-class _Patience:
-    """Ends a run in which many factorisations have not halved the residual."""
-
-    def __init__(self) -> None:
-        self.lowest, self.idle, self.before = math.inf, 0, 0
-
-    def __call__(self, sample: Sample, z: FloatVector) -> bool:
-        """Return whether the run has had its time."""
-        residual, steps = math.inf if sample.residual is None else sample.residual, sample.iteration - self.before
-        self.before = sample.iteration
-        if residual <= 0.5 * self.lowest:
-            self.lowest, self.idle = residual, 0
-        elif sample.label in FACTORS:
-            self.idle += steps
-        return self.idle >= FACTORS.get(sample.label, math.inf)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ..matrix.row_sums import unit_triangle_sums
 from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..settings import Settings
+from .result import BoundOrReason
 
 if TYPE_CHECKING:
     from ..certificates.error_bounds import ErrorBound
@@ -24,13 +25,6 @@ CHEAP_AFTER = (0.01, 0.8)  # how far the residual has to fall until the next che
 SHARP_EVERY = 0.1
 SHARP_WORTH = 200  # sweeps that a sharp bound may cost
 OUT_OF_STEP = 2.0
-
-
-class BoundOrReason(NamedTuple):
-    """A bound of the error, or none and the reason."""
-
-    bound: ErrorBound | None = None
-    reason: str = ""
 
 
 class ErrorWatch:

@@ -11,19 +11,7 @@ import numpy as np
 
 from ..algorithms import Algorithm
 from ..algorithms.base import identity
-from ..certificates.convergence import (
-    MODULUS,
-    PROJECTED_RELAXATION,
-    PROJECTED_SPLITTING,
-    PROJECTED_TYPE,
-    Contraction,
-    IterationFacts,
-    Sums,
-    contraction,
-    next_weights,
-    numbers,
-    sums_for,
-)
+from ..certificates.convergence import Contraction, Sums, contraction, next_weights, numbers, sums_for
 from ..certificates.theorems import (
     GUARANTEED,
     NOT_COVERED,
@@ -39,11 +27,11 @@ from ..errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, Unsuit
 from ..kinds import refusal
 from ..matrix import analyze, comparison_certificate, h_verdict
 from ..matrix.comparison import jacobi_radius
+from ..matrix.graph import within_blocks
+from ..matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
 from ..matrix.matrix import Matrix, fact
 from ..matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
-from ..matrix.structure import within_blocks
-from ..policy.choice import Policy, Single, policy_for
-from ..policy.direct_methods import last_resort
+from ..policy.choice import Policy, Single, last_resort, policy_for
 from ..problem.lcp import LCP
 
 NEAR_ONE = (0.05, 1.0)
@@ -139,7 +127,7 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
 
 def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
     try:
-        theorem = algorithm.theorem(problem)
+        theorem = algorithm.theorem(problem, analyze(problem))
     except (UnsuitableMatrix, UnsuitableProblem) as error:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if theorem is None:

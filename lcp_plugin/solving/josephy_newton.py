@@ -25,7 +25,7 @@ from ..matrix.structure import parts
 from ..problem.lcp import LCP
 from ..problem.nonlinear import Linearisation, Linearisations
 from ..settings import Status
-from .driver import solved_within
+from .linearisation import solved_within
 from .result import Result
 
 SUFFICIENT = 1e-4

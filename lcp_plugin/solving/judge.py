@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,12 @@ from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
 from ..problem.lcp import LCP
+from ..registry import ask
 from ..settings import PROVEN, Settings, Status
-from .error_watch import BoundOrReason, ErrorWatch
+from .result import BoundOrReason
+
+if TYPE_CHECKING:
+    from .error_watch import ErrorWatch
 
 FAR_OUT = 1e-2
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
@@ -63,7 +67,8 @@ class Judge:
         self.units, self.problem, self.settings = units, units.callers, settings
         self.asked: Any = self.problem
         self.reference = units.reference
-        self.errors = ErrorWatch(self.problem, settings) if settings.error_bound or settings.is_on_error else None
+        watches = settings.error_bound or settings.is_on_error
+        self.errors: ErrorWatch | None = ask("watch", "error")(self.problem, settings) if watches else None
         self.proof: Any = None
         self._certificate: Certificate | None = None
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..checks import FloatVector
 from ..matrix.factors import BANDED_UP_TO, Bands, bands
+from ..matrix.graph import bandwidth
 from ..matrix.matrix import Matrix
-from ..matrix.structure import bandwidth, row_numbers
+from ..matrix.structure import row_numbers
 from .march import March
 
 if TYPE_CHECKING:

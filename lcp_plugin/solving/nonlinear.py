@@ -22,10 +22,9 @@ from ..policy.choice import Single, policy_for
 from ..policy.stages import Choice
 from ..problem.nonlinear import Linearisation, Linearisations, NonlinearProblem
 from ..settings import Settings, Status, checked_callback
-from .error_watch import BoundOrReason
 from .josephy_newton import JosephyNewton
 from .judge import Judge
-from .result import Result
+from .result import BoundOrReason, Result
 from .run import Callback, Run
 
 STEP = 2.0**-20

@@ -26,8 +26,7 @@ from ..errors import InvalidOption, InvalidProblem, UnsuitableMatrix, Unsuitable
 from ..settings import Status, checked_callback
 from .answer import Answer
 from .driver import asked_of_solve, solve
-from .error_watch import BoundOrReason
-from .result import Result, Sample, StageRecord
+from .result import BoundOrReason, Result, Sample, StageRecord
 
 TAKE_SMALL_PROGRAMS = ("auto", "interior_point")
 ACTIVE_SET = "dual active set"

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
+from ..registry import ask, ask_or_none, offered
 from ..settings import Status
 from .answer import Answer
-from .error_watch import BoundOrReason
 
 if TYPE_CHECKING:
     from ..certificates.error_bounds import ErrorBound
@@ -25,11 +25,11 @@ FAR = 1e-2  # part of ‖z‖∞
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 
-def status_of(proof: Any) -> Status:
-    """Return what a proof that there is no solution proves."""
-    from ..certificates.refutation import Infeasibility
+class BoundOrReason(NamedTuple):
+    """A bound of the error, or none and the reason."""
 
-    return Status.INFEASIBLE if isinstance(proof, Infeasibility) else Status.NO_SOLUTION
+    bound: ErrorBound | None = None
+    reason: str = ""
 
 
 class StageRecord(NamedTuple):
@@ -157,9 +157,8 @@ class Result(Answer):
 
         See :func:`lcp_plugin.convergence_guarantee`.
         """
-        from .guarantees import convergence_guarantee
-
-        return convergence_guarantee(self.certificate.problem, self._asked)
+        guarantee: Guarantee = ask("remark", "guarantee")(self.certificate.problem, self._asked)
+        return guarantee
 
     @property
     def x(self) -> FloatVector:
@@ -188,16 +187,15 @@ class Result(Answer):
 
     def _sign(self) -> list[str]:
         """Return what the diagonal of M says where it is negative throughout; of an LCP."""
-        from ..matrix.sign import sign_remark
-
-        remark = "" if self.certificate.is_linearised else sign_remark(self.certificate.problem.matrix)
+        tell = None if self.certificate.is_linearised else ask_or_none("remark", "sign")
+        remark = "" if tell is None else tell(self.certificate.problem.matrix)
         return [remark] if remark else []
 
     def _small_contradiction(self) -> list[str]:
         """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
         if self.infeasibility is None or self.is_refuted:
             return []
-        what = "infeasible" if status_of(self.infeasibility) is Status.INFEASIBLE else "without solution"
+        what = "infeasible" if self.infeasibility.status is Status.INFEASIBLE else "without solution"
         if self.infeasibility.is_rounding:
             size = self.infeasibility.absolute_margin
             return [f"{what}, but only by {size:.0e} in the unit of z: rounding beside the largest number in q; "
@@ -242,7 +240,8 @@ class Result(Answer):
 
     def _not_covered(self) -> list[str]:
         """Return a line where a chosen method failed that nothing proves to converge."""
-        if self.status not in FAILED or isinstance(self._asked, str) or self.certificate.problem.is_distributed:
+        is_auto = isinstance(self._asked, str)
+        if self.status not in FAILED or is_auto or self.certificate.problem.is_distributed or not offered("remark"):
             return []
         guarantee = self.guarantee
         if guarantee.is_guaranteed or not guarantee.remedy:
@@ -288,10 +287,9 @@ class Result(Answer):
     def _far(self) -> list[str]:
         """Return a line where the error may be a good part of z although the residual is small."""
         certificate, problem = self.certificate, self.certificate.problem
-        if problem.is_distributed:
+        estimated_error = ask_or_none("remark", "estimated error")
+        if problem.is_distributed or estimated_error is None:
             return []
-        from ..certificates.active_rows import estimated_error
-
         residual = certificate.scaled_residual
         error = estimated_error(problem, self.z, self.w, residual)
         size = float(np.abs(self.z).max(initial=0.0))

@@ -22,9 +22,8 @@ from ..policy.stages import CheckSchedule, Choice, Progress, Stage
 from ..problem.lcp import LCP
 from ..settings import CallersOwn, Settings, Status
 from .advice import advice_of_run, unused_start
-from .error_watch import BoundOrReason
 from .judge import Judge
-from .result import Result, Sample, StageRecord, status_of
+from .result import BoundOrReason, Result, Sample, StageRecord
 from .run_log import RunLog
 
 Callback = Callable[[Sample, FloatVector], Any]
@@ -146,7 +145,7 @@ class Run:
             reason = reason or Status.INTERRUPTED
         if step.proof is not None and reason is None:
             if self.judge.counts(step.proof):
-                return status_of(step.proof)
+                return step.proof.status  # type: ignore[no-any-return]
             if self.judge.misses_by_rounding(self.incumbent.z):
                 return Status.PRECISION_LIMIT
         return reason

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from typing import Any
 
 from ..deadline import NEW_KERNELS, compilation
-from ..matrix import verdicts
-from ..matrix.matrix import Matrix
-from ..matrix.sign import sign_remark
-from ..matrix.structure import triangular_form
 from ..policy.stages import Choice, Stage
 from ..problem.lcp import LCP
+from ..registry import ask_or_none
 from ..settings import Settings
 from .result import Result, Sample
 
@@ -38,9 +34,13 @@ class RunLog:
         self._compilation, self._compiled = compilation(), compilation().seconds
         self._silent_until = NEW_KERNELS.seconds + QUIET
         self._next = 0
-        classes = ", ".join(_classes(problem.matrix)) if isinstance(problem, LCP) else ""
+        is_linear = isinstance(problem, LCP)
+        classes, remark = (
+            tell(problem.matrix) if is_linear and (tell := ask_or_none("remark", what)) is not None else ""
+            for what in ("classes", "sign")
+        )
         self._say(f"{problem}{classes and f'; M {classes}'}")
-        if isinstance(problem, LCP) and (remark := sign_remark(problem.matrix)):
+        if remark:
             self._say(remark)
         self._say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 
@@ -86,17 +86,3 @@ class RunLog:
         if not self._is_silent:
             encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
             print(line.encode(encoding, "replace").decode(encoding), flush=True)
-
-
-def _classes(matrix: Matrix) -> Iterator[str]:
-    """Yield what one look at the entries tells of M; nothing where the rows are on several ranks."""
-    if not matrix.communicator.is_alone:
-        return
-    yield "dense" if matrix.is_dense else "sparse"
-    if verdicts.symmetric(matrix).value:
-        yield "symmetric"
-    if (form := triangular_form(matrix)) is not None:
-        yield form if form == "diagonal" else f"{form} triangular"
-    if verdicts.z_matrix(matrix).value:
-        yield "a Z-matrix"
-    yield "with positive diagonal" if (matrix.diagonal > 0.0).all() else "with a diagonal not everywhere positive"

@@ -15,8 +15,8 @@ from ...crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...errors import UnsuitableMatrix
 from ...exact.rounding import read_only_views
 from ...matrix.factors import Bands, bands
+from ...matrix.graph import bandwidth
 from ...matrix.matrix import Matrix, fact
-from ...matrix.structure import bandwidth
 from ...problem.lcp import LCP
 from ..base import Algorithm, FusedSolve, Step
 
@@ -68,14 +68,12 @@ class Banded(Algorithm):
         """Return those of as many rounds as there usually are; ∞ where M is dense."""
         return math.inf if problem.is_dense else _predicted_passes(problem.matrix)
 
-    def theorem(self, problem: LCP) -> str | None:
+    def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on M-matrices."""
-        from ...matrix import analyze
-
         is_one_sided = _is_one_sided(problem)
         band = bands(problem.matrix)
         is_covered = is_one_sided or (band is not None and band.is_tridiagonal_z)
-        if not is_covered or analyze(problem).is_m_matrix is not True:
+        if not is_covered or report.is_m_matrix is not True:
             return None
         what = "bounded on one side" if is_one_sided else "tridiagonal"
         return f"M is an M-matrix, {what}: the changes are monotone and finite (Chandrasekaran 1970, Cryer 1983)"

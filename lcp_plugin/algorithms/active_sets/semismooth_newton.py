@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...checks import BoolVector, FloatVector
 from ...matrix.factors import factorise
-from ...matrix.structure import bandwidth
+from ...matrix.graph import bandwidth
 from ...problem.lcp import LCP
 from ..base import Algorithm, FusedSolve, Phases, Step, direct_passes, without_warnings
 from ..small_dense import ROUNDS_ONLY, is_short, solve_fused, steps
@@ -81,12 +81,10 @@ class Newton(Algorithm):
         """Yield the best z so far, once a factorisation; end where nothing more can be done."""
         return without_warnings(self._steps(problem, z0))
 
-    def theorem(self, problem: LCP) -> str | None:
+    def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on M-matrices: full steps are monotone then, at most n + 2; patience suffices for them."""
-        from ...matrix import analyze
-
         is_one_sided = bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
-        if problem.n > PATIENT_ROWS or not is_one_sided or analyze(problem).is_m_matrix is not True:
+        if problem.n > PATIENT_ROWS or not is_one_sided or report.is_m_matrix is not True:
             return None
         return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
 

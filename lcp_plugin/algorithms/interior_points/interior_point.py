@@ -173,7 +173,7 @@ class _Search:
 
     def step(self, y: FloatVector, work: float) -> Step:
         """Return the best z so far, with y, projected, taken into account; `work` is what y took."""
-        from ...kernels.rows import box_residual
+        from ...kernels.interior_rows import box_residual
 
         problem = self.problem
         if self.kept is None:

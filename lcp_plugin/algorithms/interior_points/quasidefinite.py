@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ...checks import FloatVector, read_only
 from ...kernels.floats import REFINEMENTS, STABLE, USEFUL
 from ...matrix.factors import made, most_operations
-from ...matrix.structure import compressed_rows
+from ...matrix.graph import compressed_rows
 from .newton_matrix import SMALLEST, NewtonMatrix
 
 DEAR = (8.0, 30.0)  # times the work of a solve: factorisations that are worth one correction, or two
@@ -170,7 +170,7 @@ def signs_of(M: Any) -> FloatVector | None:
     >>> signs_of(sp.csr_array([[2.0, 3.0], [-1.0, 0.0]])) is None
     True
     """
-    from ...kernels.rows import oppose
+    from ...kernels.interior_rows import oppose
 
     # Multipliers come last as a rule: who is opposed by an earlier row is one.
     signs = np.empty(M.shape[0])

@@ -14,8 +14,9 @@ from ...checks import FloatVector, read_only
 from ...crossovers import DENSE_NEWTON_UP_TO
 from ...kernels.floats import EPSILON
 from ...matrix.equilibration import Exponents, scaled, unit_diagonal
+from ...matrix.graph import compressed_rows
 from ...matrix.matrix import Matrix, fact
-from ...matrix.structure import IntVector, compressed_rows, row_numbers
+from ...matrix.structure import IntVector, row_numbers
 from ...matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from ...problem.lcp import LCP
 from .dense_ends import analysed
@@ -126,7 +127,7 @@ def equilibration(M: Any, signs: FloatVector | None = None) -> Exponents | None:
     diagonal = M.diagonal()
     if not sp.issparse(M) and diagonal.min() > 0.0:
         return None if diagonal.max() <= EVEN * diagonal.min() else unit_diagonal(diagonal)
-    from ...kernels.rows import even
+    from ...kernels.interior_rows import even
 
     c = np.ones(diagonal.size)
     is_program = signs is not None and bool((signs < 0.0).any())

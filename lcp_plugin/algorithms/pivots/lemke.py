@@ -15,7 +15,7 @@ from ...certificates.row_residuals import measured_residual
 from ...checks import FloatVector
 from ...crossovers import PIVOTED_UP_TO
 from ...errors import InvalidOption, UnsuitableProblem
-from ...matrix.structure import block_rows
+from ...matrix.graph import block_rows
 from ...matrix.structure import parts as parts_of
 from ...problem.lcp import LCP
 from ..active_sets.active_set import solve_active_set
@@ -143,14 +143,12 @@ class Lemke(Algorithm):
                 z[rows] = np.clip(found, part.lower, part.upper)
                 yield PivotStep(z, work=touched / entries, is_settling=True, ray=_extended(ray, rows, problem.n))
 
-    def theorem(self, problem: LCP) -> str | None:
+    def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
-        from ...matrix import analyze
-
         _parts_that_fit(problem)
         if np.isfinite(problem.lower).all() and np.isfinite(problem.upper).all():
             reason = "all bounds are finite"
-        elif analyze(problem).is_p_matrix is True:
+        elif report.is_p_matrix is True:
             reason = "M is a P-matrix"
         else:
             return None

@@ -16,9 +16,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...certificates.convergence import MODULUS, IterationFacts
 from ...checks import FloatVector, is_number, real_vector
 from ...errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...matrix.iteration_facts import MODULUS, IterationFacts
 from ...problem.lcp import LCP
 from ..base import Step, check_positive, inverse_residual_scale, require_positive_diagonal
 from . import Splitting

@@ -9,10 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...certificates.convergence import PROJECTED_RELAXATION, IterationFacts
 from ...checks import FloatVector
 from ...crossovers import PSOR_GAIN, PSOR_PASSES
 from ...errors import InvalidOption
+from ...matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
 from ...matrix.row_sums import pivot_weight
 from ...matrix.symmetry import has_symmetric_entries
 from ...problem.lcp import LCP

@@ -14,17 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 
-from ...certificates.convergence import PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
-from ...certificates.row_residuals import euclidean_norm, scaled_residual
 from ...checks import FloatVector
-from ...errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ...matrix.factors import sparse_lu
-from ...matrix.row_sums import automatic_factors, part_of, split_factors
+from ...errors import InvalidOption, UnsuitableMatrix
+from ...matrix.iteration_facts import PROJECTED_TYPE, IterationFacts
+from ...matrix.row_sums import automatic_factors
 from ...problem.lcp import LCP
 from ..base import (
     Algorithm,
@@ -38,12 +35,11 @@ from ..base import (
 from . import Splitting
 
 SCALINGS = ("auto", "diagonal", None)
-NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
 REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem"
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Scaled(Algorithm):
+class ScaledByRows(Algorithm):
     """What all NP iterations have: a row scaling S, and a last projected Gauss–Seidel sweep."""
 
     scaling: str | None = "auto"
@@ -87,7 +83,7 @@ class _Scaled(Algorithm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProjectedType(_Scaled, Splitting):
+class ProjectedType(ScaledByRows, Splitting):
     """(D/α + D + 2S⁻¹ − (β/α) L)(z⁺ − z) = −2 S⁻¹ r_S(z) by forward substitution, each component projected at once.
 
     Parameters
@@ -116,7 +112,7 @@ class ProjectedType(_Scaled, Splitting):
     converges_on: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
 
     def __post_init__(self) -> None:
-        _Scaled.__post_init__(self)
+        ScaledByRows.__post_init__(self)
         Splitting.__post_init__(self)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -256,90 +252,3 @@ class NPJ(ProjectedType):
     name: ClassVar[str] = "npj"
     converges_on: ClassVar[str] = "H₊"
     is_coupled: ClassVar[bool] = False
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NPSplitting(_Scaled):
-    """NP with any splitting M = 𝓜 − 𝓝: (S(𝓜 + D) + 2I)(z⁺ − z) = −2 r_S(z), the left-hand matrix factorised once.
-
-    Parameters
-    ----------
-    splitting : sparse array or array, shape (n, n), or {"diagonal", "tridiagonal", "lower"}
-        𝓜, or the part of M to take: its diagonal (NPJ), three diagonals, or lower triangle (NPGS). A block
-        diagonal, or the product of incomplete factors, is a good 𝓜 too.
-    scaling, scaling_factor
-        Row scaling S as in NPSOR; for a splitting of your own "auto" is 1/d_i.
-
-    Raises
-    ------
-    UnsuitableMatrix
-        Where S(𝓜 + D) + 2I is singular.
-    """
-
-    name: ClassVar[str] = "npsplitting"
-    assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
-    converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1); H₊ for a named splitting, scaled"
-    cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
-
-    splitting: Any = "tridiagonal"
-
-    def __post_init__(self) -> None:
-        if isinstance(self.splitting, str):
-            check_choice(self, "splitting", NAMED_SPLITTINGS)
-        super().__post_init__()
-
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield z₀, z₁, …, each with its residual."""
-        while not problem.n:  # SuperLU refuses a matrix without rows
-            yield Step(z0, 0.0, 0.0, work=0.0)
-        splitting = self._matrix(problem)
-        step = self._scaling(problem)
-        scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
-        factor = self._factorised(problem, scaled + sp.diags_array(np.full(problem.n, 2.0)))
-        entries = max(problem.nonzeros, 1)
-        work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
-        z = z0
-        while True:
-            with np.errstate(all="ignore"):  # what overflows is seen in the residual
-                w = problem.slack(z)
-                residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
-                natural = np.clip(step * w, z - problem.upper, z - problem.lower)
-                euclidean = euclidean_norm(natural) if self.scaling is None else None
-            yield Step(z, residual, euclidean, None, work)
-            with np.errstate(all="ignore"):
-                z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
-            work = (factor.nnz + problem.nonzeros) / entries
-
-    def facts(self, problem: LCP) -> IterationFacts:
-        """Return 𝓜, S, and whether 𝓜 is a part of M."""
-        splitting = self._matrix(problem)
-        return IterationFacts(
-            family=PROJECTED_SPLITTING, scaling=self._scaling(problem), is_scaled=self.scaling is not None,
-            splitting=splitting, is_part_of_matrix=isinstance(self.splitting, str),
-        )
-
-    def _scaling(self, problem: LCP) -> FloatVector:
-        is_named = isinstance(self.splitting, str)
-        return self.row_scaling(problem, lambda: split_factors(problem.matrix, self.splitting) if is_named else 1.0)
-
-    def _matrix(self, problem: LCP) -> sp.csr_array:
-        M = problem.csr
-        if isinstance(self.splitting, str):
-            return part_of(problem.matrix, self.splitting)
-        need = f"npsplitting: the splitting must be a real matrix of the shape {M.shape} of M"
-        shape = getattr(self.splitting, "shape", None)
-        if shape is not None and shape != M.shape:
-            raise InvalidOption(f"{need}, got shape {shape}")
-        try:
-            # The checks of a problem's matrix are the checks of 𝓜.
-            return LCP(self.splitting, np.zeros(problem.n)).csr
-        except InvalidProblem as error:
-            raise InvalidOption(f"{need}: {error}") from error
-
-    def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
-        try:
-            return sparse_lu(matrix)
-        except RuntimeError as error:
-            raise UnsuitableMatrix(
-                f'npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting, or algorithm="auto"'
-            ) from error

@@ -1,0 +1,47 @@
+"""What an iteration tells the convergence theorems about itself: plain facts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..checks import FloatVector
+
+PROJECTED_TYPE = "projected type"
+PROJECTED_SPLITTING = "projected splitting"
+PROJECTED_RELAXATION = "projected relaxation"
+MODULUS = "modulus"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class IterationFacts:
+    """What the theorems ask of an iteration.
+
+    Attributes
+    ----------
+    family : str
+        "projected type", "projected splitting", "projected relaxation" or "modulus".
+    relaxation : float or None
+        α (ω of a projected relaxation); None where it is found during the run.
+    acceleration : float or None
+        β.
+    sweep : {"forward", "backward", "symmetric"}
+    scaling : array, shape (n,), or None
+        The diagonal of S of the projected-type families.
+    is_scaled : bool
+        Whether S was chosen, so that the paper's theorems are not about M itself.
+    omega : array, shape (n,), or None
+        The diagonal of Ω of the modulus family.
+    splitting : sparse array, shape (n, n), or None
+        𝓜 of a projected splitting; `is_part_of_matrix` where its entries are those of M or 0, the diagonal complete.
+    """
+
+    family: str
+    relaxation: float | None = 1.0
+    acceleration: float | None = 1.0
+    sweep: str = "forward"
+    scaling: FloatVector | None = field(default=None, repr=False)
+    is_scaled: bool = False
+    omega: FloatVector | None = field(default=None, repr=False)
+    splitting: Any = field(default=None, repr=False)
+    is_part_of_matrix: bool = False

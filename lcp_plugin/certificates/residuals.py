@@ -26,6 +26,7 @@ from .criterion import (
 from .row_residuals import (
     at_rounding_level,
     euclidean_norm,
+    is_large_product,
     largest_ratio,
     magnitude,
     over,
@@ -40,7 +41,6 @@ MEASURED = (
     "bound_violation", "slack_violation", "complementarity", "relative_complementarity", "scale_spread",
     "is_at_rounding_level", "is_limited_by_rounding",
 )
-LARGE_PRODUCT = 1e-2, 1e4  # in units of ‖r(z°)‖², and of that times the relative residual: worth a word
 GAINED = 1e-2  # of the reference
 
 
@@ -157,20 +157,12 @@ class Certificate:
         references: FloatVector = for_each_row(self.problem, self.references[1])
         return references
 
-    @property
-    def _row_floors(self) -> FloatVector:
-        """A lower bound of the same."""
-        references: FloatVector = for_each_row(self.problem, self.references[0])
-        return references
-
     @cached_property
     def _worst(self) -> tuple[float, float, int]:
         """The largest residual beside the reference of its part, this residual, and its row."""
         several = parts(self.problem.matrix)
         with np.errstate(all="ignore"):
-            residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            if self._units is not None:
-                residual = self._units.upwards(residual)
+            residual = self._in_units(np.abs(scaled_residual(self.problem, self.z, self.w, self._scale)))
             relative = residual
             if several is not None:  # as the relative residual is proved, so that its part is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
@@ -377,19 +369,15 @@ class Certificate:
     def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
         """Return the relative residual with no reference taken for less than `least`, in the caller's unit of z.
 
-        Parameters
-        ----------
-        least : float
-        answered : array of bool, shape (own,), optional
-            Rows that do not count.
+        The `answered` rows, shape (own,), do not count.
         """
         if not least and answered is None:
             return self.relative_residual
-        references, floors, rows = self._row_floors, np.full(self.z.size, least), self._proved_rows
-        if self._units is not None:
-            floors = self._units.downwards(floors)
-        rows = rows if answered is None else np.where(answered, 0.0, rows)
-        return self.problem.communicator.largest(largest_ratio(rows, np.maximum(references, floors)))
+        rows = self._proved_rows if answered is None else np.where(answered, 0.0, self._proved_rows)
+        floors = np.full(self.z.size, least)
+        floors = floors if self._units is None else self._units.downwards(floors)
+        references = np.maximum(for_each_row(self.problem, self.references[0]), floors)
+        return self.problem.communicator.largest(largest_ratio(rows, references))
 
     @property
     def _worst_part(self) -> str:
@@ -406,12 +394,6 @@ class Certificate:
             ("backward error", self.backward_error, ""),
         ]
         return "\n".join(f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines)
-
-
-def is_large_product(relative_complementarity: float, relative_residual: float) -> bool:
-    """Return whether complementarity is worth a word beside a residual."""
-    least, factor = LARGE_PRODUCT
-    return relative_complementarity > max(least, factor * relative_residual)
 
 
 def _largest(values: FloatVector) -> float:

@@ -9,6 +9,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.policy.direct_methods")``: how it goes on without sweeps
 - ``help("lcp_plugin.algorithms.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.certificates")``: what is proved of a matrix, a method, an error, a problem without solution
+- ``help("lcp_plugin.certificates.criterion")``: what SOLVED means, in which units
 - ``help("lcp_plugin.learn")``: layers for PyTorch and JAX
 - ``help("lcp_plugin.doors")``: Pyomo, AMPL, JuMP, qpsolvers, cvxpylayers, QuantEcon, files, finite elements
 - ``help("lcp_plugin.evidence")``: scenes and the report; other packages

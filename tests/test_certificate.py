@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from exact_parts import part_of_rows, references_of_rows, relative_residual
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, ConvergenceWarning, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.certificates.criterion import reference_residual, references_of_parts
+from lcp_plugin.certificates.criterion import RowUnits, reference_residual, references_of_parts
 from lcp_plugin.certificates.row_residuals import scaled_residual
 from lcp_plugin.evidence import gallery
+from lcp_plugin.matrix.units import units_of
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 
 EPSILON = Fraction(1, 2**52)
@@ -43,7 +44,10 @@ class Exact:
         self.q = [Fraction(value) for value in self.problem.q.tolist()]
         self.bounds = list(zip(self.problem.lower.tolist(), self.problem.upper.tolist(), strict=True))
         self.w = [q + self.dot(row, self.z) for q, row in zip(self.q, self.rows, strict=True)]
+        units = RowUnits.of(self.problem)
         self.d = [self.scale(row, row[i]) for i, row in enumerate(self.rows)]
+        if units is not None:
+            self.d = [Fraction(value) for value in units.scale.tolist()]
 
     @staticmethod
     def dot(row: list[Fraction], z: list[Fraction]) -> Fraction:
@@ -100,12 +104,22 @@ class Exact:
         return Exact(self.problem, nearest).scaled
 
     @property
+    def weights(self) -> list[Fraction]:
+        """What a row's residual is multiplied by in the units of the criterion."""
+        units = RowUnits.of(self.problem)
+        return [Fraction(1)] * len(self.z) if units is None else [Fraction(2) ** -k for k in units.column.tolist()]
+
+    def in_units(self, residuals: list[Fraction]) -> list[Fraction]:
+        return [weight * abs(r) for weight, r in zip(self.weights, residuals, strict=True)]
+
+    @property
     def reference(self) -> Fraction:
-        return max(map(abs, self.at_zero))
+        return max(self.in_units(self.at_zero))
 
     @property
     def relative(self) -> Any:
-        return relative_residual(self.scaled, self.at_zero, part_of_rows(self.problem.csr))
+        parts = part_of_rows(self.problem.csr)
+        return relative_residual(self.in_units(self.scaled), self.in_units(self.at_zero), parts)
 
 
 def exactly(problem: LCP, z: object) -> Exact:
@@ -294,6 +308,7 @@ def test_relative_residual_has_no_unit(drawn: tuple[LCP, np.ndarray], rows: list
     """Rows scaled by powers of two and another unit of z change the relative residual and worst row by not one bit."""
     problem, z = drawn
     other = scaled_by(problem, np.array(rows[: problem.n]), np.full(problem.n, -unit))
+    assume((units_of(problem.matrix) is None) == (units_of(other.matrix) is None))  # neither near the gate
     before, after = Certificate.of(problem, z), Certificate.of(other, np.ldexp(z, unit))
     assert after.relative_residual == before.relative_residual
     assert after.worst_index == before.worst_index
@@ -374,8 +389,10 @@ def test_rounding_floor_bounds_the_rounding(drawn: tuple[LCP, np.ndarray]) -> No
     certificate, exact = Certificate.of(problem, z), exactly(problem, z)
     floor = [Fraction(value) for value in certificate.rounding_floor.tolist()]
     worst = certificate.worst_index
-    assert abs(Fraction(certificate.scaled_residual) - abs(exact.scaled[worst])) <= floor[worst]
-    measured = map(abs, map(Fraction, scaled_residual(problem, z, certificate.w).tolist()))
+    shown, weight = Fraction(certificate.scaled_residual), exact.weights[worst]
+    assert abs(shown - weight * abs(exact.scaled[worst])) <= weight * floor[worst]
+    scale = np.array([float(d) for d in exact.d])
+    measured = map(abs, map(Fraction, scaled_residual(problem, z, certificate.w, scale).tolist()))
     for value, truth, allowed in zip(measured, exact.scaled, floor, strict=True):
         assert abs(value - abs(truth)) <= allowed
 
@@ -460,7 +477,8 @@ def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
     assert squares <= Fraction(certificate.euclidean_residual) ** 2
     if exact.relative < math.inf:
         assert exact.relative <= Fraction(certificate.relative_residual)
-        references = references_of_rows(exact.at_zero, part_of_rows(problem.csr))
+        references = references_of_rows(exact.in_units(exact.at_zero), part_of_rows(problem.csr))
+        references = [of / weight for of, weight in zip(references, exact.weights, strict=True)]
         rows = zip(exact.z, exact.w, exact.d, references, strict=True)
         size = max(((abs(x) + abs(w / d)) / of for x, w, d, of in rows if of), default=Fraction(0))
         assert certificate.relative_residual <= float(exact.relative) * (1 + 1e-14) + float(size) * 1e-14

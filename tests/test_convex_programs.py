@@ -824,7 +824,7 @@ class _Points(Algorithm):
 def test_the_point_that_answers_the_program_is_returned() -> None:
     """Not one before it of a smaller residual that did not: the status speaks of what is handed back."""
     problem, better, right = LCP(np.eye(2), [-1.0, -1.0]), [1.0 - 1e-13, 1.0], [1.0 - 1e-10, 1.0]
-    problem.origin = SimpleNamespace(is_answered=lambda z, _tolerance: bool(z[0] == right[0]))
+    problem.criterion = SimpleNamespace(is_answered=lambda z, _tolerance: bool(z[0] == right[0]))
     assert not solve(problem, _Points(better)).is_solved
     result = solve(problem, _Points(better, *[right] * 3))
     assert result.is_solved

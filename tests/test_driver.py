@@ -637,7 +637,7 @@ def test_stiffer_data_are_said_to_be() -> None:
     """Sweeps leave an inclusion at 0 instead of 3, which no residual shows: `explain()` says so, auto is right."""
     problem, exact = stiff_m_matrix(contrast=1e10)
     far = solve(problem, "pgs")
-    assert (far.status, far.residual < 1e-11) == (Status.SOLVED, True)
+    assert (far.status, far.residual <= 1e-8) == (Status.SOLVED, True)
     assert "stiff: the error may be" in far.explain()
     for algorithm in ("auto", "newton", "multigrid"):
         result = solve(problem, algorithm)

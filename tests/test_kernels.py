@@ -16,6 +16,7 @@ from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate
 from lcp_plugin.algorithms import REGISTRY, create
+from lcp_plugin.certificates.criterion import CommonUnits
 from lcp_plugin.evidence import gallery
 from lcp_plugin.kernels import splitting_sweeps as kernels
 
@@ -262,7 +263,7 @@ def test_packing_puts_vectors_side_by_side(count: int, n: int) -> None:
 @pytest.mark.parametrize("text", ["random_h_plus:n=60,row_scale=10,column_scale=3", "obstacle_2d:size=8,shifted=true"])
 def test_residuals_of_steps_are_the_certificate_s(name: str, text: str) -> None:
     """Where a step brings residuals along, they are those of the certificate of its z, at every step."""
-    problem = gallery.parse(text).problem
+    problem = CommonUnits.of(gallery.parse(text).problem).problem  # what a run works on
     options = {"scaling": None} if name.startswith("np") else {}
     steps = create(name, options).iterates(problem, np.ones(problem.n))
     for step in islice(steps, 8):

@@ -17,7 +17,7 @@ LINE = re.compile(r" +(\d+) +[\d.]+ +\d\.\d\de[+-]\d\d +[\d.]+")
 def printed_by(run: Result, printed: str) -> tuple[str, list[str], list[int], str]:
     """The header, the lines of stages, the iterations that have a line, and the end of what a run printed."""
     header, columns, *lines, end = printed.splitlines()
-    assert columns.split() == ["iteration", "work", *"relative", "residual", "seconds"]
+    assert columns.split() == ["iteration", "work", "relative", "residual", "seconds"]
     stages = [line for line in lines if not LINE.fullmatch(line) and not line.startswith("(compiling")]
     return header, stages, [int(found[1]) for line in lines if (found := LINE.fullmatch(line))], end
 

@@ -12,7 +12,7 @@ every part within a factor 2. Where ‖r̂_P(z°)‖∞ = 0 the answer is z_P = 
 of the graph of rows and columns (zero diagonals: games, linear programs), M̂ leaves the unit of each open, and q̂ at z°
 decides: its largest entry in the rows of each lies in [½, 1).
 
-What it does not see: units that M cannot tell (a factor of 2⁶ between unknowns, rows that dominate), and jumps in mixed
+What it does not see: units that M cannot tell (a factor of 2⁸ between unknowns, rows that dominate), and jumps in mixed
 units, whose stiff part counts more than its share. Rows over ranks keep the units they are given in.
 """
 

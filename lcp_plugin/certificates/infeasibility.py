@@ -22,7 +22,7 @@ from ..matrix.graph import compressed_rows
 from ..matrix.structure import IntVector, row_numbers
 from ..problem.lcp import LCP
 from ..problem.linear_constraints import DECISIVE, LinearConstraints, activity
-from .criterion import reference_residual
+from .criterion import CommonUnits, RowUnits, reference_residual
 from .refutation import (
     LOWER,
     SLACKLESS,
@@ -96,6 +96,11 @@ def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feas
         raise InvalidOption(f"effort_limit must be a whole number of pivots, at least 0, got {effort_limit!r}")
     if problem.n == 0:
         return Feasibility("feasible", point=np.zeros(0), reason="nothing to satisfy")
+    units = CommonUnits(problem, problem) if RowUnits.of(problem) is None else CommonUnits.of(problem)
+    if units.row_exponents is not None:
+        known = decide_feasibility(units.problem, effort_limit=effort_limit)
+        proof = None if known.proof is None else known.proof.in_units(problem, -units.row_exponents)
+        return replace(known, proof=proof, point=None if known.point is None else units.outward(known.point))
     row = contradictory_row(problem)
     if row is not None and (row.margin >= DECISIVE or not effort_limit):
         return Feasibility("infeasible", row, reason="one row contradicts its bounds")

@@ -5,7 +5,7 @@ M̂ = R M C, R = diag(2^row), C = diag(2^column). A part (connected component) o
 - the largest entries of all its rows and columns lie within 2¹⁰ of each other, zeros on the diagonal or not; or
 - its rows are diagonally dominant, Σ_{j≠i} |m_ij| ≤ |m_ii|: then the maximum norm in these units is the one in which
   the projected iterations are a contraction, however stiff M is, so that grids with jumps keep theirs; or
-- what follows would change its unknowns by less than 2⁶ beside each other: the units of rows change no residual.
+- what follows would change its unknowns by less than 2⁸ beside each other: the units of rows change no residual.
 
 Else, where the diagonal can, it is brought to 1, and c minimises Σ (log₂|m̂_ij|)² over the other entries: c = d^(−1/2)
 where M is symmetric, the best conditioned scaling of a positive definite one up to the factor n (van der Sluis). Where
@@ -37,7 +37,7 @@ from .matrix import Matrix, fact, largest_in_rows
 from .structure import IntVector, parts, row_numbers
 
 SPREAD = 10  # log2 of what entries in one unit differ by
-ALIKE = 6  # log2 of what unknowns in one unit differ by
+ALIKE = 8  # log2 of what unknowns in one unit differ by
 DOMINANT = 1.0 + 2.0**-20  # rounding of stored sums
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
 ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding

@@ -1,19 +1,31 @@
-r"""What is proved of an x for min ½ Σ weights (A x − b)² + ½ ridge ‖x‖², lower ≤ x ≤ upper: how optimal, how far above.
+r"""What SOLVED means for min ½ Σ weights (A x − b)² + ½ ridge ‖x‖², lower ≤ x ≤ upper, and what is proved of an x.
 
 Write W = diag(weights), r = A x − b, f for the cost. For any y ∈ ℝᵐ and s = AᵀWy + ridge·x, convexity gives, summed
 without cancellation, for every feasible z
 
-    f(x) − f(z) ≤ ½ (r − y)ᵀW(r − y) + Σ_j s_j⁺(x_j − lower_j) + s_j⁻(upper_j − x_j),
+    f(x) − f(z) ≤ gap(x, y) = ½ Σ_i weights_i (r_i − y_i)² + Σ_j s_j⁺(x_j − lower_j) + s_j⁻(upper_j − x_j),
 
 and, with μ ≥ ridge such that f(z) − ½μ‖z‖² is convex, no more than s_j²/(2μ) for any column j while y = r. A column
 without a bound on one side needs an s_j of one sign, which rounding and the tolerance deny to y = r: y = r + δp with
 AᵀWp of that sign has it. Where there is none (a free column, A not proved to have full rank) f(x) − f(z) ≤ f(x) is all
-there is to say.
+there is to say: that is the `gap` of a result, rounding included.
+
+**SOLVED: x is within the bounds and, for some y, the gap is at most tolerance · cost, cost = ½ Σ weights y² + ½ ridge
+‖x‖², where of r_i − y_i and of s_j only what exceeds rounding counts**: what exceeds ρ_i = γ (|A||x| + |b|)_i in row i
+and τ_j = γ (|A|ᵀW|y| + ridge |x|)_j in column j, γ = 4 u (terms + 4). So x is optimal to the tolerance beside its cost
+for entries of A and b that differ from those given by no more than that relative rounding: b_i moved by r_i − y_i, and
+column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small, so that its rounding hides
+nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0. All that is compared is in
+the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their squares) and columns change
+nothing but rounding. It cannot see what such a change of A decides: columns that depend on others up to rounding, where
+no bound stops them. For a LinearOperator, whose entries nobody knows, SOLVED means a small gradient, and all is an
+estimate.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,7 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector
-from ..exact.rounding import compensated_product, gamma
+from ..exact.rounding import gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
 from ..problem.least_squares import ROWS_AT_ONCE, BoundedLeastSquares
@@ -46,9 +58,6 @@ class Enclosures:
     Parameters
     ----------
     problem : BoundedLeastSquares
-    is_sharp : bool
-        Whether sums are compensated, so that nothing but the last rounding is left, and nothing at all where they are
-        exact. That costs two copies of A.
 
     Attributes
     ----------
@@ -57,14 +66,12 @@ class Enclosures:
         gradient at the point of [lower, upper] nearest to 0; where that is 0 as well, that point is the answer.
     """
 
-    def __init__(self, problem: BoundedLeastSquares, *, is_sharp: bool = False) -> None:
-        self.problem, self.is_sharp = problem, is_sharp
+    def __init__(self, problem: BoundedLeastSquares) -> None:
+        self.problem = problem
 
     def residual(self, x: FloatVector) -> Ball:
         """Return A x − b."""
         problem = self.problem
-        if self.is_sharp:
-            return compensated_product(self._rows, x, -problem.b)
         if not problem.has_entries:
             return problem.product(x) - problem.b, np.zeros(problem.shape[0])
         return self._product(x, NOTHING, problem.b, by_rows=True)
@@ -77,15 +84,14 @@ class Enclosures:
         with_ridge(value, radius, self.problem.ridge, x)
         return value, radius
 
+    def gradient_at(self, x: FloatVector, y: FloatVector) -> Ball:
+        """Return AᵀWy + ridge x."""
+        return self.gradient(x, (y, NOTHING))
+
     def transposed(self, y: FloatVector, slip: FloatVector) -> Ball:
         """Return AᵀWy for a y known up to slip."""
         problem = self.problem
-        weighted, slip = problem.weighted(y), problem.weighted(slip)
-        if self.is_sharp:
-            if problem.weights is not None:
-                slip = OUTWARD * (slip + EPSILON * np.abs(weighted) + TINY * (weighted != 0.0))
-            value, radius = compensated_product(self._columns, weighted)
-            return value, OUTWARD * (radius + abs(self._columns) @ slip)
+        weighted, slip = problem.weighted(y), problem.weighted(slip) if slip.size else slip
         if not problem.has_entries:
             return problem.transposed(weighted), np.zeros(problem.shape[1])
         return self._product(weighted, slip, 0.0, by_rows=False)
@@ -117,14 +123,6 @@ class Enclosures:
         yield self.transposed(self.problem.b, np.zeros(self.problem.shape[0]))
         start = self.problem.nearest_to_zero
         yield self.gradient(start, self.residual(start))
-
-    @cached_property
-    def _rows(self) -> Any:
-        return sp.csr_array(self.problem.A)
-
-    @cached_property
-    def _columns(self) -> Any:
-        return sp.csr_array(self.problem.A.T)
 
     @cached_property
     def _terms(self) -> tuple[int, int]:
@@ -168,20 +166,32 @@ class Optimality:
     ----------
     x, residual : ndarray, shape (n,), (m,)
     value : float
+        What SOLVED asks to be at most the tolerance: the least gap found, rounding aside, beside its cost, 1 at the
+        most; of a LinearOperator `steepness`.
+    steepness : float
         The larger of ‖mid(x − upper, x − lower, g)‖∞/‖AᵀWb‖∞, g = AᵀW(A x − b) + ridge x, and the same with columns of
         about unit length; an upper bound, rounding included, where A has entries.
     is_at_rounding_level : bool
-        Whether no component is larger than what rounding explains.
+        Whether no component of it is larger than what rounding explains.
+    dual : ndarray, shape (m,)
+        The y of the value.
     """
 
     x: FloatVector
     residual: FloatVector
     value: float
+    steepness: float
     is_at_rounding_level: bool
+    dual: FloatVector
 
     @classmethod
-    def of(cls, enclosures: Enclosures, x: FloatVector) -> Optimality:
-        """Return the optimality of x on the caller's own data."""
+    def of(
+        cls, enclosures: Enclosures, x: FloatVector, dual: FloatVector | None = None, *, tolerance: float = np.inf
+    ) -> Optimality:
+        """Return the optimality of x on the caller's own data.
+
+        A y that somebody has for x is tried beside the residual; others are computed where neither reaches `tolerance`.
+        """
         from ..kernels.least_squares_sums import largest_residuals
 
         problem, units = enclosures.problem, enclosures.problem.column_units
@@ -193,7 +203,56 @@ class Optimality:
             *largest, is_at_floor = largest_residuals(
                 gradient, radius, x, problem.lower, problem.upper, units, problem.has_entries
             )
-        return cls(x, residual[0], max(map(_ratio, largest, enclosures.reference)), is_at_floor)
+            steepness = max(map(_ratio, largest, enclosures.reference))
+            value, y = steepness, residual[0]
+            if problem.has_entries:
+                value, y = _beside_cost(enclosures, x, residual, dual, tolerance)
+        return cls(x, residual[0], value, steepness, is_at_floor, y)
+
+
+def _beside_cost(
+    enclosures: Enclosures, x: FloatVector, residual: Ball, dual: FloatVector | None, tolerance: float
+) -> tuple[float, FloatVector]:
+    """Return what SOLVED compares with the tolerance (the module's docstring), 1 at the most, and its y."""
+    least, best = np.inf, residual[0]
+    for y in _dual_points(enclosures, x, residual, dual):
+        gap, cost, _ = _gap(enclosures.problem, x, residual, y, enclosures.gradient_at(x, y), rounding=-1.0)
+        value = 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
+        if value < least:
+            least, best = value, y
+        if least <= tolerance:
+            break
+    return min(least, 1.0), best
+
+
+def _dual_points(
+    enclosures: Enclosures, x: FloatVector, residual: Ball, dual: FloatVector | None
+) -> Iterator[FloatVector]:
+    """Yield what y may be, the cheapest first."""
+    if dual is not None:
+        yield dual
+    r, slip = residual
+    yield r
+    yield np.where(np.abs(r) > slip, r, 0.0)
+    orthogonal = _orthogonal(enclosures.problem, x, r)
+    yield orthogonal
+    for y in (r, orthogonal):
+        yield from _repaired(enclosures, x, y, enclosures.gradient_at(x, y), rounding=-1.0)
+
+
+def _orthogonal(problem: BoundedLeastSquares, x: FloatVector, y: FloatVector) -> FloatVector:
+    """Return y less what the columns strictly between their bounds explain of it, but for a ridge."""
+    from scipy.sparse.linalg import LinearOperator, lsmr
+
+    unit, free, root = problem.unit, (problem.lower < x) & (x < problem.upper), problem.root_weights
+    shape = (root.size, free.size)
+    across = LinearOperator(
+        shape, lambda d: unit.product(np.where(free, d, 0.0)), lambda v: np.where(free, unit.transposed(v), 0.0),
+        dtype=np.float64,
+    )
+    steps = min(REPAIR_STEPS, 2 * free.size + 1)
+    found = lsmr(across, root * y, atol=EPSILON, btol=EPSILON, conlim=0.0, maxiter=steps)[0]
+    return y - np.asarray(problem.product(np.where(free, found, 0.0) / unit.columns))
 
 
 def _ratio(size: float, unit: float) -> float:
@@ -209,32 +268,29 @@ def _typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: Fl
     return 4.0 * EPSILON * (units * size)
 
 
-def duality_gap(problem: BoundedLeastSquares, x: FloatVector, nearer: FloatVector | None = None) -> float:
+def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVector) -> float:
     """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
 
     Parameters
     ----------
     problem : BoundedLeastSquares
     x : array, shape (n,)
-    nearer : array, shape (n,), optional
-        A point nearer to the answer, wherever it comes from: y is its residual, and the bound is sharper.
+    *duals : arrays, shape (m,)
+        Of any origin; residuals of points nearer to the answer make the bound sharper.
     """
     enclosures = Enclosures(problem)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         residual = enclosures.residual(x)
         at_x = enclosures.gradient(x, residual)
-        y = residual[0] if nearer is None else problem.product(nearer) - problem.b
-        slope = enclosures.gradient(x, (y, np.zeros(y.size)))
-        found = [
-            _cost_above(problem, x, residual),
-            _gap(problem, x, residual, residual[0], at_x, problem.ridge),
-            _gap(problem, x, residual, y, slope, problem.ridge),
-        ]
-        if not np.fmin(found[1], found[2]) < np.inf:
-            found.append(_repaired_gap(enclosures, x, residual, y, slope))
-            if not found[-1] < np.inf:
-                found.append(_gap_of_definite(problem, x, residual, at_x))
-    return min(gap for gap in found if not np.isnan(gap))
+        found = [_gap_of(_gap(problem, x, (residual[0], np.zeros(residual[0].size)), residual[0], at_x))]
+        duals = duals or (residual[0],)
+        found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in duals]
+        if not np.nanmin(found) < np.inf:
+            repaired = _repaired(enclosures, x, duals[0], enclosures.gradient_at(x, duals[0]))
+            found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in repaired]
+        if not np.nanmin(found) < np.inf:
+            found.append(_gap_of_definite(problem, x, residual, at_x))
+    return min(gap for gap in (_cost_above(problem, x, residual), *found) if not np.isnan(gap))
 
 
 def _cost_above(problem: BoundedLeastSquares, x: FloatVector, residual: Ball) -> float:
@@ -244,30 +300,30 @@ def _cost_above(problem: BoundedLeastSquares, x: FloatVector, residual: Ball) ->
 
 def _gap(
     problem: BoundedLeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball,
-    convexity: FloatVector | float,
-) -> float:
-    """Return the bound of the module's docstring for s in `slope`, with s²/(2 convexity) where that is less."""
-    if not (np.isfinite(slope[0]).all() and np.isfinite(slope[1]).all()):
-        return np.inf
-    distance = OUTWARD * (np.abs(residual[0] - y) + residual[1])
-    rising, falling = np.maximum(slope[0] + slope[1], 0.0), np.maximum(slope[1] - slope[0], 0.0)
-    terms = _times(rising, x - problem.lower) + _times(falling, problem.upper - x)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        steepest = np.maximum(rising, falling)
-        curved = np.where(steepest > 0.0, steepest * steepest / (2.0 * np.asarray(convexity)) + TINY, 0.0)
-    total = 0.5 * float(problem.weighted(distance) @ distance) + float(np.fmin(terms, curved).sum())
-    return OUTWARD**4 * total + x.size * TINY
+    convexity: FloatVector = NOTHING, *, rounding: float = 1.0,
+) -> tuple[float, float, float]:
+    """Return gap(x, y) for s in `slope`, the cost, and the size whose square is the unit of both.
+
+    What rounding may have done is added, or with rounding=−1 excused.
+    """
+    from ..kernels.least_squares_sums import gap_beside_cost
+
+    found: tuple[float, float, float] = gap_beside_cost(
+        *residual, y, *slope, x, problem.lower, problem.upper, problem.root_weights, problem.column_units,
+        problem.ridge, convexity, rounding,
+    )
+    return found
 
 
-def _times(slope: FloatVector, room: FloatVector) -> FloatVector:
-    """Return slope · room, 0 where the slope is; rounded upwards by what OUTWARD allows but for underflow."""
-    return np.where(slope > 0.0, slope * np.where(slope > 0.0, room, 0.0) + np.where(room > 0.0, TINY, 0.0), 0.0)
+def _gap_of(found: tuple[float, float, float]) -> float:
+    gap, _, size = found
+    return OUTWARD * gap * size * size + TINY if gap < np.inf else np.inf
 
 
-def _repaired_gap(
-    enclosures: Enclosures, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball
-) -> float:
-    """Return the bound for y + δp with the least δ that gives all columns the sign that they need.
+def _repaired(
+    enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball, *, rounding: float = 1.0
+) -> Iterator[FloatVector]:
+    """Yield y + δp with a least δ that gives all columns the sign that they need, if one is found.
 
     p is to push the columns whose sign is in doubt, or else all of them.
     """
@@ -276,7 +332,7 @@ def _repaired_gap(
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
     sizes = wanted * slope[0] / problem.column_units
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
-    missing = np.maximum(slope[1] - wanted * slope[0], 0.0)
+    missing = np.maximum(rounding * slope[1] - wanted * slope[0], 0.0)
     lacking = (wanted != 0.0) & (missing > 0.0)
     for pushed in (np.where(in_doubt, wanted, 0.0), wanted):
         push = _pushing(problem, pushed)
@@ -286,11 +342,11 @@ def _repaired_gap(
         for _ in range(PUSHES if (least[lacking] > 0.0).all() else 0):
             share *= 1.0 + 2.0**-10
             repaired = y + share * push
-            gap = _gap(problem, x, residual, repaired, enclosures.gradient(x, (repaired, exactly)), problem.ridge)
-            if gap < np.inf:
-                return gap
+            value, radius = enclosures.gradient_at(x, repaired)
+            if (wanted * value >= rounding * radius).all() or share == 0.0:
+                yield repaired
+                return
             share *= 2.0
-    return np.inf
 
 
 def _pushing(problem: BoundedLeastSquares, wanted: FloatVector) -> FloatVector:
@@ -322,7 +378,9 @@ def _pushing(problem: BoundedLeastSquares, wanted: FloatVector) -> FloatVector:
 def _gap_of_definite(problem: BoundedLeastSquares, x: FloatVector, residual: Ball, slope: Ball) -> float:
     """Return the bound for y = r where AᵀWA is proved to be positive definite."""
     convexity = _convexity(problem)
-    return np.inf if convexity is None else _gap(problem, x, residual, residual[0], slope, convexity)
+    if convexity is None:
+        return np.inf
+    return _gap_of(_gap(problem, x, (residual[0], np.zeros(residual[0].size)), residual[0], slope, convexity))
 
 
 def _convexity(problem: BoundedLeastSquares) -> FloatVector | None:

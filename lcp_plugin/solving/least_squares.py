@@ -97,29 +97,31 @@ def solve_least_squares(
     clock = Clock(ALONE)
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
-    if (result := _solved_at_once(problem, settings, clock)) is not None:
-        return result
+    is_hard = problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL
+    if is_hard:
+        result = _solved_at_once(problem, settings, clock)
+        if result.is_solved:
+            return result
+        start = result.x if start is None and np.isfinite(result.x).all() else start
     from .least_squares_run import run_stages
 
-    judged, status, steps = run_stages(problem, settings, start, clock)
-    return _result_of(problem, settings, judged.x, judged.residual, judged.value, status, steps, clock.read())
+    judged, status, steps = run_stages(problem, settings, start, clock, is_hard=is_hard)
+    return _result_of(problem, settings, judged.x, judged.residual, judged.dual, judged.value, status, steps, clock)
 
 
-def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult | None:
-    """Take the compiled way of small problems to its end; return the answer where that solves it."""
-    if not (problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL):
-        return None
+def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult:
+    """Take the compiled way of small problems to its end, which may be no answer."""
     from ..kernels.least_squares import solve_small
 
     most = min(settings.max_iterations, EXCHANGES * problem.shape[1])
     weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights
     A = problem.A if problem.is_dense else read_only(problem.A.toarray())
-    x, residual, optimality, faces = solve_small(
-        A, problem.b, weights, problem.ridge, problem.lower, problem.upper, most
+    x, residual, dual, optimality, faces = solve_small(
+        A, problem.b, weights, problem.ridge, problem.lower, problem.upper, most, settings.tolerance
     )
-    if not optimality <= settings.tolerance:
-        return None
-    return _result_of(problem, settings, x, residual, optimality, Status.SOLVED, faces, clock.read())
+    is_solved = faces >= 0 and optimality <= settings.tolerance
+    status = Status.SOLVED if is_solved else Status.STALLED
+    return _result_of(problem, settings, x, residual, dual, optimality, status, abs(faces), clock)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -169,6 +171,7 @@ class LeastSquaresResult(Answer):
     tolerance: float
     is_proved: bool
     problem: BoundedLeastSquares = field(repr=False)
+    _dual: FloatVector = field(repr=False)
 
     __setstate__ = restored
 
@@ -181,7 +184,7 @@ class LeastSquaresResult(Answer):
         """
         from .least_squares_run import gap_of
 
-        return gap_of(self.problem, self.x, self.nit)
+        return gap_of(self.problem, self.x, self._dual, self.nit)
 
     @property
     def objective(self) -> float:
@@ -227,14 +230,14 @@ ADVICE = {
 
 
 def _result_of(
-    problem: BoundedLeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, optimality: float,
-    status: Status, steps: int, seconds: float,
+    problem: BoundedLeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, dual: FloatVector,
+    optimality: float, status: Status, steps: int, clock: Clock,
 ) -> LeastSquaresResult:
     """Return the result that these make."""
     mask = (x >= problem.upper).astype(np.int_)
     mask[x <= problem.lower] = -1
     return LeastSquaresResult(
         x=read_only(x), cost=problem.cost(x, residual), fun=read_only(residual), optimality=optimality,
-        active_mask=read_only(mask), status=status, nit=steps, seconds=seconds, tolerance=settings.tolerance,
-        is_proved=problem.has_entries, problem=problem,
+        active_mask=read_only(mask), status=status, nit=steps, seconds=clock.read(), tolerance=settings.tolerance,
+        is_proved=problem.has_entries, problem=problem, _dual=dual,
     )

@@ -125,6 +125,11 @@ class Enclosures:
         yield self.gradient(start, self.residual(start))
 
     @cached_property
+    def convexity(self) -> FloatVector | None:
+        """What is found of :func:`_convexity`."""
+        return _convexity(self.problem)
+
+    @cached_property
     def _terms(self) -> tuple[int, int]:
         """The most terms that a sum along a row, and one down a column, may have."""
         A, (m, n) = self.problem.A, self.problem.shape
@@ -214,9 +219,9 @@ def _beside_cost(
     enclosures: Enclosures, x: FloatVector, residual: Ball, dual: FloatVector | None, tolerance: float
 ) -> tuple[float, FloatVector]:
     """Return what SOLVED compares with the tolerance (the module's docstring), 1 at the most, and its y."""
-    least, best = np.inf, residual[0]
-    for y in _dual_points(enclosures, x, residual, dual):
-        gap, cost, _ = _gap(enclosures.problem, x, residual, y, enclosures.gradient_at(x, y), rounding=-1.0)
+    least, best, problem = np.inf, residual[0], enclosures.problem
+    for y, convexity in _dual_points(enclosures, x, residual, dual):
+        gap, cost, _ = _gap(problem, x, residual, y, enclosures.gradient_at(x, y), convexity, rounding=-1.0)
         value = 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
         if value < least:
             least, best = value, y
@@ -227,17 +232,21 @@ def _beside_cost(
 
 def _dual_points(
     enclosures: Enclosures, x: FloatVector, residual: Ball, dual: FloatVector | None
-) -> Iterator[FloatVector]:
-    """Yield what y may be, the cheapest first."""
-    if dual is not None:
-        yield dual
+) -> Iterator[tuple[FloatVector, FloatVector]]:
+    """Yield what y may be with the convexity that goes with it, the cheapest first."""
     r, slip = residual
-    yield r
-    yield np.where(np.abs(r) > slip, r, 0.0)
+    if dual is not None:
+        yield dual, NOTHING
+        sizes = enclosures.problem.root_weights * np.abs(dual)  # what is rounding of rounding may be 0
+        yield np.where(sizes > EPSILON * EPSILON * np.max(sizes, initial=0.0), dual, 0.0), NOTHING
+    yield r, NOTHING
+    yield np.where(np.abs(r) > slip, r, 0.0), NOTHING
     orthogonal = _orthogonal(enclosures.problem, x, r)
-    yield orthogonal
+    yield orthogonal, NOTHING
     for y in (r, orthogonal):
-        yield from _repaired(enclosures, x, y, enclosures.gradient_at(x, y), rounding=-1.0)
+        yield from ((y, NOTHING) for y in _repaired(enclosures, x, y, enclosures.gradient_at(x, y), rounding=-1.0))
+    if (convexity := enclosures.convexity) is not None:
+        yield r, convexity
 
 
 def _orthogonal(problem: BoundedLeastSquares, x: FloatVector, y: FloatVector) -> FloatVector:
@@ -343,7 +352,7 @@ def _repaired(
             share *= 1.0 + 2.0**-10
             repaired = y + share * push
             value, radius = enclosures.gradient_at(x, repaired)
-            if (wanted * value >= rounding * radius).all() or share == 0.0:
+            if (wanted * value >= rounding * radius)[wanted != 0.0].all():
                 yield repaired
                 return
             share *= 2.0

@@ -31,9 +31,9 @@ from ...matrix.structure import IntVector
 from .faces import Point
 
 CLEANED = 32.0 * EPSILON  # of the largest number that an entry was made of: less is rounding
-REFINEMENTS = 12
+REFINEMENTS = 8
 SETTLED = 2.0 * EPSILON  # of each number: a smaller correction is the last one
-NOTHING = 2.0**-400  # of the largest weighted y there was
+UNSETTLED = 2.0**-10  # a number whose last correction is larger is nothing but rounding of others
 ROUNDS = 6  # of the columns and a few
 NOISE = 16.0 * EPSILON  # of the terms of s_j
 
@@ -137,7 +137,6 @@ class RefinedFaces:
         """Return the minimum over these columns, which are independent, the others as in x, and its dual point."""
         factor, units = self._factor(free), self.units[free]
         high, low, y = x.copy(), np.zeros(x.size), np.zeros(self.b.size)
-        size = np.zeros(self.b.size)
         with np.errstate(all="ignore"):
             for _ in range(REFINEMENTS):
                 off = compensated_product(self._residual_rows, np.concatenate([high, low, y]), -self.b)[0]
@@ -149,10 +148,10 @@ class RefinedFaces:
                 moved = low[free] + dx
                 summed = high[free] + moved
                 low[free], high[free] = (high[free] - summed) + moved, summed
-                size = np.maximum(size, np.abs(y))
-                y[self.root * np.abs(y) <= NOTHING * np.max(self.root * size, initial=0.0)] = 0.0
                 if (np.abs(dx) <= SETTLED * np.abs(high[free])).all() and (np.abs(dy) <= SETTLED * np.abs(y)).all():
-                    break
+                    return high, y
+            y[np.abs(dy) > UNSETTLED * np.abs(y)] = 0.0
+            high[free] = np.where(np.abs(dx) > UNSETTLED * np.abs(high[free]), 0.0, high[free])
         return high, y
 
 

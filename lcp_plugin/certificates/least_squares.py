@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..exact.rounding import gamma
 from ..kernels.floats import EPSILON, TINY
 from ..matrix.matrix import Matrix
@@ -49,6 +49,7 @@ ENOUGH = 0.8  # of the 1 that (AᵀWp)_j is to be, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
 PUSHES = 4  # times that δ may be doubled
 NOTHING = np.empty(0)
+ACCURACIES = (1e-3, 1e-6, 1e-8)  # with which a dual point is made orthogonal to the free columns, one after the other
 GRAM_UP_TO = 3000  # columns; AᵀWA is factorised
 
 
@@ -78,18 +79,27 @@ class Enclosures:
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
-        from ..kernels.least_squares_sums import with_ridge
-
         value, radius = self.transposed(*residual)
-        with_ridge(value, radius, self.problem.ridge, x)
-        return value, radius
+        return self._with_ridge(value, radius, x)
 
     def gradient_at(self, x: FloatVector, y: FloatVector) -> Ball:
         """Return AᵀWy + ridge x."""
         return self.gradient(x, (y, NOTHING))
 
+    def gradients(self, x: FloatVector, residual: Ball) -> tuple[Ball, Ball]:
+        """Return both of a residual with a radius, and of its value, for which both are the same but for the radius."""
+        problem = self.problem
+        if not problem.has_entries:
+            value, radius = self.gradient(x, residual)
+            return (value, _typical_rounding(problem, x, residual[0])), (value, radius)
+        y, slip = map(problem.weighted, residual)
+        sums, radius = self._sums(y, slip, by_rows=False), np.empty(problem.shape[1])
+        known = self._with_ridge(sums[0].copy(), self._radius(sums, radius, by_rows=False), x)
+        sums[2] = 0.0
+        return known, self._with_ridge(sums[0], self._radius(sums, np.empty_like(radius), by_rows=False), x)
+
     def transposed(self, y: FloatVector, slip: FloatVector) -> Ball:
-        """Return AᵀWy for a y known up to slip."""
+        """Return AᵀWy for a y known up to slip, nothing where it is exact."""
         problem = self.problem
         weighted, slip = problem.weighted(y), problem.weighted(slip) if slip.size else slip
         if not problem.has_entries:
@@ -98,15 +108,33 @@ class Enclosures:
 
     def _product(self, v: FloatVector, slip: FloatVector, less: FloatVector | float, *, by_rows: bool) -> Ball:
         """Return B v − less for a v known up to slip; B is A, or else Aᵀ."""
-        from ..kernels.least_squares_sums import radii
-
-        B = self.problem.A if by_rows else self.problem.A.T
-        sums = _sums_of_sparse(B, v, slip) if self.problem.is_sparse else _sums_of_dense(B, v, slip)
+        sums = self._sums(v, slip, by_rows=by_rows)
         sums[0] -= less
         sums[1] += np.abs(less)
-        radius = np.empty(sums.shape[1])
+        return sums[0], self._radius(sums, np.empty(sums.shape[1]), by_rows=by_rows)
+
+    def _sums(self, v: FloatVector, slip: FloatVector, *, by_rows: bool) -> Any:
+        """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0."""
+        problem = self.problem
+        if problem.is_dense:
+            return _sums_of_dense(problem.A if by_rows else problem.A.T, v, slip)
+        B, sizes = (problem.A, self._sizes) if by_rows else (problem.A.T, self._sizes.T)
+        columns = np.zeros((B.shape[1], 3))
+        columns[:, 0], columns[:, 1] = np.abs(v), slip if slip.size else 0.0
+        columns[:, 2] = columns.any(axis=1)  # whatever underflows
+        return np.vstack([B @ v, (sizes @ columns).T])
+
+    def _radius(self, sums: Any, radius: FloatVector, *, by_rows: bool) -> FloatVector:
+        from ..kernels.least_squares_sums import radii
+
         radii(sums, self._terms[not by_rows], radius)
-        return sums[0], radius
+        return radius
+
+    def _with_ridge(self, value: FloatVector, radius: FloatVector, x: FloatVector) -> Ball:
+        from ..kernels.least_squares_sums import with_ridge
+
+        with_ridge(value, radius, self.problem.ridge, x)
+        return value, radius
 
     @cached_property
     def reference(self) -> tuple[float, float]:
@@ -128,6 +156,12 @@ class Enclosures:
     def convexity(self) -> FloatVector | None:
         """What is found of :func:`_convexity`."""
         return _convexity(self.problem)
+
+    @cached_property
+    def _sizes(self) -> Any:
+        """|A| of a sparse A."""
+        A = self.problem.A
+        return sp.csr_array((np.abs(A.data), A.indices, A.indptr), shape=A.shape)
 
     @cached_property
     def _terms(self) -> tuple[int, int]:
@@ -153,14 +187,6 @@ def _sums_of_dense(B: Any, v: FloatVector, slip: FloatVector) -> Any:
         down_columns(B.T[rows], v[rows], slip[rows], part)
         sums += part
     return sums
-
-
-def _sums_of_sparse(B: Any, v: FloatVector, slip: FloatVector) -> Any:
-    """Return the same of a sparse B, whatever underflows."""
-    columns = np.zeros((B.shape[1], 3))
-    columns[:, 0], columns[:, 1] = np.abs(v), slip if slip.size else 0.0
-    columns[:, 2] = columns.any(axis=1)
-    return np.vstack([B @ v, (abs(B) @ columns).T])
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,26 +228,24 @@ class Optimality:
         problem, units = enclosures.problem, enclosures.problem.column_units
         with np.errstate(over="ignore", invalid="ignore"):
             residual = enclosures.residual(x)
-            gradient, radius = enclosures.gradient(x, residual)
-            if not problem.has_entries:
-                radius = _typical_rounding(problem, x, residual[0])
+            gradient, slope = enclosures.gradients(x, residual)
             *largest, is_at_floor = largest_residuals(
-                gradient, radius, x, problem.lower, problem.upper, units, problem.has_entries
+                *gradient, x, problem.lower, problem.upper, units, problem.has_entries
             )
             steepness = max(map(_ratio, largest, enclosures.reference))
             value, y = steepness, residual[0]
             if problem.has_entries:
-                value, y = _beside_cost(enclosures, x, residual, dual, tolerance)
+                value, y = _beside_cost(enclosures, x, residual, slope, dual, tolerance)
         return cls(x, residual[0], value, steepness, is_at_floor, y)
 
 
 def _beside_cost(
-    enclosures: Enclosures, x: FloatVector, residual: Ball, dual: FloatVector | None, tolerance: float
+    enclosures: Enclosures, x: FloatVector, residual: Ball, slope: Ball, dual: FloatVector | None, tolerance: float
 ) -> tuple[float, FloatVector]:
     """Return what SOLVED compares with the tolerance (the module's docstring), 1 at the most, and its y."""
     least, best, problem = np.inf, residual[0], enclosures.problem
-    for y, convexity in _dual_points(enclosures, x, residual, dual):
-        gap, cost, _ = _gap(problem, x, residual, y, enclosures.gradient_at(x, y), convexity, rounding=-1.0)
+    for y, at_y, convexity in _dual_points(enclosures, x, residual, slope, dual):
+        gap, cost, _ = _gap(problem, x, residual, y, at_y, convexity, rounding=-1.0)
         value = 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
         if value < least:
             least, best = value, y
@@ -231,37 +255,29 @@ def _beside_cost(
 
 
 def _dual_points(
-    enclosures: Enclosures, x: FloatVector, residual: Ball, dual: FloatVector | None
-) -> Iterator[tuple[FloatVector, FloatVector]]:
-    """Yield what y may be with the convexity that goes with it, the cheapest first."""
+    enclosures: Enclosures, x: FloatVector, residual: Ball, slope: Ball, dual: FloatVector | None
+) -> Iterator[tuple[FloatVector, Ball, FloatVector]]:
+    """Yield what y may be, with its s and the convexity that goes with it, the cheapest first."""
     r, slip = residual
+    problem, root = enclosures.problem, enclosures.problem.root_weights
     if dual is not None:
-        yield dual, NOTHING
-        sizes = enclosures.problem.root_weights * np.abs(dual)  # what is rounding of rounding may be 0
-        yield np.where(sizes > EPSILON * EPSILON * np.max(sizes, initial=0.0), dual, 0.0), NOTHING
-    yield r, NOTHING
-    yield np.where(np.abs(r) > slip, r, 0.0), NOTHING
-    orthogonal = _orthogonal(enclosures.problem, x, r)
-    yield orthogonal, NOTHING
-    for y in (r, orthogonal):
-        yield from ((y, NOTHING) for y in _repaired(enclosures, x, y, enclosures.gradient_at(x, y), rounding=-1.0))
+        yield dual, enclosures.gradient_at(x, dual), NOTHING
+        sizes = root * np.abs(dual)  # what is rounding of rounding may be 0
+        dual = np.where(sizes > EPSILON * EPSILON * np.max(sizes, initial=0.0), dual, 0.0)
+        yield dual, enclosures.gradient_at(x, dual), NOTHING
+    yield r, slope, NOTHING
+    if (np.abs(r) <= slip).any():
+        zeroed = np.where(np.abs(r) > slip, r, 0.0)
+        yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
+    free, y, at_y = (problem.lower < x) & (x < problem.upper), r, slope
+    yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
+    for accuracy in ACCURACIES:
+        y = y - _push(problem, np.where(free, at_y[0] / problem.column_units, 0.0), free, accuracy)
+        at_y = enclosures.gradient_at(x, y)
+        yield y, at_y, NOTHING
+        yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
     if (convexity := enclosures.convexity) is not None:
-        yield r, convexity
-
-
-def _orthogonal(problem: BoundedLeastSquares, x: FloatVector, y: FloatVector) -> FloatVector:
-    """Return y less what the columns strictly between their bounds explain of it, but for a ridge."""
-    from scipy.sparse.linalg import LinearOperator, lsmr
-
-    unit, free, root = problem.unit, (problem.lower < x) & (x < problem.upper), problem.root_weights
-    shape = (root.size, free.size)
-    across = LinearOperator(
-        shape, lambda d: unit.product(np.where(free, d, 0.0)), lambda v: np.where(free, unit.transposed(v), 0.0),
-        dtype=np.float64,
-    )
-    steps = min(REPAIR_STEPS, 2 * free.size + 1)
-    found = lsmr(across, root * y, atol=EPSILON, btol=EPSILON, conlim=0.0, maxiter=steps)[0]
-    return y - np.asarray(problem.product(np.where(free, found, 0.0) / unit.columns))
+        yield r, slope, convexity
 
 
 def _ratio(size: float, unit: float) -> float:
@@ -296,7 +312,7 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
         found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in duals]
         if not np.nanmin(found) < np.inf:
             repaired = _repaired(enclosures, x, duals[0], enclosures.gradient_at(x, duals[0]))
-            found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in repaired]
+            found += [_gap_of(_gap(problem, x, residual, *repair)) for repair in repaired]
         if not np.nanmin(found) < np.inf:
             found.append(_gap_of_definite(problem, x, residual, at_x))
     return min(gap for gap in (_cost_above(problem, x, residual), *found) if not np.isnan(gap))
@@ -331,40 +347,45 @@ def _gap_of(found: tuple[float, float, float]) -> float:
 
 def _repaired(
     enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball, *, rounding: float = 1.0
-) -> Iterator[FloatVector]:
-    """Yield y + δp with a least δ that gives all columns the sign that they need, if one is found.
+) -> Iterator[tuple[FloatVector, Ball]]:
+    """Yield y + δp with a least δ that gives all columns the sign that they need, and its s, if one is found.
 
     p is to push the columns whose sign is in doubt, or else all of them.
     """
-    problem, exactly = enclosures.problem, np.zeros(y.size)
+    problem = enclosures.problem
     wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
     sizes = wanted * slope[0] / problem.column_units
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
     missing = np.maximum(rounding * slope[1] - wanted * slope[0], 0.0)
     lacking = (wanted != 0.0) & (missing > 0.0)
-    for pushed in (np.where(in_doubt, wanted, 0.0), wanted):
-        push = _pushing(problem, pushed)
-        moved, slip = enclosures.transposed(push, exactly)
-        least = wanted * moved - slip
-        share = float(np.max(missing[lacking] / least[lacking], initial=0.0))
-        for _ in range(PUSHES if (least[lacking] > 0.0).all() else 0):
+    for push in _pushes(problem, np.where(in_doubt, wanted, 0.0), wanted):
+        moved = wanted * problem.transposed(problem.weighted(push))
+        share = float(np.max(missing[lacking] / moved[lacking], initial=0.0))
+        for _ in range(PUSHES if (moved[lacking] > 0.0).all() else 0):
             share *= 1.0 + 2.0**-10
             repaired = y + share * push
             value, radius = enclosures.gradient_at(x, repaired)
             if (wanted * value >= rounding * radius)[wanted != 0.0].all():
-                yield repaired
+                yield repaired, (value, radius)
                 return
             share *= 2.0
 
 
-def _pushing(problem: BoundedLeastSquares, wanted: FloatVector) -> FloatVector:
-    """Return the shortest p with (AᵀWp)_j about wanted_j times the length of column j, where wanted_j is not 0.
+def _pushes(problem: BoundedLeastSquares, *wanted: FloatVector) -> Iterator[FloatVector]:
+    """Yield what p may be: A times the first of what is wanted, which serves where entries are ≥ 0, then the shortest."""
+    yield problem.product(wanted[0] / problem.column_units)
+    for signs in wanted:
+        yield _push(problem, signs, signs != 0.0, ENOUGH / math.sqrt(max(np.count_nonzero(signs), 1)))
+
+
+def _push(problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector, accuracy: float) -> FloatVector:
+    """Return the shortest p with (AᵀWp)_j about wanted_j times the length of column j, for the chosen j.
 
     Its signs are looked at where it is used.
     """
-    unit, columns, root = problem.unit, np.flatnonzero(wanted), problem.root_weights
-    if not columns.size:
+    unit, columns, root = problem.unit, np.flatnonzero(chosen), problem.root_weights
+    if not wanted[columns].any():
         return np.zeros(root.size)
     from scipy.sparse.linalg import LinearOperator, lsmr
 
@@ -375,10 +396,10 @@ def _pushing(problem: BoundedLeastSquares, wanted: FloatVector) -> FloatVector:
         full[columns] = pull
         return np.asarray(unit.product(full))
 
-    shape, enough = (columns.size, root.size), ENOUGH / math.sqrt(columns.size)
+    shape = (columns.size, root.size)
     across = LinearOperator(shape, lambda push: unit.transposed(push)[columns], back, dtype=np.float64)
     steps = min(REPAIR_STEPS, 2 * columns.size + 1)
-    push, reason, *_ = lsmr(across, wanted[columns], atol=0.0, btol=enough, conlim=0.0, maxiter=steps)
+    push, reason, *_ = lsmr(across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)
     if reason != IS_NEAR and problem.is_cheap_to_copy:  # however ill-conditioned A is
         push = least_squares(sp.csr_array(unit.entries()[:, columns]).T, wanted[columns])
     return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
@@ -403,6 +424,8 @@ def _convexity(problem: BoundedLeastSquares) -> FloatVector | None:
     gram = unit.gram()
     dense: Any = gram.toarray() if sp.issparse(gram) else gram
     dense.flat[:: n + 1] += unit.ridge
+    if not np.isfinite(dense).all():
+        return None
     terms = problem.shape[0] + 16
     # Columns are shorter than 2: no entry is wrong by more than 4 γ, nor an eigenvalue by more than n times that.
     slip = 8.0 * n * (gamma(2 * terms) + EPSILON)

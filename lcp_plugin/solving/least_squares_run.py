@@ -15,7 +15,8 @@ from ..algorithms.least_squares.face_steps import active_set_steps, block_pivot_
 from ..algorithms.least_squares.faces import Faces, Point
 from ..algorithms.least_squares.projected_steps import projected_steps
 from ..algorithms.least_squares.refined_steps import refined_steps
-from ..certificates.least_squares import Enclosures, Optimality, duality_gap
+from ..certificates.least_squares import Optimality, duality_gap
+from ..certificates.least_squares_enclosures import Enclosures
 from ..certificates.references import CommonUnits
 from ..checks import FloatVector
 from ..deadline import Clock

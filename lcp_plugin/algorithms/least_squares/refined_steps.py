@@ -45,7 +45,7 @@ def refined_steps(start: Point) -> Iterator[Point]:
     problem, x = start.problem.problem, start.problem.to_caller(start.x)
     lower, upper = problem.lower, problem.upper
     is_free, rejected = (lower < x) & (x < upper), np.zeros(x.size, np.bool_)
-    entering = -1
+    entering, pull = -1, 0.0
     for _ in range(ROUNDS * x.size + 10):
         if is_over():
             return
@@ -65,7 +65,7 @@ def refined_steps(start: Point) -> Iterator[Point]:
             x = np.clip(x + share * moved, lower, upper)
             x[hits] = np.where(moved[hits] > 0.0, upper[hits], lower[hits])
             is_free &= (lower < x) & (x < upper)
-            entering = -1
+            entering, pull = -1, 0.0
             continue
         x = np.clip(z, lower, upper)
         yield Point(start.problem, np.clip(start.problem.from_caller(x), start.problem.lower, start.problem.upper),
@@ -78,7 +78,7 @@ def refined_steps(start: Point) -> Iterator[Point]:
         if not is_wrong.any():
             return
         entering = int(np.argmax(np.where(is_wrong, np.abs(slope) / problem.column_units, -1.0)))
-        is_free[entering], pull = True, -slope[entering]
+        is_free[entering], pull = True, -float(slope[entering])
 
 
 def _share(x: FloatVector, moved: FloatVector, lower: FloatVector, upper: FloatVector) -> tuple[float, IntVector]:
@@ -173,17 +173,17 @@ class OrthogonalFactor:
         m, k = B.shape
         self.rows, self.columns, self.rank = np.arange(m), np.arange(k), 0
         R, sizes = np.array(B), np.abs(B)
-        mirrors = []
+        mirrors: list[FloatVector] = []
         for p in range(min(m, k)):
             lengths = np.sqrt(np.square(R[p:, p:]).sum(axis=0))
             q = p + int(np.argmax(lengths))
             if not lengths[q - p] > 0.0:
                 break
-            _swap(R.T, p, q), _swap(sizes.T, p, q), _swap(self.columns, p, q)
+            for array in (R.T, sizes.T, self.columns):
+                _swap(array, p, q)
             i = p + int(np.argmax(np.abs(R[p:, p])))
-            _swap(R, p, i), _swap(sizes, p, i), _swap(self.rows, p, i)
-            for mirror in mirrors:
-                _swap(mirror, p, i)
+            for array in (R, sizes, self.rows, *mirrors):
+                _swap(array, p, i)
             length = float(np.linalg.norm(R[p:, p]))
             end = -np.copysign(length, R[p, p])
             mirror = np.zeros(m)

@@ -90,17 +90,19 @@ class Optimality:
             steepness = max(map(_ratio, largest, enclosures.reference))
             value, y = steepness, residual[0]
             if problem.has_entries:
-                value, y = _beside_cost(enclosures, x, residual, slope, dual, tolerance)
+                duals = _dual_points(enclosures, x, residual, slope, dual, is_at_floor=is_at_floor)
+                value, y = _beside_cost(problem, x, residual, duals, tolerance)
         return cls(x, residual[0], value, steepness, is_at_floor, y)
 
 
 def _beside_cost(
-    enclosures: Enclosures, x: FloatVector, residual: Ball, slope: Ball, dual: FloatVector | None, tolerance: float
+    problem: BoundedLeastSquares, x: FloatVector, residual: Ball,
+    duals: Iterator[tuple[FloatVector, Ball, FloatVector]], tolerance: float,
 ) -> tuple[float, FloatVector]:
     """Return what SOLVED compares with the tolerance (the module's docstring), 1 at the most, and its y."""
-    least, best, problem = np.inf, residual[0], enclosures.problem
-    for y, at_y, convexity in _dual_points(enclosures, x, residual, slope, dual):
-        gap, cost, _ = _gap(problem, x, residual, y, at_y, convexity, rounding=-1.0)
+    least, best = np.inf, residual[0]
+    for y, slope, convexity in duals:
+        gap, cost, _ = _gap(problem, x, residual, y, slope, convexity, rounding=-1.0)
         value = 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
         if value < least:
             least, best = value, y
@@ -110,7 +112,7 @@ def _beside_cost(
 
 
 def _dual_points(
-    enclosures: Enclosures, x: FloatVector, residual: Ball, slope: Ball, dual: FloatVector | None
+    enclosures: Enclosures, x: FloatVector, residual: Ball, slope: Ball, dual: FloatVector | None, *, is_at_floor: bool
 ) -> Iterator[tuple[FloatVector, Ball, FloatVector]]:
     """Yield what y may be, with its s and the convexity that goes with it, the cheapest first."""
     r, slip = residual
@@ -122,7 +124,8 @@ def _dual_points(
         zeroed = np.where(np.abs(r) > slip, r, 0.0)
         yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
     free, y, at_y = (problem.lower < x) & (x < problem.upper), r, slope
-    yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
+    if is_at_floor:
+        yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
     for accuracy in ACCURACIES:
         y = y - _push(problem, np.where(free, at_y[0] / problem.column_units, 0.0), free, accuracy)
         at_y = enclosures.gradient_at(x, y)

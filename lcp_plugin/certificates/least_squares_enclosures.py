@@ -88,10 +88,15 @@ class Enclosures:
         if problem.is_dense:
             return _sums_of_dense(problem.A if by_rows else problem.A.T, v, slip)
         B, sizes = (problem.A, self._sizes) if by_rows else (problem.A.T, self._sizes.T)
-        columns = np.zeros((B.shape[1], 3))
-        columns[:, 0], columns[:, 1] = np.abs(v), slip if slip.size else 0.0
-        columns[:, 2] = columns.any(axis=1)  # whatever underflows
-        return np.vstack([B @ v, (sizes @ columns).T])
+        sums = np.zeros((4, B.shape[0]))
+        sums[0], sums[1] = B @ v, sizes @ np.abs(v)
+        if slip.size:
+            sums[2] = sizes @ slip
+        sums[3] = sums[1] > 0.0
+        if not sums[3].all():  # whatever underflows
+            has_term = (v != 0.0) | (slip != 0.0 if slip.size else False)
+            sums[3] = (sizes != 0.0).astype(np.float64) @ has_term.astype(np.float64)
+        return sums
 
     def _radius(self, sums: Any, radius: FloatVector, *, by_rows: bool) -> FloatVector:
         from ..kernels.least_squares_sums import radii

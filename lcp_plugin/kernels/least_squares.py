@@ -42,10 +42,10 @@ DEPENDENT = 64.0 * EPSILON  # of its length, left of a column beside the free on
 
 @partial(interpreted_while_small, longest=LONGEST_IN_ORDER)
 def solve_small(A, b, weights, ridge, lower, upper, most, tolerance):  # type: ignore[no-untyped-def]
-    """Return (x, A x − b, dual point, how optimal, faces solved) for the minimum; A by rows.
+    """Return (x, A x − b, how optimal, faces solved) for the minimum; A by rows.
 
-    How optimal is as in `certificates.least_squares`, 1 at the most. The dual point is what shows it: the residual; or
-    that made orthogonal to the free columns; or that without the rows in which it is rounding.
+    How optimal is as in `certificates.least_squares`, 1 at the most, for three y: the residual; that made orthogonal to
+    the free columns; or that without the rows in which it is rounding.
     """
     m, n = A.shape
     x, residual, y, of_rows, of_columns = np.empty(n), np.empty(m), np.empty(m), np.empty((7, m)), np.empty((9, n))
@@ -77,7 +77,7 @@ def solve_small(A, b, weights, ridge, lower, upper, most, tolerance):  # type: i
             _orthogonalise(A, y, sums[0], units, work, sets, of_columns[6])
         for i in range(m if attempt == 1 else 0):
             y[i] = residual[i] if abs(residual[i]) > slip[i] else 0.0
-    return x, residual, y, optimality, rounds
+    return x, residual, optimality, rounds
 
 
 @compiled_part

@@ -104,8 +104,8 @@ def _gap_beside_cost(  # type: ignore[no-untyped-def]
         cost += 0.5 * part * part
         curved = (convexity[j] if convexity.size > 0 else ridge) / units[j] / units[j]
         steepest, linear = (abs(slope[j]) + rounding * radius[j]) / unit, 0.0
-        for steep, room in ((slope[j], x[j] - lower[j]), (-slope[j], upper[j] - x[j])):
-            steep = (steep + rounding * radius[j]) / unit
+        for slant, room in ((slope[j], x[j] - lower[j]), (-slope[j], upper[j] - x[j])):
+            steep = (slant + rounding * radius[j]) / unit
             if steep > 0.0 and room > 0.0:
                 linear += steep * (room * (units[j] / size)) + TINY
         if linear > 0.0 and curved > 0.0:

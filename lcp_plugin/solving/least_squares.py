@@ -116,12 +116,12 @@ def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clo
     most = min(settings.max_iterations, EXCHANGES * problem.shape[1])
     weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights
     A = problem.A if problem.is_dense else read_only(problem.A.toarray())
-    x, residual, dual, optimality, faces = solve_small(
+    x, residual, optimality, faces = solve_small(
         A, problem.b, weights, problem.ridge, problem.lower, problem.upper, most, settings.tolerance
     )
     is_solved = faces >= 0 and optimality <= settings.tolerance
     status = Status.SOLVED if is_solved else Status.STALLED
-    return _result_of(problem, settings, x, residual, dual, optimality, status, abs(faces), clock)
+    return _result_of(problem, settings, x, residual, residual, optimality, status, abs(faces), clock)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -93,9 +93,13 @@ class Point:
 
     def steepness(self, reference: tuple[float, float]) -> float:
         """Return the larger natural residual, in the caller's units and in these, beside the reference of each."""
-        unit, columns = self.problem, self.problem.columns
-        plain = clipped(self.gradient * columns, (self.x - unit.upper) / columns, (self.x - unit.lower) / columns)
-        sizes = [float(np.abs(residual).max(initial=0.0)) * unit.size for residual in (plain, self.natural_residual)]
+        from ...kernels.least_squares_sums import largest_residuals
+
+        unit, gradient = self.problem, self.gradient
+        scaled, plain, _ = largest_residuals(
+            gradient, gradient, self.x, unit.lower, unit.upper, unit.inverse_columns, False
+        )
+        sizes = plain * unit.size, scaled * unit.size
         return max(size / least if least > 0.0 else np.inf if size else 0.0
                    for size, least in zip(sizes, reference, strict=True))
 

@@ -160,8 +160,9 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
         duals = duals or (residual[0],)
         found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in duals]
         if not np.nanmin(found) < np.inf:
-            repaired = _repaired(enclosures, x, duals[0], enclosures.gradient_at(x, duals[0]))
-            found += [_gap_of(_gap(problem, x, residual, *repair)) for repair in repaired]
+            for y in duals:
+                repaired = _repaired(enclosures, x, y, enclosures.gradient_at(x, y))
+                found += [_gap_of(_gap(problem, x, residual, *repair)) for repair in repaired]
         if not np.nanmin(found) < np.inf:
             convexity = enclosures.convexity
             found += [] if convexity is None else [_gap_of(_gap(problem, x, exactly, residual[0], at_x, convexity))]

@@ -43,7 +43,8 @@ def run_stages(
     A problem is hard that the kernel of small ones did not solve.
     """
     unit = problem.unit
-    stages, judge = Stages(problem, is_hard=is_hard), LeastSquaresJudge(problem, settings)
+    stages = Stages(problem, is_hard=is_hard)
+    judge = LeastSquaresJudge(problem, settings, stages)
     run = Run(judge.units, stages, settings, None, clock, judge)
     begin = unit.nearest_to_zero if start is None else np.clip(unit.from_caller(start), unit.lower, unit.upper)
     try:
@@ -97,11 +98,18 @@ class Steps(Algorithm):
 
 
 class Stages(Policy):
-    """What is tried in turn, each from the best point so far."""
+    """What is tried in turn, each from the best point so far.
+
+    Attributes
+    ----------
+    ends_refined : bool
+        Whether steps are still to come that go beyond what rounding leaves others.
+    """
 
     name = chosen = "least squares"
 
     def __init__(self, problem: BoundedLeastSquares, *, is_hard: bool) -> None:
+        self.ends_refined = problem.is_cheap_to_copy
         self._left = self._stages(problem, is_hard)
 
     def first(self, problem: Any) -> Choice:
@@ -112,21 +120,24 @@ class Stages(Policy):
         """Return the next stage where one has come to its end."""
         return next(self._left, None) if failed else None
 
-    @staticmethod
-    def _stages(problem: BoundedLeastSquares, is_hard: bool) -> Iterator[Choice]:
+    def _stages(self, problem: BoundedLeastSquares, is_hard: bool) -> Iterator[Choice]:
         faces = None
         if problem.has_entries:
             if not problem.is_cheap_to_copy:
                 patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
                 yield Choice(Steps(take=lambda start: islice(projected_steps(start), patience)))
             if is_hard:
-                yield Choice(Steps(take=refined_steps))
+                yield self._refined()
             if (faces := Faces.of(problem.unit)) is not None:
                 yield Choice(Steps(take=lambda start: block_pivot_steps(start, faces), faces=faces))
                 yield Choice(Steps(take=lambda start: interior_steps(start, faces), faces=faces))
-            if problem.is_cheap_to_copy and not is_hard:
-                yield Choice(Steps(take=refined_steps))
+            if self.ends_refined:
+                yield self._refined()
         yield Choice(Steps(take=projected_steps, faces=faces))
+
+    def _refined(self) -> Choice:
+        self.ends_refined = False
+        return Choice(Steps(take=refined_steps))
 
 
 class LeastSquaresJudge(Judge):
@@ -140,8 +151,9 @@ class LeastSquaresJudge(Judge):
         Whether it is what was asked for.
     """
 
-    def __init__(self, problem: BoundedLeastSquares, settings: Settings) -> None:
+    def __init__(self, problem: BoundedLeastSquares, settings: Settings, stages: Stages) -> None:
         self.asked: Any = problem
+        self.stages = stages
         self.settings, self.units = settings, CommonUnits(cast(Any, problem), cast(Any, problem.unit))
         self.enclosures = Enclosures(problem)
         self.reference = max(self.enclosures.reference)
@@ -178,8 +190,10 @@ class LeastSquaresJudge(Judge):
         return self.is_solved
 
     def is_at_floor(self, z: FloatVector | None) -> bool:
-        """Return whether z is as good as rounding allows."""
-        return z is not None and Optimality.of(self.enclosures, self.asked.unit.to_caller(z)).is_at_rounding_level
+        """Return whether z is as good as rounding allows what is still to come."""
+        if z is None or self.stages.ends_refined:
+            return False
+        return Optimality.of(self.enclosures, self.asked.unit.to_caller(z)).is_at_rounding_level
 
     def is_limited_by_size(self, z: FloatVector | None) -> bool:
         """Return False."""

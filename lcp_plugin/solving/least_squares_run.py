@@ -87,7 +87,8 @@ class Steps(Algorithm):
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a point."""
-        return (PointStep(point.x, point=point) for point in self.take(Point(problem, z0)))
+        points = self.take(Point(problem, z0))
+        return (PointStep(point.x, point=point, is_settling=point.dual is not None) for point in points)
 
     def finish(self, problem: Any, z: FloatVector) -> FloatVector:
         """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
@@ -191,7 +192,7 @@ class LeastSquaresJudge(Judge):
 
     def is_at_floor(self, z: FloatVector | None) -> bool:
         """Return whether z is as good as rounding allows what is still to come."""
-        if z is None or self.stages.ends_refined:
+        if z is None or self._dual is not None or self.stages.ends_refined:
             return False
         return Optimality.of(self.enclosures, self.asked.unit.to_caller(z)).is_at_rounding_level
 

@@ -123,6 +123,8 @@ def _dual_points(
     if (np.abs(r) <= slip).any():
         zeroed = np.where(np.abs(r) > slip, r, 0.0)
         yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
+    if dual is not None:  # whoever has one knows better than what follows
+        return
     free, y, at_y = (problem.lower < x) & (x < problem.upper), r, slope
     if is_at_floor:
         yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))

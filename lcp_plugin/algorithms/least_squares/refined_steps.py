@@ -173,7 +173,7 @@ class OrthogonalFactor:
         m, k = B.shape
         self.rows, self.columns, self.rank = np.arange(m), np.arange(k), 0
         R, sizes = np.array(B), np.abs(B)
-        mirrors: list[FloatVector] = []
+        mirrors = np.zeros((min(m, k), m))
         for p in range(min(m, k)):
             lengths = np.sqrt(np.square(R[p:, p:]).sum(axis=0))
             q = p + int(np.argmax(lengths))
@@ -182,11 +182,11 @@ class OrthogonalFactor:
             for array in (R.T, sizes.T, self.columns):
                 _swap(array, p, q)
             i = p + int(np.argmax(np.abs(R[p:, p])))
-            for array in (R, sizes, self.rows, *mirrors):
+            for array in (R, sizes, self.rows, mirrors.T):
                 _swap(array, p, i)
             length = float(np.linalg.norm(R[p:, p]))
             end = -np.copysign(length, R[p, p])
-            mirror = np.zeros(m)
+            mirror = mirrors[p]
             mirror[p:] = R[p:, p]
             mirror[p] -= end
             mirror /= np.sqrt(length * np.abs(mirror[p]))
@@ -196,9 +196,8 @@ class OrthogonalFactor:
             sizes[p:, p + 1 :] = np.maximum(sizes[p:, p + 1 :], np.abs(shift))
             block = R[p + 1 :, p + 1 :]
             block[np.abs(block) <= CLEANED * sizes[p + 1 :, p + 1 :]] = 0.0
-            mirrors.append(mirror)
             self.rank = p + 1
-        self._mirrors = mirrors
+        self._mirrors = mirrors[: self.rank]
         self._R = R[: self.rank, : self.rank]
 
     def solve(self, h: FloatVector, g: FloatVector) -> tuple[FloatVector, FloatVector]:
@@ -214,7 +213,7 @@ class OrthogonalFactor:
         u = np.empty(self.columns.size)
         u[self.columns] = solve_triangular(self._R, turned[: self.rank] + inner, check_finite=False)
         turned = np.concatenate([inner, -turned[self.rank :]])
-        for mirror in reversed(self._mirrors):
+        for mirror in self._mirrors[::-1]:
             turned = turned - mirror * (mirror @ turned)
         v[self.rows] = turned
         return u, v

@@ -132,6 +132,9 @@ def _dual_points(
         y = y - _push(problem, np.where(free, at_y[0] / problem.column_units, 0.0), free, accuracy)
         at_y = enclosures.gradient_at(x, y)
         yield y, at_y, NOTHING
+        if (np.abs(y) <= slip).any():  # the only entry of a column without bounds wants a y_i of 0, not of rounding
+            zeroed = np.where(np.abs(y) > slip, y, 0.0)
+            yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
         yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
     if (convexity := enclosures.convexity) is not None:
         yield r, slope, convexity

@@ -222,7 +222,7 @@ class LeastSquaresResult(Answer):
 ADVICE = {
     Status.PRECISION_LIMIT: (
         "the gradient is no larger than rounding in double precision explains, but no lower bound of the cost was "
-        "found near it; accept x, which result.gap bounds, or state bounds for columns that have none"
+        "found near it, as for a large sparse A that fits b exactly; accept x, which result.gap bounds"
     ),
     Status.STALLED: (
         "the gradient no longer falls: A is too ill-conditioned for steps, and its factor would fill in too much or "

@@ -30,9 +30,7 @@ from .run import Run
 DENSE_PATIENCE = 0.05  # steps that AᵀA and its factors cost, ÷ the smaller dimension of A
 SPARSE_PATIENCE = 300  # steps: an interior point takes ten sparse factors and more, of 20 – 40 steps each
 ROUNDS = 20  # of active sets to refine an answer
-NARROWER = 0.25  # what is aimed at, ÷ what was reached where that was not enough
-REFRESHED = 5  # times that a residual is computed anew
-AFRESH = 1e-4  # of a gradient: where steps that began there end
+NARROWER = 0.05  # what is aimed at, ÷ what was reached where that was not enough
 MOST_STEPS_FOR_GAP = 300
 
 
@@ -100,26 +98,6 @@ class Steps(Algorithm):
         return refined.x
 
 
-def refreshed_steps(start: Point) -> Iterator[Point]:
-    """Yield projected steps, begun afresh with a residual computed anew where what they add to it has become rounding.
-
-    So each row comes down to its own rounding.
-    """
-    enough, before = start.noise, np.inf
-    for _ in range(REFRESHED):
-        point = start
-        for point in projected_steps(start):
-            yield point
-            if float(np.abs(point.natural_residual).max(initial=0.0)) <= enough:
-                break
-        start = Point(point.problem, point.x)
-        size = float(np.abs(start.natural_residual).max(initial=0.0))
-        if not size < before:
-            break
-        enough, before = min(enough, AFRESH * size), size
-    yield from projected_steps(start)
-
-
 class Stages(Policy):
     """What is tried in turn, each from the best point so far.
 
@@ -156,7 +134,7 @@ class Stages(Policy):
                 yield Choice(Steps(take=lambda start: interior_steps(start, faces), faces=faces))
             if self.ends_refined:
                 yield self._refined()
-        yield Choice(Steps(take=refreshed_steps, faces=faces))
+        yield Choice(Steps(take=projected_steps, faces=faces))
 
     def _refined(self) -> Choice:
         self.ends_refined = False

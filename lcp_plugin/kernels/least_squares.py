@@ -26,11 +26,10 @@ from .compilation import (
 )
 from .floats import EPSILON
 from .least_squares_sums import (
-    OUTWARD,
     part_of_columns,
+    part_of_gap,
     part_of_largest,
     part_of_radii,
-    part_of_residuals,
     part_of_ridge,
     part_of_rows,
     part_of_squares,
@@ -42,42 +41,65 @@ DEPENDENT = 64.0 * EPSILON  # of its length, left of a column beside the free on
 
 
 @partial(interpreted_while_small, longest=LONGEST_IN_ORDER)
-def solve_small(A, b, weights, ridge, lower, upper, most):  # type: ignore[no-untyped-def]
-    """Return (x, A x − b, how optimal, faces solved) for the minimum; A by rows. It is ∞ where that was not found.
+def solve_small(A, b, weights, ridge, lower, upper, most, tolerance):  # type: ignore[no-untyped-def]
+    """Return (x, A x − b, how optimal, faces solved) for the minimum; A by rows.
 
-    How optimal is as in `certificates.least_squares`, or ∞ where AᵀWb = 0.
+    How optimal is as in `certificates.least_squares`, 1 at the most, for three y: the residual; that made orthogonal to
+    the free columns; or that without the rows in which it is rounding.
     """
     m, n = A.shape
-    x, residual, of_rows, of_columns = np.empty(n), np.empty(m), np.empty((7, m)), np.empty((9, n))
+    x, residual, y, of_rows, of_columns = np.empty(n), np.empty(m), np.empty(m), np.empty((7, m)), np.empty((9, n))
     work, sets = np.empty((n + 2, m + n if ridge > 0.0 else m)), np.empty((3, n), np.int64)
     root, units = of_rows[4], of_columns[4]
     _find_units(A, weights, ridge, root, units, of_columns)
     rounds = _minimum(A, b, root, ridge, lower, upper, units, most, x, work, of_columns, sets)
-    nothing = x[:0]
+    nothing, optimality = x[:0], 1.0
+    slip, right = of_rows[5], of_rows[6]
     part_of_rows(A, x, nothing, of_rows[:4])
     for i in range(m):
         of_rows[1, i] += abs(b[i])
-        residual[i] = of_rows[0, i] - b[i]
-    slip, right = of_rows[5], of_rows[6]
+        y[i] = residual[i] = of_rows[0, i] - b[i]
     part_of_radii(of_rows[:4], n, slip)
-    for i in range(m):
-        slip[i], right[i] = weights[i] * slip[i], weights[i] * b[i]
     sums, radius = of_columns[:4], of_columns[5]
-    part_of_columns(A, right, nothing, sums)
-    part_of_radii(sums, m, radius)
-    plain = scaled = 0.0
-    for j in range(n):
-        plain = max(plain, abs(sums[0, j]) - radius[j])
-        scaled = max(scaled, (abs(sums[0, j]) - radius[j]) / units[j])
-    if rounds < 0 or not (plain > 0.0 and scaled > 0.0):
-        return x, residual, np.inf, rounds
-    for i in range(m):
-        right[i] = weights[i] * residual[i]
-    part_of_columns(A, right, slip, sums)
-    part_of_radii(sums, m, radius)
-    part_of_ridge(sums[0], radius, ridge, x)
-    of_plain, of_scaled, _ = part_of_residuals(sums[0], radius, x, lower, upper, units, True)
-    return x, residual, OUTWARD * max(of_plain / plain, of_scaled / scaled), rounds
+    for attempt in range(3):
+        for i in range(m):
+            right[i] = weights[i] * y[i]
+        part_of_columns(A, right, nothing, sums)
+        part_of_radii(sums, m, radius)
+        part_of_ridge(sums[0], radius, ridge, x)
+        gap, cost, _ = part_of_gap(
+            residual, slip, y, sums[0], radius, x, lower, upper, root, units, ridge, nothing, -1.0
+        )
+        optimality = 0.0 if gap == 0.0 else min(gap / cost, 1.0) if cost > 0.0 and gap < np.inf else 1.0
+        if attempt == 2 or optimality <= tolerance:
+            break
+        if attempt == 0:
+            _orthogonalise(A, y, sums[0], units, work, sets, of_columns[6])
+        for i in range(m if attempt == 1 else 0):
+            y[i] = residual[i] if abs(residual[i]) > slip[i] else 0.0
+    return x, residual, optimality, rounds
+
+
+@compiled_part
+def _orthogonalise(A, y, slope, units, work, sets, v):  # type: ignore[no-untyped-def]
+    """Take A v from y, v of the free columns, so that AᵀWy, which is the slope, becomes 0 there, but for a ridge."""
+    free, count = sets[0], 0
+    for j in range(units.size):
+        count += sets[1, j]
+    for p in range(count):
+        column = work[free[p]]
+        v[p] = slope[free[p]] / units[free[p]]
+        for q in range(p):
+            v[p] -= column[q] * v[q]
+        v[p] /= column[p]
+    for p in range(count - 1, -1, -1):
+        column = work[free[p]]
+        v[p] /= column[p]
+        for q in range(p):
+            v[q] -= column[q] * v[p]
+    for p in range(count):
+        for i in range(y.size):
+            y[i] -= A[i, free[p]] * (v[p] / units[free[p]])
 
 
 @compiled_part

@@ -81,6 +81,41 @@ def _largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  
     return plain, scaled, is_at_floor
 
 
+def _gap_beside_cost(  # type: ignore[no-untyped-def]
+    residual, slip, y, slope, radius, x, lower, upper, root, units, ridge, convexity, rounding
+):
+    """Return the bound of `certificates.least_squares` of a cost less the least, and the cost of y; in units, returned.
+
+    Residual and slope are known up to slip and radius: those are added where `rounding` is 1, excused where it is −1.
+    Without a convexity, shape (n,) or (0,), it is the ridge.
+    """
+    size = 0.0
+    for i in range(y.size):
+        size = max(size, root[i] * abs(y[i]), root[i] * abs(residual[i] - y[i]))
+    for j in range(x.size):
+        size = max(size, math.sqrt(ridge) * abs(x[j]))
+    size = power_above(size)
+    gap = cost = 0.0
+    for i in range(y.size):
+        off, part = max(abs(residual[i] - y[i]) + rounding * slip[i], 0.0) * root[i] / size, root[i] * y[i] / size
+        gap, cost = gap + 0.5 * off * off, cost + 0.5 * part * part
+    for j in range(x.size):
+        part, unit = math.sqrt(ridge) * x[j] / size, units[j] * size
+        cost += 0.5 * part * part
+        curved = (convexity[j] if convexity.size > 0 else ridge) / units[j] / units[j]
+        steepest, linear = (abs(slope[j]) + rounding * radius[j]) / unit, 0.0
+        for slant, room in ((slope[j], x[j] - lower[j]), (-slope[j], upper[j] - x[j])):
+            steep = (slant + rounding * radius[j]) / unit
+            if steep > 0.0 and room > 0.0:
+                linear += steep * (room * (units[j] / size)) + TINY
+        if linear > 0.0 and curved > 0.0:
+            linear = min(linear, steepest * steepest / (2.0 * curved) + TINY)
+        gap += linear
+    for j in range(x.size):
+        gap += 0.0 * (slope[j] + radius[j])  # NaN where one is not finite
+    return (OUTWARD * OUTWARD * gap if gap < np.inf else np.inf), cost, size
+
+
 @compiled_into_others
 def power_above(size):  # type: ignore[no-untyped-def]
     """Return the power of two just above a size, within what can be multiplied by; 1 for 0."""
@@ -126,7 +161,8 @@ def _with_ridge(value, radius, ridge, x):  # type: ignore[no-untyped-def]
 along_rows, down_columns, largest_residuals, radii, with_ridge, raise_to_largest, add_squares = map(compiled, (
     _along_rows, _down_columns, _largest_residuals, _radii, _with_ridge, _raise_to_largest, _add_squares,
 ))
-part_of_rows, part_of_columns, part_of_residuals, part_of_radii, part_of_ridge, part_of_largest, part_of_squares = map(
+gap_beside_cost = compiled(_gap_beside_cost)
+part_of_rows, part_of_columns, part_of_gap, part_of_radii, part_of_ridge, part_of_largest, part_of_squares = map(
     compiled_part,
-    (_along_rows, _down_columns, _largest_residuals, _radii, _with_ridge, _raise_to_largest, _add_squares),
+    (_along_rows, _down_columns, _gap_beside_cost, _radii, _with_ridge, _raise_to_largest, _add_squares),
 )

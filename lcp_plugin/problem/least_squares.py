@@ -193,6 +193,11 @@ class UnitLeastSquares:
         self.ridge = problem.ridge / self.columns / self.columns
         self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
 
+    @cached_property
+    def inverse_columns(self) -> FloatVector:
+        """1/columns."""
+        return np.asarray(1.0 / self.columns)
+
     def from_caller(self, x: FloatVector) -> FloatVector:
         """Return x in these units."""
         return x * (self.columns / self.size)

@@ -52,7 +52,8 @@ def bounded_least_squares(
     ridge : float
         ≥ 0.
     tolerance : float
-        SOLVED means that `optimality` is at most this, and see :class:`LeastSquaresResult` for a LinearOperator.
+        SOLVED means that cost is above the least by at most this times cost, rounding of the data aside: see
+        `optimality` of :class:`LeastSquaresResult`, where a LinearOperator is spoken of, too.
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, obeyed at the end of the step under way.
@@ -72,10 +73,11 @@ def bounded_least_squares(
     Small dense problems: an active set that changes by one column at a time, compiled. Others: block pivots with a
     Cholesky factor of the free columns' part of AᵀA, corrected by conjugate gradients with A, or by an orthogonal
     factor where rounding leaves AᵀA too little; where they do not converge, interior points and active sets with the
-    same factor. That is for dense A of up to 3000 columns, and for sparse A where AᵀA is about as sparse. Large A come
-    to it after projected gradient and conjugate gradient steps, about a product with A and one with Aᵀ each, that have
-    cost about as much. Where no factor can be had, and for a LinearOperator, the steps go on; an ill-conditioned
-    problem may end STALLED there.
+    same factor. Where rounding leaves those too little, as for rows of very different size, an active set whose faces
+    are refined to the last digit of each row, for at most 10⁶ places of A. Factors are for dense A of up to 3000
+    columns, and for sparse A where AᵀA is about as sparse. Large A come to them after projected gradient and conjugate
+    gradient steps, about a product with A and one with Aᵀ each, that have cost about as much. Where no factor can be
+    had, and for a LinearOperator, the steps go on; an ill-conditioned problem may end STALLED there.
 
     Examples
     --------
@@ -97,29 +99,31 @@ def solve_least_squares(
     clock = Clock(ALONE)
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
-    if (result := _solved_at_once(problem, settings, clock)) is not None:
-        return result
+    is_hard = problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL
+    if is_hard:
+        result = _solved_at_once(problem, settings, clock)
+        if result.is_solved:
+            return result
+        start = result.x if start is None and np.isfinite(result.x).all() else start
     from .least_squares_run import run_stages
 
-    judged, status, steps = run_stages(problem, settings, start, clock)
-    return _result_of(problem, settings, judged.x, judged.residual, judged.value, status, steps, clock.read())
+    judged, status, steps = run_stages(problem, settings, start, clock, is_hard=is_hard)
+    return _result_of(problem, settings, judged.x, judged.residual, judged.dual, judged.value, status, steps, clock)
 
 
-def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult | None:
-    """Take the compiled way of small problems to its end; return the answer where that solves it."""
-    if not (problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL):
-        return None
+def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult:
+    """Take the compiled way of small problems to its end, which may be no answer."""
     from ..kernels.least_squares import solve_small
 
     most = min(settings.max_iterations, EXCHANGES * problem.shape[1])
     weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights
     A = problem.A if problem.is_dense else read_only(problem.A.toarray())
     x, residual, optimality, faces = solve_small(
-        A, problem.b, weights, problem.ridge, problem.lower, problem.upper, most
+        A, problem.b, weights, problem.ridge, problem.lower, problem.upper, most, settings.tolerance
     )
-    if not optimality <= settings.tolerance:
-        return None
-    return _result_of(problem, settings, x, residual, optimality, Status.SOLVED, faces, clock.read())
+    is_solved = faces >= 0 and optimality <= settings.tolerance
+    status = Status.SOLVED if is_solved else Status.STALLED
+    return _result_of(problem, settings, x, residual, residual, optimality, status, abs(faces), clock)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,10 +139,12 @@ class LeastSquaresResult(Answer):
     fun : ndarray, shape (m,)
         The residual A x − b, without weights.
     optimality : float
-        The larger of ‖mid(x − upper, x − lower, g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), and the
-        same in units in which the columns of A have about unit length. With lower = 0 and upper = ∞ the numerator is
-        ‖min(x, g)‖∞. Where AᵀW b = 0, g at the point of the box nearest to 0 stands for it; where that is 0 as well,
-        that point is the answer.
+        An upper bound of (cost − least cost)/cost, rounding aside: for entries of A and b that differ from those given
+        by no more than rounding relative to each. Units of rows and columns do not matter, and where each row's
+        residual is rounding of its own terms it is 0; 1 where nothing is proved. The formula, and what it cannot see:
+        help("lcp_plugin.certificates.least_squares"). For a LinearOperator, an estimate of the larger of
+        ‖mid(x − upper, x − lower, g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), and the same in units
+        in which the columns of A have about unit length.
     active_mask : ndarray of int, shape (n,)
         −1 at the lower bound, 1 at the upper one, 0 between them.
     status : Status
@@ -152,8 +158,8 @@ class LeastSquaresResult(Answer):
     tolerance : float
         As given.
     is_proved : bool
-        Whether `optimality` and `gap` are upper bounds, rounding included. For a LinearOperator, whose entries nobody
-        knows, they are estimates.
+        Whether `optimality` and `gap` are upper bounds. For a LinearOperator, whose entries nobody knows, they are
+        estimates.
     problem : BoundedLeastSquares
         The data.
     """
@@ -169,19 +175,21 @@ class LeastSquaresResult(Answer):
     tolerance: float
     is_proved: bool
     problem: BoundedLeastSquares = field(repr=False)
+    _dual: FloatVector = field(repr=False)
 
     __setstate__ = restored
 
     @cached_property
     def gap(self) -> float:
-        """An upper bound of cost − min cost, at most cost but for rounding; the first look computes it, as a run does.
+        """An upper bound of cost − min cost for the data as they are, rounding of x included; computed at a first look.
 
-        It is no more than cost where A is not proved to have full rank and some column without a bound on one side
-        (or with none) allows no multiplier of the right sign; help("lcp_plugin.certificates.least_squares").
+        It is at most cost but for rounding, and no less where A is not proved to have full rank and some column without
+        a bound on one side (or with none) allows no multiplier of the right sign;
+        help("lcp_plugin.certificates.least_squares").
         """
         from .least_squares_run import gap_of
 
-        return gap_of(self.problem, self.x, self.nit)
+        return gap_of(self.problem, self.x, self._dual, self.nit)
 
     @property
     def objective(self) -> float:
@@ -213,8 +221,8 @@ class LeastSquaresResult(Answer):
 
 ADVICE = {
     Status.PRECISION_LIMIT: (
-        "the gradient is above the tolerance, but no larger than rounding in double precision explains; accept x, "
-        "which result.gap bounds, or rescale the data"
+        "the gradient is no larger than rounding in double precision explains, but no lower bound of the cost was "
+        "found near it, as for a large sparse A that fits b exactly; accept x, which result.gap bounds"
     ),
     Status.STALLED: (
         "the gradient no longer falls: A is too ill-conditioned for steps, and its factor would fill in too much or "
@@ -227,14 +235,14 @@ ADVICE = {
 
 
 def _result_of(
-    problem: BoundedLeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, optimality: float,
-    status: Status, steps: int, seconds: float,
+    problem: BoundedLeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, dual: FloatVector,
+    optimality: float, status: Status, steps: int, clock: Clock,
 ) -> LeastSquaresResult:
     """Return the result that these make."""
     mask = (x >= problem.upper).astype(np.int_)
     mask[x <= problem.lower] = -1
     return LeastSquaresResult(
         x=read_only(x), cost=problem.cost(x, residual), fun=read_only(residual), optimality=optimality,
-        active_mask=read_only(mask), status=status, nit=steps, seconds=seconds, tolerance=settings.tolerance,
-        is_proved=problem.has_entries, problem=problem,
+        active_mask=read_only(mask), status=status, nit=steps, seconds=clock.read(), tolerance=settings.tolerance,
+        is_proved=problem.has_entries, problem=problem, _dual=dual,
     )

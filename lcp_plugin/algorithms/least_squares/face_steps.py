@@ -159,7 +159,7 @@ def active_set_steps(start: Point, faces: Faces) -> Iterator[Point]:
         if length >= 1.0:  # the face is solved
             noise, before, size = point.noise, size, float(np.abs(point.natural_residual).max(initial=0.0))
             pulled = np.abs(point.pull) > noise
-            if not pulled.any() and not noise < size <= REFINED * before:
+            if not pulled.any() and not 0.0 < size <= REFINED * before:
                 return
             free = free | pulled
 

@@ -51,10 +51,15 @@ class Point:
     ----------
     gradient : ndarray, shape (n,)
         Aᵀ(A x − b) + ridge x.
+    dual : ndarray, shape (m,), or None
+        What stands for A x − b in the caller's units where rounding of x leaves that too little, if somebody has it.
     """
 
-    def __init__(self, problem: UnitLeastSquares, x: FloatVector, residual: FloatVector | None = None) -> None:
-        self.problem, self.x = problem, x
+    def __init__(
+        self, problem: UnitLeastSquares, x: FloatVector, residual: FloatVector | None = None,
+        dual: FloatVector | None = None,
+    ) -> None:
+        self.problem, self.x, self.dual = problem, x, dual
         self.residual = problem.product(x) - problem.b if residual is None else residual
         self.gradient = problem.transposed(self.residual) + problem.ridge * x
 
@@ -86,11 +91,15 @@ class Point:
         """What is left of x less mid(lower, upper, x − gradient): 0 exactly at the minimum."""
         return clipped(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
 
-    def optimality(self, reference: tuple[float, float]) -> float:
+    def steepness(self, reference: tuple[float, float]) -> float:
         """Return the larger natural residual, in the caller's units and in these, beside the reference of each."""
-        unit, columns = self.problem, self.problem.columns
-        plain = clipped(self.gradient * columns, (self.x - unit.upper) / columns, (self.x - unit.lower) / columns)
-        sizes = [float(np.abs(residual).max(initial=0.0)) * unit.size for residual in (plain, self.natural_residual)]
+        from ...kernels.least_squares_sums import largest_residuals
+
+        unit, gradient = self.problem, self.gradient
+        scaled, plain, _ = largest_residuals(
+            gradient, gradient, self.x, unit.lower, unit.upper, unit.inverse_columns, False
+        )
+        sizes = plain * unit.size, scaled * unit.size
         return max(size / least if least > 0.0 else np.inf if size else 0.0
                    for size, least in zip(sizes, reference, strict=True))
 

@@ -1,0 +1,263 @@
+"""Random small least squares problems in mixed units, the least cost by exact arithmetic, nnls and lsq_linear beside.
+
+Run ``python tests/campaigns/least_squares.py --cases 5000 --seed 0``. Rows, columns or both times 10^k, k in −6 … 6,
+weights 10^±8, ranks below full, boxes, free columns, a ridge. Prints for each kind how many are solved, how many
+not and with which status, and how many SOLVED cost more than the least by over tolerance times their cost: no more than
+rounding explains, beside a least cost of 0 or another; where the least is out of reach; or else FALSE. For scipy it
+counts how many answers are so. Exit code 1 on a false SOLVED, an exception, or more than .5 % unsolved.
+
+The truth is an active set method in rational arithmetic on the stored doubles, whose answer x* satisfies the optimality
+conditions exactly. With ρ(x) = ε (|A||x| + |b|), rounding explains that ‖√W(A x − b)‖ exceeds what it may be by
+8 (n + 4)‖√W ρ(x)‖. The least is out of reach where ‖√W ρ(x*)‖, which rounding of entries and of x* changes at x*, is
+more than x costs: columns that depended on others before they were rounded to doubles, and an x* of 10¹⁶.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import time
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.optimize import lsq_linear, nnls
+
+from lcp_plugin import bounded_least_squares
+
+INF = np.inf
+EPSILON = float(np.finfo(float).eps)
+TOLERANCE = 1e-8
+PATIENCE = 2.0  # seconds for an answer of scipy's, whose lsq_linear may not end
+UNSOLVED = 0.005  # of the problems, at the most
+KINDS = ("integers", "rows", "columns", "both", "weights", "rows and weights", "rank", "rank in units", "exact fit")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One problem."""
+
+    kind: str
+    A: np.ndarray
+    b: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    weights: np.ndarray | None
+    ridge: float
+
+
+def draw(kind: str, rng: np.random.Generator) -> Case:
+    """Return a random problem: integers in −3 … 3, up to 8 × 7, in units."""
+    m, n = int(rng.integers(1, 9)), int(rng.integers(1, 8))
+    A, b = rng.integers(-3, 4, (m, n)).astype(float), rng.integers(-5, 6, m).astype(float)
+    if kind.startswith("rank") and n > 1:
+        rank = int(rng.integers(1, n))
+        A = (rng.integers(-2, 3, (m, rank)) @ rng.integers(-2, 3, (rank, n))).astype(float)
+    x = rng.integers(0, 4, n).astype(float)
+    lower, upper = np.zeros(n), np.full(n, INF)
+    shape = rng.integers(0, 3)
+    if shape == 1:  # boxes
+        lower, upper = -rng.integers(0, 3, n).astype(float), rng.integers(0, 4, n).astype(float)
+    elif shape == 2:  # of every sort
+        lower = np.where(rng.random(n) < 0.4, -INF, lower)
+        upper = np.where(rng.random(n) < 0.4, rng.integers(0, 4, n), upper)
+    if kind == "exact fit":
+        b = A @ np.clip(x, lower, upper)
+    rows, columns, weights = np.ones(m), np.ones(n), None
+    if kind in ("rows", "both", "rows and weights", "exact fit"):
+        rows = 10.0 ** rng.integers(-6, 7, m)
+    if kind == "rank in units":  # exact ones: others would be of full rank by their rounding alone
+        rows, columns = 2.0 ** rng.integers(-20, 21, m), 2.0 ** rng.integers(-20, 21, n)
+    if kind in ("columns", "both"):
+        columns = 10.0 ** rng.integers(-6, 7, n)
+    if kind in ("weights", "rows and weights"):
+        weights = 10.0 ** rng.integers(-8, 9, m)
+    ridge = float(rng.choice([0.0, 0.0, 0.0, 0.5])) if kind != "exact fit" else 0.0
+    return Case(kind, rows[:, None] * A * columns, rows * b, lower / columns, upper / columns, weights, ridge)
+
+
+class Exact:
+    """A problem in rational arithmetic."""
+
+    def __init__(self, case: Case) -> None:
+        m, n = case.A.shape
+        self.n, self.m = n, m
+        self.A = [[Fraction(v) for v in row] for row in case.A]
+        self.b = [Fraction(v) for v in case.b]
+        self.weights = [Fraction(1)] * m if case.weights is None else [Fraction(v) for v in case.weights]
+        self.ridge = Fraction(case.ridge)
+        self.lower = [None if v == -INF else Fraction(v) for v in case.lower]
+        self.upper = [None if v == INF else Fraction(v) for v in case.upper]
+        self.gram = [[self._inner(j, k) for k in range(n)] for j in range(n)]
+
+    def _inner(self, j: int, k: int) -> Fraction:
+        terms = (w * row[j] * row[k] for w, row in zip(self.weights, self.A, strict=True))
+        return sum(terms, Fraction(0)) + self.ridge * (j == k)
+
+    def residual(self, x: list[Fraction]) -> list[Fraction]:
+        """Return A x − b."""
+        return [sum((a * v for a, v in zip(row, x, strict=True)), -c) for row, c in zip(self.A, self.b, strict=True)]
+
+    def cost(self, x: list[Fraction]) -> Fraction:
+        """Return the cost."""
+        squares = sum((w * r * r for w, r in zip(self.weights, self.residual(x), strict=True)), Fraction(0))
+        return (squares + self.ridge * sum(v * v for v in x)) / 2
+
+    def gradient(self, x: list[Fraction]) -> list[Fraction]:
+        """Return the gradient of the cost."""
+        pulls = [w * r for w, r in zip(self.weights, self.residual(x), strict=True)]
+        return [sum((row[j] * p for row, p in zip(self.A, pulls, strict=True)), self.ridge * x[j])
+                for j in range(self.n)]
+
+    @cached_property
+    def least(self) -> Fraction:
+        """The least cost."""
+        return self.cost(self.answer)
+
+    @cached_property
+    def answer(self) -> list[Fraction]:
+        """An x of least cost: a column is let go at a time, so that free ones stay independent and the cost falls."""
+        x = [max(low if low is not None else Fraction(0), Fraction(0)) for low in self.lower]
+        x = [min(v, high) if high is not None else v for v, high in zip(x, self.upper, strict=True)]
+        free: list[int] = []
+        while (entering := self._pulled(x, free)) is not None:
+            free.append(entering)
+            while True:
+                gradient = self.gradient(x)
+                step = solved([[self.gram[j][k] for k in free] + [-gradient[j]] for j in free])
+                share, hits = self._share(x, free, step)
+                for j, d in zip(free, step, strict=True):
+                    x[j] += share * d
+                if not hits:
+                    break
+                free = [j for j in free if j not in hits]
+        return x
+
+    def _pulled(self, x: list[Fraction], free: list[int]) -> int | None:
+        best, largest = None, Fraction(0)
+        for j, g in enumerate(self.gradient(x)):
+            can_move = x[j] != self.upper[j] if g < 0 else x[j] != self.lower[j]
+            if j not in free and g and can_move and g * g / self.gram[j][j] > largest:
+                best, largest = j, g * g / self.gram[j][j]
+        return best
+
+    def _share(self, x: list[Fraction], free: list[int], step: list[Fraction]) -> tuple[Fraction, list[int]]:
+        share, hits = Fraction(1), []
+        for j, d in zip(free, step, strict=True):
+            bound = self.upper[j] if d > 0 else self.lower[j]
+            if d and bound is not None and (bound - x[j]) / d <= share:
+                part = (bound - x[j]) / d
+                if part < share:
+                    share, hits = part, []
+                if part < 1:
+                    hits.append(j)
+        return share, hits
+
+
+def solved(system: list[list[Fraction]]) -> list[Fraction]:
+    """Return the answer of a nonsingular system [matrix, right]."""
+    size = len(system)
+    for k in range(size):
+        pivot = next(i for i in range(k, size) if system[i][k])
+        system[k], system[pivot] = system[pivot], system[k]
+        inverse = 1 / system[k][k]
+        system[k] = [v * inverse for v in system[k]]
+        for i in range(size):
+            if i != k and system[i][k]:
+                factor = system[i][k]
+                system[i] = [v - factor * w for v, w in zip(system[i], system[k], strict=True)]
+    return [row[-1] for row in system]
+
+
+def complaint(case: Case, exact: Exact, x: Any, tolerance: float = TOLERANCE) -> str:
+    """Return what is to be said of a SOLVED x; nothing where it costs no more than the least and tolerance · cost."""
+    cost, least = exact.cost([Fraction(float(v)) for v in x]), exact.least
+    if cost - least <= Fraction(tolerance) * cost:
+        return ""
+    root = np.ones(case.b.size) if case.weights is None else np.sqrt(case.weights)
+
+    def rounding(x: Any) -> float:
+        return float(np.linalg.norm(root * EPSILON * (np.abs(case.A) @ np.abs(x) + np.abs(case.b))))
+
+    length, shortest = np.sqrt(2.0 * float(cost)), np.sqrt(2.0 * float(least) / max(1.0 - tolerance, EPSILON))
+    if length <= shortest + 8.0 * (case.A.shape[1] + 4) * rounding(x):
+        return "above by rounding" if least else "attained 0"
+    return "out of reach" if rounding([float(v) for v in exact.answer]) >= length else "FALSE"
+
+
+def scipy_answers(case: Case) -> dict[str, Any]:
+    """Return the answers of nnls, where bounds are its own, and of lsq_linear by both methods; None for a failure."""
+    root = np.ones(case.b.size) if case.weights is None else np.sqrt(case.weights)
+    A, b = root[:, None] * case.A, root * case.b
+    if case.ridge:
+        A, b = np.vstack([A, np.sqrt(case.ridge) * np.eye(A.shape[1])]), np.concatenate([b, np.zeros(A.shape[1])])
+    answers: dict[str, Any] = {}
+    calls: dict[str, Any] = {
+        f"lsq_linear {method}": lambda method=method: lsq_linear(
+            A, b, (case.lower, case.upper), method=method, tol=1e-14).x
+        for method in ("bvls", "trf") if (case.lower < case.upper).all()
+    }
+    if not case.lower.any() and (case.upper == INF).all():
+        calls["nnls"] = lambda: nnls(A, b)[0]
+    for name, call in calls.items():
+        signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+        try:
+            answers[name] = np.clip(call(), case.lower, case.upper)
+        except (RuntimeError, ValueError, TimeoutError, np.linalg.LinAlgError):
+            answers[name] = None
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+    return answers
+
+
+def give_up(*_: Any) -> None:
+    """End a call that has taken too long."""
+    raise TimeoutError
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the campaign; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=5000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--alone", action="store_true", help="without scipy beside")
+    parser.add_argument("--show", action="store_true", help="print the kind and number of every failure")
+    options = parser.parse_args(arguments)
+    if not options.alone:
+        warnings.simplefilter("ignore")
+        signal.signal(signal.SIGALRM, give_up)
+    counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
+    rivals: Counter[str] = Counter()
+    seconds = 0.0
+    for number in range(options.cases):
+        kind = KINDS[number % len(KINDS)]
+        case = draw(kind, np.random.default_rng([options.seed, number]))
+        exact = Exact(case)
+        begin = time.perf_counter()
+        result = bounded_least_squares(
+            case.A, case.b, case.lower, case.upper, weights=case.weights, ridge=case.ridge, tolerance=TOLERANCE)
+        seconds += time.perf_counter() - begin
+        word = complaint(case, exact, result.x)
+        counts[kind].update([result.status.name] + [word] * (result.is_solved and word != ""))
+        if options.show and (not result.is_solved or word in ("FALSE", "out of reach")):
+            print(number, kind, case.A.shape, result.status.name, word, result.cost, float(exact.least))
+        for name, x in ({} if options.alone else scipy_answers(case)).items():
+            is_missed = x is None or not np.isfinite(x).all() or complaint(case, exact, x) == "FALSE"
+            rivals.update([name] + [f"{name} missed"] * is_missed)
+    for kind, told in counts.items():
+        print(f"{kind:18}", dict(told))
+    print("beside:", dict(rivals))
+    total = sum(counts.values(), Counter())
+    unsolved = options.cases - total["SOLVED"]
+    print(f"{options.cases} problems, {unsolved} not solved, {total['FALSE']} falsely, "
+          f"{total['attained 0']} beside a cost of 0 and {total['above by rounding']} others above by rounding, "
+          f"{total['out of reach']} where the least is out of reach, {1e3 * seconds / options.cases:.2f} ms each")
+    return int(total["FALSE"] > 0 or unsolved > UNSOLVED * options.cases)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -47,7 +47,6 @@ REGISTRY = {
     "npgs": "algorithms.splittings.projected_type:NPGS",
     "npsor": "algorithms.splittings.projected_type:NPSOR",
     "npaor": "algorithms.splittings.projected_type:NPAOR",
-    "npsplitting": "algorithms.splittings.np_splitting:NPSplitting",
     "pj": "algorithms.splittings.projected_relaxation:PJ",
     "pgs": "algorithms.splittings.projected_relaxation:PGS",
     "psor": "algorithms.splittings.projected_relaxation:PSOR",

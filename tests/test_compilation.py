@@ -264,7 +264,8 @@ def test_interpreted_kernels_have_the_bits_of_compiled_ones(monkeypatch: pytest.
         compiled_bits = solutions()
     interpreted = 0
     for name, module in list(sys.modules.items()):
-        for attribute, kernel in list(vars(module).items()) if name.startswith("lcp_plugin.") and ".kernels." in name else ():
+        has_kernels = name.startswith("lcp_plugin.") and ".kernels." in name
+        for attribute, kernel in list(vars(module).items()) if has_kernels else ():
             if getattr(kernel, "is_patient", False):
                 monkeypatch.setattr(module, attribute, np.errstate(all="ignore")(kernel.py_func))
                 interpreted += 1

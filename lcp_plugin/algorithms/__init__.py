@@ -21,7 +21,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from ..registry import at, offered
+from ..registry import at, missing, offered
 from ..settings import OF_SOLVE
 from .base import Algorithm, FusedSolve, Step
 
@@ -134,6 +134,8 @@ def _offers() -> dict[str, list[EntryPoint]]:
 
 @cache
 def _class_from_outside(name: str) -> type[Algorithm]:
+    if words := missing("algorithm", name):
+        raise UnknownAlgorithm(words)
     offers = _offers()
     if name not in offers:
         raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, {'auto', *REGISTRY, *offers})}")

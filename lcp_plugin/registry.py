@@ -52,12 +52,19 @@ def ask(what: str, name: str) -> Any:
     """
     found = ask_or_none(what, name)
     if found is None:
-        place = _PLACES.get(what, {}).get(name, "no room")
-        raise InvalidOption(
-            f"the {what} {name!r} is offered by {place.partition(':')[0]}, which this installation of {PACKAGE} does "
-            f"not have; install {PACKAGE} as a whole"
-        )
+        raise InvalidOption(missing(what, name))
     return found
+
+
+def missing(what: str, name: str) -> str:
+    """Return which room that is not here has what is offered by that name, '' where no such is known."""
+    place = _PLACES.get(what, {}).get(name)
+    if place is None or _is_here(place):
+        return ""
+    return (
+        f"the {what} {name!r} is offered by {place.partition(':')[0]}, which this installation of {PACKAGE} does not "
+        f"have; install {PACKAGE} as a whole"
+    )
 
 
 def ask_or_none(what: str, name: str) -> Any:

@@ -4,6 +4,7 @@ from .registry import offer
 
 OFFERS = {
     "algorithm": {
+        "npsplitting": "algorithms.splittings.np_splitting:NPSplitting",
         "newton": "algorithms.active_sets.semismooth_newton:Newton",
         "interior_point": "algorithms.interior_points.interior_point:InteriorPoint",
         "banded": "algorithms.active_sets.banded:Banded",

@@ -21,7 +21,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from ..registry import at, offered
+from ..registry import at, missing, offered
 from ..settings import OF_SOLVE
 from .base import Algorithm, FusedSolve, Step
 
@@ -47,7 +47,6 @@ REGISTRY = {
     "npgs": "algorithms.splittings.projected_type:NPGS",
     "npsor": "algorithms.splittings.projected_type:NPSOR",
     "npaor": "algorithms.splittings.projected_type:NPAOR",
-    "npsplitting": "algorithms.splittings.np_splitting:NPSplitting",
     "pj": "algorithms.splittings.projected_relaxation:PJ",
     "pgs": "algorithms.splittings.projected_relaxation:PGS",
     "psor": "algorithms.splittings.projected_relaxation:PSOR",
@@ -135,6 +134,8 @@ def _offers() -> dict[str, list[EntryPoint]]:
 
 @cache
 def _class_from_outside(name: str) -> type[Algorithm]:
+    if words := missing("algorithm", name):
+        raise UnknownAlgorithm(words)
     offers = _offers()
     if name not in offers:
         raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, {'auto', *REGISTRY, *offers})}")

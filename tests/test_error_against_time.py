@@ -26,9 +26,10 @@ from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.evidence import error_against_time as module
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.contestants import TUNING, comparison, contestants, tuned
-from lcp_plugin.evidence.curves import Curve, Point, Report, performance_profile
+from lcp_plugin.evidence.curves import Curve, Point, Report
 from lcp_plugin.evidence.drawing import spread, styles
 from lcp_plugin.evidence.error_against_time import error_against_time
+from lcp_plugin.evidence.profiles import performance_profile
 from lcp_plugin.evidence.pictures import draw
 from lcp_plugin.matrix.matrix import Matrix, fact
 

@@ -472,7 +472,7 @@ def test_interruption_between_two_parts_is_remembered(
     when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C while nothing is computed, a second one too, waits until what is being written is written."""
-    from lcp_plugin.evidence.report import page as module
+    from lcp_plugin.evidence import collecting as module
 
     def stop() -> None:
         os.kill(os.getpid(), signal.SIGINT)
@@ -510,7 +510,7 @@ def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_parts_of_another_machine_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Seconds belong to a processor and its versions: elsewhere a part is not taken over, later on the same it is."""
-    from lcp_plugin.evidence.report import page as module
+    from lcp_plugin.evidence import collecting as module
 
     parts = [part("a", lambda say: {})]
     facts = {"processor": "one", "measured": "today"}

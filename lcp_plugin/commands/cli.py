@@ -302,12 +302,14 @@ def list_everything() -> None:
     print_everything()
 
 
-@_command("tables", "0 every iteration count is the paper's, 1 one differs", "tables")
-def tables() -> bool:
+@_command("tables", "0 every iteration count is the paper's, 1 one differs", "tables", "tables --out tables.tex")
+def tables(
+    out: Annotated[Path | None, typer.Option(help="Save them as well: .tex (booktabs, siunitx), .md or .csv.")] = None,
+) -> bool:
     """Compute the paper's Tables 1 and 2 again, each figure beside the printed one."""
     from .tables import print_paper_tables
 
-    return print_paper_tables()
+    return print_paper_tables(out)
 
 
 @_command(

@@ -16,7 +16,7 @@ from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.driver import solve
 from ..solving.result import Result, Sample
-from .paper_tables import paper_options
+from .own_code import algorithm_of, is_own
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
@@ -115,7 +115,10 @@ def _contestant(label: Any, one: Any) -> Contestant:
                 f"got {one!r}"
             )
         name, options = (one, {}) if isinstance(one, str) else one
-        made = policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
+        if name == "auto":
+            made = policy_for(name, dict(options)).name
+        else:
+            made = algorithm_of(name, options) if is_own(name) else create(name, dict(options))
     return Contestant(str(label) if label else _label(made), made, family_of(made))
 
 
@@ -129,6 +132,15 @@ def _label(algorithm: str | Algorithm) -> str:
         if repr(getattr(algorithm, field.name)) != repr(field.default)
     ]
     return " ".join([algorithm.name, *changed])
+
+
+def paper_options(name: str, relaxation: float | None) -> dict[str, Any]:
+    """Return the options that the paper's tables were computed with."""
+    if name.startswith("np"):
+        return {"scaling": None} | ({"relaxation": relaxation} if relaxation else {})
+    if name == "msor" and relaxation:
+        return {"relaxation": relaxation, "omega": 1.0 / (2.0 * relaxation**2)}
+    return {"omega": 0.5}
 
 
 def paper_settings() -> Iterable[Contestant]:

@@ -90,17 +90,16 @@ def error_against_time(
     >>> report.error_kind, [curve.status for curve in report.curves]
     ('true error', ['SOLVED', 'SOLVED'])
     """
-    scene = _as_scene(target)
     references = _checked(repeats, references, max_work, progress)
     say = (lambda _: None) if progress is None else progress
     say("what the error is")
-    yardstick = Yardstick.of(scene, max_seconds)
-    left_out = [*yardstick.left_out, *_march(scene)]
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
-    runs: list[tuple[Contestant, list[_Recorder]]] = []
+    bench = Bench(as_scene(target), max_work=max_work, bounds=True, **limits)
+    scene, left_out = bench.scene, [*bench.yardstick.left_out, *_march(bench.scene)]
+    runs: list[tuple[Contestant, list[Recorder]]] = []
     for one in contestants(algorithms):
         say(f"{one.label}, warm-up")
-        reason = _refusal(scene, one)
+        reason = bench.refusal(one)
         if reason:
             left_out.append((one.label, reason))
         else:
@@ -108,14 +107,13 @@ def error_against_time(
     for turn in range(repeats):
         for one, kept in runs:
             say(f"{one.label}, run {turn + 1} of {repeats}")
-            kept.append(_Recorder(_unmeasured if turn else yardstick.measure, max_work))
-            kept[-1].end(measured_run(fresh(scene.problem), one.algorithm, kept[-1], z0=scene.start, **limits))
-    points, more = _references(scene, references, max_seconds, yardstick, say)
+            kept.append(bench.run(one, is_first=turn == 0))
+    points, more = _references(scene, references, max_seconds, bench.yardstick, say)
     answers = [kept[0].certificate for _, kept in runs]
     return Report(
         title=_title(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
-        error_kind=yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(answers),
-        curves=tuple(_curve(*run) for run in runs), references=points, left_out=(*left_out, *more),
+        error_kind=bench.yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(answers),
+        curves=tuple(curve_of(*run) for run in runs), references=points, left_out=(*left_out, *more),
     )
 
 
@@ -131,7 +129,8 @@ def best_answer(scene: Scene, algorithms: Sequence[str] = ("multigrid", "auto"))
     return min(found, key=lambda certificate: certificate.relative_residual, default=None)
 
 
-def _as_scene(target: Any) -> Scene:
+def as_scene(target: Any) -> Scene:
+    """Return the scene, or a problem as one of which nothing is declared; raise InvalidOption for anything else."""
     if isinstance(target, Scene):
         return target
     if isinstance(target, LCP):
@@ -177,13 +176,15 @@ class Yardstick:
     left_out: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, scene: Scene, max_seconds: float) -> Yardstick:
-        """Return the best yardstick; it measures on a problem of its own and leaves the runs' problems alone."""
+    def of(cls, scene: Scene, max_seconds: float, *, bounds: bool) -> Yardstick:
+        """Return the best yardstick, an error bound only where `bounds`; it leaves the runs' problems alone."""
         problem = fresh(scene.problem)
         if scene.exact is not None:
             exact = scene.exact
             return cls(TRUE_ERROR, _with_residual(problem, lambda z: distance(z, exact)), ())
         unknown = (TRUE_ERROR, "the exact answer is not known")
+        if not bounds:
+            return cls(RESIDUAL, _with_residual(problem, None), (unknown,))
         if scene.is_declared and not scene.is_h_plus:
             reason = "M is not declared to be an H₊-matrix"
         else:
@@ -233,7 +234,7 @@ def _unmeasured(z: FloatVector) -> tuple[float, float]:
     return math.nan, math.nan
 
 
-class _Recorder(WorkLimit):
+class Recorder(WorkLimit):
     """Takes samples at geometric intervals while the driver's clock stands still, and ends a run of too much work."""
 
     def __init__(self, measure: Callable[[FloatVector], tuple[float, float]], max_work: float) -> None:
@@ -259,7 +260,7 @@ class _Recorder(WorkLimit):
         self.points.append(Point(result.iterations, result.work, result.seconds, error=error, residual=residual))
 
 
-def _curve(contestant: Contestant, runs: Sequence[_Recorder]) -> Curve:
+def curve_of(contestant: Contestant, runs: Sequence[Recorder]) -> Curve:
     """Return the errors of the first run over the seconds of all, at those iterations that every run reached."""
     times = [{(one.iteration, one is run.points[-1]): one.seconds for one in run.points} for run in runs]
     points = []
@@ -274,14 +275,45 @@ def _curve(contestant: Contestant, runs: Sequence[_Recorder]) -> Curve:
 _CLOCKED = "ended by the clock, so that the last point depends on the machine"
 
 
-def _refusal(scene: Scene, one: Contestant) -> str:
-    """Return why the algorithm does not take this problem; empty where it does. Also its warm-up."""
-    try:
-        measured_run(fresh(scene.problem), one.algorithm, WorkLimit(math.inf), z0=scene.start,
-                     max_iterations=WARM_UP_ITERATIONS)
-    except (UnsuitableMatrix, UnsuitableProblem) as error:
-        return str(error)
-    return ""
+class Bench:
+    """A problem on which methods are measured, every run on a problem of its own with the same arrays.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance, max_seconds, max_work : float
+        Where a run ends.
+    bounds : bool
+        Whether a rigorous bound is the error where the exact answer is not known.
+    """
+
+    def __init__(self, scene: Scene, *, tolerance: float, max_seconds: float, max_work: float, bounds: bool) -> None:
+        self.scene, self.max_work = scene, max_work
+        self.limits = {"tolerance": tolerance, "max_seconds": max_seconds}
+        self.yardstick = Yardstick.of(scene, max_seconds, bounds=bounds)
+
+    def refusal(self, one: Contestant) -> str:
+        """Return why the algorithm does not take this problem; empty where it does. Also its warm-up."""
+        problem, limit = fresh(self.scene.problem), WorkLimit(math.inf)
+        try:
+            measured_run(problem, one.algorithm, limit, z0=self.scene.start, max_iterations=WARM_UP_ITERATIONS)
+        except (UnsuitableMatrix, UnsuitableProblem) as error:
+            return str(error)
+        return ""
+
+    def run(self, one: Contestant, *, is_first: bool) -> Recorder:
+        """Return the samples of a run, with their errors where it is the first."""
+        recorder = Recorder(self.yardstick.measure if is_first else _unmeasured, self.max_work)
+        recorder.end(
+            measured_run(fresh(self.scene.problem), one.algorithm, recorder, z0=self.scene.start, **self.limits)
+        )
+        return recorder
+
+    def curve(self, one: Contestant, repeats: int) -> Curve:
+        """Return the curve of so many runs; without points, and REFUSED, where the algorithm takes no such problem."""
+        if reason := self.refusal(one):
+            return Curve(one.label, one.family, "REFUSED", (), reason)
+        return curve_of(one, [self.run(one, is_first=k == 0) for k in range(repeats)])
 
 
 def _active_share(answers: list[Certificate]) -> float:

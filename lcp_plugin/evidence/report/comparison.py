@@ -9,8 +9,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from ..curves import Curve, Profile, Report, performance_profile
+from ..curves import Curve, Report
 from ..drawing import COLOURS
+from ..profiles import Profile, performance_profile
 from .section import Collected, Finding, Section, count, figure, many, percent
 
 SPLITTING = ("projected-type (NP)", "projected relaxation (P)", "modulus (M)", "general fixed point (GFP)")

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from .evidence.cross_check import cross_validate as cross_validate
     from .evidence.error_against_time import error_against_time as error_against_time
     from .evidence.stability import stability_atlas as stability_atlas
+    from .evidence.study import Study as Study
+    from .evidence.study import study as study
     from .matrix import MatrixReport as MatrixReport
     from .matrix import analyze as analyze
     from .modeling.certified_problem import certify_problem as certify_problem
@@ -139,6 +141,8 @@ _HOME = {
     "lemke": "doors.quantecon",
     "error_against_time": "evidence.error_against_time",
     "stability_atlas": "evidence.stability",
+    "study": "evidence.study",
+    "Study": "evidence.study",
     "gallery": "evidence.gallery",
     "all_solutions": "algorithms.search",
     "strategies": "strategies",

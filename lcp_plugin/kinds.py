@@ -19,11 +19,11 @@ ROOT = __name__.rsplit(".", 1)[0]
 FUNCTIONS = (
     "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "derivative", "certify", "Certificate.of",
     "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate", "error_against_time",
-    "presolve",
+    "study", "presolve",
 )
 STORES = ("save", "pickle")
 LANGUAGES = ("cvxpy", "Pyomo", "AMPL", "qpsolvers")
-COMMANDS = tuple(f"lcp-plugin {name}" for name in ("solve", "check", "certify", "analyze", "report"))
+COMMANDS = tuple(f"lcp-plugin {name}" for name in ("solve", "check", "certify", "analyze", "study", "report"))
 WAYS = (*FUNCTIONS, *STORES, *LANGUAGES, *COMMANDS)
 
 
@@ -157,6 +157,7 @@ KINDS = (
             "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and load_problem(path) reads them",
             "lcp-plugin check": "lcp-plugin certify compares solvers on a program",
             "lcp-plugin analyze": "lcp-plugin solve and certify take a program",
+            "lcp-plugin study": "lcp-plugin certify compares solvers on a program",
             "lcp-plugin report": "lcp-plugin solve and certify take a program",
         },
     ),
@@ -177,7 +178,8 @@ KINDS = (
             "error_bound": "solve(problem).gap is proved",
             "save": "state it in AMPL's .nl, which lcp-plugin solve reads",
             "qpsolvers": "its program has no place for pairs: write solve(problem)",
-            **{f"lcp-plugin {name}": "lcp-plugin solve proves its bound" for name in ("check", "certify", "analyze")},
+            **{f"lcp-plugin {name}": "lcp-plugin solve proves its bound"
+               for name in ("check", "certify", "analyze", "study")},
         },
     ),
     Kind(
@@ -194,7 +196,7 @@ KINDS = (
             "Certificate.of": "solve(problem, x0=x, max_iterations=0) judges x",
             "save": "numpy.savez(path, A=A, b=b) saves it, and load_problem(path) reads it",
             **{f"lcp-plugin {name}": "lcp-plugin solve proves a gap"
-               for name in ("check", "certify", "analyze", "report")},
+               for name in ("check", "certify", "analyze", "study", "report")},
         },
     ),
 )

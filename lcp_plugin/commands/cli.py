@@ -46,14 +46,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 Target = Annotated[
     str,
     typer.Argument(
-        help="A file (.npz or .mat with M and q, .nl), a folder with M.mtx and q.mtx, or a scene: name:key=value,…",
+        help="A file (.npz or .mat with M and q, .nl), a folder with M.mtx and q.mtx, a scene: name:key=value,…, or "
+        "file.py:function.",
         autocompletion=scene_names,
     ),
 ]
 AnyTarget = Annotated[
     str,
     typer.Argument(
-        help="A file, a folder with M.mtx and q.mtx, or a scene: name:key=value,… A file is an .npz or .mat with M, q "
+        help="A file, a folder with M.mtx and q.mtx, a scene: name:key=value,…, or file.py:function. A file is an .npz or .mat with M, q "
         "(an LCP), with P, q, A, l, u or the like (a program: `certify --help`), or with A, b (least squares), an "
         ".nl, .qps or .mps.",
         autocompletion=scene_names,
@@ -62,7 +63,7 @@ AnyTarget = Annotated[
 AlgorithmName = Annotated[
     str,
     typer.Option(
-        "--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.", autocompletion=algorithm_names
+        "--algorithm", "-a", help="A name that `lcp-plugin list` shows, auto, or file.py:Class.", autocompletion=algorithm_names
     ),
 ]
 
@@ -108,6 +109,14 @@ def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
             except OSError as error:
                 _drop_output()
                 message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
+            except typer.Exit:
+                raise
+            except Exception as error:
+                from ..evidence.own_code import own_frame, told
+
+                if own_frame(error) is None:  # a mistake of ours
+                    raise
+                message = told(error)
             typer.echo(f"lcp-plugin: {message}", err=True)
             raise typer.Exit(EXIT_BAD_INPUT)
 
@@ -219,10 +228,11 @@ def check(
 ) -> bool:
     """Compare our answer with that of a convex solver that shares no code with it."""
     from ..evidence.cross_check import cross_validate
-    from .target import read_target
+    from .target import own_algorithm, read_target
 
+    chosen, _ = own_algorithm(algorithm, {})
     problem, _ = read_target(target, "lcp-plugin check")
-    outcome = cross_validate(problem, reference=reference, algorithm=algorithm, max_seconds=max_seconds)
+    outcome = cross_validate(problem, reference=reference, algorithm=chosen, max_seconds=max_seconds)
     typer.echo(str(outcome))
     return outcome.agrees
 
@@ -313,6 +323,63 @@ def tables(
 
 
 @_command(
+    "study",
+    "0 complete, 1 interrupted or a method raised (the same command goes on), 2 bad input",
+    "study half_active -a npsor -a psor --size 100 --size 400 --size 900 --save work=work.pdf",
+    "study own.py:family -a own.py:Mine -o relaxation=1.5 --size 100", "study study.toml",
+)
+def study(
+    targets: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Problems: scenes, files, or file.py:function, which is given the size; or a study file, .toml, with "
+            "problems, methods, sizes, repeats, tolerance, max_seconds, max_work, error_bound, out, save; what stands "
+            "here and below goes before it.",
+            autocompletion=scene_names,
+        ),
+    ] = None,
+    problem: Annotated[
+        list[str] | None, typer.Option("--problem", "-p", help="A problem as above.", autocompletion=scene_names)
+    ] = None,
+    algorithm: Annotated[
+        list[str] | None,
+        typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or file.py:Class.",
+                     autocompletion=algorithm_names),
+    ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--option", "-o", help="Of the only algorithm given: name=value.")
+    ] = None,
+    size: Annotated[list[int] | None, typer.Option(help="Sizes of the families; give it once for each.")] = None,
+    repeats: Annotated[int | None, typer.Option(help="Runs behind each median of seconds; by default 3.")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="SOLVED means a residual of at most this: 1e-8.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds of a run: 20.")] = None,
+    max_work: Annotated[float | None, typer.Option(help="Limit of passes over M of a run.")] = None,
+    error_bound: Annotated[
+        bool, typer.Option("--error-bound", help="Bound the error where the exact answer is not known.")
+    ] = False,
+    out: Annotated[str | None, typer.Option(help="The file of raw results: study.csv.")] = None,
+    save: Annotated[
+        list[str] | None,
+        typer.Option(help="VIEW=FILE: iterations, work, seconds, residual, error, results, profile, profile-seconds, "
+                     "curves or curves-work, as .tex, .md, .csv, .pdf, .svg or .png."),
+    ] = None,
+) -> bool:
+    """Measure methods on families of problems, resumably, into one CSV; save tables and figures of it."""
+    from . import solving
+    from . import study as command
+
+    methods: Any = algorithm
+    if option:
+        if len(algorithm or []) != 1:
+            raise InvalidOption("--option is for one --algorithm; with several write a study file, [methods]")
+        methods = [((algorithm or [])[0], solving.options(None, option))]
+    return command.run([*(targets or []), *(problem or [])], {
+        "methods": methods, "sizes": size, "repeats": repeats, "tolerance": tolerance,
+        "max_seconds": max_seconds, "max_work": max_work, "error_bound": error_bound, "out": out, "save": save,
+    })
+
+
+@_command(
     "report",
     "0 complete, 1 interrupted (the same command goes on), 2 bad input",
     "report --out report --quick", "report half_active:n=2500 own.npz --out mine",
@@ -335,7 +402,7 @@ def report(
     from ..evidence.gallery import Scene
     from ..evidence.report.page import collect, require_jinja, write_report
     from ..evidence.report.section import plan
-    from .target import lcp_of_file, scene_text
+    from .target import lcp_of_file, own_scene, scene_text
     from .terminal import PartsLine
 
     def scene_of_file(path: str) -> Scene:
@@ -347,7 +414,7 @@ def report(
     if out.exists() and not out.is_dir():
         raise UnreadableFile(f"cannot write {out}: it is a file; --out names a folder")
     began = time.perf_counter()
-    parts = plan([scene_text(scene) or scene_of_file(scene) for scene in scenes or []], quick=quick)
+    parts = plan([own_scene(one) or scene_text(one) or scene_of_file(one) for one in scenes or []], quick=quick)
     collected = collect(parts, out / "parts", PartsLine())
     kept = f"{len(parts) - len(collected.missing)} of {len(parts)} parts"
     try:

@@ -16,7 +16,7 @@ from ..errors import InvalidOption, UnreadableFile
 from ..problem.lcp import LCP
 from ..settings import Settings
 from ..solving.result import Result
-from .target import read_target
+from .target import own_algorithm, read_target
 from .terminal import LINE, show_step
 
 OWN_FLAGS = ("tolerance", "absolute_tolerance", "measure", "max_iterations", "max_seconds", "threads", "algorithm")
@@ -65,7 +65,7 @@ class OneProcess:
 
 
 def run(
-    here: OneProcess, target: str, size: int | None, algorithm: str, options: dict[str, Any], settings: dict[str, Any],
+    here: OneProcess, target: str, size: int | None, algorithm: Any, options: dict[str, Any], settings: dict[str, Any],
     plot: Path | None, grid: tuple[int, ...] | None, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved, the same on every rank."""
@@ -73,6 +73,7 @@ def run(
 
     with here.ending_together():
         Settings(**settings)  # a wrong one is seen before anything is built
+        algorithm, options = own_algorithm(algorithm, options)
         chosen = policy_for(algorithm, options, on_ranks=not here.communicator.is_alone).chosen
         here.communicator.from_first(lambda: here.check_outputs(target, plot, out))
         problem, scene = here.read(target, size)

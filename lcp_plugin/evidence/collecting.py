@@ -18,6 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
+from ..problem.lcp import LCP
 from .curves import Report
 from .exporting import write_text
 
@@ -160,6 +161,12 @@ class Folder:
     def write(self, part: Part, content: dict[str, Any]) -> None:
         """Write the file."""
         write_text(self._file(part), json.dumps(content, ensure_ascii=False, allow_nan=False))
+
+
+def data_of(problem: LCP) -> str:
+    """Return a hash of a problem's data."""
+    arrays = (problem.csr.indptr, problem.csr.indices, problem.csr.data, problem.q, problem.lower, problem.upper)
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
 def machine() -> dict[str, str]:

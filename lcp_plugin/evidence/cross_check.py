@@ -252,7 +252,7 @@ def _judged(
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
     """Return whether the status holds for the certificate measured here."""
     if result.is_solved:
-        return ours.measured(result.measure) <= result.tolerance
+        return ours.relative_residual <= result.tolerance
     return ours.is_at_rounding_level
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..problem.files import checked_path
-from .drawing import Line, draw_errors, save
+from .drawing import Line, Panel, draw_panels, save
 from .exporting import AnyPath, Exported, finite_content, number
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
@@ -20,7 +20,7 @@ AXIS_LABELS = {
     BOUND: "proved bound of the error ‖z − z*‖∞",
     RESIDUAL: "relative residual",
 }
-AXES = {"seconds": "seconds, set-up included", "work": "passes over M"}
+AXES = {"seconds": "time [s], set-up included", "work": "work [passes over M]"}
 
 
 class Point(NamedTuple):
@@ -197,7 +197,7 @@ class Report(Exported):
                          reference.error, reference.residual))
         return rows
 
-    def plot(self, path: AnyPath | None = None, *, against: str = "seconds") -> Any:
+    def plot(self, path: AnyPath | None = None, *, against: str = "seconds", width: float | None = None) -> Any:
         """Return a matplotlib figure of the curves, and save it where `path` is given (.png, .pdf, .svg).
 
         Parameters
@@ -205,6 +205,8 @@ class Report(Exported):
         path : path, optional
         against : {"seconds", "work"}
             Seconds with their spread and the references, or passes over M, the same on every machine.
+        width : float, optional
+            Of the figure, inches; by default that of a journal's column.
 
         Raises
         ------
@@ -213,16 +215,20 @@ class Report(Exported):
         LCPError
             Where matplotlib is not installed.
         """
+        figure = draw_panels([self.panel(against)], width)
+        if path is not None:
+            save(figure, checked_path(path))
+        return figure
+
+    def panel(self, against: str = "seconds") -> Panel:
+        """Return what `plot` draws, as a part of a figure."""
         if not isinstance(against, str) or against not in AXES:
             raise InvalidOption(f"against must be 'seconds' or 'work', got {against!r}")
         timed = against == "seconds"
         marks = [(one.label, one.seconds, one.error) for one in self.references] if timed else []
         level = self.tolerance if self.error_kind == RESIDUAL else None
         lines = [curve.line(against) for curve in self.curves]
-        figure = draw_errors(lines, marks, (AXES[against], AXIS_LABELS[self.error_kind]), level)
-        if path is not None:
-            save(figure, checked_path(path))
-        return figure
+        return Panel(self.title, lines, AXES[against], AXIS_LABELS[self.error_kind], "errors", marks, level)
 
     def __str__(self) -> str:
         lines = [f"{self.title}: {self.error_kind} against time, {self.n} unknowns, {self.repeats} repeats"]

@@ -1,6 +1,7 @@
-"""How curves are drawn: one colour a family, names where the curves end, light grids, safe for the colour-blind.
+"""How curves are drawn: in a journal's column, with names where they end, readable in grey and by the colour-blind.
 
-Colours are those of Okabe and Ito. matplotlib loads when the first figure is asked for.
+Colours of families are those of Okabe and Ito; dashes and markers tell lines apart without them. matplotlib loads when
+the first figure is asked for.
 """
 
 from __future__ import annotations
@@ -28,28 +29,34 @@ COLOURS = {
     "factorising and pivoting": "#6A4C93",
     "auto": "#222222",
     "reference": "#56B4E9",
-    "other": "#777777",
 }
+OWN = ("#8C1D40", "#3F3FBF", "#4D7C0F", "#00838F", "#7A7A7A", "#C2185B")  # of methods that belong to no family
+MARKERS = "osD^v<>phX*P"
 DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1, 1, 1, 1, 1)), (0, (11, 2)), (0, (2.5, 3)),
 )
 STYLE: Any = {
-    "font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#999999",
+    "font.size": 8.0, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#999999",
     "axes.labelcolor": "#333333", "xtick.color": "#555555", "ytick.color": "#555555", "axes.grid": True,
     "grid.color": "#e9e9e9", "grid.linewidth": 0.7, "axes.axisbelow": True, "svg.fonttype": "path",
-    "pdf.fonttype": 42, "ps.fonttype": 42, "axes.titlesize": 10, "axes.titlelocation": "left", "legend.frameon": False,
+    "pdf.fonttype": 42, "ps.fonttype": 42, "axes.titlesize": 8.5, "axes.titlelocation": "left", "legend.frameon": False,
 }
 HEIGHTS = "cividis"
-SIZE = (4.7, 4.1)
-LABEL_SIZE = 8.0
-STRIP = 0.36
-"""Share of the height below the curves where their names stand."""
+COLUMN, PAGE = 3.5, 7.1
+"""Inches: the width of a journal's column, and of its page."""
 
-BEND = 0.22
-"""Share of that height which the bent lines to the names take."""
+HEIGHT, MOST_COLUMNS = 0.78, 3  # of a panel, as a share of its width; panels side by side
+SIZE = (COLUMN, HEIGHT * COLUMN)
+LABEL_SIZE = 7.0
+MARKED = 7  # markers along a line
+MOST_NAMES = 9
+NAME_HEIGHT = 0.085
+"""Least distance of two names beside the axes, as a share of their height."""
 
-LABEL_WIDTH = 0.047
-"""Least distance of two names, as a share of the width."""
+LEGEND_LINE = 0.17  # inches
+PLACES = (((4, 0), "left", "center"), ((0, 5), "center", "bottom"), ((-4, 0), "right", "center"),
+          ((4, 6), "left", "bottom"), ((-4, 6), "right", "bottom"))
+"""Where the name of a line may stand beside its end, the best first."""
 
 DEEPEST_BELOW_TOLERANCE = 1e-3
 DIGITS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0), tuple(np.arange(1.0, 10.0, 0.2)))
@@ -123,66 +130,116 @@ def _rounded(path: str) -> str:
 
 
 def styles(families: Sequence[str]) -> list[dict[str, Any]]:
-    """Return colour and dashes of each curve: the family's colour, another dash for each of its members."""
+    """Return colour, dashes and marker of each curve: the family's colour, where it has one, and no two alike in grey.
+
+    Examples
+    --------
+    >>> [look["marker"] for look in styles(["auto", "other", "other"])]
+    ['o', 's', 'D']
+    """
     seen: dict[str, int] = {}
     found = []
-    for family in families:
+    for place, family in enumerate(families):
         k = seen[family] = seen.get(family, -1) + 1
-        found.append({"color": COLOURS.get(family, COLOURS["other"]), "linestyle": DASHES[k % len(DASHES)]})
+        colour = COLOURS.get(family) or OWN[k % len(OWN)]
+        look = {"color": colour, "linestyle": DASHES[place % len(DASHES)], "marker": MARKERS[place % len(MARKERS)]}
+        found.append(look)
     return found
 
 
-# --- Error against time ---------------------------------------------------------------------------------------
+# --- Curves ---------------------------------------------------------------------------------------------------
 
 
 class Line(NamedTuple):
-    """One line of a figure: its name, the family that colours it, whether it converges, and how far x spreads."""
+    """One line of a panel: its name, the family that colours it, whether it converges, and how far x spreads.
+
+    `text` stands at its end where there is something to be told, as its exponent.
+    """
 
     label: str
     family: str
     x: Any
     y: Any
-    converged: bool
+    converged: bool = True
     band: tuple[Any, Any] | None = None
+    text: str = ""
 
 
-Name = tuple[float, float, str, str, str]  # x, y, label, colour, marker
+class Panel(NamedTuple):
+    """Lines over the same axes: "errors" that fall, values that grow with "sizes", or "shares" of problems.
 
-
-def draw_errors(
-    lines: Sequence[Line], marks: Sequence[tuple[str, float, float]], labels: tuple[str, str], level: float | None
-) -> Any:
-    """Return a log–log figure of falling errors, each name below the point where its line ends.
-
-    Parameters
-    ----------
-    lines : sequence of Line
-    marks : sequence of (name, x, y)
-        Single points.
-    labels : pair of str
-        Of the axes.
-    level : float or None
-        A height to be marked.
+    `marks` are single points: name, x, y. `level` is a height to be marked, the tolerance.
     """
+
+    title: str
+    lines: Sequence[Line]
+    x_label: str
+    y_label: str
+    kind: str = "errors"
+    marks: Sequence[tuple[str, float, float]] = ()
+    level: float | None = None
+
+
+def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
+    """Return a figure as wide as a column, or with several panels as a page; names stand at the lines if they fit.
+
+    Where they do not, or several panels share them, a legend below the panels has them.
+    """
+    columns = max(1, min(len(panels), MOST_COLUMNS))
+    rows = max(1, -(-len(panels) // columns))
+    width = width or (COLUMN if columns == 1 else PAGE)
+    labels = {line.label: line.family for panel in panels for line in panel.lines}
+    looks = dict(zip(labels, styles(list(labels.values())), strict=True))
     with styled():
-        figure, axes = new_figure()
-        axes.set(xscale="log", yscale="log", xlabel=labels[0], ylabel=labels[1])
-        lowest, highest = _range(lines)
-        strip = _below(lowest, highest)
-        looks = styles([line.family for line in lines])
-        names = [_draw(axes, line, look, (lowest, highest)) for line, look in zip(lines, looks, strict=True)]
-        names += [(x, max(y, lowest), label, COLOURS["reference"], "D") for label, x, y in marks]
-        every = [x for line in lines for x in _positive(line.x)] + [x for _, x, _ in marks]
-        if every:
-            axes.set_xlim(min(every) / 1.3, max(every) * 1.5)
-        axes.set_ylim(strip, highest)
-        axes.axhspan(strip, lowest, color="#f8f8f8", zorder=0)
-        axes.set_yticks([tick for tick in axes.get_yticks() if lowest <= tick <= highest])
-        _tick_width(axes)
-        _name_ends(axes, names, lowest, lowest * (strip / lowest) ** BEND)
-        if level is not None:
-            axes.axhline(level, color="#999999", linewidth=0.7, linestyle=(0, (4, 3)), zorder=1)
+        height = rows * HEIGHT * width / columns
+        figure = require_matplotlib()(figsize=(width, height), layout="constrained")
+        every = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in every[len(panels):]:
+            axes.set_axis_off()
+        for k, (axes, panel) in enumerate(zip(every, panels, strict=False)):
+            _draw_panel(axes, panel, looks)
+            if k % columns and panel.y_label == panels[k - 1].y_label:
+                axes.set_ylabel("")
+            if k + columns < len(panels):
+                axes.set_xlabel("")
+        alone = panels[0] if len(panels) == 1 else None
+        if alone is None or not _names_fit(figure, every[0], alone, looks):
+            for axes, panel in zip(every, panels, strict=False):
+                _in_the_margin(axes, [(line, line.text, looks[line.label]) for line in panel.lines if line.text])
+            found = {
+                label: handle for axes in every for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+            }
+            count = max(1, min(len(found), int(width / 1.1)))
+            extra = -(-len(found) // count) * LEGEND_LINE
+            figure.set_size_inches(width, height + extra)
+            figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=count, fontsize=LABEL_SIZE,
+                          handlelength=2.4, columnspacing=1.0, labelspacing=0.3)
     return figure
+
+
+def _draw_panel(axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> None:
+    is_share = panel.kind == "shares"
+    axes.set(xscale="log", yscale="linear" if is_share else "log", xlabel=panel.x_label, ylabel=panel.y_label)
+    axes.set_title(panel.title)
+    shown = _range(panel.lines) if panel.kind == "errors" else (0.0, math.inf)
+    every = [x for line in panel.lines for x in _positive(line.x)] + [x for _, x, _ in panel.marks]
+    if is_share:
+        axes.set(xlim=(1.0, max([*every, 2.0]) * 1.1), ylim=(0.0, 1.03))
+        axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
+    elif every:
+        axes.set_xlim(min(every) / 1.15, max(every) * 1.15)
+    if panel.kind == "errors":
+        axes.set_ylim(shown[0] / 1.5, shown[1])
+    for line in panel.lines:
+        _draw(axes, line, looks[line.label], shown, is_share=is_share)
+    for label, x, y in panel.marks:
+        axes.plot([x], [max(y, shown[0])], "D", color=COLOURS["reference"], markerfacecolor="white", markersize=5,
+                  label=label, linestyle="none", zorder=5)
+    _tick_width(axes)
+    if panel.level is not None:
+        axes.axhline(panel.level, color="#777777", linewidth=0.7, linestyle=(0, (4, 3)), zorder=1)
+        axes.annotate("tolerance", (1.0, panel.level), (2, 0), xycoords=("axes fraction", "data"),
+                      textcoords="offset points", rotation=90, va="bottom", color="#777777", fontsize=LABEL_SIZE - 1)
 
 
 def _range(lines: Sequence[Line]) -> tuple[float, float]:
@@ -197,60 +254,97 @@ def _range(lines: Sequence[Line]) -> tuple[float, float]:
     return max(least, floor) / 2.0, 3.0 * max(starts or positive)
 
 
-def _below(lowest: float, highest: float) -> float:
-    """Return the lower end of an axis that leaves room for the names."""
-    decades = math.log10(highest / lowest)
-    return lowest / float(10.0 ** (decades * STRIP / (1.0 - STRIP)))
-
-
 def _positive(x: Any) -> Any:
     return np.maximum(x, 1e-9)
 
 
-def _draw(axes: Any, line: Line, look: dict[str, Any], shown: tuple[float, float]) -> Name:
-    """Draw one line with its spread; return where its name belongs."""
+def _draw(axes: Any, line: Line, look: dict[str, Any], shown: tuple[float, float], *, is_share: bool) -> None:
+    """Draw one line with its spread and some markers; one that fails ends in a cross."""
     x, y = _positive(line.x), np.clip(np.nan_to_num(line.y, nan=shown[1], posinf=shown[1]), *shown)
-    width = 2.0 if line.family in ("auto", "multigrid") else 1.4
-    axes.plot(x, y, linewidth=width, solid_capstyle="round", zorder=3, **look)
-    axes.plot(x[:1], y[:1], "|", color=look["color"], markersize=6, zorder=4)
+    if is_share:
+        edge = axes.get_xlim()[1]
+        x, y = np.concatenate([[1.0], x, [edge]]), np.concatenate([[0.0], y, y[-1:] if len(y) else [0.0]])
+    label, every = (line.label if line.converged else f"{line.label} ✕"), max(1, len(x) // MARKED)
+    axes.plot(x, y, linewidth=1.1, markersize=3.5, markerfacecolor="white", markeredgewidth=0.9, markevery=every,
+              drawstyle="steps-post" if is_share else "default", zorder=3, label=label, **look)
+    if not line.converged and not is_share:
+        axes.plot(x[-1:], y[-1:], "x", color=look["color"], markersize=6, zorder=5)
     if line.band is not None:
         low, high = line.band
         axes.fill_betweenx(y, _positive(low), high, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
-    label, marker = (line.label, "o") if line.converged else (f"{line.label} ✕", "x")
-    return float(x[-1]), float(y[-1]), label, look["color"], marker
 
 
 def _tick_width(axes: Any) -> None:
     """Take the small ticks away; where fewer than two powers of ten are left to read a scale from, set others."""
     axes.minorticks_off()
-    low, high = axes.get_xlim()
-    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    for digits in DIGITS:
-        ticks = [value for power in powers for digit in digits if low <= (value := digit * 10.0**power) <= high]
-        if len(ticks) >= 2:
-            break
-    if digits != DIGITS[0]:
-        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    for name in ("x", "y"):
+        if getattr(axes, f"get_{name}scale")() != "log":
+            continue
+        low, high = getattr(axes, f"get_{name}lim")()
+        powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+        for digits in DIGITS:
+            ticks = [value for power in powers for digit in digits if low <= (value := digit * 10.0**power) <= high]
+            if len(ticks) >= 2:
+                break
+        if digits != DIGITS[0]:
+            getattr(axes, f"set_{name}ticks")(ticks, [f"{tick:g}" for tick in ticks])
 
 
-def _name_ends(axes: Any, names: list[Name], edge: float, bend: float) -> None:
-    """Write each name beyond the edge of the curves, side by side in the order in which they end.
+# --- Names ----------------------------------------------------------------------------------------------------
 
-    A line leads from (x, y) to the edge and bends to the name.
-    """
-    low, high = np.log10(axes.get_xlim())
-    is_below = bend < edge
-    order = sorted(names)
-    wanted = [(math.log10(x) - low) / (high - low) for x, *_ in order]
-    for (x, y, label, colour, marker), place in zip(order, spread(wanted, LABEL_WIDTH), strict=True):
-        at = 10.0 ** (low + place * (high - low))
-        axes.plot([x, x, at], [y, edge, bend], color=colour, linewidth=0.6, alpha=0.6, zorder=1)
-        hollow = {"markerfacecolor": "white"} if marker == "D" else {}
-        axes.plot([x], [y], marker, color=colour, markersize=4.2, markeredgewidth=1.3, zorder=5, **hollow)
-        axes.annotate(
-            label, (at, bend), (0, -2 if is_below else 2), textcoords="offset points", rotation=90, ha="center",
-            va="top" if is_below else "bottom", fontsize=LABEL_SIZE, color=colour, annotation_clip=False,
-        )
+
+def _names_fit(figure: Any, axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> bool:
+    """Write the names at the ends of the lines and return True, or leave them out where they do not fit."""
+    ends = [(line, f"{line.label}{'' if line.converged else ' ✕'}  {line.text}".rstrip(), looks[line.label])
+            for line in panel.lines]
+    if panel.marks or len(ends) > MOST_NAMES:
+        return False
+    if panel.kind == "shares":
+        axes.legend(loc="lower right", fontsize=LABEL_SIZE, handlelength=2.6, labelspacing=0.3)
+        return True
+    if panel.kind == "sizes":
+        _in_the_margin(axes, ends)
+        return True
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw_without_rendering()
+    frame = axes.get_window_extent()
+    taken = [axes.transData.transform((x, y)) for line in panel.lines for x, y in zip(_positive(line.x), line.y, strict=True)
+             if 0.0 < y < math.inf]
+    placed: list[tuple[Any, Any]] = []
+    for line, text, look in ends:
+        for shift, side, height in PLACES:
+            note = axes.annotate(text, (_positive(line.x)[-1], max(line.y[-1], axes.get_ylim()[0])), shift, ha=side,
+                                 va=height, textcoords="offset points", fontsize=LABEL_SIZE, color=look["color"])
+            box = note.get_window_extent(renderer)
+            inside = frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1
+            if inside and not any(box.overlaps(other) for _, other in placed) and not any(
+                box.contains(*point) for point in taken
+            ):
+                placed.append((note, box))
+                break
+            note.remove()
+        else:
+            for note, _ in placed:
+                note.remove()
+            return False
+    return True
+
+
+def _in_the_margin(axes: Any, ends: Sequence[tuple[Line, str, dict[str, Any]]]) -> None:
+    """Write texts to the right of the axes, in the order in which the lines end, apart, each led to by a thin line."""
+    low, high = axes.get_ylim()
+    is_log = axes.get_yscale() == "log"
+    place = (lambda y: math.log(y / low) / math.log(high / low)) if is_log else (lambda y: (y - low) / (high - low))
+    order = sorted(ends, key=lambda end: end[0].y[-1] if len(end[0].y) else 0.0)
+    heights = [place(line.y[-1]) if len(line.y) else 0.0 for line, *_ in order]
+    for (line, text, look), height, free in zip(order, heights, spread(heights, NAME_HEIGHT), strict=True):
+        x = axes.get_xlim()[1] if axes.get_yscale() == "linear" else (line.x[-1] if len(line.x) else 1.0)
+        y = line.y[-1] if len(line.y) else low
+        axes.annotate(text, (x, y), (1.05, free), textcoords="axes fraction", va="center", fontsize=LABEL_SIZE,
+                      color=look["color"], annotation_clip=False,
+                      arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": look["color"], "shrinkA": 0, "shrinkB": 2})
 
 
 def spread(places: Sequence[float], gap: float, low: float = 0.015, high: float = 0.985) -> list[float]:
@@ -274,24 +368,3 @@ def spread(places: Sequence[float], gap: float, low: float = 0.015, high: float 
     shifts = [mean for mean, size in groups for _ in range(int(size))]
     first, last = low, high - (count - 1) * gap
     return [min(max(shift, first), last) + k * gap for k, shift in enumerate(shifts)]
-
-
-# --- Performance profile --------------------------------------------------------------------------------------
-
-
-def draw_shares(lines: Sequence[Line], labels: tuple[str, str]) -> Any:
-    """Return the figure of shares y that are reached at x ≥ 1, each a step, x on a logarithmic axis."""
-    with styled():
-        figure, axes = new_figure()
-        end = max([x for line in lines for x in line.x] + [2.0]) * 1.6
-        axes.set(xscale="log", xlabel=labels[0], ylabel=labels[1], xlim=(0.9, end), ylim=(-0.02, 1.0 / (1.0 - STRIP)))
-        names = []
-        for line, look in zip(lines, styles([line.family for line in lines]), strict=True):
-            x, y = [1.0, *line.x, end], [0.0, *line.y, line.y[-1] if line.y else 0.0]
-            axes.step(x, y, where="post", linewidth=1.5, **look)
-            names.append((x[-2], float(y[-1]), line.label, look["color"], "o" if line.converged else "x"))
-        axes.axhspan(1.02, 2.0, color="#f8f8f8", zorder=0)
-        axes.set_yticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0], ["0", "20 %", "40 %", "60 %", "80 %", "100 %"])
-        _tick_width(axes)
-        _name_ends(axes, names, 1.02, 1.02 + BEND * STRIP)
-    return figure

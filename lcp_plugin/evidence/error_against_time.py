@@ -90,7 +90,8 @@ def error_against_time(
     >>> report.error_kind, [curve.status for curve in report.curves]
     ('true error', ['SOLVED', 'SOLVED'])
     """
-    references = _checked(repeats, references, max_work, progress)
+    checked_numbers(repeats, max_work, progress)
+    references = _checked_references(references)
     say = (lambda _: None) if progress is None else progress
     say("what the error is")
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
@@ -138,14 +139,17 @@ def as_scene(target: Any) -> Scene:
     raise InvalidOption(f'{refusal("error_against_time", target)}; or a scene, as gallery.build("half_active")')
 
 
-def _checked(repeats: Any, references: Any, max_work: Any, progress: Any) -> list[str]:
-    """Return the references, after a look at everything."""
+def checked_numbers(repeats: Any, max_work: Any, progress: Any) -> None:
+    """Raise InvalidOption where one of these cannot be used."""
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
         raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
     if isinstance(max_work, bool) or not isinstance(max_work, int | float | np.number) or not max_work > 0.0:
         raise InvalidOption(f"max_work must be a number > 0, got {max_work!r}")
     if progress is not None and not callable(progress):
-        raise InvalidOption(f"progress must be callable as progress(label), got {progress!r}")
+        raise InvalidOption(f"progress must be a callable that takes a label, got {progress!r}")
+
+
+def _checked_references(references: Any) -> list[str]:
     names = checked_names(references, "references")
     if names:
         from .qp_reference import check_reference

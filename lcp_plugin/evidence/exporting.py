@@ -138,16 +138,15 @@ def _shown(column: Sequence[Any]) -> list[str]:
     numbers = [abs(value) for value in column if _is_number(value) and value]
     low, high = min(numbers, default=1.0), max(numbers, default=1.0)
     is_plain = PLAIN[0] <= low and high < PLAIN[1] and high / low < 1e4
-    decimals = max(0, DIGITS - 2 - math.floor(math.log10(low)))
+    given = max((len(repr(value).partition(".")[2]) for value in column if isinstance(value, float)), default=0)
+    decimals = min(max(0, DIGITS - 2 - math.floor(math.log10(low))), given)
 
     def shown(value: Any) -> str:
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return "–"
         if not isinstance(value, float):
             return str(value)
-        return f"{value:.{DIGITS}g}" if is_plain and decimals == 0 else (
-            f"{value:.{decimals if high < 1e3 else 1}f}" if is_plain else _brief(value)
-        )
+        return f"{value + 0.0:.{decimals}f}" if is_plain else _brief(value)
 
     return [shown(value) for value in column]
 
@@ -162,15 +161,21 @@ def _latex_column(cells: Sequence[str], is_of_numbers: bool) -> str:
     """Return the kind of a column, of numbers with room for the longest part before and behind the point."""
     if not is_of_numbers:
         return "l"
-    parts = [cell.partition("e")[0].partition(".") for cell in cells if cell[:1].isdigit() or cell[:1] == "-"]
+    numbers = [cell for cell in cells if _is_written_number(cell)]
+    parts = [cell.lstrip("-").partition("e")[0].partition(".") for cell in numbers]
     before, behind = (max((len(part[k]) for part in parts), default=1) for k in (0, 2))
-    powers = [cell.partition("e")[2] for cell in cells if "e" in cell and cell[:1].isdigit()]
-    power = f"e-{max(len(str(abs(int(one)))) for one in powers)}" if powers else ""
-    return f"S[table-format={before}{f'.{behind}' if behind else ''}{power}]"
+    powers = [cell.partition("e")[2] for cell in numbers if "e" in cell]
+    power = f"e-{max(len(one.lstrip('-')) for one in powers)}" if powers else ""
+    sign = "-" if any(cell.startswith("-") for cell in numbers) else ""
+    return f"S[table-format={sign}{before}{f'.{behind}' if behind else ''}{power}]"
+
+
+def _is_written_number(cell: str) -> bool:
+    return cell.lstrip("-")[:1].isdigit()
 
 
 def _latex_cell(cell: str, is_of_numbers: bool) -> str:
-    is_number = is_of_numbers and (cell[:1].isdigit() or cell[:1] == "-")
+    is_number = is_of_numbers and _is_written_number(cell)
     return cell if is_number else f"{{{_escaped(cell)}}}" if is_of_numbers else _escaped(cell)
 
 

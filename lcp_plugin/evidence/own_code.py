@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import ast
+import contextlib
+import hashlib
 import importlib
 import importlib.util
+import inspect
+import re
 import sys
 import sysconfig
 import traceback
 from collections.abc import Mapping
 from dataclasses import is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,38 +25,54 @@ from ..problem.lcp import LCP
 from .gallery.scene import Scene
 
 OURS = (str(Path(__file__).parents[1]), *(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib")))
+_OWN = re.compile(r"([^:]+\.py|[^\W\d]\w*(\.\w+)*):[^\W\d]\w*(:.*)?")
 
 
 def is_own(text: str) -> bool:
-    """Return whether the text has the form ``module:name``, ``package.module:name`` or ``file.py:name``.
+    """Return whether the text has the form ``module:name`` or ``file.py:name``, with ``:key=value,…`` or without.
 
     Examples
     --------
-    >>> is_own("mine:Fast"), is_own("lib/mine.py:Fast"), is_own("obstacle_2d:size=9"), is_own("psor")
+    >>> is_own("mine:Fast"), is_own("lib/mine.py:family:n=9"), is_own("obstacle_2d:size=9"), is_own("psor")
     (True, True, False, False)
     """
-    place, colon, name = text.rpartition(":")
-    return bool(colon) and name.isidentifier() and (
-        place.endswith(".py") or all(part.isidentifier() for part in place.split("."))
-    )
+    return _OWN.fullmatch(text) is not None
+
+
+def name_in(text: str) -> str:
+    """Return the name behind the module."""
+    return text.split(":")[1]
 
 
 def load(text: str) -> Any:
-    """Return what a module calls by that name; a module in the current folder is found.
+    """Return what a module calls by that name, with the settings if there are any; modules in this folder are found.
 
     Raises
     ------
     InvalidOption
         Where there is no such module or name, or the module itself has a mistake, with its line.
     """
-    place, _, name = text.rpartition(":")
+    place, name, *settings = text.split(":", 2)
     module = sys.modules.get(_module_name(place)) if place.endswith(".py") else None
     if module is None or getattr(module, "__file__", None) != str(Path(place).resolve()):
         module = _imported(place)
     if not hasattr(module, name):
-        known = [word for word in vars(module) if not word.startswith("_")]
+        known = [word for word, thing in vars(module).items() if getattr(thing, "__module__", "") == module.__name__]
         raise InvalidOption(f"{place} has no {name!r}{did_you_mean(name, known)}")
-    return getattr(module, name)
+    found = getattr(module, name)
+    return partial(found, **_settings(settings[0])) if settings else found
+
+
+def _settings(text: str) -> dict[str, Any]:
+    given = {}
+    for setting in filter(None, map(str.strip, text.split(","))):
+        key, equals, value = setting.partition("=")
+        if not equals or not key.isidentifier():
+            raise InvalidOption(f"{setting!r} has no form key=value; write file.py:function:key=value,key=value")
+        given[key] = value
+        with contextlib.suppress(ValueError, SyntaxError):  # a word
+            given[key] = ast.literal_eval(value)
+    return given
 
 
 def _module_name(place: str) -> str:
@@ -103,6 +125,16 @@ def own_frame(error: BaseException) -> traceback.FrameSummary | None:
     return next((one for one in reversed(frames) if not one.filename.startswith((*OURS, "<"))), None)
 
 
+def own_source(thing: Any) -> str:
+    """Return a hash of the file that an object's class comes from, where that is neither ours nor a library's."""
+    if isinstance(thing, str):
+        return ""
+    path = getattr(sys.modules.get(type(thing).__module__), "__file__", None)
+    if path is None or path.startswith(OURS) or not Path(path).is_file():
+        return ""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
 def algorithm_of(text: str, options: Mapping[str, Any]) -> Algorithm:
     """Return the algorithm ``module:Class`` with these options, or the object that a module holds.
 
@@ -138,7 +170,7 @@ def scene_of(text: str, size: int | None) -> Scene:
         Where the function raises anything, with its line, or returns no problem.
     """
     try:
-        return as_scene_of(load(text), text.rpartition(":")[2], size)
+        return as_scene_of(load(text), name_in(text), size)
     except LCPError:
         raise
     except Exception as error:  # whatever somebody else's function raises
@@ -156,7 +188,13 @@ def as_scene_of(given: Any, name: str, size: int | None) -> Scene:
     if isinstance(given, LCP | Scene) and size is not None:
         raise InvalidOption(f"{name} is one problem and has its size; leave sizes out, or give a function of the size")
     if callable(given) and not isinstance(given, type):
-        given = given() if size is None else given(size)
+        arguments = () if size is None else (size,)
+        try:
+            inspect.signature(given).bind(*arguments)
+        except TypeError as error:
+            needs = "needs a size, give one" if size is None else f"does not take the size {size}"
+            raise InvalidOption(f"{name} {needs}, or its parameters, {name}:key=value: {error}") from None
+        given = given(*arguments)
     if isinstance(given, tuple) and 2 <= len(given) <= 4:
         given = LCP(given[0], given[1], **dict(zip(("lower", "upper"), given[2:], strict=False)))
     if isinstance(given, LCP):

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from ..errors import InvalidOption
 from ..problem.files import checked_path
 from .curves import Curve, Report
-from .drawing import Line, draw_shares, save
+from .drawing import Line, Panel, draw_panels, save
 from .exporting import AnyPath, Exported
 
 LEAST = {"work": 1.0, "seconds": 1e-9}
@@ -56,15 +56,17 @@ class Profile(Exported):
             for problem, ratio in zip(self.problems, row, strict=True)
         ]
 
-    def plot(self, path: AnyPath | None = None) -> Any:
-        """Return a matplotlib figure, and save it where `path` is given."""
+    def plot(self, path: AnyPath | None = None, *, width: float | None = None) -> Any:
+        """Return a matplotlib figure, so many inches wide, and save it where `path` is given."""
         lines = [
             Line(label, family, finite, [(k + 1) / len(row) for k in range(len(finite))], len(finite) == len(row))
             for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
             for finite in [sorted(ratio for ratio in row if math.isfinite(ratio))]
         ]
-        unit = {"work": "passes over M", "seconds": "seconds"}[self.by]
-        figure = draw_shares(lines, (f"{unit}, as a multiple of the best", "share of the problems solved"))
+        unit = {"work": "work", "seconds": "time"}[self.by]
+        title = f"Performance profile, {len(self.problems)} problems"
+        panel = Panel(title, lines, f"{unit}, as a multiple of the best", "share of the problems solved", "shares")
+        figure = draw_panels([panel], width)
         if path is not None:
             save(figure, checked_path(path))
         return figure

@@ -12,7 +12,7 @@ from typing import Any
 from ..curves import Curve, Report
 from ..drawing import COLOURS
 from ..profiles import Profile, performance_profile
-from .section import Collected, Finding, Section, count, figure, many, percent
+from .section import PAGE_WIDTH, Collected, Finding, Section, count, figure, many, percent
 
 SPLITTING = ("projected-type (NP)", "projected relaxation (P)", "modulus (M)", "general fixed point (GFP)")
 WORTH_A_WORD = 1.1
@@ -259,7 +259,7 @@ it is the best; the name stands where it solves its last scene, with a ✕ if th
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return both figures."""
         figures = {
-            f"By {caption}": figure(profile.plot(), f"profile-{profile.by}", f"Performance profile by {profile.by}")
+            f"By {caption}": figure(profile.plot(width=PAGE_WIDTH), f"profile-{profile.by}", f"Performance profile by {profile.by}")
             for pair in _profiles(collected) for profile, caption in zip(pair, ("passes over M", "time"), strict=True)
         }
         return {"figures": figures} if figures else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import statistics
 import time
@@ -17,15 +16,16 @@ from ...checks import FloatVector
 from ...problem.lcp import LCP
 from ...solving.derivative import derivative
 from ...solving.driver import solve
+from ..collecting import data_of
 from ..contestants import comparison, fresh
 from ..curves import Curve, Report
-from ..drawing import COLOURS, LABEL_SIZE, new_figure, styled
+from ..drawing import COLOURS, LABEL_SIZE, OWN, new_figure, styled
 from ..error_against_time import best_answer, error_against_time
 from ..exporting import csv_text
 from ..gallery import parse
 from ..gallery.scene import Scene
 from ..pictures import draw_sketch, sketch_of
-from .section import Collected, Effort, Finding, Part, Say, Section, brief, count, figure, many, seconds
+from .section import PAGE_WIDTH, Collected, Effort, Finding, Part, Say, Section, brief, count, figure, many, seconds
 
 SCENES = (
     "paper_example_1:n=10000",
@@ -98,11 +98,7 @@ class Scenes(Section):
 
 def _hash(scene: str | Scene) -> str:
     """Return a hash of the problem, as the content of a file may be another one next time; nothing of a text."""
-    if isinstance(scene, str):
-        return ""
-    problem = scene.problem
-    arrays = (problem.csr.indptr, problem.csr.indices, problem.csr.data, problem.q, problem.lower, problem.upper)
-    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+    return "" if isinstance(scene, str) else data_of(scene.problem)
 
 
 def measured(name: str, given: str | Scene, effort: Effort, say: Say) -> dict[str, Any]:
@@ -148,10 +144,10 @@ def _article(content: dict[str, Any]) -> dict[str, Any]:
             draw_sketch(sketch), f"{name}-sketch", f"{sketch['unknown']} of {content['text']}"
         ),
         "seconds": figure(
-            report.plot(), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
+            report.plot(width=PAGE_WIDTH), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
         ),
         "work": figure(
-            report.plot(against="work"), f"{name}-work", f"{report.error_kind} against work, {content['text']}"
+            report.plot(against="work", width=PAGE_WIDTH), f"{name}-work", f"{report.error_kind} against work, {content['text']}"
         ),
         "rows": [_row(curve) for curve in ranking],
         "notes": [(curve.label, curve.note) for curve in report.curves if curve.note],
@@ -161,7 +157,7 @@ def _article(content: dict[str, Any]) -> dict[str, Any]:
 
 def _row(curve: Curve) -> dict[str, str]:
     return {
-        "label": curve.label, "colour": COLOURS.get(curve.family, COLOURS["other"]), "note": curve.note,
+        "label": curve.label, "colour": COLOURS.get(curve.family, OWN[0]), "note": curve.note,
         "status": "" if curve.is_solved else curve.status.replace("_", " ").lower(),
         "work": count(curve.work), "iterations": str(curve.iterations), "seconds": seconds(curve.seconds),
         "setup": seconds(curve.setup_seconds), "error": brief(curve.points[-1].error),

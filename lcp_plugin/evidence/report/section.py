@@ -17,6 +17,9 @@ from ..gallery.scene import Scene
 __all__ = ["Collected", "Compute", "Effort", "Finding", "Part", "Say", "Section", "claims", "plan", "sections"]
 
 
+PAGE_WIDTH = 4.7  # inches, of a figure on the page
+
+
 @dataclass(frozen=True)
 class Effort:
     """How much a report spends: repeats, entries of M a run may touch, and the seconds of a run and a reference."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, NamedTuple
@@ -228,7 +229,8 @@ class Report(Exported):
         marks = [(one.label, one.seconds, one.error) for one in self.references] if timed else []
         level = self.tolerance if self.error_kind == RESIDUAL else None
         lines = [curve.line(against) for curve in self.curves]
-        return Panel(self.title, lines, AXES[against], AXIS_LABELS[self.error_kind], "errors", marks, level)
+        title = re.sub(r"([:,])", r"\1 ", self.title)
+        return Panel(title, lines, AXES[against], AXIS_LABELS[self.error_kind], "errors", marks, level)
 
     def __str__(self) -> str:
         lines = [f"{self.title}: {self.error_kind} against time, {self.n} unknowns, {self.repeats} repeats"]

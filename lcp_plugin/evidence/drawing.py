@@ -10,6 +10,7 @@ import html
 import io
 import math
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,24 +37,25 @@ DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1, 1, 1, 1, 1)), (0, (11, 2)), (0, (2.5, 3)),
 )
 STYLE: Any = {
-    "font.size": 8.0, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#999999",
+    "font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#999999",
     "axes.labelcolor": "#333333", "xtick.color": "#555555", "ytick.color": "#555555", "axes.grid": True,
     "grid.color": "#e9e9e9", "grid.linewidth": 0.7, "axes.axisbelow": True, "svg.fonttype": "path",
-    "pdf.fonttype": 42, "ps.fonttype": 42, "axes.titlesize": 8.5, "axes.titlelocation": "left", "legend.frameon": False,
+    "pdf.fonttype": 42, "ps.fonttype": 42, "axes.titlesize": 10, "axes.titlelocation": "left", "legend.frameon": False,
 }
+JOURNAL = {"font.size": 8.0, "axes.titlesize": 8.5}
 HEIGHTS = "cividis"
 COLUMN, PAGE = 3.5, 7.1
 """Inches: the width of a journal's column, and of its page."""
 
-HEIGHT, MOST_COLUMNS = 0.78, 3  # of a panel, as a share of its width; panels side by side
-SIZE = (COLUMN, HEIGHT * COLUMN)
+HEIGHT, MOST_COLUMNS, MOST_MAPS = 0.78, 3, 4  # of a panel, as a share of its width; panels and maps side by side
+SIZE = (4.7, 3.7)
 LABEL_SIZE = 7.0
 MARKED = 7  # markers along a line
 MOST_NAMES = 9
 NAME_HEIGHT = 0.085
 """Least distance of two names beside the axes, as a share of their height."""
 
-LEGEND_LINE = 0.17  # inches
+LEGEND_LINE, LETTERS = 0.17, 13  # inches; letters of a title to the inch
 PLACES = (((4, 0), "left", "center"), ((0, 5), "center", "bottom"), ((-4, 0), "right", "center"),
           ((4, 6), "left", "bottom"), ((-4, 6), "right", "bottom"))
 """Where the name of a line may stand beside its end, the best first."""
@@ -190,7 +192,7 @@ def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
     width = width or (COLUMN if columns == 1 else PAGE)
     labels = {line.label: line.family for panel in panels for line in panel.lines}
     looks = dict(zip(labels, styles(list(labels.values())), strict=True))
-    with styled():
+    with styled(JOURNAL):
         height = rows * HEIGHT * width / columns
         figure = require_matplotlib()(figsize=(width, height), layout="constrained")
         every = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -198,6 +200,7 @@ def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
             axes.set_axis_off()
         for k, (axes, panel) in enumerate(zip(every, panels, strict=False)):
             _draw_panel(axes, panel, looks)
+            axes.set_title(textwrap.fill(panel.title, int(LETTERS * width / columns)))
             if k % columns and panel.y_label == panels[k - 1].y_label:
                 axes.set_ylabel("")
             if k + columns < len(panels):
@@ -220,7 +223,6 @@ def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
 def _draw_panel(axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> None:
     is_share = panel.kind == "shares"
     axes.set(xscale="log", yscale="linear" if is_share else "log", xlabel=panel.x_label, ylabel=panel.y_label)
-    axes.set_title(panel.title)
     shown = _range(panel.lines) if panel.kind == "errors" else (0.0, math.inf)
     every = [x for line in panel.lines for x in _positive(line.x)] + [x for _, x, _ in panel.marks]
     if is_share:
@@ -368,3 +370,43 @@ def spread(places: Sequence[float], gap: float, low: float = 0.015, high: float 
     shifts = [mean for mean, size in groups for _ in range(int(size))]
     first, last = low, high - (count - 1) * gap
     return [min(max(shift, first), last) + k * gap for k, shift in enumerate(shifts)]
+
+
+# --- Maps of stability ----------------------------------------------------------------------------------------
+
+
+def draw_maps(
+    maps: Mapping[str, Mapping[tuple[str, str], str]], outcomes: Mapping[str, tuple[str, str]], title: str,
+    width: float | None = None,
+) -> Any:
+    """Return a figure with a map a name, rows × columns of outcomes, each in its colour and with its sign."""
+    rows, extents = (list(dict.fromkeys(place[k] for one in maps.values() for place in one)) for k in (0, 1))
+    columns = min(len(maps), MOST_MAPS)
+    lines, width = -(-len(maps) // columns), width or (PAGE if columns > 1 else COLUMN)
+    with styled(JOURNAL | {"axes.grid": False}):
+        from matplotlib.patches import Patch
+
+        figure = require_matplotlib()(figsize=(width, 0.7 + lines * (0.3 + 0.55 * width / columns)), layout="constrained")
+        every = figure.subplots(lines, columns, squeeze=False)
+        for k, axes in enumerate(every.ravel()):
+            if k >= len(maps):
+                axes.set_axis_off()
+                continue
+            name, found = list(maps.items())[k]
+            for (row, extent), outcome in found.items():
+                x, y = extents.index(extent), rows.index(row)
+                colour, sign = outcomes[outcome]
+                axes.fill_between([x - 0.5, x + 0.5], y - 0.5, y + 0.5, facecolor=colour, edgecolor="white", linewidth=0.8)
+                axes.text(x, y, sign, ha="center", va="center", fontsize=LABEL_SIZE)
+            axes.set_title(name)
+            axes.set(xlim=(-0.5, len(extents) - 0.5), ylim=(len(rows) - 0.5, -0.5))
+            axes.set_xticks(range(0, len(extents), 2), extents[::2], fontsize=LABEL_SIZE)
+            axes.set_yticks(range(len(rows)), rows if k % columns == 0 else [""] * len(rows), fontsize=LABEL_SIZE)
+            axes.tick_params(length=0)
+            if k + columns >= len(maps):
+                axes.set_xlabel("stiffness 10^k: k", fontsize=LABEL_SIZE)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=9)
+        signs = [Patch(facecolor=colour, edgecolor="#999999", label=f"{name} {sign}".strip(), linewidth=0.5)
+                 for name, (colour, sign) in outcomes.items()]
+        figure.legend(handles=signs, loc="outside lower center", ncols=max(1, int(width / 1.4)), fontsize=LABEL_SIZE)
+    return figure

@@ -22,11 +22,13 @@ from ..errors import (
     UnsuitableProblem,
     did_you_mean,
 )
+from ..problem.files import checked_path
 from ..solving.driver import solve
 from ..solving.result import Result
 from .contestants import checked_names
 from .exact_answers import lie_in, relative_error
-from .exporting import Exported
+from .drawing import draw_maps, save
+from .exporting import AnyPath, Exported
 from .stresses import FAMILIES, Case
 
 Progress = Callable[[int, int, str], Any]
@@ -37,6 +39,12 @@ MAX_ITERATIONS, MAX_ITERATIONS_QUICK = 50_000, 5_000
 LARGEST_BOUNDED = 2500
 MISLEADING = 1e-3
 REFUSED, ERROR = "REFUSED", "ERROR"
+RANGES, PROVED = "ranges", "proved ranges"
+WRONG, HIDDEN = "wrong but SOLVED", "z off by condition × residual"
+OUTCOMES = {  # colour and sign
+    "right": ("#DDEBF7", ""), "says that it failed": ("#BDBDBD", "–"), "refused": ("#FFFFFF", "/"),
+    HIDDEN: ("#FDD49E", "≈"), WRONG: ("#B2182B", "✗"),
+}
 
 
 @dataclass(frozen=True)
@@ -84,6 +92,17 @@ class Cell:
     def is_well_posed(self) -> bool:
         """True where condition × machine epsilon < 1e-9."""
         return self.condition * EPSILON < WELL_POSED
+
+
+    @property
+    def outcome(self) -> str:
+        """One of `OUTCOMES`, the colours of a map."""
+        if self.status == REFUSED:
+            return "refused"
+        is_off = self.status == "SOLVED" and self.true_error > MISLEADING
+        if not self.told_the_truth or (is_off and (self.family == PROVED or self.digits_lost >= 1.0)):
+            return WRONG
+        return HIDDEN if is_off else "right" if self.status == "SOLVED" else "says that it failed"
 
 
 @dataclass(frozen=True)
@@ -143,6 +162,30 @@ class Atlas(Exported):
         lines += [f"left out: {what}: {reason}" for what, reason in self.skipped]
         return "\n".join(lines)
 
+    def plot(self, path: AnyPath | None = None, *, family: str = RANGES, width: float | None = None) -> Any:
+        """Return a figure with a map a method: how far each kind of stiffness may go, and save it where `path` is given.
+
+        Parameters
+        ----------
+        path : path, optional
+            .pdf, .svg or .png.
+        family : {"ranges", "proved ranges"}
+            SOLVED by the residual, as `solve` does it, or by a proved error, ``tolerance_on="error"``.
+        width : float, optional
+            Of the figure, inches.
+        """
+        maps: dict[str, dict[tuple[str, str], str]] = {}
+        for cell in self.cells:
+            if cell.family == family:
+                kind, _, extent = cell.stress.partition(" 1e")
+                maps.setdefault(cell.algorithm, {})[kind, extent] = cell.outcome
+        if not maps:
+            raise InvalidOption(f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])')
+        figure = draw_maps(maps, OUTCOMES, "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error", width)
+        if path is not None:
+            save(figure, checked_path(path))
+        return figure
+
     def to_content(self) -> dict[str, Any]:
         """Return what JSON can hold: numbers that are not finite become the texts "inf" and "nan"."""
         cells = [{key: _plain(value) for key, value in asdict(cell).items()} for cell in self.cells]
@@ -183,7 +226,7 @@ def stability_atlas(
         Registered names and "auto"; all of them by default.
     stresses : iterable of str, optional
         Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range",
-        "cancellation", "one ulp". All by default.
+        "cancellation", "one ulp", "ranges", "proved ranges" (the maps). All by default.
     quick : bool
         Fewer iterations, and a smaller large problem.
     progress : callable, optional
@@ -266,7 +309,10 @@ def _strictly_solved(case: Case, name: str, limit: int) -> Result:
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", ConvergenceWarning)  # it tells what the atlas is about to find out
         is_bounded = case.problem.n <= LARGEST_BOUNDED
-        return solve(case.problem, name, z0=case.start, max_iterations=limit, error_bound=is_bounded)
+        return solve(
+            case.problem, name, z0=case.start, max_iterations=limit, error_bound=is_bounded, tolerance=case.tolerance,
+            tolerance_on=case.tolerance_on,
+        )
 
 
 def _digits_lost(error: float, condition: float, residual: float) -> float:

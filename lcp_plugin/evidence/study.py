@@ -142,7 +142,7 @@ class Study:
             cases.setdefault((row.problem, row.size), []).append(row)
         return [
             Report(
-                f"{problem}, n = {own[0].n}", "", own[0].n, own[0].nonzeros, own[0].error_kind, own[0].tolerance,
+                f"{problem}, n={own[0].n}", "", own[0].n, own[0].nonzeros, own[0].error_kind, own[0].tolerance,
                 own[0].repeats, math.nan, tuple(row.curve for row in own if row.curve.points),
             )
             for (problem, _), own in cases.items()

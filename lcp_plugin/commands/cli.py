@@ -1,71 +1,20 @@
-"""lcp-plugin: solve a file or a scene, list what there is, compute the paper's tables, write the report."""
+"""lcp-plugin: solve, check or certify a problem, tell what its matrix is, list what there is."""
 
 from __future__ import annotations
 
-import functools
 import json as json_module
-import os
 import sys
-import time
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import typer
 
 from .. import __version__
-from ..errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
-from .target import algorithm_names, scene_names
-from .terminal import LINE
+from ..errors import InvalidOption, did_you_mean
+from . import measuring  # registers its commands
+from .app import EXIT_BAD_INPUT, AlgorithmName, AnyTarget, Target, app, command
 
-EXIT_UNSOLVED = 1
-EXIT_BAD_INPUT = 2
-
-
-def _ending(exit_codes: str, *examples: str) -> str:
-    """Return what stands below a help page."""
-    return "\n".join(["Examples:", *(f"  lcp-plugin {words}" for words in examples), "", f"Exit codes: {exit_codes}."])
-
-
-app = typer.Typer(
-    help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
-    epilog=_ending(
-        "0 done, 1 ran but not solved (or: answers differ or cannot be compared, a count differs, interrupted), "
-        "2 bad input (told on stderr). "
-        "Ctrl-C ends solve and report with what there is so far (1), the others as the shell expects (130)",
-        "solve obstacle_2d --plot obstacle.png", "solve --help", "list",
-    ),
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-Target = Annotated[
-    str,
-    typer.Argument(
-        help="A file (.npz or .mat with M and q, .nl), a folder with M.mtx and q.mtx, a scene: name:key=value,…, or "
-        "file.py:function.",
-        autocompletion=scene_names,
-    ),
-]
-AnyTarget = Annotated[
-    str,
-    typer.Argument(
-        help="A file, a folder with M.mtx and q.mtx, a scene: name:key=value,…, or file.py:function. A file is an .npz or .mat with M, q "
-        "(an LCP), with P, q, A, l, u or the like (a program: `certify --help`), or with A, b (least squares), an "
-        ".nl, .qps or .mps.",
-        autocompletion=scene_names,
-    ),
-]
-AlgorithmName = Annotated[
-    str,
-    typer.Option(
-        "--algorithm", "-a", help="A name that `lcp-plugin list` shows, auto, or file.py:Class.", autocompletion=algorithm_names
-    ),
-]
+__all__ = ["app", "measuring", "run"]
 
 
 def run() -> None:
@@ -86,54 +35,8 @@ def run() -> None:
         app()
 
 
-def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
-    """Register a command: False means exit code 1, and every expected failure is one line on stderr and code 2."""
-
-    def registered(command: F) -> F:
-        @functools.wraps(command)
-        def wrapped(*args: Any, **kwargs: Any) -> None:
-            try:
-                with LINE:
-                    is_done = command(*args, **kwargs) is not False
-                sys.stdout.flush()  # here a reader that has gone, or a full disk, can still be told
-                if not is_done:
-                    raise typer.Exit(EXIT_UNSOLVED)
-                return
-            except LCPError as error:
-                message = str(error)
-            except MemoryError as error:
-                message = f"not enough memory ({error}); choose a smaller problem"
-            except BrokenPipeError:  # the reader has gone; nothing is left to tell
-                _drop_output()
-                raise typer.Exit(EXIT_UNSOLVED) from None
-            except OSError as error:
-                _drop_output()
-                message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
-            except typer.Exit:
-                raise
-            except Exception as error:
-                from ..evidence.own_code import own_frame, told
-
-                if own_frame(error) is None:  # a mistake of ours
-                    raise
-                message = told(error)
-            typer.echo(f"lcp-plugin: {message}", err=True)
-            raise typer.Exit(EXIT_BAD_INPUT)
-
-        app.command(name, epilog=_ending(exit_codes, *examples))(wrapped)
-        return command
-
-    return registered
-
-
 def _print_json(content: dict[str, Any]) -> None:
     typer.echo(json_module.dumps(content, indent=2))
-
-
-def _drop_output() -> None:
-    """Let go of what stdout could not write: Python would try once more at its end, and exit with 120."""
-    with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 @app.callback(invoke_without_command=True)
@@ -149,7 +52,7 @@ def main(
         raise typer.Exit(EXIT_BAD_INPUT)
 
 
-@_command(
+@command(
     "solve",
     "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
@@ -215,7 +118,7 @@ def solve(
     return solving.run(kinds[backend](), target, size, algorithm, options, settings, plot, shape, out, as_json=json)
 
 
-@_command(
+@command(
     "check",
     "0 both agree, 1 they do not or nothing can be compared (the reason is printed), 2 bad input",
     "check obstacle_2d:size=30", "check problem.npz --reference clarabel",
@@ -237,7 +140,7 @@ def check(
     return outcome.agrees
 
 
-@_command(
+@command(
     "certify",
     "0 every answer is proved, 1 one is unproved, refuted or missing, 2 bad input",
     "certify problem.npz --solver CLARABEL,OSQP", "certify problem.qps --out x.npz",
@@ -288,7 +191,7 @@ def certify(
     return all(answer.certification is not None and answer.certification.verdict == "proved" for answer in answers)
 
 
-@_command("analyze", "0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json")
+@command("analyze", "0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json")
 def analyze(
     target: Target,
     json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
@@ -304,7 +207,7 @@ def analyze(
         typer.echo(analysis(problem))
 
 
-@_command("list", "0 done", "list")
+@command("list", "0 done", "list")
 def list_everything() -> None:
     """List the kinds of problems with the ways that take them, the algorithms with what they need, the scenes."""
     from .target import print_everything
@@ -312,126 +215,7 @@ def list_everything() -> None:
     print_everything()
 
 
-@_command("tables", "0 every iteration count is the paper's, 1 one differs", "tables", "tables --out tables.tex")
-def tables(
-    out: Annotated[Path | None, typer.Option(help="Save them as well: .tex (booktabs, siunitx), .md or .csv.")] = None,
-) -> bool:
-    """Compute the paper's Tables 1 and 2 again, each figure beside the printed one."""
-    from .tables import print_paper_tables
-
-    return print_paper_tables(out)
-
-
-@_command(
-    "study",
-    "0 complete, 1 interrupted or a method raised (the same command goes on), 2 bad input",
-    "study half_active -a npsor -a psor --size 100 --size 400 --size 900 --save work=work.pdf",
-    "study own.py:family -a own.py:Mine -o relaxation=1.5 --size 100", "study study.toml",
-)
-def study(
-    targets: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Problems: scenes, files, or file.py:function, which is given the size; or a study file, .toml, with "
-            "problems, methods, sizes, repeats, tolerance, max_seconds, max_work, error_bound, out, save; what stands "
-            "here and below goes before it.",
-            autocompletion=scene_names,
-        ),
-    ] = None,
-    problem: Annotated[
-        list[str] | None, typer.Option("--problem", "-p", help="A problem as above.", autocompletion=scene_names)
-    ] = None,
-    algorithm: Annotated[
-        list[str] | None,
-        typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or file.py:Class.",
-                     autocompletion=algorithm_names),
-    ] = None,
-    option: Annotated[
-        list[str] | None, typer.Option("--option", "-o", help="Of the only algorithm given: name=value.")
-    ] = None,
-    size: Annotated[list[int] | None, typer.Option(help="Sizes of the families; give it once for each.")] = None,
-    repeats: Annotated[int | None, typer.Option(help="Runs behind each median of seconds; by default 3.")] = None,
-    tolerance: Annotated[float | None, typer.Option(help="SOLVED means a residual of at most this: 1e-8.")] = None,
-    max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds of a run: 20.")] = None,
-    max_work: Annotated[float | None, typer.Option(help="Limit of passes over M of a run.")] = None,
-    error_bound: Annotated[
-        bool, typer.Option("--error-bound", help="Bound the error where the exact answer is not known.")
-    ] = False,
-    out: Annotated[str | None, typer.Option(help="The file of raw results: study.csv.")] = None,
-    save: Annotated[
-        list[str] | None,
-        typer.Option(help="VIEW=FILE: iterations, work, seconds, residual, error, results, profile, profile-seconds, "
-                     "curves or curves-work, as .tex, .md, .csv, .pdf, .svg or .png."),
-    ] = None,
-) -> bool:
-    """Measure methods on families of problems, resumably, into one CSV; save tables and figures of it."""
-    from . import solving
-    from . import study as command
-
-    methods: Any = algorithm
-    if option:
-        if len(algorithm or []) != 1:
-            raise InvalidOption("--option is for one --algorithm; with several write a study file, [methods]")
-        methods = [((algorithm or [])[0], solving.options(None, option))]
-    return command.run([*(targets or []), *(problem or [])], {
-        "methods": methods, "sizes": size, "repeats": repeats, "tolerance": tolerance,
-        "max_seconds": max_seconds, "max_work": max_work, "error_bound": error_bound, "out": out, "save": save,
-    })
-
-
-@_command(
-    "report",
-    "0 complete, 1 interrupted (the same command goes on), 2 bad input",
-    "report --out report --quick", "report half_active:n=2500 own.npz --out mine",
-)
-def report(
-    scenes: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Scenes, name:key=value,…, or files and folders of LCPs; by default the usual choice.",
-            autocompletion=scene_names,
-        ),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")
-    ] = Path("report"),
-    quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
-) -> bool:
-    """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
-    from ..evidence.drawing import require_matplotlib
-    from ..evidence.gallery import Scene
-    from ..evidence.report.page import collect, require_jinja, write_report
-    from ..evidence.report.section import plan
-    from .target import lcp_of_file, own_scene, scene_text
-    from .terminal import PartsLine
-
-    def scene_of_file(path: str) -> Scene:
-        problem = lcp_of_file(path, "lcp-plugin report")
-        return Scene(problem=problem, name=path, description=f"your own problem, {problem}", is_declared=False)
-
-    require_matplotlib()
-    require_jinja()
-    if out.exists() and not out.is_dir():
-        raise UnreadableFile(f"cannot write {out}: it is a file; --out names a folder")
-    began = time.perf_counter()
-    parts = plan([own_scene(one) or scene_text(one) or scene_of_file(one) for one in scenes or []], quick=quick)
-    collected = collect(parts, out / "parts", PartsLine())
-    kept = f"{len(parts) - len(collected.missing)} of {len(parts)} parts"
-    try:
-        page = write_report(collected, out, is_quick=quick)
-    except KeyboardInterrupt:
-        typer.echo(f"interrupted while the page was written: {kept} are kept; the same command goes on from here")
-        return False
-    took = f"{time.perf_counter() - began:.0f} s"
-    if collected.is_complete:
-        again = f", {collected.found} of {len(parts)} parts found from a former run" if collected.found else ""
-        typer.echo(f"{page}: {len(parts)} parts, {took}{again}")
-    else:
-        typer.echo(f"interrupted after {took}: {page} holds {kept}; the same command goes on from here")
-    return collected.is_complete
-
-
-@_command("warm-up", "0 done", "warm-up")
+@command("warm-up", "0 done", "warm-up")
 def warm_up() -> None:
     """Compile every kernel now, so that no later run has to; say where the compiled code lies."""
     from .compiling import compile_everything

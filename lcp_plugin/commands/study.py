@@ -10,17 +10,18 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption, UnreadableFile, did_you_mean
-from ..evidence.contestants import contestants
 from ..evidence.drawing import FORMATS, require_matplotlib
 from ..evidence.exporting import TABLES
-from ..evidence.own_code import is_own
-from ..evidence.study import VIEWS, Study, label_of, study
-from .target import lcp_of_file, scene_text
+from ..evidence.results import VIEWS, Study
+from ..evidence.study import study
+from .own_names import load
+from .target import is_own_problem, lcp_of_file, own_algorithm, scene_text
 from .terminal import PartsLine, console, table
 
-KEYS = {
-    "problems": (list, str, dict), "methods": (list, str, dict), "sizes": list, "repeats": int, "tolerance": (int, float),
-    "max_seconds": (int, float), "max_work": (int, float), "error_bound": bool, "out": str, "save": (list, str),
+KEYS: dict[str, tuple[type, ...]] = {
+    "problems": (list, str, dict), "methods": (list, dict), "sizes": (list,), "repeats": (int,),
+    "tolerance": (int, float), "max_seconds": (int, float), "max_work": (int, float), "error_bound": (bool,),
+    "out": (str,), "save": (list, str),
 }
 OUT = "study.csv"
 SHOWN = "iterations"
@@ -28,7 +29,7 @@ NO_ANSWER = ("REFUSED", "ERROR")
 
 
 def run(targets: Sequence[str], given: Mapping[str, Any]) -> bool:
-    """Measure, print and save; return whether nothing is missing and nothing raised. A target is a problem, or a study file."""
+    """Measure problems and study files, print and save; return whether nothing is missing and nothing raised."""
     wishes: dict[str, Any] = {}
     for file in (target for target in targets if target.endswith(".toml")):
         wishes |= _of_file(Path(file))
@@ -51,7 +52,8 @@ def run(targets: Sequence[str], given: Mapping[str, Any]) -> bool:
             found.save(view, path)
             typer.echo(f"saved {path}: {view}")
     again = f", {found.found} of them from a former run" if found.found else ""
-    rest = "" if not found.missing else f"; interrupted, {len(found.missing)} missing: the same command goes on from here"
+    missing = len(found.missing)
+    rest = f"; interrupted, {missing} missing: the same command goes on from here" if missing else ""
     typer.echo(f"{out}: {len(found.rows)} rows{again}{rest}")
     return not found.missing and all(row.curve.status != "ERROR" for row in found.rows)
 
@@ -67,33 +69,44 @@ def _of_file(file: Path) -> dict[str, Any]:
     for key, value in content.items():
         if key not in KEYS:
             raise InvalidOption(f"{file}: unknown key {key!r}{did_you_mean(key, KEYS)}")
-        if not isinstance(value, KEYS[key]) or (isinstance(value, bool) and KEYS[key] is not bool):
-            kinds = KEYS[key] if isinstance(KEYS[key], tuple) else (KEYS[key],)
-            raise InvalidOption(f"{file}: {key} must be {' or '.join(kind.__name__ for kind in kinds)}, got {value!r}")
+        if not isinstance(value, KEYS[key]) or (isinstance(value, bool) and bool not in KEYS[key]):
+            kinds = " or ".join(kind.__name__ for kind in KEYS[key])
+            raise InvalidOption(f"{file}: {key} must be {kinds}, got {value!r}")
     return content
 
 
 def _problems(given: Any) -> dict[str, Any]:
-    """Return the problems by their labels, those of files loaded."""
-    named = given if isinstance(given, Mapping) else {label_of(text): text for text in ([given] if isinstance(given, str) else given)}
-    return {
-        label: text if is_own(str(text)) or scene_text(str(text)) else lcp_of_file(str(text), "lcp-plugin study")
-        for label, text in named.items()
-    }
+    """Return the problems by their labels, those of files and modules loaded."""
+    if not isinstance(given, Mapping):
+        listed = [str(text) for text in ([given] if isinstance(given, str) else given)]
+        given = {text.partition(":")[2] if is_own_problem(text) else text: text for text in listed}
+    return {label: _problem(str(text)) for label, text in given.items()}
+
+
+def _problem(text: str) -> Any:
+    if is_own_problem(text):
+        return load(text)
+    return scene_text(text) or lcp_of_file(text, "lcp-plugin study")
 
 
 def _methods(given: Any) -> Any:
     """Return what `contestants` takes: of a table, each label with its name and its options."""
+    if given is None:
+        return None
     if not isinstance(given, Mapping):
-        return given
+        return [_method(one, {}) if isinstance(one, str) else _method(*one) for one in given]
     made = {}
     for label, one in given.items():
         options = dict(one) if isinstance(one, Mapping) else {"algorithm": one}
         if "algorithm" not in options:
             raise InvalidOption(f'method {label!r} needs an algorithm: write {label} = {{ algorithm = "psor" }}')
-        made[label] = (options.pop("algorithm"), options)
-    contestants(made)
+        made[label] = _method(options.pop("algorithm"), options)
     return made
+
+
+def _method(name: str, options: dict[str, Any]) -> Any:
+    chosen, rest = own_algorithm(name, options)
+    return (chosen, rest) if isinstance(chosen, str) else chosen
 
 
 def _checked_views(given: str | Sequence[str]) -> list[tuple[str, Path]]:
@@ -103,8 +116,8 @@ def _checked_views(given: str | Sequence[str]) -> list[tuple[str, Path]]:
         view, equals, name = str(text).partition("=")
         path = Path(name)
         if not equals or not name or view not in VIEWS:
-            hint = did_you_mean(view, VIEWS)
-            raise InvalidOption(f"--save wants VIEW=FILE, as work=work.pdf, got {text!r}{'' if view in VIEWS else hint}")
+            hint = "" if view in VIEWS else did_you_mean(view, VIEWS)
+            raise InvalidOption(f"--save wants VIEW=FILE, as work=work.pdf, got {text!r}{hint}")
         is_picture = path.suffix in FORMATS
         if not is_picture and path.suffix not in TABLES:
             raise InvalidOption(f"{name!r} must end in {', '.join([*TABLES, *FORMATS])}")

@@ -38,9 +38,10 @@ def print_paper_tables(out: Path | None = None) -> bool:
     computed = list(cells())
     tables, terminal = [paper_table(computed, example) for example in (1, 2)], console(120)
     for one in tables:
-        headings = [head if head in ("algorithm", "n") else "\n".join(head.rpartition(" ")[::2]) for head in one.columns]
+        headings = [*one.columns[:2], *("\n".join(head.rpartition(" ")[::2]) for head in one.columns[2:])]
         terminal.print(table(one.title, headings, one.texts(), is_of_numbers=True, padding=(0, 1, 0, 0)))
-    equal, equal_residual = (sum(getattr(one, f"same_{what}") for one in computed) for what in ("iterations", "residual"))
+    equal = sum(one.same_iterations for one in computed)
+    equal_residual = sum(one.same_residual for one in computed)
     terminal.print(f"IT equal in {equal} of {len(computed)} cells, Res to the printed digits in {equal_residual}.")
     if out is not None:
         save_tables(tables, out)

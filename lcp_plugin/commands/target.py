@@ -30,17 +30,22 @@ def own_scene(target: str, size: int | None = None) -> Any:
     InvalidOption
         Where there is no such function, or it has a mistake, with its line.
     """
-    from ..evidence import gallery
-    from ..evidence.own_code import is_own, scene_of
+    from .own_names import scene_of
 
-    if not is_own(target) or target.partition(":")[0].strip().replace("-", "_") in gallery.names():
-        return None
-    return scene_of(target, size)
+    return scene_of(target, size) if is_own_problem(target) else None
+
+
+def is_own_problem(target: str) -> bool:
+    """Return whether the target is written ``file.py:function`` or ``module:function``, and no scene."""
+    from ..evidence import gallery
+    from .own_names import is_own
+
+    return is_own(target) and target.partition(":")[0].strip().replace("-", "_") not in gallery.names()
 
 
 def own_algorithm(name: str, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     """Return the algorithm and its options as `solve` takes them, of ``file.py:Class`` an object that has them."""
-    from ..evidence.own_code import algorithm_of, is_own
+    from .own_names import algorithm_of, is_own
 
     return (algorithm_of(name, options), {}) if is_own(name) else (name, options)
 

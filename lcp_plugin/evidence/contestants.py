@@ -16,7 +16,6 @@ from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.driver import solve
 from ..solving.result import Result, Sample
-from .own_code import algorithm_of, is_own
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
@@ -115,10 +114,7 @@ def _contestant(label: Any, one: Any) -> Contestant:
                 f"got {one!r}"
             )
         name, options = (one, {}) if isinstance(one, str) else one
-        if name == "auto":
-            made = policy_for(name, dict(options)).name
-        else:
-            made = algorithm_of(name, options) if is_own(name) else create(name, dict(options))
+        made = policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
     return Contestant(str(label) if label else _label(made), made, family_of(made))
 
 

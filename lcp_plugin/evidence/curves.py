@@ -12,8 +12,9 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..problem.files import checked_path
-from .drawing import Line, Panel, draw_panels, save
+from .drawing import save
 from .exporting import AnyPath, Exported, finite_content, number
+from .figures import Line, Panel, draw_panels
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {

@@ -248,6 +248,7 @@ class Recorder(WorkLimit):
         self._next = 0
 
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
+        """Take in a sample where one is due; return whether the limit of work is reached."""
         if sample.iteration >= self._next:
             self._next = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLE_GROWTH))
             error, residual = self.measure(z)

@@ -113,7 +113,8 @@ class Table:
             "\\input{FILE}\\end{document}'",
             "\\begin{table}[htbp]", "\\centering\\footnotesize\\setlength{\\tabcolsep}{4pt}",
             "\\sisetup{output-exponent-marker=\\mathrm{e}}",
-            f"\\caption{{{_escaped(self.title)}}}\\smallskip", f"\\begin{{tabular}}{{{' '.join(columns)}}}", "\\toprule",
+            f"\\caption{{{_escaped(self.title)}}}\\smallskip",
+            f"\\begin{{tabular}}{{{' '.join(columns)}}}", "\\toprule",
             f"{' & '.join(heads)} \\\\", "\\midrule", *body, "\\bottomrule", "\\end{tabular}", "\\end{table}", "",
         ])
 

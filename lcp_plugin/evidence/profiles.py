@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 from ..errors import InvalidOption
 from ..problem.files import checked_path
 from .curves import Curve, Report
-from .drawing import Line, Panel, draw_panels, save
+from .drawing import save
 from .exporting import AnyPath, Exported
+from .figures import Line, Panel, draw_panels
 
 LEAST = {"work": 1.0, "seconds": 1e-9}
 """Less is not told apart: a run whose start is the answer counts one pass."""

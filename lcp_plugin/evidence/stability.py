@@ -26,9 +26,10 @@ from ..problem.files import checked_path
 from ..solving.driver import solve
 from ..solving.result import Result
 from .contestants import checked_names
+from .drawing import save
 from .exact_answers import lie_in, relative_error
-from .drawing import draw_maps, save
 from .exporting import AnyPath, Exported
+from .figures import draw_maps
 from .stresses import FAMILIES, Case
 
 Progress = Callable[[int, int, str], Any]
@@ -163,7 +164,7 @@ class Atlas(Exported):
         return "\n".join(lines)
 
     def plot(self, path: AnyPath | None = None, *, family: str = RANGES, width: float | None = None) -> Any:
-        """Return a figure with a map a method: how far each kind of stiffness may go, and save it where `path` is given.
+        """Return a figure with a map a method, how far each kind of stiffness may go, and save it where asked.
 
         Parameters
         ----------
@@ -181,7 +182,8 @@ class Atlas(Exported):
                 maps.setdefault(cell.algorithm, {})[kind, extent] = cell.outcome
         if not maps:
             raise InvalidOption(f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])')
-        figure = draw_maps(maps, OUTCOMES, "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error", width)
+        title = "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error"
+        figure = draw_maps(maps, OUTCOMES, title, width)
         if path is not None:
             save(figure, checked_path(path))
         return figure

@@ -13,7 +13,7 @@ from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
 from .economics import binomial_put
-from .scene import Description, Scene, build, builder_of, describe, names, parameters_of_scene, parse, read, scene_builder
+from .scene import Description, Scene, build, builder_of, describe, names, parse, read, scene_builder
 
 for _module in iter_modules(__path__):
     if _module.name != "on_ranks":  # it loads MPI, when it is asked for

@@ -312,11 +312,6 @@ def read(text: str) -> tuple[str, dict[str, Any]]:
     return name, values
 
 
-def parameters_of_scene(name: str) -> list[str]:
-    """Return the names of a scene's parameters."""
-    return list(parameters_of(builder_of(name)))
-
-
 def builder_of(name: str) -> Builder:
     """Return the function that builds the scene of that name."""
     if not isinstance(name, str) or name not in _SCENES:

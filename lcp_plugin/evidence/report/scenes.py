@@ -19,9 +19,10 @@ from ...solving.driver import solve
 from ..collecting import data_of
 from ..contestants import comparison, fresh
 from ..curves import Curve, Report
-from ..drawing import COLOURS, LABEL_SIZE, OWN, new_figure, styled
+from ..drawing import COLOURS, LABEL_SIZE, new_figure, styled
 from ..error_against_time import best_answer, error_against_time
 from ..exporting import csv_text
+from ..figures import OWN
 from ..gallery import parse
 from ..gallery.scene import Scene
 from ..pictures import draw_sketch, sketch_of
@@ -147,7 +148,8 @@ def _article(content: dict[str, Any]) -> dict[str, Any]:
             report.plot(width=PAGE_WIDTH), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
         ),
         "work": figure(
-            report.plot(against="work", width=PAGE_WIDTH), f"{name}-work", f"{report.error_kind} against work, {content['text']}"
+            report.plot(against="work", width=PAGE_WIDTH), f"{name}-work",
+            f"{report.error_kind} against work, {content['text']}",
         ),
         "rows": [_row(curve) for curve in ranking],
         "notes": [(curve.label, curve.note) for curve in report.curves if curve.note],

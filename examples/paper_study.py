@@ -1,8 +1,8 @@
 """The table and the figure of a paper: own matrix families, an own method beside ours, several sizes.
 
-Put your families (a size in, (M, q) or an LCP out) and your method in place of these. The table is LaTeX for booktabs and
-siunitx; the figure is as wide as a page and can be read in grey. The same from a shell, where raw results are kept in
-study.csv, from which a second run goes on:
+Put your families (a size in, (M, q) or an LCP out) and your method in place of these. The table is LaTeX for booktabs
+and siunitx; the figure is as wide as a page and can be read in grey. The same from a shell, where raw results are kept
+in study.csv, from which a second run goes on:
 
     lcp-plugin study examples/paper_study.py:chain examples/paper_study.py:plate examples/paper_study.py:scattered
         -a npsor -a psor -a multigrid -a auto -a examples/paper_study.py:DampedJacobi
@@ -67,15 +67,15 @@ class DampedJacobi(Algorithm):
 
 def loop_in_numpy(M: Any, q: Any, omega: float = 0.7) -> int:
     """Return the sweeps until max |z − max(0, z − D⁻¹ (M z + q))| is 1e-8 of what it was at 0."""
-    z, d, start = np.zeros(q.size), M.diagonal(), None
-    for sweeps in range(100_000):
+    z, d, start, sweeps = np.zeros(q.size), M.diagonal(), 0.0, 0
+    while True:
         w = M @ z + q
         residual = abs(z - np.maximum(z - w / d, 0.0)).max()
         start = start or residual
         if residual <= TOLERANCE * start:
-            break
+            return sweeps
         z = np.maximum(z - omega * w / d, 0.0)
-    return sweeps
+        sweeps += 1
 
 
 def main(out: Path = Path()) -> None:

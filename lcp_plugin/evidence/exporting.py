@@ -100,11 +100,12 @@ class Table:
         """Return a table for booktabs and siunitx; its first line says how to look at it alone."""
         columns = [_latex_column([row[k] for row in self.texts()], self.is_of_numbers(k))
                    for k in range(len(self.columns))]
-        heads = ["{\\shortstack{" + _escaped(head).replace(" ", "\\\\") + "}}" for head in self.columns]
+        heads = ["{" + _stacked(head) + "}" for head in self.columns]
         lines = [[_latex_cell(cell, self.is_of_numbers(k)) for k, cell in enumerate(row)] for row in self.texts()]
+        has_groups = len({row[0] for row in self.rows}) < len(self.rows)
         body, before = [], self.rows[0][0] if self.rows else ""
         for row, cells in zip(self.rows, lines, strict=True):
-            if row[0] != before:
+            if row[0] != before and has_groups:
                 body.append("\\addlinespace")
             before = row[0]
             body.append(f"{' & '.join(cells)} \\\\")
@@ -140,7 +141,7 @@ def _shown(column: Sequence[Any]) -> list[str]:
     low, high = min(numbers, default=1.0), max(numbers, default=1.0)
     is_plain = PLAIN[0] <= low and high < PLAIN[1] and high / low < 1e4
     given = max((len(repr(value).partition(".")[2]) for value in column if isinstance(value, float)), default=0)
-    decimals = min(max(0, DIGITS - 2 - math.floor(math.log10(low))), given)
+    decimals = min(max(0, DIGITS - 1 - math.floor(math.log10(low))), given)
 
     def shown(value: Any) -> str:
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
@@ -150,6 +151,12 @@ def _shown(column: Sequence[Any]) -> list[str]:
         return f"{value + 0.0:.{decimals}f}" if is_plain else _brief(value)
 
     return [shown(value) for value in column]
+
+
+def _stacked(head: str) -> str:
+    """Return a heading of two words on two lines."""
+    words = [_escaped(word) for word in head.split(" ")]
+    return "\\shortstack{" + "\\\\".join(words) + "}" if len(words) == 2 else " ".join(words)
 
 
 def _brief(value: float) -> str:

@@ -13,13 +13,14 @@ from ..cross_check import cross_validate
 from ..exporting import finite_content
 from ..gallery import parse
 from ..paper_tables import cells
-from ..stability import Atlas, Cell, stability_atlas
+from ..stability import PROVED, RANGES, Atlas, Cell, stability_atlas
 from ..stresses import FAMILIES
-from .section import Collected, Compute, Effort, Finding, Say, Section, brief, many, percent
+from .section import Collected, Compute, Effort, Finding, Say, Section, brief, figure, many, percent
 
 # --- The stability atlas ---------------------------------------------------------------------------------------
 
-TOO_LONG_FOR_QUICK = ("sizes",)
+TOO_LONG_FOR_QUICK = ("sizes", RANGES, PROVED)
+MAPS_WIDTH = 9.0  # inches
 
 
 class Stability(Section):
@@ -55,8 +56,13 @@ class Stability(Section):
         cells: dict[str, dict[str, list[Cell]]] = {}
         for cell in atlas.cells:
             cells.setdefault(cell.algorithm, {family: [] for family in families})[cell.family].append(cell)
+        maps = [
+            figure(atlas.plot(family=family, width=MAPS_WIDTH), family.replace(" ", "-"), f"Stability: {family}")
+            for family in (RANGES, PROVED) if family in families
+        ]
         return {
-            "atlas": atlas, "families": families, "absent": [one for one in FAMILIES if one not in families],
+            "maps": maps, "atlas": atlas, "families": families,
+            "absent": [one for one in FAMILIES if one not in families],
             "rows": {name: [_tally(own) for own in row.values()] for name, row in cells.items()},
             "misleading": sorted(atlas.misleading, key=lambda cell: cell.condition),
         }

@@ -41,7 +41,7 @@ def collected() -> Collected:
     found = Collected()
     parts = plan(TINY, quick=True)
     whole = plan(quick=True)
-    kinds = ("tables", "check", "certified")
+    kinds = ("tables", "check")
     parts += [next(part for part in whole if part.kind == kind) for kind in kinds]
     for part in parts:
         found.contents[part.kind, part.name] = json.loads(json.dumps(part.compute(lambda text: None)))
@@ -79,7 +79,7 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
     parts = [section.anchor for section in sections()]
     assert parts == [
-        "comparison", "scenes", "profile", "stability", "tables", "checks", "certified",
+        "comparison", "scenes", "profile", "stability", "tables", "checks",
     ]
     for anchor in ("summary", *parts, "reading", "machine"):
         assert f'id="{anchor}"' in page
@@ -100,7 +100,7 @@ def test_tables_lie_beside_the_page(folder: Path) -> None:
         "cross_validation.csv", "paper_tables.csv", "stability.csv",
     }
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    kinds = {"scene", "tables", "check", "atlas", "certified"}
+    kinds = {"scene", "tables", "check", "atlas"}
     assert {part["kind"] for part in content["parts"]} == kinds
 
 
@@ -361,7 +361,7 @@ def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
     for words in ("The largest has 7 unknowns.", "<p>7 unknowns</p>", '<a href="#test_report">Sizes</a>'):
         assert words in page
     assert (tmp_path / "sizes.csv").exists()
-    assert len(sections()) == 7
+    assert len(sections()) == 6
 
 
 def test_unknown_scene_is_refused_before_anything_runs() -> None:

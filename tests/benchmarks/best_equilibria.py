@@ -23,7 +23,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
             checked = "holds" if result.verify() else "DOES NOT HOLD"
             yield (
                 f"{pairs} pairs, {'linear' if is_linear else 'quadratic':<10} {result.status.name:<12} "
-                f"value {result.value:.6g}, gap {result.gap:.1e}, {result.nodes} nodes, {result.seconds:.3g} s; "
+                f"in {result.seconds:.3f} s and {result.nodes} nodes: value {result.value:.6g}, gap {result.gap:.1e}; "
                 f"its bound {checked}"
             )
 

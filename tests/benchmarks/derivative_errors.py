@@ -31,7 +31,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
         for tolerance in TOLERANCES:
             for way in WAYS:
                 error, seconds = _measured(way, scene.problem, exact, h, tolerance)
-                yield f"{text:<24} {way:<11} tolerance {tolerance:.0e}   error {error:.1e}   {seconds:.4f} s"
+                yield f"{text:<24} {way:<11} tolerance {tolerance:.0e}   {seconds:.4f} s   error {error:.1e}"
 
 
 def _measured(way: str, problem: LCP, exact: FloatVector, h: FloatVector, tolerance: float) -> tuple[float, float]:

@@ -19,7 +19,6 @@ from .section import Collected, Compute, Effort, Finding, Say, Section, figure, 
 # --- The stability atlas ---------------------------------------------------------------------------------------
 
 TOO_LONG_FOR_QUICK = ("sizes", RANGES, PROVED)
-MAPS_WIDTH = 9.0  # inches
 
 
 class Stability(Section):
@@ -56,7 +55,7 @@ class Stability(Section):
         for cell in atlas.cells:
             cells.setdefault(cell.algorithm, {family: [] for family in families})[cell.family].append(cell)
         maps = [
-            figure(atlas.plot(family=family, width=MAPS_WIDTH), family.replace(" ", "-"), f"Stability: {family}")
+            figure(atlas.plot(family=family), family.replace(" ", "-"), f"Stability: {family}")
             for family in (RANGES, PROVED) if family in families
         ]
         return {

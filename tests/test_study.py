@@ -105,6 +105,14 @@ def test_sizes_go_to_families_and_to_scenes_by_their_own_name() -> None:
     ]
 
 
+def test_problems_of_one_name_are_told_apart() -> None:
+    """Two scenes of one kind, two functions without a name: none takes the other's place."""
+    scenes = [gallery.build("half_active", n=n) for n in (4, 9)]
+    assert [row.n for row in study(scenes, ["psor"], repeats=1).rows] == [4, 9]
+    families = [lambda n: chain(n), lambda n: chain(n + 1)]
+    assert [row.n for row in study(families, ["psor"], [4], repeats=1).rows] == [4, 5]
+
+
 @pytest.mark.parametrize("asked", [False, True])
 def test_a_bound_is_measured_where_it_is_asked_for(asked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without error_bound nobody computes one; with it the error of an unknown answer is a proved bound."""
@@ -362,7 +370,7 @@ def test_a_map_tells_wrong_from_hidden_from_honest() -> None:
     assert cell("SOLVED", 0.1, 10.0).outcome == WRONG
     assert cell("SOLVED", 0.1, 1e9, family="proved ranges").outcome == WRONG
     assert cell("SOLVED", 0.0, 10.0, told=False).outcome == WRONG
-    assert cell("ERROR", 0.0, 10.0, told=False).outcome == WRONG
+    assert cell("ERROR", 0.0, 10.0, told=False).outcome == "raised an error"
     assert cell("STALLED", 0.5, 10.0).outcome == "says that it failed"
     assert cell("REFUSED", 0.0, 10.0).outcome == "refused"
 
@@ -381,6 +389,16 @@ def test_nothing_is_wrong_but_solved_and_a_proved_error_hides_nothing(tmp_path: 
         figure = atlas.plot(tmp_path / "map.png", family=family)
         assert [axes.get_title("left") for axes in figure.axes] == ["auto", "npsor", "psor", "newton"]
         assert len(figure.legends[0].get_texts()) == len(OUTCOMES)
+
+
+def test_a_method_of_one_s_own_has_its_map() -> None:
+    """The atlas takes objects beside names, and tells from each other one that raises and one that gives up."""
+    atlas = stability_atlas([Damped(), Damped(fails=True), "psor"], ["far starts"], quick=True)
+    found = {name: {cell.outcome for cell in atlas.cells if cell.algorithm == name}
+             for name in ("damped", "damped fails=True", "psor")}
+    assert found == {
+        "damped": {"right", "says that it failed"}, "damped fails=True": {"raised an error"}, "psor": {"right"}
+    }
 
 
 def test_an_atlas_without_ranges_has_no_map() -> None:

@@ -31,18 +31,19 @@ Progress = Callable[[int, int, str], object]
 
 @dataclass(frozen=True)
 class Part:
-    """One piece of work: its kind, its name within the kind, how it is computed, and a hash of its own data."""
+    """One piece of work: its kind, its name within the kind, how it is computed, and what stands for its own data."""
 
     kind: str
     name: str
     compute: Compute
     effort: Any = None  # a dataclass of numbers
-    data: str = ""
+    data: str | Callable[[], str] = ""
 
     def key(self, program: str) -> str:
         """Return a hash of everything that the content depends on."""
         effort = None if self.effort is None else asdict(self.effort)
-        settings = json.dumps([self.kind, self.name, effort, self.data])
+        data = self.data if isinstance(self.data, str) else self.data()
+        settings = json.dumps([self.kind, self.name, effort, data])
         return hashlib.sha256(f"{settings}{program}".encode()).hexdigest()[:16]
 
 

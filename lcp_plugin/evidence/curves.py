@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InvalidOption
 from ..problem.files import checked_path
 from .drawing import save
-from .exporting import AnyPath, Exported, finite_content, number
+from .exporting import AnyPath, Exported, number
 from .figures import Line, Panel, draw_panels
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
@@ -166,12 +166,6 @@ class Report(Exported):
     def curve(self, label: str) -> Curve | None:
         """Return the curve of that label, or None."""
         return next((curve for curve in self.curves if curve.label == label), None)
-
-    def to_content(self) -> dict[str, Any]:
-        """Return everything as dictionaries and lists that JSON can hold; numbers that are not finite become None."""
-        curves = [asdict(curve) | {"points": [list(point) for point in curve.points]} for curve in self.curves]
-        content: dict[str, Any] = finite_content(asdict(self) | {"curves": curves})
-        return content
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> Report:

@@ -96,25 +96,14 @@ def error_against_time(
     say("what the error is")
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
     bench = Bench(as_scene(target), max_work=max_work, bounds=True, **limits)
-    scene, left_out = bench.scene, [*bench.yardstick.left_out, *_march(bench.scene)]
-    runs: list[tuple[Contestant, list[Recorder]]] = []
-    for one in contestants(algorithms):
-        say(f"{one.label}, warm-up")
-        reason = bench.refusal(one)
-        if reason:
-            left_out.append((one.label, reason))
-        else:
-            runs.append((one, []))
-    for turn in range(repeats):
-        for one, kept in runs:
-            say(f"{one.label}, run {turn + 1} of {repeats}")
-            kept.append(bench.run(one, is_first=turn == 0))
+    scene, curves = bench.scene, bench.curves(contestants(algorithms), repeats, say)
     points, more = _references(scene, references, max_seconds, bench.yardstick, say)
-    answers = [kept[0].certificate for _, kept in runs]
+    refused = [(curve.label, curve.note) for curve in curves if not curve.points]
     return Report(
-        title=_title(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
-        error_kind=bench.yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(answers),
-        curves=tuple(curve_of(*run) for run in runs), references=points, left_out=(*left_out, *more),
+        title=title_of(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
+        error_kind=bench.yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(bench.best),
+        curves=tuple(curve for curve in curves if curve.points), references=points,
+        left_out=(*bench.yardstick.left_out, *_march(scene), *refused, *more),
     )
 
 
@@ -159,7 +148,8 @@ def _checked_references(references: Any) -> list[str]:
     return names
 
 
-def _title(scene: Scene) -> str:
+def title_of(scene: Scene) -> str:
+    """Return a scene as it is written on a command line."""
     values = ",".join(f"{name}={value}" for name, value in scene.parameters.items())
     return f"{scene.name}:{values}" if values else scene.name
 
@@ -296,6 +286,7 @@ class Bench:
         self.scene, self.max_work = scene, max_work
         self.limits = {"tolerance": tolerance, "max_seconds": max_seconds}
         self.yardstick = Yardstick.of(scene, max_seconds, bounds=bounds)
+        self.best: Certificate | None = None  # of all answers
 
     def refusal(self, one: Contestant) -> str:
         """Return why the algorithm does not take this problem; empty where it does. Also its warm-up."""
@@ -312,18 +303,31 @@ class Bench:
         recorder.end(
             measured_run(fresh(self.scene.problem), one.algorithm, recorder, z0=self.scene.start, **self.limits)
         )
+        found = recorder.certificate
+        if self.best is None or found.relative_residual < self.best.relative_residual:
+            self.best = found
         return recorder
 
-    def curve(self, one: Contestant, repeats: int) -> Curve:
-        """Return the curve of so many runs; without points, and REFUSED, where the algorithm takes no such problem."""
-        if reason := self.refusal(one):
-            return Curve(one.label, one.family, "REFUSED", (), reason)
-        return curve_of(one, [self.run(one, is_first=k == 0) for k in range(repeats)])
+    def curves(self, entrants: Sequence[Contestant], repeats: int, say: Progress) -> list[Curve]:
+        """Return a curve each, of so many runs, in which they take turns; REFUSED where one takes no such problem."""
+        reasons = {}
+        for one in entrants:
+            say(f"{one.label}, warm-up")
+            reasons[one.label] = self.refusal(one)
+        runs: dict[str, list[Recorder]] = {label: [] for label, reason in reasons.items() if not reason}
+        for turn in range(repeats):
+            for one in entrants:
+                if one.label in runs:
+                    say(f"{one.label}, run {turn + 1} of {repeats}")
+                    runs[one.label].append(self.run(one, is_first=turn == 0))
+        return [
+            curve_of(one, runs[one.label]) if one.label in runs
+            else Curve(one.label, one.family, "REFUSED", (), reasons[one.label]) for one in entrants
+        ]
 
 
-def _active_share(answers: list[Certificate]) -> float:
+def _active_share(best: Certificate | None) -> float:
     """Return the share of components at a bound of the most accurate answer."""
-    best = min(answers, key=lambda one: one.relative_residual, default=None)
     if best is None or best.problem.n == 0:
         return math.nan
     return float(np.mean(is_at_bound(best.problem, best.z)))

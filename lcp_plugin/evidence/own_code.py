@@ -56,7 +56,7 @@ def as_scene_of(given: Any, name: str, size: int | None) -> Scene:
     InvalidOption
         Where it is nothing of that, or a size is given to what has one.
     """
-    if isinstance(given, LCP | Scene) and size is not None:
+    if isinstance(given, LCP | Scene | tuple) and size is not None:
         raise InvalidOption(f"{name} is one problem and has its size; leave sizes out, or give a function of the size")
     if callable(given) and not isinstance(given, type):
         arguments = () if size is None else (size,)

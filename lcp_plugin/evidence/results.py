@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import InvalidOption, UnreadableFile, did_you_mean
 from ..problem.files import checked_path
-from .collecting import fingerprint
+from .collecting import Part, fingerprint
 from .curves import RESIDUAL, Curve, Point, Report
 from .drawing import FORMATS, save
 from .exporting import AnyPath, Table, csv_text, number, save_tables, write_text
@@ -262,6 +262,11 @@ def _check_view(view: Any) -> None:
         raise InvalidOption(f"unknown view {view!r}{did_you_mean(view, VIEWS)}")
 
 
+def name_of(size: Any, method: str) -> str:
+    """Return what a row is called among those of its problem."""
+    return method if size in ("", None) else f"size {size}, {method}"
+
+
 class ResultsFile:
     """The file of raw results: one line a row, rewritten whole whenever there is another; without a path, memory.
 
@@ -273,7 +278,7 @@ class ResultsFile:
 
     def __init__(self, path: Path | None, *, with_points: bool) -> None:
         self.path, self.with_points, self.program = path, with_points, ""
-        self.rows: dict[tuple[str, str, str], dict[str, Any]] = {}
+        self.rows: dict[tuple[str, str], dict[str, Any]] = {}
         if path is not None:
             self.program = fingerprint()
             if path.exists():
@@ -289,19 +294,19 @@ class ResultsFile:
                 raise ValueError
         except (OSError, ValueError, csv.Error):
             raise UnreadableFile(f"{path} holds no results of a study; choose another name") from None
-        self.rows = {(row["problem"], row["size"], row["method"]): row for row in lines}
+        self.rows = {(row["problem"], name_of(row["size"], row["method"])): row for row in lines}
 
-    def read(self, part: Any) -> dict[str, Any] | None:
+    def read(self, part: Part) -> dict[str, Any] | None:
         """Return the row of a part, None where there is none, where it raised, or where something has changed."""
-        row = self.rows.get(part.place)
+        row = self.rows.get((part.kind, part.name))
         if row is None or row["status"] == "ERROR" or (self.with_points and row["iterations"] and not row["points"]):
             return None
         return row if row["key"] == part.key(self.program) else None
 
-    def write(self, part: Any, content: dict[str, Any]) -> None:
+    def write(self, part: Part, content: dict[str, Any]) -> None:
         """Keep the row of a part."""
         if self.path is None:
             return
         content["key"] = part.key(self.program)
-        self.rows[part.place] = content
+        self.rows[part.kind, part.name] = content
         write_text(self.path, csv_text(COLUMNS, ([row[name] for name in COLUMNS] for row in self.rows.values())))

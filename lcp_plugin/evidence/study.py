@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -18,14 +17,14 @@ from ..problem.lcp import LCP
 from .collecting import Part, Progress, collect, data_of, machine
 from .contestants import Contestant, contestants
 from .curves import Curve
-from .error_against_time import Bench, checked_numbers
+from .error_against_time import Bench, checked_numbers, title_of
 from .exporting import AnyPath, finite_content
 from .gallery import names as scene_names
 from .gallery import parse
 from .gallery.parameters import parameters_of
 from .gallery.scene import Scene, builder_of
 from .own_code import as_scene_of, own_source, told
-from .results import COLUMNS, ResultsFile, Row, Study
+from .results import COLUMNS, ResultsFile, Row, Study, name_of
 
 
 def study(
@@ -102,13 +101,12 @@ def _problems(given: Any) -> dict[str, Any]:
         listed = []
     if not listed:
         raise InvalidOption(f'problems must be a list of problems, functions or names, got {given!r}')
-    return {_label(one, k): _named(one) for k, one in enumerate(listed)}
-
-
-def _label(one: Any, k: int) -> str:
-    if isinstance(one, str):
-        return one
-    return getattr(one, "name", "") or getattr(one, "__name__", "") or f"problem {k + 1}"
+    found: dict[str, Any] = {}
+    for k, one in enumerate(listed, start=1):
+        name = str(title_of(one) if isinstance(one, Scene) else getattr(one, "__name__", ""))
+        label = one if isinstance(one, str) else name or f"problem {k}"
+        found[label if label not in found else f"{label} {k}"] = _named(one)
+    return found
 
 
 def _named(one: Any) -> Any:
@@ -147,18 +145,6 @@ def _checked_sizes(sizes: Any) -> list[int | None]:
 # --- What is measured -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Cell(Part):
-    """A part of a study: one method on one problem of one size."""
-
-    place: tuple[str, str, str] = ("", "", "")
-    data_hash: Callable[[], str] = field(default=str)
-
-    def key(self, program: str) -> str:
-        """Return a hash of everything that the row depends on; it builds the problem."""
-        return Part(self.kind, self.name, self.compute, data=self.data + self.data_hash()).key(program)
-
-
 class _Plan:
     """Problems × sizes × methods, and how each is measured; one problem is held at a time."""
 
@@ -177,24 +163,21 @@ class _Plan:
         given = self.problems[label]
         return as_scene_of(given, label, None if isinstance(given, LCP | Scene) and self.sizes == [None] else size)
 
-    def parts(self) -> list[_Cell]:
+    def parts(self) -> list[Part]:
         """Return a part for each cell."""
         return [
-            _Cell(
-                label, f"{'' if size is None else f'size {size}, '}{one.label}",
-                partial(self.measured, label, size, one),
-                data=json.dumps([repr(one.algorithm), own_source(one.algorithm), self.repeats, str(self.limits)]),
-                place=(label, "" if size is None else str(size), one.label),
-                data_hash=partial(self._data, label, size),
-            )
+            Part(label, name_of(size, one.label), partial(self.measured, label, size, one),
+                 data=partial(self._data, label, size, one))
             for label in self.problems for size in self.sizes for one in self.methods
         ]
 
-    def _data(self, label: str, size: int | None) -> str:
+    def _data(self, label: str, size: int | None, one: Contestant) -> str:
+        """Return everything that a row depends on; it builds the problem."""
         try:
-            return data_of(self.scene(label, size).problem)
+            problem = data_of(self.scene(label, size).problem)
         except Exception as error:  # it is told where it is measured
-            return told(error)
+            problem = told(error)
+        return str((problem, one.algorithm, own_source(one.algorithm), self.repeats, self.limits))
 
     def measured(self, label: str, size: int | None, one: Contestant, say: Any) -> dict[str, Any]:
         """Return the row of a cell, whatever somebody's code does."""
@@ -205,7 +188,7 @@ class _Plan:
             n, nonzeros = scene.n, scene.problem.nonzeros
             bench = self.bench(label, size)
             kind = bench.yardstick.kind
-            curve = bench.curve(one, self.repeats)
+            (curve,) = bench.curves([one], self.repeats, say)
         except (LCPError, ValueError) as error:
             is_refusal = n == 0 or isinstance(error, UnsuitableMatrix | UnsuitableProblem)
             curve = Curve(one.label, one.family, "REFUSED" if is_refusal else "ERROR", (), told(error))

@@ -216,6 +216,8 @@ def test_a_size_or_a_matrix_that_is_refused_is_a_row_with_the_reason() -> None:
         ((chain, ["psor"], "4"), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),
         ((chain, ["psor"], [4]), {"repeats": 0}, InvalidOption, "repeats must be a whole number"),
         ((chain, ["psor"], [4]), {"max_work": 0}, InvalidOption, "max_work must be a number > 0"),
+        ((chain, ["psor"], [4]), {"tolerance": -1.0}, InvalidOption, "tolerance must be"),
+        ((chain, ["psor"], [4]), {"max_seconds": "1"}, InvalidOption, "max_seconds must be"),
         ((chain, ["psor"], [4]), {"progress": 5}, InvalidOption, "progress must be a callable"),
     ],
 )

@@ -99,6 +99,8 @@ def _imported(place: str) -> Any:
         raise InvalidOption(f"{place}: {told(error)}") from error
     finally:
         sys.path.remove(folder)
+        if folder not in sys.path:  # for what its functions import when they are called
+            sys.path.append(folder)
 
 
 def algorithm_of(text: str, options: Mapping[str, Any]) -> Algorithm:

@@ -14,6 +14,7 @@ from ..errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProble
 from ..kinds import kind_of, refusal
 from ..problem.files import checked_path
 from ..problem.lcp import LCP
+from ..settings import Settings
 from .collecting import Part, Progress, collect, data_of, machine
 from .contestants import Contestant, contestants
 from .curves import Curve
@@ -77,6 +78,7 @@ def study(
     ('method', 'n = 100', 'n = 400')
     """
     checked_numbers(repeats, max_work, progress)
+    Settings(tolerance=tolerance, max_seconds=max_seconds)  # refuses what no run can be asked for
     plan = _Plan(_problems(problems), contestants(methods), _checked_sizes(sizes), repeats, curves, {
         "tolerance": tolerance, "max_seconds": max_seconds, "max_work": max_work, "bounds": bool(error_bound),
     })

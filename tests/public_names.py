@@ -19,6 +19,8 @@ ELSEWHERE = {
     "evidence.curves": "Curve Point Report",
     "evidence.profiles": "Profile performance_profile",
     "evidence.pictures": "draw",
+    "evidence.exporting": "Table save_tables",
+    "evidence.results": "Row",
     "evidence.report.page": "collect write_report",
     "evidence.report.section": "Collected Section plan",
     "evidence.stability": "Atlas Cell",

@@ -103,6 +103,7 @@ def solve(
 ) -> bool:
     """Solve a problem of any kind, from a file or a scene; print status, residuals and counts, and x of a program."""
     from . import distributed, models, solving
+    from .target import own_algorithm
 
     kinds = {"serial": solving.OneProcess, "petsc": distributed.OnRanks}
     if backend not in kinds:
@@ -112,10 +113,11 @@ def solve(
         max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, refute=refute,
         threads=threads, **({} if tolerance is None else {"tolerance": tolerance}),
     )
-    options, shape = solving.options(relaxation, option or []), solving.checked_grid(grid, plot)
+    chosen, options = own_algorithm(algorithm, solving.options(relaxation, option or []))
+    shape = solving.checked_grid(grid, plot)
     if models.is_model(target):
-        return models.run(target, size, backend, algorithm, options, settings, plot, shape, out, as_json=json)
-    return solving.run(kinds[backend](), target, size, algorithm, options, settings, plot, shape, out, as_json=json)
+        return models.run(target, size, backend, chosen, options, settings, plot, shape, out, as_json=json)
+    return solving.run(kinds[backend](), target, size, chosen, options, settings, plot, shape, out, as_json=json)
 
 
 @command(

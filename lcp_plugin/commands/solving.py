@@ -16,7 +16,7 @@ from ..errors import InvalidOption, UnreadableFile
 from ..problem.lcp import LCP
 from ..settings import Settings
 from ..solving.result import Result
-from .target import own_algorithm, read_target
+from .target import read_target
 from .terminal import LINE, show_step
 
 OWN_FLAGS = ("tolerance", "absolute_tolerance", "measure", "max_iterations", "max_seconds", "threads", "algorithm")
@@ -73,7 +73,6 @@ def run(
 
     with here.ending_together():
         Settings(**settings)  # a wrong one is seen before anything is built
-        algorithm, options = own_algorithm(algorithm, options)
         chosen = policy_for(algorithm, options, on_ranks=not here.communicator.is_alone).chosen
         here.communicator.from_first(lambda: here.check_outputs(target, plot, out))
         problem, scene = here.read(target, size)

@@ -124,7 +124,19 @@ TABLES = {".tex": Table.to_latex, ".md": Table.to_markdown, ".csv": Table.to_csv
 
 
 def save_tables(tables: Iterable[Table], path: AnyPath) -> None:
-    """Write the tables, one below the other, as the ending of the path says: .tex, .md or .csv."""
+    """Write tables, one below the other.
+
+    Parameters
+    ----------
+    tables : iterable of Table
+    path : path
+        Its ending says how: .tex, .md or .csv.
+
+    Raises
+    ------
+    InvalidOption
+        Where it has another ending.
+    """
     place = checked_path(path)
     if place.suffix not in TABLES:
         raise InvalidOption(f"a table must end in {', '.join(TABLES)}, got {place.name!r}")

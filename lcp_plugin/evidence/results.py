@@ -54,6 +54,10 @@ class Row:
         0 where there is no problem of that size.
     error_kind : str
         What `curve.last.error` is: a true error, a rigorous bound, or the relative residual.
+    tolerance : float
+        Relative residual that the runs were asked for.
+    repeats : int
+        Runs behind the median of the seconds.
     curve : Curve
         Label of the method, status, note, and what was measured.
     machine : str

@@ -45,7 +45,8 @@ def collected() -> Collected:
     parts += [next(part for part in whole if part.kind == kind) for kind in kinds]
     for part in parts:
         found.contents[part.kind, part.name] = json.loads(json.dumps(part.compute(lambda text: None)))
-    found.contents["atlas", "far starts"] = stability_atlas(["psor", "npsor"], ["far starts"], quick=True).to_content()
+    atlas = stability_atlas(["psor", "npsor"], ["far starts", "ranges"], quick=True)
+    found.contents["atlas", "far starts"] = atlas.to_content()
     return found
 
 
@@ -66,7 +67,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
     page = (folder / "index.html").read_text(encoding="utf-8")
     fetched = re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page)
     assert fetched == []
-    assert page.count("<svg") == 3 * len(TINY) + 2
+    assert page.count("<svg") == 3 * len(TINY) + 3
     ids = re.findall(r'\bid="([^"]*)"', page)
     assert len(ids) == len(set(ids))
     references = set(re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', page))
@@ -191,7 +192,7 @@ def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> Non
         assert found[width]["cut"] == [], "\n".join(found[width]["cut"])
         assert found[width]["fetched"] == []
         assert found[width]["width"] <= int(width)
-        assert found[width]["figures"] == 3 * len(TINY) + 2
+        assert found[width]["figures"] == 3 * len(TINY) + 3
         assert found[width]["empty"] == 0
 
 

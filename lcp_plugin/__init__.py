@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     from .evidence.cross_check import CrossCheck as CrossCheck
     from .evidence.cross_check import cross_validate as cross_validate
     from .evidence.error_against_time import error_against_time as error_against_time
+    from .evidence.results import Study as Study
     from .evidence.stability import stability_atlas as stability_atlas
+    from .evidence.study import study as study
     from .matrix import MatrixReport as MatrixReport
     from .matrix import analyze as analyze
     from .modeling.constraint import box as box
@@ -136,6 +138,8 @@ _HOME = {
     "lemke": "doors.quantecon",
     "error_against_time": "evidence.error_against_time",
     "stability_atlas": "evidence.stability",
+    "study": "evidence.study",
+    "Study": "evidence.results",
     "gallery": "evidence.gallery",
     "all_solutions": "algorithms.search",
     "strategies": "strategies",

@@ -19,11 +19,11 @@ from .registry import ask, at, offered
 FUNCTIONS = (
     "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "derivative", "certify", "Certificate.of",
     "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate", "error_against_time",
-    "presolve",
+    "study", "presolve",
 )
 STORES = ("save", "pickle")
 LANGUAGES = ("cvxpy", "Pyomo", "AMPL", "qpsolvers")
-COMMANDS = tuple(f"lcp-plugin {name}" for name in ("solve", "check", "certify", "analyze", "report"))
+COMMANDS = tuple(f"lcp-plugin {name}" for name in ("solve", "check", "certify", "analyze", "study", "report"))
 WAYS = (*FUNCTIONS, *STORES, *LANGUAGES, *COMMANDS)
 
 

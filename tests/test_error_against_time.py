@@ -26,10 +26,11 @@ from lcp_plugin.certificates.error_bounds import error_bound
 from lcp_plugin.evidence import error_against_time as module
 from lcp_plugin.evidence import gallery
 from lcp_plugin.evidence.contestants import TUNING, comparison, contestants, tuned
-from lcp_plugin.evidence.curves import Curve, Point, Report, performance_profile
-from lcp_plugin.evidence.drawing import spread, styles
+from lcp_plugin.evidence.curves import Curve, Point, Report
 from lcp_plugin.evidence.error_against_time import error_against_time
+from lcp_plugin.evidence.figures import spread, styles
 from lcp_plugin.evidence.pictures import draw
+from lcp_plugin.evidence.profiles import performance_profile
 from lcp_plugin.matrix.matrix import Matrix, fact
 
 NAP = 0.06
@@ -339,15 +340,32 @@ def test_plot_names_every_curve_and_its_axis(against: str, tmp_path: Path) -> No
     axes = figure.axes[0]
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert "true error" in axes.get_ylabel()
-    assert {text.get_text() for text in axes.texts} == {curve.label for curve in report.curves}
+    assert names_in(figure) == {curve.label for curve in report.curves}
+    assert axes.get_title("left")
     assert (tmp_path / "curves.svg").stat().st_size > 1000
 
 
-def test_no_two_members_of_a_family_look_alike() -> None:
-    """In the report's comparison colour and dashes together belong to one curve."""
+def names_in(figure: Any) -> set[str]:
+    """The names beside the lines, and those of every legend."""
+    legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
+    beside = [text.get_text() for axes in figure.axes for text in axes.texts]
+    return {*beside, *(text.get_text() for legend in legends for text in legend.get_texts())}
+
+
+def test_few_names_stand_at_their_lines_and_many_in_a_legend() -> None:
+    """Three curves that end apart carry their names and need no legend; twelve have one, below the axes."""
+    few = error_against_time(gallery.build("obstacle_2d", size=12), ["npgs", "psor"], repeats=1).plot()
+    assert ([text.get_text() for text in few.axes[0].texts], few.legends) == (["npgs", "psor"], [])
+    many = error_against_time(scene(), repeats=1).plot()
+    assert not many.axes[0].texts
+    assert len(many.legends[0].get_texts()) == 12
+
+
+def test_no_two_curves_look_alike_in_grey() -> None:
+    """In the report's comparison dashes and marker together belong to one curve: it can be read in grey."""
     problem = scene().problem
     entrants = comparison(problem, start=None, tolerance=1e-8, max_work=1e4)
-    looks = [(look["color"], str(look["linestyle"])) for look in styles([one.family for one in entrants])]
+    looks = [(look["marker"], str(look["linestyle"])) for look in styles([one.family for one in entrants])]
     assert len(set(looks)) == len(entrants)
 
 
@@ -372,8 +390,11 @@ def test_axis_of_a_plot_can_be_read(spread_of_seconds: float) -> None:
         if low <= tick.get_loc() <= high and tick.label1.get_text()
     ]
     assert 2 <= len(numbers) <= 9
-    frame = axes.get_window_extent()
-    assert all(text.get_window_extent().y0 >= frame.y0 - 1 for text in axes.texts)
+    frame = figure.bbox
+    assert all(
+        frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1
+        for box in (text.get_window_extent() for text in axes.texts if text.get_text() != "tolerance")
+    )
 
 
 @pytest.mark.parametrize(
@@ -465,7 +486,7 @@ def test_profile_of_a_worked_example() -> None:
     assert profile.share("b", math.inf) == pytest.approx(2 / 3)
     assert len(profile.to_csv().splitlines()) == 7
     assert json.loads(profile.to_json())["ratios"][0][2] is None
-    assert {text.get_text() for text in profile.plot().axes[0].texts} == {"a", "b"}
+    assert names_in(profile.plot()) == {"a ✕", "b ✕"}
 
 
 def test_profile_refuses_what_it_cannot_use() -> None:

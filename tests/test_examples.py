@@ -28,6 +28,7 @@ CHECKS = [
     ("nnls_svm_portfolio", f"the portfolios differ from those of a conic solver by {NUMBER}", 1e-4),
     ("denoise_picture", rf"the energy [\d.]+ is at most {NUMBER} above the least, relatively", 1e-5),
     ("error_against_time", rf"with the same [1-9]\d* hottest points a linear solve differs by {NUMBER}", 1e-8),
+    ("paper_study", f"a loop in NumPy takes as many sweeps up to {NUMBER}", 1.0),
     ("add_an_algorithm", f"the largest error on random problems with exact answers is {NUMBER}", 1e-6),
     ("parameter_study", f"the first torque differs from the elastic one by {NUMBER}, ", 0.005),
     ("parameter_study", f"the last from the fully plastic one by {NUMBER}", 0.01),

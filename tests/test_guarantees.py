@@ -26,7 +26,7 @@ from lcp_plugin.algorithms.splittings.np_splitting import NPSplitting
 from lcp_plugin.certificates.theorems import theorem_4_1
 from lcp_plugin.commands.cli import app
 from lcp_plugin.errors import InvalidOption, UnknownAlgorithm
-from lcp_plugin.evidence import gallery, paper_tables
+from lcp_plugin.evidence import contestants, gallery
 from lcp_plugin.matrix import analyze
 from lcp_plugin.matrix.comparison import nonnegative_radius
 from lcp_plugin.matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
@@ -522,7 +522,7 @@ def test_automatic_scaling_pays() -> None:
 
 def test_the_paper_s_tables_run_unscaled() -> None:
     """The tables set scaling=None for every projected-type method."""
-    assert all(paper_tables.paper_options(name, 1.7)["scaling"] is None for name in ("npgs", "npsor"))
+    assert all(contestants.paper_options(name, 1.7)["scaling"] is None for name in ("npgs", "npsor"))
 
 
 # --- The numbers behind it -----------------------------------------------------------------------------------

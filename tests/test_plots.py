@@ -125,7 +125,7 @@ def test_long_vectors_are_no_solid_block() -> None:
 
 def test_a_search_shows_its_bound() -> None:
     """Beside x the proved bound, which never falls and ends at that of the result."""
-    from lcp_plugin.evidence.report.equilibria import random_leader
+    from benchmarks.best_equilibria import random_leader
 
     result = solve(random_leader(10, True))
     beside = result.plot().figure.axes[1]

@@ -45,7 +45,8 @@ from lcp_plugin.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
-from lcp_plugin.evidence.curves import Report, performance_profile
+from lcp_plugin.evidence.curves import Report
+from lcp_plugin.evidence.profiles import performance_profile
 from lcp_plugin.evidence.stability import Atlas
 
 BUILTIN_BASE = {

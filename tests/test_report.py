@@ -33,7 +33,6 @@ from lcp_plugin.evidence.stability import stability_atlas
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 TINY = ["half_active:n=64", "paper_example_1:n=64", "obstacle_bumps:size=9", "market_equilibrium:goods=4,activities=4"]
-KNOWN = [TINY[0], TINY[1], TINY[3]]  # those that know their answer
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +41,12 @@ def collected() -> Collected:
     found = Collected()
     parts = plan(TINY, quick=True)
     whole = plan(quick=True)
-    kinds = ("tables", "check", "certified", "equilibria")
+    kinds = ("tables", "check")
     parts += [next(part for part in whole if part.kind == kind) for kind in kinds]
     for part in parts:
         found.contents[part.kind, part.name] = json.loads(json.dumps(part.compute(lambda text: None)))
-    found.contents["atlas", "far starts"] = stability_atlas(["psor", "npsor"], ["far starts"], quick=True).to_content()
+    atlas = stability_atlas(["psor", "npsor"], ["far starts", "ranges"], quick=True)
+    found.contents["atlas", "far starts"] = atlas.to_content()
     return found
 
 
@@ -67,7 +67,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
     page = (folder / "index.html").read_text(encoding="utf-8")
     fetched = re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page)
     assert fetched == []
-    assert page.count("<svg") == 3 * len(TINY) + 3 + len(KNOWN)
+    assert page.count("<svg") == 3 * len(TINY) + 3
     ids = re.findall(r'\bid="([^"]*)"', page)
     assert len(ids) == len(set(ids))
     references = set(re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', page))
@@ -80,7 +80,7 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
     parts = [section.anchor for section in sections()]
     assert parts == [
-        "comparison", "scenes", "profile", "stability", "tables", "checks", "derivatives", "certified", "equilibria"
+        "comparison", "scenes", "profile", "stability", "tables", "checks",
     ]
     for anchor in ("summary", *parts, "reading", "machine"):
         assert f'id="{anchor}"' in page
@@ -98,11 +98,10 @@ def test_tables_lie_beside_the_page(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names >= {
         "index.html", "report.json", "curves.csv", "left_out.csv", "profile_work.csv", "profile_seconds.csv",
-        "cross_validation.csv", "paper_tables.csv", "stability.csv", "derivatives.csv",
-        "best_equilibria.csv",
+        "cross_validation.csv", "paper_tables.csv", "stability.csv",
     }
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    kinds = {"scene", "tables", "check", "atlas", "derivative", "certified", "equilibria"}
+    kinds = {"scene", "tables", "check", "atlas"}
     assert {part["kind"] for part in content["parts"]} == kinds
 
 
@@ -193,7 +192,7 @@ def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> Non
         assert found[width]["cut"] == [], "\n".join(found[width]["cut"])
         assert found[width]["fetched"] == []
         assert found[width]["width"] <= int(width)
-        assert found[width]["figures"] == 3 * len(TINY) + 2 + len(KNOWN)
+        assert found[width]["figures"] == 3 * len(TINY) + 3
         assert found[width]["empty"] == 0
 
 
@@ -306,17 +305,6 @@ def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
     assert "hide an error" not in " ".join(one.text for one in claims(spotless))
 
 
-@pytest.mark.full
-def test_derivatives_are_beside_the_exact_ones(collected: Collected) -> None:
-    """Scenes that know their answer show derivatives; without degenerate rows those are exact from 1e-6 on."""
-    found = {content["scene"]: content["points"] for content in collected.of("derivative")}
-    assert list(found) == KNOWN
-    for scene in KNOWN:
-        errors = [one["error"] for one in found[scene] if one["way"] == "derivative" and one["tolerance"] <= 1e-6]
-        assert len(errors) == 3
-        assert max(errors) <= 1e-12
-
-
 def test_rows_that_lack_a_field_keep_their_columns() -> None:
     """A solver without an answer has fewer figures in the CSV, and none of them under another's heading."""
     every = [{"solver": "a", "status": "error"}, {"solver": "b", "gap": 0.5, "status": "optimal"}]
@@ -367,14 +355,14 @@ def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
             return {"sizes.csv": "n\n7\n"}
 
     found = Collected({("size", "a"): {"n": 7}})
-    assert [part.kind for part in plan(["murty:n=7"], quick=True)] == ["scene", "derivative", "size"]
+    assert [part.kind for part in plan(["murty:n=7"], quick=True)] == ["scene", "size"]
     page = write_report(found, tmp_path, is_quick=True).read_text(encoding="utf-8")
     del Sizes
     gc.collect()
     for words in ("The largest has 7 unknowns.", "<p>7 unknowns</p>", '<a href="#test_report">Sizes</a>'):
         assert words in page
     assert (tmp_path / "sizes.csv").exists()
-    assert len(sections()) == 9
+    assert len(sections()) == 6
 
 
 def test_unknown_scene_is_refused_before_anything_runs() -> None:
@@ -436,7 +424,7 @@ def test_command_from_start_to_end(tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert (tmp_path / "new" / "r" / "index.html").exists()
     again = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"])
-    assert "2 of 2 parts found from a former run" in again.output
+    assert "1 of 1 parts found from a former run" in again.output
     (tmp_path / "file").write_text("", encoding="utf-8")
     for arguments, words in (
         (["half_activ"], "did you mean 'half_active'"),
@@ -472,7 +460,7 @@ def test_interruption_between_two_parts_is_remembered(
     when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C while nothing is computed, a second one too, waits until what is being written is written."""
-    from lcp_plugin.evidence.report import page as module
+    from lcp_plugin.evidence import collecting as module
 
     def stop() -> None:
         os.kill(os.getpid(), signal.SIGINT)
@@ -505,12 +493,12 @@ def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert run.exit_code == 1
     assert "goes on from here" in run.output
     again = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
-    assert "2 of 2 parts found from a former run" in again.output
+    assert "1 of 1 parts found from a former run" in again.output
 
 
 def test_parts_of_another_machine_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Seconds belong to a processor and its versions: elsewhere a part is not taken over, later on the same it is."""
-    from lcp_plugin.evidence.report import page as module
+    from lcp_plugin.evidence import collecting as module
 
     parts = [part("a", lambda say: {})]
     facts = {"processor": "one", "measured": "today"}
@@ -534,4 +522,4 @@ def test_interrupted_command_says_how_to_go_on(tmp_path: Path, monkeypatch: pyte
     assert run.exit_code == 1
     assert "goes on from here" in run.output
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
-    assert "2 parts are missing (scene half_active:n=16, derivative half_active:n=16)" in page
+    assert "1 part is missing (scene half_active:n=16)" in page

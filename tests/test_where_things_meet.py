@@ -42,6 +42,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
     solve_many,
+    study,
 )
 from lcp_plugin.commands import ampl
 from lcp_plugin.commands.cli import app
@@ -188,6 +189,10 @@ def by_cross_validation(sample: Sample, folder: Path) -> None:
 
 def by_curves(sample: Sample, folder: Path) -> None:
     assert error_against_time(sample.problem, ["lemke"], repeats=1).curves
+
+
+def by_study(sample: Sample, folder: Path) -> None:
+    assert [row.curve.label for row in study(sample.problem, ["lemke"], repeats=1).rows] == ["lemke"]
 
 
 def by_presolve(sample: Sample, folder: Path) -> None:
@@ -337,6 +342,13 @@ def by_command_analyze(sample: Sample, folder: Path) -> None:
     assert command("analyze", folder / "p.npz", "--json").exit_code == 0
 
 
+def by_command_study(sample: Sample, folder: Path) -> None:
+    sample.problem.save(folder / "p.npz")
+    done = command("study", folder / "p.npz", "-a", "lemke", "--out", folder / "s.csv")
+    assert done.exit_code == 0, done.output
+    assert "1 rows" in done.output
+
+
 def by_command_report(sample: Sample, folder: Path) -> None:
     """That the report takes files is tested with the report; here, that the name is known."""
     assert command("report", "--help").exit_code == 0
@@ -347,11 +359,12 @@ TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "march_many": by_marches, "derivative": by_derivative, "certify": by_certify, "Certificate.of": by_certificate,
     "error_bound": by_bound, "analyze": by_analyze, "all_solutions": by_all_solutions,
     "convergence_guarantee": by_guarantee,
-    "cross_validate": by_cross_validation, "error_against_time": by_curves, "presolve": by_presolve,
+    "cross_validate": by_cross_validation, "error_against_time": by_curves, "study": by_study,
+    "presolve": by_presolve,
     "save": by_files, "pickle": by_pickle, "cvxpy": by_cvxpy, "Pyomo": by_pyomo, "AMPL": by_ampl,
     "qpsolvers": by_qpsolvers, "lcp-plugin solve": by_command_solve, "lcp-plugin check": by_command_check,
     "lcp-plugin certify": by_command_certify, "lcp-plugin analyze": by_command_analyze,
-    "lcp-plugin report": by_command_report,
+    "lcp-plugin study": by_command_study, "lcp-plugin report": by_command_report,
 }
 REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "solve_batch": lambda p, _: solve_batch([p]), "solve_many": lambda p, _: solve_many(p, [[1.0, 1.0]]),
@@ -361,7 +374,8 @@ REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "error_bound": lambda p, _: error_bound(p, [1.0, 1.0]), "all_solutions": lambda p, _: all_solutions(p),
     "analyze": lambda p, _: analyze(p),
     "convergence_guarantee": lambda p, _: convergence_guarantee(p), "cross_validate": lambda p, _: cross_validate(p),
-    "error_against_time": lambda p, _: error_against_time(p), "presolve": lambda p, _: presolve(p),
+    "error_against_time": lambda p, _: error_against_time(p), "study": lambda p, _: study(p, ["lemke"]),
+    "presolve": lambda p, _: presolve(p),
 }
 CELLS = [pytest.param(sample, way, id=f"{sample} × {way}") for sample in SAMPLES for way in WAYS]
 

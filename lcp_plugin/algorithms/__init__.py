@@ -37,6 +37,7 @@ __all__ = [
     "algorithm_class",
     "create",
     "from_other_packages",
+    "made",
     "module_of",
 ]
 
@@ -190,7 +191,11 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
     UnknownAlgorithm, InvalidOption
         With the right names and a guess, or the names of options that have no default.
     """
-    kind = algorithm_class(name)
+    return made(algorithm_class(name), name, options)
+
+
+def made(kind: type[Algorithm], name: str, options: dict[str, Any]) -> Algorithm:
+    """Return an instance of the class with these options; raise InvalidOption as `create` does."""
     try:
         return kind(**options)
     except InvalidOption:

@@ -1,70 +1,20 @@
-"""lcp-plugin: solve a file or a scene, list what there is, compute the paper's tables, write the report."""
+"""lcp-plugin: solve, check or certify a problem, tell what its matrix is, list what there is."""
 
 from __future__ import annotations
 
-import functools
 import json as json_module
-import os
 import sys
-import time
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import typer
 
 from .. import __version__
-from ..errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
-from .target import algorithm_names, scene_names
-from .terminal import LINE
+from ..errors import InvalidOption, did_you_mean
+from . import measuring  # registers its commands
+from .app import EXIT_BAD_INPUT, AlgorithmName, AnyTarget, Target, app, command
 
-EXIT_UNSOLVED = 1
-EXIT_BAD_INPUT = 2
-
-
-def _ending(exit_codes: str, *examples: str) -> str:
-    """Return what stands below a help page."""
-    return "\n".join(["Examples:", *(f"  lcp-plugin {words}" for words in examples), "", f"Exit codes: {exit_codes}."])
-
-
-app = typer.Typer(
-    help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
-    epilog=_ending(
-        "0 done, 1 ran but not solved (or: answers differ or cannot be compared, a count differs, interrupted), "
-        "2 bad input (told on stderr). "
-        "Ctrl-C ends solve and report with what there is so far (1), the others as the shell expects (130)",
-        "solve obstacle_2d --plot obstacle.png", "solve --help", "list",
-    ),
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-Target = Annotated[
-    str,
-    typer.Argument(
-        help="A file (.npz or .mat with M and q, .nl), a folder with M.mtx and q.mtx, or a scene: name:key=value,…",
-        autocompletion=scene_names,
-    ),
-]
-AnyTarget = Annotated[
-    str,
-    typer.Argument(
-        help="A file, a folder with M.mtx and q.mtx, or a scene: name:key=value,… A file is an .npz or .mat with M, q "
-        "(an LCP), with P, q, A, l, u or the like (a program: `certify --help`), or with A, b (least squares), an "
-        ".nl, .qps or .mps.",
-        autocompletion=scene_names,
-    ),
-]
-AlgorithmName = Annotated[
-    str,
-    typer.Option(
-        "--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.", autocompletion=algorithm_names
-    ),
-]
+__all__ = ["app", "measuring", "run"]
 
 
 def run() -> None:
@@ -85,46 +35,8 @@ def run() -> None:
         app()
 
 
-def _command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
-    """Register a command: False means exit code 1, and every expected failure is one line on stderr and code 2."""
-
-    def registered(command: F) -> F:
-        @functools.wraps(command)
-        def wrapped(*args: Any, **kwargs: Any) -> None:
-            try:
-                with LINE:
-                    is_done = command(*args, **kwargs) is not False
-                sys.stdout.flush()  # here a reader that has gone, or a full disk, can still be told
-                if not is_done:
-                    raise typer.Exit(EXIT_UNSOLVED)
-                return
-            except LCPError as error:
-                message = str(error)
-            except MemoryError as error:
-                message = f"not enough memory ({error}); choose a smaller problem"
-            except BrokenPipeError:  # the reader has gone; nothing is left to tell
-                _drop_output()
-                raise typer.Exit(EXIT_UNSOLVED) from None
-            except OSError as error:
-                _drop_output()
-                message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
-            typer.echo(f"lcp-plugin: {message}", err=True)
-            raise typer.Exit(EXIT_BAD_INPUT)
-
-        app.command(name, epilog=_ending(exit_codes, *examples))(wrapped)
-        return command
-
-    return registered
-
-
 def _print_json(content: dict[str, Any]) -> None:
     typer.echo(json_module.dumps(content, indent=2))
-
-
-def _drop_output() -> None:
-    """Let go of what stdout could not write: Python would try once more at its end, and exit with 120."""
-    with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 @app.callback(invoke_without_command=True)
@@ -140,7 +52,7 @@ def main(
         raise typer.Exit(EXIT_BAD_INPUT)
 
 
-@_command(
+@command(
     "solve",
     "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
@@ -190,6 +102,7 @@ def solve(
 ) -> bool:
     """Solve a problem of any kind, from a file or a scene; print status, residuals and counts, and x of a program."""
     from . import distributed, models, solving
+    from .target import own_algorithm
 
     kinds = {"serial": solving.OneProcess, "petsc": distributed.OnRanks}
     if backend not in kinds:
@@ -199,13 +112,14 @@ def solve(
         max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, refute=refute,
         threads=threads, **({} if tolerance is None else {"tolerance": tolerance}),
     )
-    options, shape = solving.options(relaxation, option or []), solving.checked_grid(grid, plot)
+    chosen, options = own_algorithm(algorithm, solving.options(relaxation, option or []))
+    shape = solving.checked_grid(grid, plot)
     if models.is_model(target):
-        return models.run(target, size, backend, algorithm, options, settings, plot, shape, out, as_json=json)
-    return solving.run(kinds[backend](), target, size, algorithm, options, settings, plot, shape, out, as_json=json)
+        return models.run(target, size, backend, chosen, options, settings, plot, shape, out, as_json=json)
+    return solving.run(kinds[backend](), target, size, chosen, options, settings, plot, shape, out, as_json=json)
 
 
-@_command(
+@command(
     "check",
     "0 both agree, 1 they do not or nothing can be compared (the reason is printed), 2 bad input",
     "check obstacle_2d:size=30", "check problem.npz --reference clarabel",
@@ -218,15 +132,16 @@ def check(
 ) -> bool:
     """Compare our answer with that of a convex solver that shares no code with it."""
     from ..evidence.cross_check import cross_validate
-    from .target import read_target
+    from .target import own_algorithm, read_target
 
+    chosen, _ = own_algorithm(algorithm, {})
     problem, _ = read_target(target, "lcp-plugin check")
-    outcome = cross_validate(problem, reference=reference, algorithm=algorithm, max_seconds=max_seconds)
+    outcome = cross_validate(problem, reference=reference, algorithm=chosen, max_seconds=max_seconds)
     typer.echo(str(outcome))
     return outcome.agrees
 
 
-@_command(
+@command(
     "certify",
     "0 every answer is proved, 1 one is unproved, refuted or missing, 2 bad input",
     "certify problem.npz --solver CLARABEL,OSQP", "certify problem.qps --out x.npz",
@@ -277,7 +192,7 @@ def certify(
     return all(answer.certification is not None and answer.certification.verdict == "proved" for answer in answers)
 
 
-@_command("analyze", "0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json")
+@command("analyze", "0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json")
 def analyze(
     target: Target,
     json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
@@ -293,7 +208,7 @@ def analyze(
         typer.echo(analysis(problem))
 
 
-@_command("list", "0 done", "list")
+@command("list", "0 done", "list")
 def list_everything() -> None:
     """List the kinds of problems with the ways that take them, the algorithms with what they need, the scenes."""
     from .target import print_everything
@@ -301,67 +216,7 @@ def list_everything() -> None:
     print_everything()
 
 
-@_command("tables", "0 every iteration count is the paper's, 1 one differs", "tables")
-def tables() -> bool:
-    """Compute the paper's Tables 1 and 2 again, each figure beside the printed one."""
-    from .tables import print_paper_tables
-
-    return print_paper_tables()
-
-
-@_command(
-    "report",
-    "0 complete, 1 interrupted (the same command goes on), 2 bad input",
-    "report --out report --quick", "report half_active:n=2500 own.npz --out mine",
-)
-def report(
-    scenes: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Scenes, name:key=value,…, or files and folders of LCPs; by default the usual choice.",
-            autocompletion=scene_names,
-        ),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(help="Folder for index.html, CSV and JSON; made where it is missing.")
-    ] = Path("report"),
-    quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
-) -> bool:
-    """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
-    from ..evidence.drawing import require_matplotlib
-    from ..evidence.gallery import Scene
-    from ..evidence.report.page import collect, require_jinja, write_report
-    from ..evidence.report.section import plan
-    from .target import lcp_of_file, scene_text
-    from .terminal import PartsLine
-
-    def scene_of_file(path: str) -> Scene:
-        problem = lcp_of_file(path, "lcp-plugin report")
-        return Scene(problem=problem, name=path, description=f"your own problem, {problem}", is_declared=False)
-
-    require_matplotlib()
-    require_jinja()
-    if out.exists() and not out.is_dir():
-        raise UnreadableFile(f"cannot write {out}: it is a file; --out names a folder")
-    began = time.perf_counter()
-    parts = plan([scene_text(scene) or scene_of_file(scene) for scene in scenes or []], quick=quick)
-    collected = collect(parts, out / "parts", PartsLine())
-    kept = f"{len(parts) - len(collected.missing)} of {len(parts)} parts"
-    try:
-        page = write_report(collected, out, is_quick=quick)
-    except KeyboardInterrupt:
-        typer.echo(f"interrupted while the page was written: {kept} are kept; the same command goes on from here")
-        return False
-    took = f"{time.perf_counter() - began:.0f} s"
-    if collected.is_complete:
-        again = f", {collected.found} of {len(parts)} parts found from a former run" if collected.found else ""
-        typer.echo(f"{page}: {len(parts)} parts, {took}{again}")
-    else:
-        typer.echo(f"interrupted after {took}: {page} holds {kept}; the same command goes on from here")
-    return collected.is_complete
-
-
-@_command("warm-up", "0 done", "warm-up")
+@command("warm-up", "0 done", "warm-up")
 def warm_up() -> None:
     """Compile every kernel now, so that no later run has to; say where the compiled code lies."""
     from .compiling import compile_everything

@@ -59,7 +59,7 @@ def is_model(target: str) -> bool:
 
 
 def run(
-    target: str, size: int | None, backend: str, algorithm: str, options: dict[str, Any], settings: dict[str, Any],
+    target: str, size: int | None, backend: str, algorithm: Any, options: dict[str, Any], settings: dict[str, Any],
     plot: Path | None, grid: tuple[int, ...] | None, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved."""

@@ -65,7 +65,7 @@ class OneProcess:
 
 
 def run(
-    here: OneProcess, target: str, size: int | None, algorithm: str, options: dict[str, Any], settings: dict[str, Any],
+    here: OneProcess, target: str, size: int | None, algorithm: Any, options: dict[str, Any], settings: dict[str, Any],
     plot: Path | None, grid: tuple[int, ...] | None, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved, the same on every rank."""

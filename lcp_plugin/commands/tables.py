@@ -8,22 +8,20 @@ import sys
 import textwrap
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from ..algorithms import REGISTRY, create, from_other_packages
 from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE, Guarantee
 from ..errors import LCPError
-from ..evidence.contestants import PAPER_MSOR
-from ..evidence.exporting import finite_content
-from ..evidence.paper_tables import cells, paper_options
+from ..evidence.contestants import PAPER_MSOR, paper_options
+from ..evidence.exporting import finite_content, save_tables
+from ..evidence.paper_tables import cells, paper_table
 from ..matrix import analyze
 from ..problem.lcp import LCP
 from ..solving.guarantees import convergence_guarantee
 from .terminal import console, table
 
-PAPER_HEADINGS = (
-    "algorithm", "n", "paper\nIT", "\nIT", "paper\nRes", "\nRes", "paper\nCPU", "\nCPU", "same\nIT", "same\nRes",
-)
 SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))
 WIDEST = 100
 EVIDENCE = 41  # where the evidence begins in a line of the matrix report
@@ -33,25 +31,21 @@ PAPER_VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 
-def print_paper_tables() -> bool:
-    """Print both tables, computed; return whether every iteration count is the paper's."""
+def print_paper_tables(out: Path | None = None) -> bool:
+    """Print both tables, computed, and save them where asked; return whether every iteration count is the paper's."""
+    if out is not None:
+        save_tables([], out)  # a name that cannot be written is refused before anything is computed
     computed = list(cells())
-    terminal = console(120)
-    for example in (1, 2):
-        rows = [
-            (
-                f"{cell.algorithm} {cell.relaxation or ''}", str(cell.n), str(cell.paper_iterations),
-                str(cell.iterations), f"{cell.paper_residual:.1e}", f"{cell.residual:.2e}",
-                f"{cell.paper_seconds:.4f}", f"{cell.seconds:.4f}",
-                "yes" if cell.same_iterations else "NO", "yes" if cell.same_residual else "no",
-            )
-            for cell in computed if cell.example == example
-        ]
-        title = f"Table {example}: Example {example}, δ = 4"
-        terminal.print(table(title, PAPER_HEADINGS, rows, is_of_numbers=True, padding=(0, 1, 0, 0)))
-    equal = sum(cell.same_iterations for cell in computed)
-    equal_residual = sum(cell.same_residual for cell in computed)
+    tables, terminal = [paper_table(computed, example) for example in (1, 2)], console(120)
+    for one in tables:
+        headings = [*one.columns[:2], *("\n".join(head.rpartition(" ")[::2]) for head in one.columns[2:])]
+        terminal.print(table(one.title, headings, one.texts(), is_of_numbers=True, padding=(0, 1, 0, 0)))
+    equal = sum(one.same_iterations for one in computed)
+    equal_residual = sum(one.same_residual for one in computed)
     terminal.print(f"IT equal in {equal} of {len(computed)} cells, Res to the printed digits in {equal_residual}.")
+    if out is not None:
+        save_tables(tables, out)
+        terminal.print(f"saved {out}")
     return equal == len(computed)
 
 

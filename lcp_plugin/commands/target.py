@@ -14,10 +14,40 @@ def read_target(target: str, way: str, size: int | None = None) -> tuple[LCP, An
     """Return (problem, None) of a file or (problem, scene) of a scene's name; of another kind what to write instead."""
     from ..evidence import gallery
 
+    if (own := own_scene(target, size)) is not None:
+        return own.problem, own
     if (text := scene_text(target, size)) is None:
         return lcp_of_file(target, way), None
     scene = gallery.parse(text)
     return scene.problem, scene
+
+
+def own_scene(target: str, size: int | None = None) -> Any:
+    """Return what ``file.py:function`` or ``module:function`` builds, None where the target has another form.
+
+    Raises
+    ------
+    InvalidOption
+        Where there is no such function, or it has a mistake, with its line.
+    """
+    from .own_names import scene_of
+
+    return scene_of(target, size) if is_own_problem(target) else None
+
+
+def is_own_problem(target: str) -> bool:
+    """Return whether the target is written ``file.py:function`` or ``module:function``, and no scene."""
+    from ..evidence import gallery
+    from .own_names import is_own
+
+    return is_own(target) and target.partition(":")[0].strip().replace("-", "_") not in gallery.names()
+
+
+def own_algorithm(name: str, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Return the algorithm and its options as `solve` takes them, of ``file.py:Class`` an object that has them."""
+    from .own_names import algorithm_of, is_own
+
+    return (algorithm_of(name, options), {}) if is_own(name) else (name, options)
 
 
 def lcp_of_file(path: str, way: str) -> LCP:

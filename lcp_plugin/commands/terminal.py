@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 QUIET_SECONDS = 1.0
 REFRESH_SECONDS = 0.2
+BAR = 24  # characters
 
 
 class MovingLine:
@@ -107,15 +108,16 @@ def show_search(search: BranchAndBound) -> bool:
 
 
 class PartsLine:
-    """How many parts of a report are done, and what is under way: where there is no moving line, a line a part."""
+    """How many parts of a report or a study are done, and what is under way: without a moving line, a line a part."""
 
-    def __init__(self) -> None:
-        self._said = -1
+    def __init__(self, what: str = "report") -> None:
+        self._what, self._said = what, -1
 
     def __call__(self, done: int, total: int, label: str) -> None:
         """Show it; after the last part nothing."""
         if LINE.is_there:
-            LINE.say(f"report, {done} of {total} parts: {label}" if done < total else "")
+            bar = "█" * (BAR * done // total) + "░" * (BAR - BAR * done // total)
+            LINE.say(f"{self._what} {bar} {done} of {total}: {label}" if done < total else "")
         elif self._said < done < total:
             self._said = done
             sys.stderr.write(f"[{done + 1}/{total}] {label}\n")
@@ -138,7 +140,7 @@ def table(
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, **look)
     for heading in headings:
         keeps = is_of_numbers or heading in {"name", "source"}
-        right = is_of_numbers and heading != "algorithm"
+        right = is_of_numbers and heading not in ("algorithm", "method")
         table.add_column(heading, overflow="fold", no_wrap=keeps, justify="right" if right else "left")
     for row in rows:
         table.add_row(*row)

@@ -19,6 +19,7 @@ EQUILIBRIUM_PROGRAM = Kind(
         "error_bound": "solve(problem).gap is proved",
         "save": "state it in AMPL's .nl, which lcp-plugin solve reads",
         "qpsolvers": "its program has no place for pairs: write solve(problem)",
-        **{f"lcp-plugin {name}": "lcp-plugin solve proves its bound" for name in ("check", "certify", "analyze")},
+        **{f"lcp-plugin {name}": "lcp-plugin solve proves its bound"
+           for name in ("check", "certify", "analyze", "study")},
     },
 )

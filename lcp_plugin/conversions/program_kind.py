@@ -20,6 +20,7 @@ QUADRATIC_PROGRAM = Kind(
         "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and load_problem(path) reads them",
         "lcp-plugin check": "lcp-plugin certify compares solvers on a program",
         "lcp-plugin analyze": "lcp-plugin solve and certify take a program",
+        "lcp-plugin study": "lcp-plugin certify compares solvers on a program",
         "lcp-plugin report": "lcp-plugin solve and certify take a program",
     },
 )

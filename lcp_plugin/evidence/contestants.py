@@ -16,7 +16,6 @@ from ..problem.lcp import LCP
 from ..settings import Status
 from ..solving.driver import solve
 from ..solving.result import Result, Sample
-from .paper_tables import paper_options
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
@@ -130,6 +129,15 @@ def _label(algorithm: str | Algorithm) -> str:
         if repr(getattr(algorithm, field.name)) != repr(field.default)
     ]
     return " ".join([algorithm.name, *changed])
+
+
+def paper_options(name: str, relaxation: float | None) -> dict[str, Any]:
+    """Return the options that the paper's tables were computed with."""
+    if name.startswith("np"):
+        return {"scaling": None} | ({"relaxation": relaxation} if relaxation else {})
+    if name == "msor" and relaxation:
+        return {"relaxation": relaxation, "omega": 1.0 / (2.0 * relaxation**2)}
+    return {"omega": 0.5}
 
 
 def paper_settings() -> Iterable[Contestant]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ..errors import InvalidOption
 from ..problem.files import checked_path
-from .drawing import Line, draw_errors, draw_shares, save
-from .exporting import AnyPath, Exported, finite_content, number
+from .drawing import save
+from .exporting import AnyPath, Exported, number
+from .figures import Line, Panel, draw_panels
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {
@@ -20,7 +22,7 @@ AXIS_LABELS = {
     BOUND: "proved bound of the error ‖z − z*‖∞",
     RESIDUAL: "relative residual",
 }
-AXES = {"seconds": "seconds, set-up included", "work": "passes over M"}
+AXES = {"seconds": "time [s], set-up included", "work": "work [passes over M]"}
 
 
 class Point(NamedTuple):
@@ -60,7 +62,7 @@ class Curve:
     status : str
         Name of a :class:`lcp_plugin.Status`, or "MAX_WORK" where the limit of work ended the run.
     points : tuple of Point
-        The first is the set-up.
+        The first is the set-up; none where the algorithm was REFUSED, or ended in an ERROR.
     note : str
         How its options were chosen, or what else one ought to know.
     """
@@ -79,22 +81,27 @@ class Curve:
     @property
     def setup_seconds(self) -> float:
         """Seconds until the first iterate, median."""
-        return self.points[0].seconds
+        return self.points[0].seconds if self.points else math.nan
+
+    @property
+    def last(self) -> Point:
+        """The answer; NaN where there is none."""
+        return self.points[-1] if self.points else Point(0, math.nan, math.nan)
 
     @property
     def seconds(self) -> float:
         """Seconds until the answer, median."""
-        return self.points[-1].seconds
+        return self.last.seconds
 
     @property
     def work(self) -> float:
         """Passes over M until the answer."""
-        return self.points[-1].work
+        return self.last.work
 
     @property
     def iterations(self) -> int:
         """Iterations until the answer."""
-        return self.points[-1].iteration
+        return self.last.iteration
 
     def line(self, against: str) -> Line:
         """Return what a figure shows of it: errors against seconds with their spread, or against passes."""
@@ -160,12 +167,6 @@ class Report(Exported):
         """Return the curve of that label, or None."""
         return next((curve for curve in self.curves if curve.label == label), None)
 
-    def to_content(self) -> dict[str, Any]:
-        """Return everything as dictionaries and lists that JSON can hold; numbers that are not finite become None."""
-        curves = [asdict(curve) | {"points": [list(point) for point in curve.points]} for curve in self.curves]
-        content: dict[str, Any] = finite_content(asdict(self) | {"curves": curves})
-        return content
-
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> Report:
         """Return the report that :meth:`to_content` described."""
@@ -192,7 +193,7 @@ class Report(Exported):
                          reference.error, reference.residual))
         return rows
 
-    def plot(self, path: AnyPath | None = None, *, against: str = "seconds") -> Any:
+    def plot(self, path: AnyPath | None = None, *, against: str = "seconds", width: float | None = None) -> Any:
         """Return a matplotlib figure of the curves, and save it where `path` is given (.png, .pdf, .svg).
 
         Parameters
@@ -200,6 +201,8 @@ class Report(Exported):
         path : path, optional
         against : {"seconds", "work"}
             Seconds with their spread and the references, or passes over M, the same on every machine.
+        width : float, optional
+            Of the figure, inches; by default that of a journal's column.
 
         Raises
         ------
@@ -208,16 +211,21 @@ class Report(Exported):
         LCPError
             Where matplotlib is not installed.
         """
+        figure = draw_panels([self.panel(against)], width)
+        if path is not None:
+            save(figure, checked_path(path))
+        return figure
+
+    def panel(self, against: str = "seconds") -> Panel:
+        """Return what `plot` draws, as a part of a figure."""
         if not isinstance(against, str) or against not in AXES:
             raise InvalidOption(f"against must be 'seconds' or 'work', got {against!r}")
         timed = against == "seconds"
         marks = [(one.label, one.seconds, one.error) for one in self.references] if timed else []
         level = self.tolerance if self.error_kind == RESIDUAL else None
         lines = [curve.line(against) for curve in self.curves]
-        figure = draw_errors(lines, marks, (AXES[against], AXIS_LABELS[self.error_kind]), level)
-        if path is not None:
-            save(figure, checked_path(path))
-        return figure
+        title = re.sub(r"([:,])", r"\1 ", self.title)
+        return Panel(title, lines, AXES[against], AXIS_LABELS[self.error_kind], "errors", marks, level)
 
     def __str__(self) -> str:
         lines = [f"{self.title}: {self.error_kind} against time, {self.n} unknowns, {self.repeats} repeats"]
@@ -234,110 +242,3 @@ class Report(Exported):
 def _curve(content: Mapping[str, Any]) -> Curve:
     points = tuple(Point(int(entry[0]), *map(number, entry[1:])) for entry in content["points"])
     return Curve(content["label"], content["family"], content["status"], points, content["note"])
-
-
-LEAST = {"work": 1.0, "seconds": 1e-9}
-"""Less is not told apart: a run whose start is the answer counts one pass."""
-
-
-@dataclass(frozen=True)
-class Profile(Exported):
-    """Cost of every algorithm on every problem, divided by the least on that problem.
-
-    Attributes
-    ----------
-    by : {"work", "seconds"}
-        Passes over M, or median seconds, until the tolerance was reached.
-    labels, families : tuple of str
-        The algorithms.
-    problems : tuple of str
-        Those that at least one algorithm solved.
-    ratios : tuple of tuples
-        One row an algorithm, one entry a problem, ≥ 1; ∞ where it was not solved.
-    """
-
-    columns: ClassVar = ("algorithm", "family", "scene", "by", "ratio")
-
-    by: str
-    labels: tuple[str, ...]
-    families: tuple[str, ...]
-    problems: tuple[str, ...]
-    ratios: tuple[tuple[float, ...], ...]
-
-    def share(self, label: str, within: float = 1.0) -> float:
-        """Return the share of the problems that the algorithm solves within that multiple of the best."""
-        if label not in self.labels:
-            raise InvalidOption(f"no algorithm {label!r} in this profile; it has {', '.join(self.labels)}")
-        row = self.ratios[self.labels.index(label)]
-        return sum(ratio <= within and ratio < math.inf for ratio in row) / len(row) if row else math.nan
-
-    def rows(self) -> list[tuple[Any, ...]]:
-        """Return one row an algorithm and problem, in the columns of the CSV."""
-        return [
-            (label, family, problem, self.by, ratio)
-            for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
-            for problem, ratio in zip(self.problems, row, strict=True)
-        ]
-
-    def plot(self, path: AnyPath | None = None) -> Any:
-        """Return a matplotlib figure, and save it where `path` is given."""
-        lines = [
-            Line(label, family, finite, [(k + 1) / len(row) for k in range(len(finite))], len(finite) == len(row))
-            for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
-            for finite in [sorted(ratio for ratio in row if math.isfinite(ratio))]
-        ]
-        unit = {"work": "passes over M", "seconds": "seconds"}[self.by]
-        figure = draw_shares(lines, (f"{unit}, as a multiple of the best", "share of the problems solved"))
-        if path is not None:
-            save(figure, checked_path(path))
-        return figure
-
-
-def performance_profile(reports: Sequence[Report], by: str = "work") -> Profile:
-    """Return the performance profile; an algorithm that was left out of a problem counts as not solving it.
-
-    Parameters
-    ----------
-    reports : sequence of Report
-        One a problem, at least one.
-    by : {"work", "seconds"}
-        "work" gives the same profile on every machine.
-
-    Raises
-    ------
-    InvalidOption
-        Where `by` is something else, or there is no report.
-
-    References
-    ----------
-    Dolan, Moré, *Benchmarking optimization software with performance profiles*, Math. Program. 91, 2002,
-    doi:10.1007/s101070100263.
-
-    Examples
-    --------
-    >>> from lcp_plugin.evidence import gallery
-    >>> from lcp_plugin.evidence.error_against_time import error_against_time
-    >>> report = error_against_time(gallery.build("half_active", n=100), ["npgs", "pgs"], repeats=1)
-    >>> performance_profile([report]).share("pgs")
-    1.0
-    """
-    if by not in LEAST:
-        raise InvalidOption(f"by must be 'work' or 'seconds', got {by!r}")
-    if isinstance(reports, Report):
-        raise InvalidOption("a performance profile needs a list of reports, got one Report; write [report]")
-    if not reports:
-        raise InvalidOption("a performance profile needs at least one report, got none")
-    families = {curve.label: curve.family for report in reports for curve in report.curves}
-    solved = [report for report in reports if any(curve.is_solved for curve in report.curves)]
-    best = [min(_cost(curve, by) for curve in report.curves) for report in solved]
-    ratios = tuple(
-        tuple(_cost(report.curve(label), by) / least for report, least in zip(solved, best, strict=True))
-        for label in families
-    )
-    return Profile(by, tuple(families), tuple(families.values()), tuple(report.title for report in solved), ratios)
-
-
-def _cost(curve: Curve | None, by: str) -> float:
-    if curve is None or not curve.is_solved:
-        return math.inf
-    return max(float(getattr(curve, by)), LEAST[by])

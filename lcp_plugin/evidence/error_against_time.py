@@ -90,32 +90,20 @@ def error_against_time(
     >>> report.error_kind, [curve.status for curve in report.curves]
     ('true error', ['SOLVED', 'SOLVED'])
     """
-    scene = _as_scene(target)
-    references = _checked(repeats, references, max_work, progress)
+    checked_numbers(repeats, max_work, progress)
+    references = _checked_references(references)
     say = (lambda _: None) if progress is None else progress
     say("what the error is")
-    yardstick = Yardstick.of(scene, max_seconds)
-    left_out = [*yardstick.left_out, *_march(scene)]
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
-    runs: list[tuple[Contestant, list[_Recorder]]] = []
-    for one in contestants(algorithms):
-        say(f"{one.label}, warm-up")
-        reason = _refusal(scene, one)
-        if reason:
-            left_out.append((one.label, reason))
-        else:
-            runs.append((one, []))
-    for turn in range(repeats):
-        for one, kept in runs:
-            say(f"{one.label}, run {turn + 1} of {repeats}")
-            kept.append(_Recorder(_unmeasured if turn else yardstick.measure, max_work))
-            kept[-1].end(measured_run(fresh(scene.problem), one.algorithm, kept[-1], z0=scene.start, **limits))
-    points, more = _references(scene, references, max_seconds, yardstick, say)
-    answers = [kept[0].certificate for _, kept in runs]
+    bench = Bench(as_scene(target), max_work=max_work, bounds=True, **limits)
+    scene, curves = bench.scene, bench.curves(contestants(algorithms), repeats, say)
+    points, more = _references(scene, references, max_seconds, bench.yardstick, say)
+    refused = [(curve.label, curve.note) for curve in curves if not curve.points]
     return Report(
-        title=_title(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
-        error_kind=yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(answers),
-        curves=tuple(_curve(*run) for run in runs), references=points, left_out=(*left_out, *more),
+        title=title_of(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
+        error_kind=bench.yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(bench.best),
+        curves=tuple(curve for curve in curves if curve.points), references=points,
+        left_out=(*bench.yardstick.left_out, *_march(scene), *refused, *more),
     )
 
 
@@ -131,7 +119,8 @@ def best_answer(scene: Scene, algorithms: Sequence[str] = ("multigrid", "auto"))
     return min(found, key=lambda certificate: certificate.relative_residual, default=None)
 
 
-def _as_scene(target: Any) -> Scene:
+def as_scene(target: Any) -> Scene:
+    """Return the scene, or a problem as one of which nothing is declared; raise InvalidOption for anything else."""
     if isinstance(target, Scene):
         return target
     if isinstance(target, LCP):
@@ -139,14 +128,17 @@ def _as_scene(target: Any) -> Scene:
     raise InvalidOption(f'{refusal("error_against_time", target)}; or a scene, as gallery.build("half_active")')
 
 
-def _checked(repeats: Any, references: Any, max_work: Any, progress: Any) -> list[str]:
-    """Return the references, after a look at everything."""
+def checked_numbers(repeats: Any, max_work: Any, progress: Any) -> None:
+    """Raise InvalidOption where one of these cannot be used."""
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
         raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
     if isinstance(max_work, bool) or not isinstance(max_work, int | float | np.number) or not max_work > 0.0:
         raise InvalidOption(f"max_work must be a number > 0, got {max_work!r}")
     if progress is not None and not callable(progress):
-        raise InvalidOption(f"progress must be callable as progress(label), got {progress!r}")
+        raise InvalidOption(f"progress must be a callable that takes a label, got {progress!r}")
+
+
+def _checked_references(references: Any) -> list[str]:
     names = checked_names(references, "references")
     if names:
         from .qp_reference import check_reference
@@ -156,7 +148,8 @@ def _checked(repeats: Any, references: Any, max_work: Any, progress: Any) -> lis
     return names
 
 
-def _title(scene: Scene) -> str:
+def title_of(scene: Scene) -> str:
+    """Return a scene as it is written on a command line."""
     values = ",".join(f"{name}={value}" for name, value in scene.parameters.items())
     return f"{scene.name}:{values}" if values else scene.name
 
@@ -177,13 +170,15 @@ class Yardstick:
     left_out: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, scene: Scene, max_seconds: float) -> Yardstick:
-        """Return the best yardstick; it measures on a problem of its own and leaves the runs' problems alone."""
+    def of(cls, scene: Scene, max_seconds: float, *, bounds: bool) -> Yardstick:
+        """Return the best yardstick, an error bound only where `bounds`; it leaves the runs' problems alone."""
         problem = fresh(scene.problem)
         if scene.exact is not None:
             exact = scene.exact
             return cls(TRUE_ERROR, _with_residual(problem, lambda z: distance(z, exact)), ())
         unknown = (TRUE_ERROR, "the exact answer is not known")
+        if not bounds:
+            return cls(RESIDUAL, _with_residual(problem, None), (unknown,))
         if scene.is_declared and not scene.is_h_plus:
             reason = "M is not declared to be an H₊-matrix"
         else:
@@ -233,7 +228,7 @@ def _unmeasured(z: FloatVector) -> tuple[float, float]:
     return math.nan, math.nan
 
 
-class _Recorder(WorkLimit):
+class Recorder(WorkLimit):
     """Takes samples at geometric intervals while the driver's clock stands still, and ends a run of too much work."""
 
     def __init__(self, measure: Callable[[FloatVector], tuple[float, float]], max_work: float) -> None:
@@ -243,6 +238,7 @@ class _Recorder(WorkLimit):
         self._next = 0
 
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
+        """Take in a sample where one is due; return whether the limit of work is reached."""
         if sample.iteration >= self._next:
             self._next = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLE_GROWTH))
             error, residual = self.measure(z)
@@ -259,7 +255,7 @@ class _Recorder(WorkLimit):
         self.points.append(Point(result.iterations, result.work, result.seconds, error=error, residual=residual))
 
 
-def _curve(contestant: Contestant, runs: Sequence[_Recorder]) -> Curve:
+def curve_of(contestant: Contestant, runs: Sequence[Recorder]) -> Curve:
     """Return the errors of the first run over the seconds of all, at those iterations that every run reached."""
     times = [{(one.iteration, one is run.points[-1]): one.seconds for one in run.points} for run in runs]
     points = []
@@ -274,19 +270,64 @@ def _curve(contestant: Contestant, runs: Sequence[_Recorder]) -> Curve:
 _CLOCKED = "ended by the clock, so that the last point depends on the machine"
 
 
-def _refusal(scene: Scene, one: Contestant) -> str:
-    """Return why the algorithm does not take this problem; empty where it does. Also its warm-up."""
-    try:
-        measured_run(fresh(scene.problem), one.algorithm, WorkLimit(math.inf), z0=scene.start,
-                     max_iterations=WARM_UP_ITERATIONS)
-    except (UnsuitableMatrix, UnsuitableProblem) as error:
-        return str(error)
-    return ""
+class Bench:
+    """A problem on which methods are measured, every run on a problem of its own with the same arrays.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance, max_seconds, max_work : float
+        Where a run ends.
+    bounds : bool
+        Whether a rigorous bound is the error where the exact answer is not known.
+    """
+
+    def __init__(self, scene: Scene, *, tolerance: float, max_seconds: float, max_work: float, bounds: bool) -> None:
+        self.scene, self.max_work = scene, max_work
+        self.limits = {"tolerance": tolerance, "max_seconds": max_seconds}
+        self.yardstick = Yardstick.of(scene, max_seconds, bounds=bounds)
+        self.best: Certificate | None = None  # of all answers
+
+    def refusal(self, one: Contestant) -> str:
+        """Return why the algorithm does not take this problem; empty where it does. Also its warm-up."""
+        problem, limit = fresh(self.scene.problem), WorkLimit(math.inf)
+        try:
+            measured_run(problem, one.algorithm, limit, z0=self.scene.start, max_iterations=WARM_UP_ITERATIONS)
+        except (UnsuitableMatrix, UnsuitableProblem) as error:
+            return str(error)
+        return ""
+
+    def run(self, one: Contestant, *, is_first: bool) -> Recorder:
+        """Return the samples of a run, with their errors where it is the first."""
+        recorder = Recorder(self.yardstick.measure if is_first else _unmeasured, self.max_work)
+        recorder.end(
+            measured_run(fresh(self.scene.problem), one.algorithm, recorder, z0=self.scene.start, **self.limits)
+        )
+        found = recorder.certificate
+        if self.best is None or found.relative_residual < self.best.relative_residual:
+            self.best = found
+        return recorder
+
+    def curves(self, entrants: Sequence[Contestant], repeats: int, say: Progress) -> list[Curve]:
+        """Return a curve each, of so many runs, in which they take turns; REFUSED where one takes no such problem."""
+        reasons = {}
+        for one in entrants:
+            say(f"{one.label}, warm-up")
+            reasons[one.label] = self.refusal(one)
+        runs: dict[str, list[Recorder]] = {label: [] for label, reason in reasons.items() if not reason}
+        for turn in range(repeats):
+            for one in entrants:
+                if one.label in runs:
+                    say(f"{one.label}, run {turn + 1} of {repeats}")
+                    runs[one.label].append(self.run(one, is_first=turn == 0))
+        return [
+            curve_of(one, runs[one.label]) if one.label in runs
+            else Curve(one.label, one.family, "REFUSED", (), reasons[one.label]) for one in entrants
+        ]
 
 
-def _active_share(answers: list[Certificate]) -> float:
+def _active_share(best: Certificate | None) -> float:
     """Return the share of components at a bound of the most accurate answer."""
-    best = min(answers, key=lambda one: one.relative_residual, default=None)
     if best is None or best.problem.n == 0:
         return math.nan
     return float(np.mean(is_at_bound(best.problem, best.z)))

@@ -203,8 +203,8 @@ def draw_residuals(axes: Any, result: Result) -> None:
                           color=FREE, fontsize=8)
     if result.tolerance > 0.0:
         axes.axhline(result.tolerance, color=ACTIVE, linewidth=1, linestyle="--")
-        axes.annotate("tolerance", (0.99, result.tolerance), (0, 3), xycoords=("axes fraction", "data"),
-                      textcoords="offset points", ha="right", color=ACTIVE, fontsize=8)
+        axes.annotate("tolerance", (1.0, result.tolerance), (3, 0), xycoords=("axes fraction", "data"), rotation=90,
+                      textcoords="offset points", va="bottom", color=ACTIVE, fontsize=7)
     axes.locator_params(axis="x", nbins=5)
     axes.set(xlabel="seconds", ylabel="relative residual", title="how the residual fell")
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..algorithms import REGISTRY
+from ..algorithms import REGISTRY, Algorithm
 from ..errors import (
     ConvergenceWarning,
     InvalidOption,
@@ -22,11 +22,14 @@ from ..errors import (
     UnsuitableProblem,
     did_you_mean,
 )
+from ..problem.files import checked_path
 from ..solving.driver import solve
 from ..solving.result import Result
-from .contestants import checked_names
+from .contestants import checked_names, contestants
+from .drawing import save
 from .exact_answers import lie_in, relative_error
-from .exporting import Exported
+from .exporting import AnyPath, Exported
+from .figures import draw_maps
 from .stresses import FAMILIES, Case
 
 Progress = Callable[[int, int, str], Any]
@@ -37,6 +40,13 @@ MAX_ITERATIONS, MAX_ITERATIONS_QUICK = 50_000, 5_000
 LARGEST_BOUNDED = 2500
 MISLEADING = 1e-3
 REFUSED, ERROR = "REFUSED", "ERROR"
+RANGES, PROVED = "ranges", "proved ranges"
+WRONG, HIDDEN = "wrong but SOLVED", "z off by condition × residual"
+OUTCOMES = {  # colour and sign
+    "right": ("#DDEBF7", ""), "says that it failed": ("#BDBDBD", "–"), "refused": ("#FFFFFF", "/"),
+    "raised an error": ("#7A7A7A", "!"),
+    HIDDEN: ("#FDD49E", "≈"), WRONG: ("#B2182B", "✗"),
+}
 
 
 @dataclass(frozen=True)
@@ -84,6 +94,17 @@ class Cell:
     def is_well_posed(self) -> bool:
         """True where condition × machine epsilon < 1e-9."""
         return self.condition * EPSILON < WELL_POSED
+
+
+    @property
+    def outcome(self) -> str:
+        """One of `OUTCOMES`, the colours of a map."""
+        if self.status in (REFUSED, ERROR):
+            return "refused" if self.status == REFUSED else "raised an error"
+        is_off = self.status == "SOLVED" and self.true_error > MISLEADING
+        if not self.told_the_truth or (is_off and (self.family == PROVED or self.digits_lost >= 1.0)):
+            return WRONG
+        return HIDDEN if is_off else "right" if self.status == "SOLVED" else "says that it failed"
 
 
 @dataclass(frozen=True)
@@ -143,6 +164,31 @@ class Atlas(Exported):
         lines += [f"left out: {what}: {reason}" for what, reason in self.skipped]
         return "\n".join(lines)
 
+    def plot(self, path: AnyPath | None = None, *, family: str = RANGES, width: float | None = None) -> Any:
+        """Return a figure with a map a method, how far each kind of stiffness may go, and save it where asked.
+
+        Parameters
+        ----------
+        path : path, optional
+            .pdf, .svg or .png.
+        family : {"ranges", "proved ranges"}
+            SOLVED by the residual, as `solve` does it, or by a proved error, ``tolerance_on="error"``.
+        width : float, optional
+            Of the figure, inches.
+        """
+        maps: dict[str, dict[tuple[str, str], str]] = {}
+        for cell in self.cells:
+            if cell.family == family:
+                kind, _, extent = cell.stress.partition(" 1e")
+                maps.setdefault(cell.algorithm, {})[kind, extent] = cell.outcome
+        if not maps:
+            raise InvalidOption(f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])')
+        title = "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error"
+        figure = draw_maps(maps, OUTCOMES, title, width)
+        if path is not None:
+            save(figure, checked_path(path))
+        return figure
+
     def to_content(self) -> dict[str, Any]:
         """Return what JSON can hold: numbers that are not finite become the texts "inf" and "nan"."""
         cells = [{key: _plain(value) for key, value in asdict(cell).items()} for cell in self.cells]
@@ -169,7 +215,7 @@ class Atlas(Exported):
 
 
 def stability_atlas(
-    algorithms: Iterable[str] | None = None,
+    algorithms: Iterable[str | Algorithm] | None = None,
     stresses: Iterable[str] | None = None,
     *,
     quick: bool = False,
@@ -179,11 +225,11 @@ def stability_atlas(
 
     Parameters
     ----------
-    algorithms : iterable of str, optional
-        Registered names and "auto"; all of them by default.
+    algorithms : iterable of str and Algorithm, optional
+        Registered names, "auto", and objects, your own among them; all the names by default.
     stresses : iterable of str, optional
         Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range",
-        "cancellation", "one ulp". All by default.
+        "cancellation", "one ulp", "ranges", "proved ranges" (the maps). All by default.
     quick : bool
         Fewer iterations, and a smaller large problem.
     progress : callable, optional
@@ -211,14 +257,14 @@ def stability_atlas(
     """
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be callable as progress(done, total, label), got {progress!r}")
-    names = _checked(algorithms, "algorithms", "algorithm", ["auto", *REGISTRY], UnknownAlgorithm)
+    entrants = _entrants(algorithms)
     families = _checked(stresses, "stresses", "stress", list(FAMILIES), InvalidOption)
     cases = [(family, case) for family in families for case in FAMILIES[family](quick)]
     cells: list[Cell] = []
     skipped: list[tuple[str, str]] = []
-    total = len(cases) * len(names)
-    for done, ((family, case), name) in enumerate(product(cases, names), start=1):
-        found = _cell(family, case, name, quick)
+    total = len(cases) * len(entrants)
+    for done, ((family, case), name) in enumerate(product(cases, entrants), start=1):
+        found = _cell(family, case, name, entrants[name], quick)
         if isinstance(found, Cell):
             cells.append(found)
         else:
@@ -239,11 +285,19 @@ def _checked(
     return chosen
 
 
-def _cell(family: str, case: Case, name: str, quick: bool) -> Cell | tuple[str, str]:
+def _entrants(algorithms: Any) -> dict[str, str | Algorithm]:
+    """Return who takes part, by the names of the cells."""
+    if isinstance(algorithms, list | tuple) and any(isinstance(one, Algorithm) for one in algorithms):
+        return {one.label: one.algorithm for one in contestants(algorithms)}
+    names = _checked(algorithms, "algorithms", "algorithm", ["auto", *REGISTRY], UnknownAlgorithm)
+    return {name: name for name in names}
+
+
+def _cell(family: str, case: Case, name: str, algorithm: str | Algorithm, quick: bool) -> Cell | tuple[str, str]:
     """Return the cell, or what was left out and why where the algorithm does not take this kind of problem."""
     told, certified, error, residual = False, None, math.nan, math.nan
     try:
-        result = _strictly_solved(case, name, MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS)
+        result = _strictly_solved(case, algorithm, MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS)
     except UnsuitableProblem as refusal:
         return f"{name} on {case.stress}", str(refusal)
     except UnsuitableMatrix as refusal:
@@ -261,12 +315,15 @@ def _cell(family: str, case: Case, name: str, quick: bool) -> Cell | tuple[str, 
     return Cell(name, case.stress, family, case.condition, status, error, residual, certified, lost, told, note)
 
 
-def _strictly_solved(case: Case, name: str, limit: int) -> Result:
+def _strictly_solved(case: Case, algorithm: str | Algorithm, limit: int) -> Result:
     with warnings.catch_warnings(), np.errstate(over="warn", divide="warn", invalid="warn", under="ignore"):
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", ConvergenceWarning)  # it tells what the atlas is about to find out
         is_bounded = case.problem.n <= LARGEST_BOUNDED
-        return solve(case.problem, name, z0=case.start, max_iterations=limit, error_bound=is_bounded)
+        return solve(
+            case.problem, algorithm, z0=case.start, max_iterations=limit, error_bound=is_bounded,
+            tolerance=case.tolerance, tolerance_on=case.tolerance_on,
+        )
 
 
 def _digits_lost(error: float, condition: float, residual: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -39,6 +39,8 @@ class Case:
         All z* + t with t ≥ 0 are solutions.
     reference : sequence of Fraction, shape (n,), optional
         The answer of the same problem before a change of 1 ulp.
+    tolerance_on, tolerance
+        What the runs are asked for.
     """
 
     stress: str
@@ -48,6 +50,8 @@ class Case:
     unit: FloatVector | None = field(default=None, repr=False)
     has_line: bool = False
     reference: Answer | None = field(default=None, repr=False)
+    tolerance_on: str = "residual"
+    tolerance: float = 1e-8
 
     @property
     def units(self) -> FloatVector:
@@ -145,6 +149,31 @@ def stiffness(quick: bool) -> Iterator[Case]:
     yield mostly_free("peclet=1e+12, against the sweep", _windy(1e12, 0.6 + np.pi))
     for span in (1e4, 1e8, 1e12):
         yield mostly_free(f"time scales={span:g}", _time_scales(span))
+
+
+EXTENTS = (0, 2, 4, 6, 8, 10, 12, 14, 16, 30, 100)
+MOST = {"contrast": 14, "aspect": 30, "margin": 14}
+"""Beyond, double precision no longer holds the data: rows of an island sum to 0, 1 − ρ is 0."""
+
+
+def ranges(quick: bool) -> Iterator[Case]:
+    """Yield four kinds of stiffness, each from 10^0 to the ends of double precision: the maps of `Atlas.plot`."""
+    base = half_active("", grid(4, 5.0))
+    for k in EXTENTS:
+        tiny, factors = 10.0**-k, 10.0 ** np.resize([k, -k, 0, k / 2], base.problem.n)
+        rho = 1.0 - tiny
+        if k <= MOST["contrast"]:
+            yield mostly_free(f"contrast 1e{k}", _island(10.0**k))
+        if k <= MOST["aspect"]:
+            yield mostly_free(f"aspect 1e{k}", grid(SIDE, 2.0 + 2.0 * tiny, (-1.0, -tiny), (-1.0, -tiny)))
+        if k <= MOST["margin"]:
+            yield planted(f"margin 1e{k}", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free())
+        yield rescaled(f"units 1e{k}", base, factors, np.roll(factors, 1))
+
+
+def proved_ranges(quick: bool) -> Iterator[Case]:
+    """Yield the same problems, to be solved to a proved error instead of a residual."""
+    return (replace(case, tolerance_on="error", tolerance=1e-6) for case in ranges(quick))
 
 
 def _island(contrast: float) -> sp.csr_array:
@@ -297,6 +326,7 @@ def _moved(values: FloatVector, generator: np.random.Generator) -> FloatVector:
 FAMILIES: dict[str, Callable[[bool], Iterator[Case]]] = {
     family.__name__.replace("_", " "): family
     for family in (
-        stiffness, scaling, singularity, degeneracy, far_starts, sizes, number_range, cancellation, one_ulp,
+        stiffness, scaling, singularity, degeneracy, far_starts, sizes, number_range, cancellation, one_ulp, ranges,
+        proved_ranges,
     )
 }

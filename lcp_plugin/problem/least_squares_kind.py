@@ -16,6 +16,6 @@ BOUNDED_LEAST_SQUARES = Kind(
         "Certificate.of": "solve(problem, x0=x, max_iterations=0) judges x",
         "save": "numpy.savez(path, A=A, b=b) saves it, and load_problem(path) reads it",
         **{f"lcp-plugin {name}": "lcp-plugin solve proves a gap"
-           for name in ("check", "certify", "analyze", "report")},
+           for name in ("check", "certify", "analyze", "study", "report")},
     },
 )

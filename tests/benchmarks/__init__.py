@@ -19,6 +19,9 @@ BENCHMARKS = {
     "certificates": "what an H₊ proof and an error bound cost, against one multigrid solution of the linear system",
     "least-squares": "bounded least squares beside scipy on every kind of A, and what a factor costs in steps",
     "derivatives": "a gradient by all data against its solve, up to n = 10⁶, and against cvxpy's own backward",
+    "proved-answers": "what certify proves of answers to convex programs, ours beside those of other solvers",
+    "derivative-errors": "how exact a derivative of z is after how much time, beside a difference of two solves",
+    "best-equilibria": "the best of all solutions on random leaders: nodes and time until the gap is proved",
     "crossovers": "each constant of lcp_plugin.crossovers beside what this machine says of it",
     "modeling": "the cost of stating a problem in cvxpy, against cvxpy's own compilation",
 }

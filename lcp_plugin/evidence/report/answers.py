@@ -1,4 +1,4 @@
-"""Answers held against others: exact ones (the atlas), the paper's tables, convex solvers, and what is proved."""
+"""Answers held against others: exact ones (the atlas), the paper's tables, convex solvers."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from ..convex_solvers import OURS, SAMPLES, judged_answers
 from ..cross_check import cross_validate
 from ..exporting import finite_content
 from ..gallery import parse
 from ..paper_tables import cells
-from ..stability import Atlas, Cell, stability_atlas
+from ..stability import PROVED, RANGES, Atlas, Cell, stability_atlas
 from ..stresses import FAMILIES
-from .section import Collected, Compute, Effort, Finding, Say, Section, brief, many, percent
+from .section import Collected, Compute, Effort, Finding, Say, Section, figure, many, percent
 
 # --- The stability atlas ---------------------------------------------------------------------------------------
 
-TOO_LONG_FOR_QUICK = ("sizes",)
+TOO_LONG_FOR_QUICK = ("sizes", RANGES, PROVED)
 
 
 class Stability(Section):
@@ -55,8 +54,13 @@ class Stability(Section):
         cells: dict[str, dict[str, list[Cell]]] = {}
         for cell in atlas.cells:
             cells.setdefault(cell.algorithm, {family: [] for family in families})[cell.family].append(cell)
+        maps = [
+            figure(atlas.plot(family=family), family.replace(" ", "-"), f"Stability: {family}")
+            for family in (RANGES, PROVED) if family in families
+        ]
         return {
-            "atlas": atlas, "families": families, "absent": [one for one in FAMILIES if one not in families],
+            "maps": maps, "atlas": atlas, "families": families,
+            "absent": [one for one in FAMILIES if one not in families],
             "rows": {name: [_tally(own) for own in row.values()] for name, row in cells.items()},
             "misleading": sorted(atlas.misleading, key=lambda cell: cell.condition),
         }
@@ -165,80 +169,3 @@ def _checked(text: str, effort: Effort, say: Say) -> dict[str, Any]:
         "certified": {name: said.verdict for name, said in outcome.proved.items()}.get("ours"),
     })
     return found
-
-
-# --- What is proved of answers to convex programs -------------------------------------------------------------
-
-ASKED = (OURS, "CLARABEL", "PIQP", "HIGHS", "OSQP", "SCS")
-IN_WORDS = {OURS: "ours"}
-RANKS = ("proved to 1e-06", "proved to 1e-03", "unproved", "refuted", "no answer")
-
-
-class Certified(Section):
-    """A table program × solver of what `certify` proves of the answers, solvers at their own settings."""
-
-    kind = anchor = "certified"
-    place = 8
-    title = "What answers to convex programs are worth"
-    short = "Proved answers"
-    table = "certified.csv"
-
-    def work(self, effort: Effort) -> dict[str, Compute]:
-        """Return one part a program."""
-        return {name: partial(_certified, name, effort) for name in SAMPLES}
-
-    def tell(self, collected: Collected) -> Iterator[Finding]:
-        """Yield what is proved of each solver's answers."""
-        ranks: dict[str, Counter[str]] = {}
-        for answer in self.rows(collected):
-            ranks.setdefault(answer["solver"], Counter())[answer["verdict"]] += 1
-        said = [
-            f"{IN_WORDS.get(solver, solver)} "
-            + ", ".join(f"{found[rank]} {_in_words(rank)}" for rank in RANKS if found[rank])
-            for solver, found in ranks.items()
-        ]
-        programs = many(len(collected.of(self.kind)), "convex program")
-        text = f"Answers to {programs}, at each solver's own settings: {'; '.join(said)}."
-        yield Finding("What is proved of solvers' answers", text)
-
-    def draw(self, collected: Collected) -> dict[str, Any]:
-        """Return one row a program, a column a solver."""
-        solvers = list(dict.fromkeys(answer["solver"] for answer in self.rows(collected)))
-        rows = []
-        for content in collected.of(self.kind):
-            cells = {answer["solver"]: _cell(answer) for answer in content["answers"]}
-            rows.append(content | {"cells": [cells.get(solver, ("·", "", "")) for solver in solvers]})
-        return {"solvers": [IN_WORDS.get(name, name) for name in solvers], "rows": rows}
-
-    def rows(self, collected: Collected) -> list[dict[str, Any]]:
-        """Return one row an answer."""
-        found = collected.of(self.kind)
-        return [{"program": content["program"]} | answer for content in found for answer in content["answers"]]
-
-
-def _certified(name: str, effort: Effort, say: Say) -> dict[str, Any]:
-    import cvxpy as cp
-
-    program, answers = SAMPLES[name](), []
-    asked = [solver for solver in ASKED if solver in {OURS, *cp.installed_solvers()}]
-    for answer in judged_answers(program, asked, max_seconds=effort.reference_seconds):
-        say(answer.solver)
-        answers.append(answer.to_content())
-    found: dict[str, Any] = finite_content({"program": name, "size": repr(program), "answers": answers})
-    return found
-
-
-def _in_words(rank: str) -> str:
-    return rank.replace("e-0", "e-")
-
-
-def _cell(answer: dict[str, Any]) -> tuple[str, str, str]:
-    """Return what stands in the table, its class, and what is told where a mouse rests on it."""
-    verdict = answer["verdict"]
-    kind = {RANKS[0]: "best", "refuted": "bad"}.get(verdict, "")
-    numbers = ", ".join(f"{key} {brief(answer[key])}" for key in ("violation", "gap") if answer.get(key) is not None)
-    claim = answer.get("claim", "optimal")
-    text = _in_words(verdict).removeprefix("proved to ")
-    if claim != "optimal":
-        text = f"{claim}: {verdict.partition(' to ')[0]}"
-    return text, kind, "; ".join(filter(None, (answer["status"], numbers, answer.get("reason"))))

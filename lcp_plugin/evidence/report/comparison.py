@@ -9,9 +9,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from ..curves import Curve, Profile, Report, performance_profile
+from ..curves import Curve, Report
 from ..drawing import COLOURS
-from .section import Collected, Finding, Section, count, figure, many, percent
+from ..profiles import Profile, performance_profile
+from .section import PAGE_WIDTH, Collected, Finding, Section, count, figure, many, percent
 
 SPLITTING = ("projected-type (NP)", "projected relaxation (P)", "modulus (M)", "general fixed point (GFP)")
 WORTH_A_WORD = 1.1
@@ -235,7 +236,7 @@ class PerformanceProfile(Section):
     short = "Profile"
     template = """<div class="card">
 <p>On how many of the scenes an algorithm converges within a multiple of the best one's cost. At the left end: how often
-it is the best; the name stands where it solves its last scene, with a ✕ if that is not all of them.</p>
+it is the best; a ✕ behind a name says that it does not solve all of them.</p>
 <div class="plots two">
 {% for caption, figure in figures.items() %}
 <figure class="profile"><figcaption>{{ caption }}</figcaption>{{ figure }}</figure>
@@ -258,7 +259,9 @@ it is the best; the name stands where it solves its last scene, with a ✕ if th
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return both figures."""
         figures = {
-            f"By {caption}": figure(profile.plot(), f"profile-{profile.by}", f"Performance profile by {profile.by}")
+            f"By {caption}": figure(
+                profile.plot(width=PAGE_WIDTH), f"profile-{profile.by}", f"Performance profile by {profile.by}"
+            )
             for pair in _profiles(collected) for profile, caption in zip(pair, ("passes over M", "time"), strict=True)
         }
         return {"figures": figures} if figures else {}

@@ -1,31 +1,25 @@
-"""Scene by scene: error against time and work, a sketch, every figure, what was left out; and derivatives' errors."""
+"""Scene by scene: error against time and work, a sketch, every figure, what was left out."""
 
 from __future__ import annotations
 
-import hashlib
 import re
-import statistics
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ...certificates.row_residuals import is_at_bound
-from ...checks import FloatVector
-from ...problem.lcp import LCP
-from ...solving.derivative import derivative
-from ...solving.driver import solve
-from ..contestants import comparison, fresh
+from ..collecting import data_of
+from ..contestants import comparison
 from ..curves import Curve, Report
-from ..drawing import COLOURS, LABEL_SIZE, new_figure, styled
+from ..drawing import COLOURS
 from ..error_against_time import best_answer, error_against_time
 from ..exporting import csv_text
+from ..figures import OWN
 from ..gallery import parse
 from ..gallery.scene import Scene
 from ..pictures import draw_sketch, sketch_of
-from .section import Collected, Effort, Finding, Part, Say, Section, brief, count, figure, many, seconds
+from .section import PAGE_WIDTH, Collected, Effort, Part, Say, Section, brief, count, figure, seconds
 
 SCENES = (
     "paper_example_1:n=10000",
@@ -98,11 +92,7 @@ class Scenes(Section):
 
 def _hash(scene: str | Scene) -> str:
     """Return a hash of the problem, as the content of a file may be another one next time; nothing of a text."""
-    if isinstance(scene, str):
-        return ""
-    problem = scene.problem
-    arrays = (problem.csr.indptr, problem.csr.indices, problem.csr.data, problem.q, problem.lower, problem.upper)
-    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+    return "" if isinstance(scene, str) else data_of(scene.problem)
 
 
 def measured(name: str, given: str | Scene, effort: Effort, say: Say) -> dict[str, Any]:
@@ -148,10 +138,11 @@ def _article(content: dict[str, Any]) -> dict[str, Any]:
             draw_sketch(sketch), f"{name}-sketch", f"{sketch['unknown']} of {content['text']}"
         ),
         "seconds": figure(
-            report.plot(), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
+            report.plot(width=PAGE_WIDTH), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
         ),
         "work": figure(
-            report.plot(against="work"), f"{name}-work", f"{report.error_kind} against work, {content['text']}"
+            report.plot(against="work", width=PAGE_WIDTH), f"{name}-work",
+            f"{report.error_kind} against work, {content['text']}",
         ),
         "rows": [_row(curve) for curve in ranking],
         "notes": [(curve.label, curve.note) for curve in report.curves if curve.note],
@@ -161,7 +152,7 @@ def _article(content: dict[str, Any]) -> dict[str, Any]:
 
 def _row(curve: Curve) -> dict[str, str]:
     return {
-        "label": curve.label, "colour": COLOURS.get(curve.family, COLOURS["other"]), "note": curve.note,
+        "label": curve.label, "colour": COLOURS.get(curve.family, OWN[0]), "note": curve.note,
         "status": "" if curve.is_solved else curve.status.replace("_", " ").lower(),
         "work": count(curve.work), "iterations": str(curve.iterations), "seconds": seconds(curve.seconds),
         "setup": seconds(curve.setup_seconds), "error": brief(curve.points[-1].error),
@@ -174,115 +165,3 @@ def _families(reports: Sequence[Report]) -> list[tuple[str, str]]:
     present = {curve.family for report in reports for curve in report.curves}
     present |= {"reference"} if any(report.references for report in reports) else set()
     return [(family, colour) for family, colour in COLOURS.items() if family in present]
-
-
-# --- Derivative error against time ------------------------------------------------------------------------------
-
-DERIVED = ("half_active:n=10000", "paper_example_2:n=10000")
-QUICK_DERIVED = ("half_active:n=2500",)
-TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
-TOLD, LEAST = 1e-8, 1e-17  # the usual tolerance; an error of zero is drawn there
-WAYS = {"derivative": "multigrid", "difference": "reference"}  # and the family that colours each
-
-
-class Derivatives(Section):
-    """How far dz/dq · h is from the exact one after how much time, and what difference of solves give."""
-
-    kind = "derivative"
-    anchor = "derivatives"
-    place = 7
-    title = "Derivative error against time"
-    short = "Derivatives"
-    table = "derivatives.csv"
-    template = """<div class="card">
-<p>How z changes with q in a direction for which the exact change is known, over the seconds from (M, q) on; each point
-belongs to one tolerance from 1e-2 to 1e-10. Derivative: one solve, and one linear solve on its free rows. Difference:
-two solves, with a step of the root of the tolerance between them.</p>
-<div class="plots two">
-{% for caption, figure in figures.items() %}
-<figure class="profile"><figcaption>{{ caption }}</figcaption>{{ figure }}</figure>
-{% endfor %}
-</div>
-</div>"""
-
-    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterator[Part]:
-        """Yield one part for each scene that knows its answer."""
-        chosen = scenes or {text: text for text in (QUICK_DERIVED if effort.is_quick else DERIVED)}
-        for name, given in chosen.items():
-            scene = parse(given) if isinstance(given, str) else given
-            if scene.exact is not None and scene.steps == 1 and not is_at_bound(scene.problem, scene.exact).all():
-                yield Part(self.kind, name, partial(_derived, name, scene, effort), effort)
-
-    def tell(self, collected: Collected) -> Iterator[Finding]:
-        """Yield how far both are off at the usual tolerance."""
-        told = [point for point in self.rows(collected) if point["tolerance"] == TOLD]
-        worst = {way: max(point["error"] for point in told if point["way"] == way) for way in WAYS}
-        yield Finding(
-            "Derivatives",
-            f"On {many(len(collected.of(self.kind)), 'scene')} with a known answer, solved to {TOLD:g}, the "
-            f"derivative of z is off by at most {brief(worst['derivative'])}, relatively; a difference of two "
-            f"solves by up to {brief(worst['difference'])}.",
-        )
-
-    def draw(self, collected: Collected) -> dict[str, Any]:
-        """Return a figure a scene."""
-        found = collected.of(self.kind)
-        return {"figures": {content["scene"]: _figure(content, k) for k, content in enumerate(found)}}
-
-    def rows(self, collected: Collected) -> list[dict[str, Any]]:
-        """Return every point."""
-        return [{"scene": one["scene"]} | point for one in collected.of(self.kind) for point in one["points"]]
-
-
-def _planted(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return a random change of the exact z on its free rows, and a change of q that has it for its derivative.
-
-    Rows at a bound stay there; where w = 0 as well, w grows to the side that holds them.
-    """
-    held, sizes = is_at_bound(problem, z), np.random.default_rng(0).uniform(0.5, 1.5, (2, problem.n))
-    dz = np.where(held, 0.0, sizes[0])
-    dw = np.where(held, np.where(z == problem.lower, sizes[1], -sizes[1]), 0.0) * problem.residual_scale
-    return dz, dw - problem.csr @ dz
-
-
-def _derived(name: str, scene: Scene, effort: Effort, say: Say) -> dict[str, Any]:
-    problem, points = scene.problem, []
-    exact, h = _planted(problem, np.asarray(scene.exact))
-    for tolerance in TOLERANCES:
-        say(f"{tolerance:g}")
-        for way in WAYS:
-            seconds = []
-            for _ in range(effort.repeats + 1):  # the first one may compile
-                stated_anew, began = fresh(problem), time.perf_counter()
-                change = _change(way, stated_anew, h, tolerance)
-                seconds.append(time.perf_counter() - began)
-            error = np.abs(change - exact).max() / np.abs(exact).max()
-            median = statistics.median(seconds[1:])
-            points.append({"way": way, "tolerance": tolerance, "seconds": median, "error": float(error)})
-    return {"scene": name, "n": scene.n, "points": points}
-
-
-def _change(way: str, problem: LCP, h: FloatVector, tolerance: float) -> FloatVector:
-    """Return dz for dq = h."""
-    result = solve(problem, tolerance=tolerance)
-    if way == "derivative":
-        return derivative(result).jvp(dq=h)
-    step = np.sqrt(tolerance) * np.abs(problem.q).max() / np.abs(h).max()
-    change: FloatVector = (solve(problem.with_q(problem.q + step * h), tolerance=tolerance).z - result.z) / step
-    return change
-
-
-def _figure(content: dict[str, Any], number: int) -> Any:
-    with styled():
-        drawn, axes = new_figure()
-        for way, family in WAYS.items():
-            points = [point for point in content["points"] if point["way"] == way]
-            seconds, errors = [one["seconds"] for one in points], [max(one["error"], LEAST) for one in points]
-            axes.plot(seconds, errors, "o-", color=COLOURS[family], markersize=4.5, linewidth=1.0, label=way)
-            for k in (0, -1) if way == "difference" else ():
-                axes.annotate(f"{TOLERANCES[k]:.0e}", (seconds[k], errors[k]), (0, 6), textcoords="offset points",
-                              color=COLOURS[family], fontsize=LABEL_SIZE, ha="center")
-        axes.set(xscale="log", yscale="log", ylim=(LEAST / 3.0, 10.0), xlabel="seconds", ylabel="relative error of dz")
-        axes.margins(x=0.12)
-        axes.legend(loc="best")
-    return figure(drawn, f"derivative-{number}", f"Derivative error against time on {content['scene']}")

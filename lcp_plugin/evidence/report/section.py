@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib import import_module, resources
 from pkgutil import iter_modules
 from typing import Any, ClassVar
 
-from ..curves import Report
+from ..collecting import Collected, Compute, Part, Say
 from ..drawing import svg
 from ..exporting import csv_of
 from ..gallery.scene import Scene
 
-Say = Callable[[str], object]
-Compute = Callable[[Say], dict[str, Any]]
+__all__ = ["Collected", "Compute", "Effort", "Finding", "Part", "Say", "Section", "claims", "plan", "sections"]
+
+
+PAGE_WIDTH = 4.7  # inches, of a figure on the page
 
 
 @dataclass(frozen=True)
@@ -32,54 +33,6 @@ class Effort:
 
 FULL = Effort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
 QUICK = Effort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
-
-
-@dataclass(frozen=True)
-class Part:
-    """One piece of work: its kind, its name within the kind, how it is computed, and a hash of its own data."""
-
-    kind: str
-    name: str
-    compute: Compute
-    effort: Effort
-    data: str = ""
-
-    @property
-    def settings(self) -> str:
-        """Everything that the content depends on, as text."""
-        return json.dumps([self.kind, self.name, asdict(self.effort), self.data])
-
-
-@dataclass
-class Collected:
-    """What the parts of a report hold.
-
-    Attributes
-    ----------
-    contents : dict
-        The content of each part by (kind, name), in the order of the plan.
-    found : int
-        How many of them were found on disk, from a former run.
-    missing : list of str
-        The names of parts that are not there yet.
-    """
-
-    contents: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
-    found: int = 0
-    missing: list[str] = field(default_factory=list)
-
-    @property
-    def is_complete(self) -> bool:
-        """True where no part is missing."""
-        return not self.missing
-
-    def of(self, kind: str) -> list[dict[str, Any]]:
-        """Return the contents of one kind."""
-        return [content for (its_kind, _), content in self.contents.items() if its_kind == kind]
-
-    def reports(self) -> list[Report]:
-        """Return the curves of every scene."""
-        return [Report.from_content(content["report"]) for content in self.of("scene")]
 
 
 @dataclass(frozen=True)

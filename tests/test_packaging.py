@@ -18,7 +18,7 @@ import lcp_plugin
 ROOT = Path(__file__).parent.parent
 TOLD = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))
 BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
-SMALL = 1_100_000  # bytes: nothing but code, which grew by the search for the best of all solutions
+SMALL = 1_150_000  # bytes: nothing but code, which grew by the search for the best of all solutions
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def sources(folder: str) -> set[str]:
 
 
 def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
-    """Below 1.1 MB: every module and data file of the package, the licence, the metadata; no test, no example."""
+    """Below 1.15 MB: every module and data file of the package, the licence, the metadata; no test, no example."""
     (wheel,) = built.glob("*.whl")
     assert wheel.stat().st_size < SMALL
     names = set(zipfile.ZipFile(wheel).namelist())

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
+
 from ..algorithms import Algorithm, create
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
@@ -84,7 +86,7 @@ def iterated(
     problem: LCP, start: FloatVector | None, algorithm: Algorithm
 ) -> tuple[FloatVector, int, float, float]:
     """Return z, the iterations until Res is below the paper's ε, their seconds, and Res."""
-    begin, z = time.perf_counter(), problem.nearest_to_zero if start is None else start
+    begin, z = time.perf_counter(), np.array(problem.nearest_to_zero if start is None else start)
     count, residual = 0, math.inf
     for count, step in enumerate(algorithm.iterates(problem, z)):
         z, told = step.z, step.euclidean

@@ -86,6 +86,7 @@ class Case:
         """The largest ‖r_P(z)‖/‖r_P(z°)‖, exactly."""
         return relative_residual(self.data.weighted(z), self.at_zero, self.data.parts)
 
+    @cached_property
     def kind(self) -> str:
         if np.isnan(self.z).any():
             return UNSOLVABLE

@@ -4,16 +4,16 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 ``import lcp_plugin`` costs no more than numpy and scipy.sparse. Each has its help; these are pages on a whole subject:
 
 - ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
-- ``help("lcp_plugin.conversions")``: quadratic and linear programs, games, absolute value equations
-- ``help("lcp_plugin.policy.choice")``: what algorithm="auto" does
-- ``help("lcp_plugin.policy.direct_methods")``: how it goes on without sweeps
-- ``help("lcp_plugin.algorithms.splittings")``: what to expect of sweeps
-- ``help("lcp_plugin.certificates")``: what is proved of a matrix, a method, an error, a problem without solution
-- ``help("lcp_plugin.certificates.criterion")``: what SOLVED means, in which units
-- ``help("lcp_plugin.learn")``: layers for PyTorch and JAX
+- ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games, absolute value equations
+- ``help("lcp_plugin.core.policy.choice")``: what algorithm="auto" does
+- ``help("lcp_plugin.methods.direct.direct_methods")``: how it goes on without sweeps
+- ``help("lcp_plugin.core.splittings")``: what to expect of sweeps
+- ``help("lcp_plugin.proofs")``: what is proved of a matrix, a method, an error, a problem without solution
+- ``help("lcp_plugin.core.certificates.criterion")``: what SOLVED means, in which units
+- ``help("lcp_plugin.doors.learn")``: layers for PyTorch and JAX
 - ``help("lcp_plugin.doors")``: Pyomo, AMPL, JuMP, qpsolvers, cvxpylayers, QuantEcon, files, finite elements
 - ``help("lcp_plugin.evidence")``: scenes and the report; other packages
-- ``help("lcp_plugin.communicator")``: several machines
+- ``help("lcp_plugin.ranks")``: several machines
 - ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver
 """
 
@@ -27,15 +27,13 @@ from . import rooms as rooms
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from .algorithms.search import all_solutions as all_solutions
-    from .certificates.error_bounds import ErrorBound as ErrorBound
-    from .certificates.error_bounds import error_bound as error_bound
-    from .certificates.residuals import Certificate as Certificate
-    from .certificates.theorems import Guarantee as Guarantee
-    from .conversions.equilibrium_program import EquilibriumProgram as EquilibriumProgram
-    from .conversions.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
-    from .conversions.program_files import load_problem as load_problem
-    from .conversions.quadratic_program import QuadraticProgram as QuadraticProgram
+    from .core.certificates.residuals import Certificate as Certificate
+    from .core.lcp import LCP as LCP
+    from .core.settings import Status as Status
+    from .core.solving.driver import solve as solve
+    from .core.solving.result import Result as Result
+    from .core.solving.result import Sample as Sample
+    from .doors.files.program_files import load_problem as load_problem
     from .doors.qpsolvers import register_with_qpsolvers as register_with_qpsolvers
     from .doors.quantecon import lemke as lemke
     from .evidence.cross_check import CrossCheck as CrossCheck
@@ -44,90 +42,92 @@ if TYPE_CHECKING:
     from .evidence.results import Study as Study
     from .evidence.stability import stability_atlas as stability_atlas
     from .evidence.study import study as study
-    from .matrix import MatrixReport as MatrixReport
-    from .matrix import analyze as analyze
+    from .methods.search import all_solutions as all_solutions
     from .modeling.constraint import box as box
     from .modeling.constraint import complements as complements
     from .modeling.qp_solver import QPSolver as QPSolver
     from .modeling.registration import ComplementarityProblem as ComplementarityProblem
     from .modeling.registration import is_complementarity_problem as is_complementarity_problem
     from .modeling.registration import register as register
-    from .problem.lcp import LCP as LCP
-    from .problem.least_squares import BoundedLeastSquares as BoundedLeastSquares
-    from .problem.nonlinear import NonlinearProblem as NonlinearProblem
-    from .settings import Status as Status
-    from .solving.batch import prepare as prepare
-    from .solving.batch import solve_batch as solve_batch
-    from .solving.batch import solve_many as solve_many
-    from .solving.batch_derivative import BatchDerivative as BatchDerivative
-    from .solving.batch_derivative import BatchGradient as BatchGradient
-    from .solving.batch_run import BatchResult as BatchResult
-    from .solving.certification import certify as certify
-    from .solving.derivative import Derivative as Derivative
-    from .solving.derivative import Gradient as Gradient
-    from .solving.derivative import derivative as derivative
-    from .solving.driver import solve as solve
-    from .solving.equilibria.branch_and_bound import minimize_over_solutions as minimize_over_solutions
-    from .solving.equilibria.result import EquilibriumResult as EquilibriumResult
-    from .solving.guarantees import convergence_guarantee as convergence_guarantee
-    from .solving.least_squares import LeastSquaresResult as LeastSquaresResult
-    from .solving.least_squares import bounded_least_squares as bounded_least_squares
-    from .solving.march import March as March
-    from .solving.march import march as march
-    from .solving.march_derivative import MarchDerivative as MarchDerivative
-    from .solving.march_derivative import MarchGradient as MarchGradient
-    from .solving.march_many import march_many as march_many
-    from .solving.nonlinear import solve_nonlinear as solve_nonlinear
-    from .solving.program_batch import ProgramBatchResult as ProgramBatchResult
-    from .solving.program_proofs import Certification as Certification
-    from .solving.quadratic_program import QuadraticProgramResult as QuadraticProgramResult
-    from .solving.result import Result as Result
-    from .solving.result import Sample as Sample
+    from .problems.batches.batch import prepare as prepare
+    from .problems.batches.batch import solve_batch as solve_batch
+    from .problems.batches.batch import solve_many as solve_many
+    from .problems.batches.batch_run import BatchResult as BatchResult
+    from .problems.batches.program_batch import ProgramBatchResult as ProgramBatchResult
+    from .problems.equilibria.branch_and_bound import minimize_over_solutions as minimize_over_solutions
+    from .problems.equilibria.equilibrium_program import EquilibriumProgram as EquilibriumProgram
+    from .problems.equilibria.result import EquilibriumResult as EquilibriumResult
+    from .problems.least_squares.data import BoundedLeastSquares as BoundedLeastSquares
+    from .problems.least_squares.solving import LeastSquaresResult as LeastSquaresResult
+    from .problems.least_squares.solving import bounded_least_squares as bounded_least_squares
+    from .problems.march.march import March as March
+    from .problems.march.march import march as march
+    from .problems.march.march_derivative import MarchDerivative as MarchDerivative
+    from .problems.march.march_derivative import MarchGradient as MarchGradient
+    from .problems.march.march_many import march_many as march_many
+    from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
+    from .problems.nonlinear.solving import solve_nonlinear as solve_nonlinear
+    from .problems.programs.certification import certify as certify
+    from .problems.programs.conversion import QuadraticProgram as QuadraticProgram
+    from .problems.programs.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
+    from .problems.programs.program_proofs import Certification as Certification
+    from .problems.programs.solving import QuadraticProgramResult as QuadraticProgramResult
+    from .problems.sensitivity.batch_derivative import BatchDerivative as BatchDerivative
+    from .problems.sensitivity.batch_derivative import BatchGradient as BatchGradient
+    from .problems.sensitivity.derivative import Derivative as Derivative
+    from .problems.sensitivity.derivative import Gradient as Gradient
+    from .problems.sensitivity.derivative import derivative as derivative
+    from .proofs.bounds.error_bounds import ErrorBound as ErrorBound
+    from .proofs.bounds.error_bounds import error_bound as error_bound
+    from .proofs.guarantees.guarantees import convergence_guarantee as convergence_guarantee
+    from .proofs.guarantees.theorems import Guarantee as Guarantee
+    from .proofs.verdicts import MatrixReport as MatrixReport
+    from .proofs.verdicts import analyze as analyze
 
 _HOME = {
-    "LCP": "problem.lcp",
-    "NonlinearProblem": "problem.nonlinear",
-    "BoundedLeastSquares": "problem.least_squares",
-    "solve_nonlinear": "solving.nonlinear",
-    "Certificate": "certificates.residuals",
-    "ErrorBound": "certificates.error_bounds",
-    "error_bound": "certificates.error_bounds",
-    "Guarantee": "certificates.theorems",
-    "convergence_guarantee": "solving.guarantees",
-    "MatrixReport": "matrix",
-    "analyze": "matrix",
-    "Result": "solving.result",
-    "Sample": "solving.result",
-    "Status": "settings",
-    "solve": "solving.driver",
-    "certify": "solving.certification",
-    "Certification": "solving.program_proofs",
-    "derivative": "solving.derivative",
-    "Derivative": "solving.derivative",
-    "Gradient": "solving.derivative",
-    "BatchDerivative": "solving.batch_derivative",
-    "BatchGradient": "solving.batch_derivative",
-    "prepare": "solving.batch",
-    "solve_batch": "solving.batch",
-    "BatchResult": "solving.batch_run",
-    "ProgramBatchResult": "solving.program_batch",
-    "QuadraticProgramResult": "solving.quadratic_program",
-    "solve_many": "solving.batch",
-    "march": "solving.march",
-    "March": "solving.march",
-    "march_many": "solving.march_many",
-    "MarchDerivative": "solving.march_derivative",
-    "MarchGradient": "solving.march_derivative",
-    "bounded_least_squares": "solving.least_squares",
-    "LeastSquaresResult": "solving.least_squares",
+    "LCP": "core.lcp",
+    "NonlinearProblem": "problems.nonlinear.data",
+    "BoundedLeastSquares": "problems.least_squares.data",
+    "solve_nonlinear": "problems.nonlinear.solving",
+    "Certificate": "core.certificates.residuals",
+    "ErrorBound": "proofs.bounds.error_bounds",
+    "error_bound": "proofs.bounds.error_bounds",
+    "Guarantee": "proofs.guarantees.theorems",
+    "convergence_guarantee": "proofs.guarantees.guarantees",
+    "MatrixReport": "proofs.verdicts",
+    "analyze": "proofs.verdicts",
+    "Result": "core.solving.result",
+    "Sample": "core.solving.result",
+    "Status": "core.settings",
+    "solve": "core.solving.driver",
+    "certify": "problems.programs.certification",
+    "Certification": "problems.programs.program_proofs",
+    "derivative": "problems.sensitivity.derivative",
+    "Derivative": "problems.sensitivity.derivative",
+    "Gradient": "problems.sensitivity.derivative",
+    "BatchDerivative": "problems.sensitivity.batch_derivative",
+    "BatchGradient": "problems.sensitivity.batch_derivative",
+    "prepare": "problems.batches.batch",
+    "solve_batch": "problems.batches.batch",
+    "BatchResult": "problems.batches.batch_run",
+    "ProgramBatchResult": "problems.batches.program_batch",
+    "QuadraticProgramResult": "problems.programs.solving",
+    "solve_many": "problems.batches.batch",
+    "march": "problems.march.march",
+    "March": "problems.march.march",
+    "march_many": "problems.march.march_many",
+    "MarchDerivative": "problems.march.march_derivative",
+    "MarchGradient": "problems.march.march_derivative",
+    "bounded_least_squares": "problems.least_squares.solving",
+    "LeastSquaresResult": "problems.least_squares.solving",
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
-    "QuadraticProgram": "conversions.quadratic_program",
-    "QuadraticProgramBatch": "conversions.program_batch",
-    "load_problem": "conversions.program_files",
-    "EquilibriumProgram": "conversions.equilibrium_program",
-    "minimize_over_solutions": "solving.equilibria.branch_and_bound",
-    "EquilibriumResult": "solving.equilibria.result",
+    "QuadraticProgram": "problems.programs.conversion",
+    "QuadraticProgramBatch": "problems.programs.program_batch",
+    "load_problem": "doors.files.program_files",
+    "EquilibriumProgram": "problems.equilibria.equilibrium_program",
+    "minimize_over_solutions": "problems.equilibria.branch_and_bound",
+    "EquilibriumResult": "problems.equilibria.result",
     "CrossCheck": "evidence.cross_check",
     "cross_validate": "evidence.cross_check",
     "box": "modeling.constraint",
@@ -140,11 +140,11 @@ _HOME = {
     "stability_atlas": "evidence.stability",
     "study": "evidence.study",
     "Study": "evidence.results",
-    "gallery": "evidence.gallery",
-    "all_solutions": "algorithms.search",
+    "gallery": "gallery",
+    "all_solutions": "methods.search",
     "strategies": "strategies",
     **{
-        error: "errors"
+        error: "core.errors"
         for error in (
             "ConvergenceWarning", "InvalidOption", "InvalidProblem", "LCPError", "ModelWarning", "NotConverged",
             "UnknownAlgorithm", "UnreadableFile", "UnsuitableMatrix", "UnsuitableProblem", "UnsupportedModel",

@@ -71,9 +71,9 @@ except ImportError as error:
     raise ImportError("lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'") from error
 
 from . import __version__
-from .doors.pyomo_answers import Answer, answered, imported
-from .errors import InvalidOption, did_you_mean
-from .settings import Status
+from .core.errors import InvalidOption, did_you_mean
+from .core.settings import Status
+from .doors.pyomo.answers import Answer, answered, imported
 
 NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable that is called so
 DOC = "Complementarity problems and convex quadratic programs, by lcp_plugin"
@@ -231,7 +231,7 @@ def _solution_of(answer: Answer, model: Any, results: Any) -> Any:
 
 
 try:
-    from .doors.pyomo_v2 import register
+    from .doors.pyomo.v2 import register
 except ImportError:  # an older Pyomo has no such interface, or another one
     pass
 else:

@@ -6,7 +6,8 @@
 In the full suite alone run tests with the mark ``full``: benchmarks, the report's page, the atlas, the collection,
 examples, faults, and whatever takes seconds. Of a parametrised test with the mark ``sampled`` the quick suite runs as
 few rows as touch every value of every parameter once, or with ``sampled(k)`` k rows in even steps. What is left out is
-deselected, not skipped. A test that is named on the command line, as in ``tests/test_newton.py::test_x``, always runs.
+deselected, not skipped. A test that is named on the command line, as in
+``tests/methods/newton/test_newton.py::test_x``, always runs.
 
 Hypothesis: nothing is drawn by chance, so that a suite that passed passes again; random draws are for
 ``tests/campaigns``. A test without settings takes the default; a costly one says ``@settings.get_profile("few")``, a

@@ -1,4 +1,7 @@
-"""Small problems of each kind that `lcp_plugin.kinds` registers, solvable and not, each stated in every language."""
+"""Small problems of each kind that `lcp_plugin.core.kinds` registers, solvable and not.
+
+Each stated in every language.
+"""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import LCP
-from lcp_plugin.checks import FloatVector
+from lcp_plugin.core.checks import FloatVector
 
 
 class Steps(NamedTuple):

@@ -11,11 +11,11 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ELSEWHERE = {
     "algorithms": "Algorithm Step algorithm_class create from_other_packages",
-    "conversions.absolute_value": "AbsoluteValueSolution lcp_from_absolute_value",
-    "conversions.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
-    "conversions.least_squares": "LeastSquaresSolution lcp_from_least_squares",
-    "conversions.qp_solution": "QPSolution",
-    "conversions.quadratic_program": "lcp_from_lp lcp_from_qp qp_from_lcp",
+    "problems.reformulations.absolute_value": "AbsoluteValueSolution lcp_from_absolute_value",
+    "problems.reformulations.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
+    "problems.least_squares.conversion": "LeastSquaresSolution lcp_from_least_squares",
+    "problems.programs.qp_solution": "QPSolution",
+    "problems.programs.conversion": "lcp_from_lp lcp_from_qp qp_from_lcp",
     "evidence.curves": "Curve Point Report",
     "evidence.profiles": "Profile performance_profile",
     "evidence.pictures": "draw",
@@ -26,7 +26,7 @@ ELSEWHERE = {
     "evidence.stability": "Atlas Cell",
     "modeling.constraint": "Complements Side",
     "modeling.registration": "solve_model",
-    "algorithms.search": "Solution",
+    "methods.search": "Solution",
 }
 PUBLIC: dict[str, Any] = {
     **{name: getattr(lcp_plugin, name) for name in lcp_plugin.__all__},

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.modeling.nl.content import NLContent, Suffix, Token, Trees
-from lcp_plugin.modeling.nl.segments import (
+from lcp_plugin.doors.nl.content import NLContent, Suffix, Token, Trees
+from lcp_plugin.doors.nl.segments import (
     BINARY_OPERATORS,
     NARY_OPERATORS,
     PIECEWISE_OPERATOR,

@@ -18,10 +18,10 @@ from scipy.optimize import linprog
 
 from lcp_plugin import LCPError
 from lcp_plugin.commands import ampl
-from lcp_plugin.modeling.nl import read_nl, read_sol, write_nl
-from lcp_plugin.modeling.nl.answers import CODES
-from lcp_plugin.modeling.nl.content import NLContent, Token, Trees
-from lcp_plugin.modeling.nl.evaluation import evaluated
+from lcp_plugin.doors.nl import read_nl, read_sol, write_nl
+from lcp_plugin.doors.nl.answers import CODES
+from lcp_plugin.doors.nl.content import NLContent, Token, Trees
+from lcp_plugin.doors.nl.evaluation import evaluated
 
 INF = np.inf
 MET = 1e-5  # of the size of a row or a variable

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import __version__
-from ..errors import InvalidOption, LCPError, UnknownAlgorithm, did_you_mean
+from ..core.errors import InvalidOption, LCPError, UnknownAlgorithm, did_you_mean
 
 if TYPE_CHECKING:
-    from ..modeling.nl.content import NLContent
+    from ..doors.nl.content import NLContent
 
 NAME = "lcp-plugin-ampl"
 VARIABLE = "lcp_plugin_options"
@@ -181,10 +181,10 @@ def _assigned(text: str, where: str) -> dict[str, Any]:
 
 def _solve(call: Call) -> int:
     """Solve the stub, and write, print or both."""
-    from ..settings import Settings
+    from ..core.settings import Settings
 
     Settings(**{name: value for name, value in call.settings.items() if name != "algorithm"})  # before anything is read
-    from ..modeling.nl.reading import read_content, source_of
+    from ..doors.nl.reading import read_content, source_of
 
     began = time.perf_counter()
     content = read_content(call.stub)
@@ -195,7 +195,7 @@ def _solve(call: Call) -> int:
     if call.of_command("version"):
         print(_version())
     if call.writes:
-        from ..modeling.nl.solution import write_sol
+        from ..doors.nl.solution import write_sol
 
         target = Path(call.out) if call.out else source_of(call.stub).with_suffix(".sol")
         write_sol(target, message, x, y, content.options, code, tolerance=content.tolerance,
@@ -209,7 +209,7 @@ def _solve(call: Call) -> int:
 
 def _answer(content: NLContent, call: Call) -> tuple[str, Any, Any, int]:
     """Return message, values, duals and code; a model that is refused is answered by its refusal."""
-    from ..modeling.nl.model import model_of
+    from ..doors.nl.model import model_of
 
     try:
         with warnings.catch_warnings(record=True) as warned:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from ..errors import LCPError
+from ..core.errors import LCPError
 from .target import algorithm_names, scene_names
 from .terminal import LINE
 

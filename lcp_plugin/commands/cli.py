@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from .. import __version__
-from ..errors import InvalidOption, did_you_mean
+from ..core.errors import InvalidOption, did_you_mean
 from . import measuring  # registers its commands
 from .app import EXIT_BAD_INPUT, AlgorithmName, AnyTarget, Target, app, command
 
@@ -165,7 +165,7 @@ def certify(
     json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
 ) -> bool:
     """Solve a quadratic program by any solvers, and tell what is proved of their answers."""
-    from ..conversions.program_files import load_program
+    from ..doors.files.program_files import load_program
     from ..evidence.convex_solvers import HEAD, JudgedAnswer, judged_answers
     from .solving import OneProcess
 

@@ -13,22 +13,22 @@ from itertools import product
 import numpy as np
 import scipy.sparse as sp
 
-from ..algorithms import REGISTRY
-from ..algorithms.interior_points.primal_active_set import UpdatedFactor
-from ..certificates.error_bounds import error_bound
-from ..conversions.program_batch import QuadraticProgramBatch
-from ..crossovers import SINGLE_FROM
-from ..deadline import NEW_KERNELS
-from ..errors import LCPError
-from ..evidence import gallery
-from ..kernels.compilation import cache_folder, compiling_at_once
-from ..problem.lcp import LCP
-from ..settings import checked_threads
-from ..solving.batch import solve_batch
-from ..solving.derivative import derivative
-from ..solving.driver import solve
-from ..solving.march import march
-from ..solving.march_many import march_many
+from .. import gallery
+from ..core.algorithms import REGISTRY
+from ..core.crossovers import SINGLE_FROM
+from ..core.deadline import NEW_KERNELS
+from ..core.errors import LCPError
+from ..core.kernels.compilation import cache_folder, compiling_at_once
+from ..core.lcp import LCP
+from ..core.settings import checked_threads
+from ..core.solving.driver import solve
+from ..methods.interior.primal_active_set import UpdatedFactor
+from ..problems.batches.batch import solve_batch
+from ..problems.march.march import march
+from ..problems.march.march_many import march_many
+from ..problems.programs.program_batch import QuadraticProgramBatch
+from ..problems.sensitivity.derivative import derivative
+from ..proofs.bounds.error_bounds import error_bound
 
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
 PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "others")

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 import typer
 
-from ..checks import FloatVector
-from ..errors import InvalidOption, LCPError, UnreadableFile
-from ..problem.lcp import LCP
-from ..solving.result import Result
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, LCPError, UnreadableFile
+from ..core.lcp import LCP
+from ..core.solving.result import Result
 from .solving import OneProcess, refuse_the_problem_itself, require_place
 from .target import scene_text
 
@@ -37,7 +37,7 @@ def on_all_ranks() -> Iterator[None]:
     try:
         from mpi4py import MPI
 
-        from ..communicator.ranks.collective import ends_together
+        from ..ranks.petsc.collective import ends_together
     except (ImportError, RuntimeError, LCPError):  # `solve` says what is missing
         yield
         return
@@ -52,13 +52,13 @@ class OnRanks(OneProcess):
     """Every rank of the job, which all call in the same order."""
 
     def __init__(self) -> None:
-        from ..communicator.ranks.collective import Ranks
+        from ..ranks.petsc.collective import Ranks
 
         self.communicator = self.ranks = Ranks(None)
 
     def ending_together(self) -> AbstractContextManager[None]:
         """Return a context in which the first failure ends all ranks."""
-        from ..communicator.ranks.collective import ends_together
+        from ..ranks.petsc.collective import ends_together
 
         return ends_together(self.ranks.comm, speaker=SPEAKER)
 
@@ -83,8 +83,8 @@ class OnRanks(OneProcess):
 
     def read(self, target: str, size: int | None) -> tuple[LCP, Any]:
         """Return the own part of what is to be solved."""
-        from ..evidence import gallery
-        from ..evidence.gallery import on_ranks as scenes
+        from .. import gallery
+        from ..evidence import on_ranks as scenes
 
         text = scene_text(target, size)
         if text is None:

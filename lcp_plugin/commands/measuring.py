@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InvalidOption, UnreadableFile
+from ..core.errors import InvalidOption, UnreadableFile
 from .app import command
 from .target import algorithm_names, scene_names
 
@@ -100,9 +100,9 @@ def report(
 ) -> bool:
     """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
     from ..evidence.drawing import require_matplotlib
-    from ..evidence.gallery import Scene
     from ..evidence.report.page import collect, require_jinja, write_report
     from ..evidence.report.section import plan
+    from ..gallery import Scene
     from .target import lcp_of_file, own_scene, scene_text
     from .terminal import PartsLine
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import typer
 
-from ..conversions.program import QuadraticProgram
-from ..conversions.program_files import kind_in, load_least_squares, load_program
-from ..errors import InvalidOption
-from ..problem.lcp import LCP
-from ..settings import Settings, Status
+from ..core.errors import InvalidOption
+from ..core.lcp import LCP
+from ..core.settings import Settings, Status
+from ..doors.files.program_files import kind_in, load_least_squares, load_program
+from ..problems.programs.program import QuadraticProgram
 from .solving import OneProcess
 from .terminal import LINE, show_search, show_step
 
@@ -63,7 +63,7 @@ def run(
     plot: Path | None, grid: tuple[int, ...] | None, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved."""
-    from ..policy.choice import policy_for
+    from ..core.policy.choice import policy_for
 
     for name, is_given, whose in (("--size", size is not None, "a scene"), ("--backend", backend != "serial", "LCPs")):
         if is_given:
@@ -94,8 +94,8 @@ def run(
 
 def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
     """Return the answer to AMPL's file."""
-    from ..conversions.equilibrium_program import EquilibriumProgram
-    from ..modeling.nl import read_nl
+    from ..doors.nl import read_nl
+    from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 
     model = read_nl(target)
     show = show_search if isinstance(model.problem, EquilibriumProgram) else show_step
@@ -110,7 +110,7 @@ def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
 
 def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
     """Return the answer to a program, or to a least squares problem."""
-    from ..solving.driver import solve
+    from ..core.solving.driver import solve
 
     problem: Any
     if kind_in(target) is QuadraticProgram:
@@ -145,7 +145,7 @@ def _story(target: str, found: Found) -> str:
 
 def _save(found: Found, out: Path) -> None:
     """Write x, the multipliers and the status into an .npz file, with the names of the variables where it has some."""
-    from ..problem.files import write_whole
+    from ..doors.files.files import write_whole
 
     status = np.array(found.status.name)
     write_whole({out: lambda file: np.savez_compressed(file, status=status, **found.vectors)})

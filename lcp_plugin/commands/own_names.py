@@ -14,10 +14,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..algorithms import Algorithm, made
-from ..errors import InvalidOption, LCPError, did_you_mean
-from ..evidence.gallery.scene import Scene
+from ..core.algorithms import Algorithm, made
+from ..core.errors import InvalidOption, LCPError, did_you_mean
 from ..evidence.own_code import as_scene_of, told
+from ..gallery.scene import Scene
 
 _OWN = re.compile(r"([^:]+\.py|[^\W\d]\w*(\.\w+)*):[^\W\d]\w*(:.*)?")
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import typer
 
-from ..certificates.row_residuals import is_at_bound
-from ..communicator.alone import ALONE, Communicator
-from ..errors import InvalidOption, UnreadableFile
-from ..problem.lcp import LCP
-from ..settings import Settings
-from ..solving.result import Result
+from ..core.certificates.row_residuals import is_at_bound
+from ..core.communicator import ALONE, Communicator
+from ..core.errors import InvalidOption, UnreadableFile
+from ..core.lcp import LCP
+from ..core.settings import Settings
+from ..core.solving.result import Result
 from .target import read_target
 from .terminal import LINE, show_step
 
@@ -57,7 +57,7 @@ class OneProcess:
 
     def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
         """Write z, w and the status into an .npz file, whole or not at all; return what was written."""
-        from ..problem.files import write_whole
+        from ..doors.files.files import write_whole
 
         status = np.array(result.status.name)
         write_whole({out: lambda file: np.savez_compressed(file, z=result.z, w=result.w, status=status)})
@@ -69,7 +69,7 @@ def run(
     plot: Path | None, grid: tuple[int, ...] | None, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved, the same on every rank."""
-    from ..policy.choice import policy_for
+    from ..core.policy.choice import policy_for
 
     with here.ending_together():
         Settings(**settings)  # a wrong one is seen before anything is built
@@ -94,8 +94,8 @@ def run(
 
 def on_grid(problem: LCP, target: str, scene: Any, grid: tuple[int, ...]) -> Any:
     """Return the scene that a picture of a file's problem on a grid is drawn from."""
-    from ..evidence.gallery import Scene
     from ..evidence.plots import checked_shape, labels_of
+    from ..gallery import Scene
 
     if scene is not None:
         raise InvalidOption("--grid is for a file; a scene knows its grid, leave it out")
@@ -154,7 +154,7 @@ def _value(text: str) -> Any:
 
 def _solve_all(problem: LCP, scene: Any, settings: dict[str, Any]) -> list[Result]:
     """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
-    from ..solving.driver import solve
+    from ..core.solving.driver import solve
 
     settings["callback"] = show_step
     results = [solve(problem, z0=None if scene is None else scene.start, **settings)]

@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from ..errors import InvalidOption, UnreadableFile, did_you_mean
+from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
 from ..evidence.drawing import FORMATS, require_matplotlib
 from ..evidence.exporting import TABLES
 from ..evidence.results import VIEWS, Study

@@ -11,15 +11,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ..algorithms import REGISTRY, create, from_other_packages
-from ..certificates.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE, Guarantee
-from ..errors import LCPError
+from ..core.algorithms import REGISTRY, create, from_other_packages
+from ..core.errors import LCPError
+from ..core.lcp import LCP
 from ..evidence.contestants import PAPER_MSOR, paper_options
 from ..evidence.exporting import finite_content, save_tables
 from ..evidence.paper_tables import cells, paper_table
-from ..matrix import analyze
-from ..problem.lcp import LCP
-from ..solving.guarantees import convergence_guarantee
+from ..proofs.guarantees.guarantees import convergence_guarantee
+from ..proofs.guarantees.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE, Guarantee
+from ..proofs.verdicts import analyze
 from .terminal import console, table
 
 SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))

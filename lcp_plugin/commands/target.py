@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..errors import InvalidOption, LCPError, did_you_mean
-from ..kinds import refusal
-from ..problem.lcp import LCP
+from ..core.errors import InvalidOption, LCPError, did_you_mean
+from ..core.kinds import refusal
+from ..core.lcp import LCP
 
 
 def read_target(target: str, way: str, size: int | None = None) -> tuple[LCP, Any]:
     """Return (problem, None) of a file or (problem, scene) of a scene's name; of another kind what to write instead."""
-    from ..evidence import gallery
+    from .. import gallery
 
     if (own := own_scene(target, size)) is not None:
         return own.problem, own
@@ -37,7 +37,7 @@ def own_scene(target: str, size: int | None = None) -> Any:
 
 def is_own_problem(target: str) -> bool:
     """Return whether the target is written ``file.py:function`` or ``module:function``, and no scene."""
-    from ..evidence import gallery
+    from .. import gallery
     from .own_names import is_own
 
     return is_own(target) and target.partition(":")[0].strip().replace("-", "_") not in gallery.names()
@@ -52,7 +52,7 @@ def own_algorithm(name: str, options: dict[str, Any]) -> tuple[Any, dict[str, An
 
 def lcp_of_file(path: str, way: str) -> LCP:
     """Return the LCP of a file; raise InvalidOption in the words of the table of kinds where it states another."""
-    from ..conversions.program_files import load_problem
+    from ..doors.files.program_files import load_problem
 
     problem = load_problem(path)
     if not isinstance(problem, LCP):
@@ -70,7 +70,7 @@ def scene_text(target: str, size: int | None = None) -> str | None:
     InvalidOption
         Where the target is neither, or the size is given twice, or beside a file.
     """
-    from ..evidence import gallery
+    from .. import gallery
 
     name, _, settings = target.strip().partition(":")
     name = name.strip().replace("-", "_")
@@ -90,24 +90,24 @@ def scene_text(target: str, size: int | None = None) -> str | None:
 
 def scene_names(incomplete: str) -> list[str]:
     """Return the scenes that begin so."""
-    from ..evidence import gallery
+    from .. import gallery
 
     return [name for name in gallery.names() if name.startswith(incomplete)]  # none of them: the shell tries files
 
 
 def algorithm_names(incomplete: str) -> list[str]:
     """Return the algorithms that begin so, those of other packages too."""
-    from ..algorithms import REGISTRY, from_other_packages
+    from ..core.algorithms import REGISTRY, from_other_packages
 
     return [name for name in ("auto", *REGISTRY, *from_other_packages()) if name.startswith(incomplete)]
 
 
 def print_everything() -> None:
     """Print kinds of problems by the ways that take them, algorithms with needs and sources, scenes with parameters."""
-    from ..algorithms import REGISTRY, Algorithm, algorithm_class, from_other_packages
-    from ..evidence.gallery import describe
-    from ..kinds import WAYS
-    from ..kinds import kinds as kinds_of_problems
+    from ..core.algorithms import REGISTRY, Algorithm, algorithm_class, from_other_packages
+    from ..core.kinds import WAYS
+    from ..core.kinds import kinds as kinds_of_problems
+    from ..gallery import describe
     from .terminal import console, table
 
     foreign = from_other_packages()

@@ -11,12 +11,12 @@ from itertools import cycle
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from ..deadline import NEW_KERNELS
+from ..core.deadline import NEW_KERNELS
 
 if TYPE_CHECKING:
-    from ..checks import FloatVector
-    from ..solving.equilibria.branch_and_bound import BranchAndBound
-    from ..solving.result import Sample
+    from ..core.checks import FloatVector
+    from ..core.solving.result import Sample
+    from ..problems.equilibria.branch_and_bound import BranchAndBound
 
 QUIET_SECONDS = 1.0
 REFRESH_SECONDS = 0.2

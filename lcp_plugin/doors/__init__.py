@@ -10,7 +10,7 @@
 | files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
 | programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
 | finite elements, as by scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
-| cvxpy, PyTorch, JAX | not doors but rooms: ``help("lcp_plugin.modeling")``, ``help("lcp_plugin.learn")`` |
+| cvxpy, PyTorch, JAX | not doors but rooms: ``help("lcp_plugin.modeling")``, ``help("lcp_plugin.doors.learn")`` |
 
 Whatever the door, an answer is called solved or optimal only where it was measured on the data that came through it,
 and infeasible or unbounded only with a proof that was verified. No package is imported before its door is used.
@@ -69,9 +69,10 @@ What any other of its solvers has found, here x = (0.5, 1.5), `certify` judges:
     (x_,) = layer(p_)
 
 Take it where a model already is a ``CvxpyLayer``: a matrix of parameters may stand in the objective. Take our own
-layers, ``help("lcp_plugin.learn")``, where M and q are at hand, for JAX, and for many small problems: 128 programs of
-10 variables in a box took them a tenth of the time, forwards and backwards. Of a cvxpy problem that is no layer,
-``problem.solve(method="LCP", requires_grad=True)`` and ``problem.backward()`` give the gradients by its parameters.
+layers, ``help("lcp_plugin.doors.learn")``, where M and q are at hand, for JAX, and for many small problems: 128
+programs of 10 variables in a box took them a tenth of the time, forwards and backwards. Of a cvxpy problem that is no
+layer, ``problem.solve(method="LCP", requires_grad=True)`` and ``problem.backward()`` give the gradients by its
+parameters.
 
 **QuantEcon** ``lemke`` has the parameters and the result of ``quantecon.optimize.lcp_lemke``, which needs not be there.
 

@@ -22,13 +22,13 @@ except ImportError:
         "lcp_plugin.doors.cvxpylayers needs cvxpylayers from 1.2 on; install it with: pip install 'cvxpylayers>=1.2'"
     ) from None
 
-from ..checks import FloatVector
-from ..conversions.program import QuadraticProgram
-from ..errors import LCPError, NotConverged, UnsupportedModel
+from ..core.checks import FloatVector
+from ..core.errors import LCPError, NotConverged, UnsupportedModel
+from ..core.solving.driver import asked_of_solve
 from ..modeling.program_derivative import conditions, in_words_of_programs
-from ..solving.derivative import Derivative
-from ..solving.driver import asked_of_solve
-from ..solving.quadratic_program import judged_program
+from ..problems.programs.program import QuadraticProgram
+from ..problems.programs.solving import judged_program
+from ..problems.sensitivity.derivative import Derivative
 
 __all__ = ["LCPSolver"]
 
@@ -216,7 +216,8 @@ class _TorchAlone:
 
     def jax_to_data(self, *_: Any) -> Any:
         raise UnsupportedModel(
-            "cvxpylayers 1.2 calls a solver of one's own in PyTorch alone; in JAX take lcp_plugin.learn.jax, or leave "
+            "cvxpylayers 1.2 calls a solver of one's own in PyTorch alone; in JAX take lcp_plugin.doors.learn.jax, "
+            "or leave "
             "solver= out for diffcp"
         )
 

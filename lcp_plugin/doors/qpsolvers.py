@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import checked_bound, checked_vector
-from ..conversions.program import QuadraticProgram
-from ..errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm, UnsupportedModel
-from ..settings import Status
-from ..solving.quadratic_program import judged_program
+from ..core.checks import checked_bound, checked_vector
+from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm, UnsupportedModel
+from ..core.settings import Status
+from ..problems.programs.program import QuadraticProgram
+from ..problems.programs.solving import judged_program
 
 if TYPE_CHECKING:
     from qpsolvers import Problem, Solution

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..algorithms.pivots.lemke import lemke_path
-from ..checks import FloatVector, checked_vector
-from ..errors import InvalidOption, InvalidProblem
-from ..problem.lcp import LCP
-from ..solving.driver import solve
+from ..core.checks import FloatVector, checked_vector
+from ..core.errors import InvalidOption, InvalidProblem
+from ..core.lcp import LCP
+from ..core.solving.driver import solve
+from ..methods.lemke.lemke import lemke_path
 
 STATUS = {"solved": 0, "limit": 1, "ray": 2, "rounding": 3}
 

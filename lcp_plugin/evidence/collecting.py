@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from ..problem.lcp import LCP
+from ..core.lcp import LCP
 from .curves import Report
 from .exporting import write_text
 

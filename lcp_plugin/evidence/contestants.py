@@ -8,14 +8,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from ..algorithms import REGISTRY, Algorithm, create, module_of
-from ..checks import FloatVector
-from ..errors import ConvergenceWarning, InvalidOption, LCPError
-from ..policy.choice import policy_for
-from ..problem.lcp import LCP
-from ..settings import Status
-from ..solving.driver import solve
-from ..solving.result import Result, Sample
+from ..core.algorithms import REGISTRY, Algorithm, create, module_of
+from ..core.checks import FloatVector
+from ..core.errors import ConvergenceWarning, InvalidOption, LCPError
+from ..core.lcp import LCP
+from ..core.policy.choice import policy_for
+from ..core.settings import Status
+from ..core.solving.driver import solve
+from ..core.solving.result import Result, Sample
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import FloatVector
-from ..conversions.program import QuadraticProgram, refuse_nonconvex
-from ..errors import InvalidOption, did_you_mean
-from ..solving.certification import certify
-from ..solving.program_proofs import Certification
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, did_you_mean
+from ..problems.programs.certification import certify
+from ..problems.programs.program import QuadraticProgram, refuse_nonconvex
+from ..problems.programs.program_proofs import Certification
 
 OURS = "LCP"
 LEVELS = (1e-6, 1e-3)  # to which an answer may be proved
@@ -66,7 +66,7 @@ class JudgedAnswer:
 
     def save(self, path: Path) -> None:
         """Write x, the multipliers where the solver has told them, and the solver's name into an ``.npz`` file."""
-        from ..problem.files import write_whole
+        from ..doors.files.files import write_whole
 
         vectors: dict[str, Any] = {"x": self.x, **(self.multipliers or {}), "solver": np.array(self.solver)}
         write_whole({path: lambda file: np.savez_compressed(file, **vectors)})

@@ -20,19 +20,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..algorithms import module_of
-from ..certificates.residuals import Certificate
-from ..certificates.row_residuals import scaled_residual
-from ..checks import FloatVector
-from ..conversions.quadratic_program import qp_from_lcp
-from ..errors import InvalidOption, LCPError
-from ..kinds import refusal
-from ..problem.lcp import LCP
-from ..settings import Status
-from ..solving.certification import certify
-from ..solving.driver import solve
-from ..solving.program_proofs import Certification
-from ..solving.result import Result
+from ..core.algorithms import module_of
+from ..core.certificates.residuals import Certificate
+from ..core.certificates.row_residuals import scaled_residual
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, LCPError
+from ..core.kinds import refusal
+from ..core.lcp import LCP
+from ..core.settings import Status
+from ..core.solving.driver import solve
+from ..core.solving.result import Result
+from ..problems.programs.certification import certify
+from ..problems.programs.conversion import qp_from_lcp
+from ..problems.programs.program_proofs import Certification
 from .qp_reference import ACCURATE, PLAIN, Attempt, Formulation, accuracy, attempts, check_reference
 
 Verdict = Literal["agree", "mismatch", "not comparable"]

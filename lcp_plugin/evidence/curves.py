@@ -10,8 +10,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidOption
-from ..problem.files import checked_path
+from ..core.errors import InvalidOption
+from ..doors.files.files import checked_path
 from .drawing import save
 from .exporting import AnyPath, Exported, number
 from .figures import Line, Panel, draw_panels

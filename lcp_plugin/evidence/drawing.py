@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, LCPError
-from ..problem.files import write_whole
+from ..core.errors import InvalidOption, LCPError
+from ..doors.files.files import write_whole
 
 FORMATS = (".png", ".pdf", ".svg")
 COLOURS = {

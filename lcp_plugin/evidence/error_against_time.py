@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from ..certificates.residuals import Certificate
-from ..certificates.row_residuals import is_at_bound
-from ..checks import FloatVector
-from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ..kinds import refusal
-from ..problem.lcp import LCP
-from ..solving.result import Result, Sample
+from ..core.certificates.residuals import Certificate
+from ..core.certificates.row_residuals import is_at_bound
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..core.kinds import refusal
+from ..core.lcp import LCP
+from ..core.solving.result import Result, Sample
+from ..gallery.scene import Scene
 from .contestants import Contestant, WorkLimit, checked_names, contestants, fresh, measured_run
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
-from .gallery.scene import Scene
 
 SAMPLE_GROWTH = 1.08
 WARM_UP_ITERATIONS = 3
@@ -85,7 +85,7 @@ def error_against_time(
 
     Examples
     --------
-    >>> from lcp_plugin.evidence import gallery
+    >>> from lcp_plugin import gallery
     >>> report = error_against_time(gallery.build("half_active", n=100), ["npgs", "pgs"], repeats=1)
     >>> report.error_kind, [curve.status for curve in report.curves]
     ('true error', ['SOLVED', 'SOLVED'])
@@ -204,7 +204,7 @@ def _with_residual(problem: LCP, error: Measure | None) -> Callable[[FloatVector
 
 def _bound(problem: LCP, start: FloatVector | None, max_seconds: float) -> tuple[Measure | None, str]:
     """Return the rigorous bound of ‖z − z*‖∞, or None and the reason."""
-    from ..certificates.error_bounds import error_bound
+    from ..proofs.bounds.error_bounds import error_bound
 
     try:
         if error_bound(problem, problem.nearest_to_zero, sharp=False).kind != "rigorous":

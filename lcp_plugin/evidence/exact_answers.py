@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.criterion import RowUnits, rounding_of_data
-from ..certificates.exact_references import exactly_weighted
-from ..certificates.row_residuals import scaled_residual
-from ..checks import FloatVector
-from ..errors import UnsuitableProblem
-from ..exact.linear_systems import solved_nearby
-from ..exact.rational import power_of_two, rational_rows
-from ..exact.rounding import compensated_product
-from ..matrix.equilibration import evened, scaled
-from ..problem.exactly import exact_residuals, exact_slack, is_exact_solution
-from ..problem.lcp import LCP
-from ..settings import Status
-from ..solving.result import Result
+from ..core.certificates.criterion import RowUnits, rounding_of_data
+from ..core.certificates.row_residuals import scaled_residual
+from ..core.checks import FloatVector
+from ..core.errors import UnsuitableProblem
+from ..core.lcp import LCP
+from ..core.matrix.equilibration import evened, scaled
+from ..core.rounding import compensated_product
+from ..core.settings import Status
+from ..core.solving.result import Result
+from ..proofs.exact.exactly import exact_residuals, exact_slack, is_exact_solution
+from ..proofs.exact.linear_systems import solved_nearby
+from ..proofs.exact.rational import power_of_two, rational_rows
+from ..proofs.no_solution.exact_references import exactly_weighted
 
 Answer = tuple[Fraction, ...]
 States = list[int]

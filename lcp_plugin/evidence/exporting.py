@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any, ClassVar
 
-from ..errors import InvalidOption
-from ..problem.files import checked_path, write_whole
+from ..core.errors import InvalidOption
+from ..doors.files.files import checked_path, write_whole
 
 AnyPath = str | PathLike[str]
 DIGITS = 3

@@ -10,10 +10,10 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from ..errors import InvalidOption, LCPError
-from ..kinds import refusal
-from ..problem.lcp import LCP
-from .gallery.scene import Scene
+from ..core.errors import InvalidOption, LCPError
+from ..core.kinds import refusal
+from ..core.lcp import LCP
+from ..gallery.scene import Scene
 
 OURS = (str(Path(__file__).parents[1]), *(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib")))
 

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from ..algorithms import Algorithm, create
-from ..certificates.residuals import Certificate
-from ..checks import FloatVector
-from ..problem.lcp import LCP
+from ..core.algorithms import Algorithm, create
+from ..core.certificates.residuals import Certificate
+from ..core.checks import FloatVector
+from ..core.lcp import LCP
+from ..gallery import build
 from .contestants import fresh, paper_options
 from .exporting import Table
-from .gallery import build
 
 TOLERANCE = 1e-5
 DELTA = 4.0

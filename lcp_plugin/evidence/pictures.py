@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..certificates.residuals import Certificate
-from ..certificates.row_residuals import is_at_bound
-from ..solving.result import Result
+from ..core.certificates.residuals import Certificate
+from ..core.certificates.row_residuals import is_at_bound
+from ..core.solving.result import Result
+from ..gallery.scene import Scene
 from .drawing import HEIGHTS, check_format, heights_as_colours, new_figure, require_matplotlib, save, styled
-from .gallery.scene import Scene
 
 FINEST_SURFACE, FINEST_SKETCH = 70, 110  # nodes along an axis
 LONGEST_SKETCH = 600

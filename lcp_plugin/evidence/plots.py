@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import FloatVector
-from ..errors import InvalidOption, UnsuitableProblem
-from ..settings import Status
-from ..solving.answer import Answer, AnswerSequence
-from ..solving.equilibria.result import EquilibriumResult
-from ..solving.march import March
-from ..solving.result import Result
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, UnsuitableProblem
+from ..core.settings import Status
+from ..core.solving.answer import Answer, AnswerSequence
+from ..core.solving.result import Result
+from ..problems.equilibria.result import EquilibriumResult
+from ..problems.march.march import March
 from .drawing import COLOURS, HEIGHTS, require_matplotlib, save, styled
 from .pictures import ACTIVE, FREE, MOST_DOTS, draw_line, draw_map, draw_residuals, field_of
 

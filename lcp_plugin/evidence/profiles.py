@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..errors import InvalidOption
-from ..problem.files import checked_path
+from ..core.errors import InvalidOption
+from ..doors.files.files import checked_path
 from .curves import Curve, Report
 from .drawing import save
 from .exporting import AnyPath, Exported
@@ -95,7 +95,7 @@ def performance_profile(reports: Sequence[Report], by: str = "work") -> Profile:
 
     Examples
     --------
-    >>> from lcp_plugin.evidence import gallery
+    >>> from lcp_plugin import gallery
     >>> from lcp_plugin.evidence.error_against_time import error_against_time
     >>> report = error_against_time(gallery.build("half_active", n=100), ["npgs", "pgs"], repeats=1)
     >>> performance_profile([report]).share("pgs")

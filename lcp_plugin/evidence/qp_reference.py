@@ -21,16 +21,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..certificates.criterion import reference_residual
-from ..certificates.residuals import Certificate
-from ..certificates.row_residuals import scaled_residual
-from ..checks import FloatVector
-from ..conversions.program import QuadraticProgram, asymmetry_of
-from ..errors import InvalidOption, did_you_mean
-from ..kernels.floats import EPSILON
-from ..matrix.definiteness import factorised, symmetric_part
-from ..matrix.factors import factorise
-from ..problem.lcp import LCP
+from ..core.certificates.criterion import reference_residual
+from ..core.certificates.residuals import Certificate
+from ..core.certificates.row_residuals import scaled_residual
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, did_you_mean
+from ..core.kernels.floats import EPSILON
+from ..core.lcp import LCP
+from ..problems.programs.program import QuadraticProgram, asymmetry_of
+from ..systems.definiteness import factorised, symmetric_part
+from ..systems.factors import factorise
 from .convex_solvers import asked
 
 ACCURATE = 1e-7

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, UnreadableFile, did_you_mean
-from ..problem.files import checked_path
+from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
+from ..doors.files.files import checked_path
 from .collecting import Part, fingerprint
 from .curves import RESIDUAL, Curve, Point, Report
 from .drawing import FORMATS, save

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..algorithms import REGISTRY, Algorithm
-from ..errors import (
+from ..core.algorithms import REGISTRY, Algorithm
+from ..core.errors import (
     ConvergenceWarning,
     InvalidOption,
     LCPError,
@@ -22,9 +22,9 @@ from ..errors import (
     UnsuitableProblem,
     did_you_mean,
 )
-from ..problem.files import checked_path
-from ..solving.driver import solve
-from ..solving.result import Result
+from ..core.solving.driver import solve
+from ..core.solving.result import Result
+from ..doors.files.files import checked_path
 from .contestants import checked_names, contestants
 from .drawing import save
 from .exact_answers import lie_in, relative_error

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
-from ..problem.exactly import exact_slack
-from ..problem.lcp import LCP
+from ..core.checks import FloatVector
+from ..core.lcp import LCP
+from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
+from ..proofs.exact.exactly import exact_slack
 from .exact_answers import Answer, condition_of_answer, exact_answer
-from .gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
 
 LARGEST_INTEGER = 9
 

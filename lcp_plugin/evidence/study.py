@@ -10,20 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..kinds import kind_of, refusal
-from ..problem.files import checked_path
-from ..problem.lcp import LCP
-from ..settings import Settings
+from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
+from ..core.kinds import kind_of, refusal
+from ..core.lcp import LCP
+from ..core.settings import Settings
+from ..doors.files.files import checked_path
+from ..gallery import names as scene_names
+from ..gallery import parse
+from ..gallery.parameters import parameters_of
+from ..gallery.scene import Scene, builder_of
 from .collecting import Part, Progress, collect, data_of, machine
 from .contestants import Contestant, contestants
 from .curves import Curve
 from .error_against_time import Bench, checked_numbers, title_of
 from .exporting import AnyPath, finite_content
-from .gallery import names as scene_names
-from .gallery import parse
-from .gallery.parameters import parameters_of
-from .gallery.scene import Scene, builder_of
 from .own_code import as_scene_of, own_source, told
 from .results import COLUMNS, ResultsFile, Row, Study, name_of
 

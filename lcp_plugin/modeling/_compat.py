@@ -19,9 +19,9 @@ import scipy.sparse as sp
 from cvxpy import settings
 from numpy.typing import NDArray
 
-from ..errors import UnsupportedModel
-from ..expressions.rows import uniform
-from ..settings import Status
+from ..core.errors import UnsupportedModel
+from ..core.settings import Status
+from .expressions.rows import uniform
 
 LONGEST_NAME = 80
 

@@ -11,16 +11,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
-from ..errors import InvalidOption, InvalidProblem, UnsupportedModel
-from ..expressions.program import Program
-from ..expressions.rows import Compiler, Rows, assembled
-from ..problem.lcp import LCP
-from ..problem.nonlinear import NonlinearProblem
-from ..solving.driver import solve
-from ..solving.nonlinear import solve_nonlinear
-from ..solving.result import Result
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, InvalidProblem, UnsupportedModel
+from ..core.lcp import LCP
+from ..core.solving.driver import solve
+from ..core.solving.result import Result
+from ..problems.nonlinear.data import NonlinearProblem
+from ..problems.nonlinear.solving import solve_nonlinear
 from .equations import Affine, Elimination, eliminate_definitions, known_ranges, matched_for_monotony
+from .expressions.program import Program
+from .expressions.rows import Compiler, Rows, assembled
 
 UNCERTAIN = 1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
 

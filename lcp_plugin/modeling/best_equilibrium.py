@@ -11,13 +11,12 @@ from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..checks import FloatVector
-from ..conversions.equilibrium_program import EquilibriumProgram
-from ..conversions.reductions import fold_simple_rows
-from ..errors import UnsupportedModel
-from ..expressions.rows import as_matrix
-from ..solving.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
-from ..solving.equilibria.result import EquilibriumResult
+from ..core.checks import FloatVector
+from ..core.errors import UnsupportedModel
+from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
+from ..problems.equilibria.equilibrium_program import EquilibriumProgram
+from ..problems.equilibria.result import EquilibriumResult
+from ..problems.programs.reductions import fold_simple_rows
 from ._compat import CVXPY_STATUS, name_of, statistics
 from .builder import (
     NO_VARIABLE,
@@ -30,6 +29,7 @@ from .builder import (
 )
 from .certified_problem import ReducedProblem
 from .constraint import Complements, Side
+from .expressions.rows import as_matrix
 from .reading import Reader
 from .stated_terms import sense_of
 

@@ -12,12 +12,12 @@ import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
-from ..errors import ModelWarning, UnsupportedModel
-from ..expressions.rows import as_matrix, is_definition
+from ..core.checks import FloatVector
+from ..core.errors import ModelWarning, UnsupportedModel
 from ._compat import attribute_bounds, attribute_expressions, dense
 from .assembly import Assembly, Function
 from .equations import Elimination
+from .expressions.rows import as_matrix, is_definition
 from .model import BoundSource, Model, Report, Sources
 from .reading import Reader
 

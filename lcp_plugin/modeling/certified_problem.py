@@ -20,12 +20,12 @@ from cvxpy import settings
 from cvxpy.error import DCPError, SolverError
 from numpy.typing import NDArray
 
-from ..certificates.dual_bounds import DENSE_UP_TO, least_squares_above
-from ..checks import FloatVector
-from ..conversions.program import QuadraticProgram, refuse_nonconvex
-from ..errors import InvalidProblem, UnsupportedModel
-from ..solving.given_multipliers import LOOSE, multiplier_beside_room
-from ..solving.program_proofs import Certification, ProgramProofs, Proved
+from ..core.checks import FloatVector
+from ..core.errors import InvalidProblem, UnsupportedModel
+from ..problems.programs.dual_bounds import DENSE_UP_TO, least_squares_above
+from ..problems.programs.given_multipliers import LOOSE, multiplier_beside_room
+from ..problems.programs.program import QuadraticProgram, refuse_nonconvex
+from ..problems.programs.program_proofs import Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
 from .qp_solver import ProgramEntries, QPSolver, quadratic_program
 from .stated_terms import StatedTerms, Terms, dense_value, nearest, sense_of

@@ -14,9 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import FloatVector, all_finite, assembled
-from ..conversions.program_matrices import ProgramMatrices
-from ..matrix.symmetry import is_its_mirror
+from ..core.checks import FloatVector, all_finite, assembled
+from ..core.matrix.symmetry import is_its_mirror
+from ..problems.programs.program_matrices import ProgramMatrices
 
 RELEASES = ("1.8.", "1.9.")  # of cvxpy, which are known to compile to this
 ONES = -1  # cvxpy's id of the parameter that is 1

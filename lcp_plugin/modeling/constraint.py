@@ -11,7 +11,7 @@ from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
-from ..errors import UnsupportedModel
+from ..core.errors import UnsupportedModel
 from ._compat import attribute_bounds, bound_value
 from .builder import pair_residual
 

@@ -15,12 +15,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
-from ..conversions.reductions import put_in
-from ..kernels.floats import EPSILON
-from ..matrix.matrix import largest_in_rows
-from ..matrix.structure import row_numbers
-from ..problem.linear_constraints import activity
+from ..core.checks import FloatVector
+from ..core.kernels.floats import EPSILON
+from ..core.matrix.matrix import largest_in_rows
+from ..core.matrix.structure import row_numbers
+from ..problems.programs.reductions import put_in
+from ..proofs.no_solution.linear_constraints import activity
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

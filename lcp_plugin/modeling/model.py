@@ -11,12 +11,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
-from ..errors import InvalidProblem, UnsupportedModel
-from ..problem.lcp import LCP
-from ..problem.nonlinear import NonlinearProblem
-from ..solving.batch import solve_batch
-from ..solving.batch_run import BatchResult
+from ..core.checks import FloatVector
+from ..core.errors import InvalidProblem, UnsupportedModel
+from ..core.lcp import LCP
+from ..problems.batches.batch import solve_batch
+from ..problems.batches.batch_run import BatchResult
+from ..problems.nonlinear.data import NonlinearProblem
 from ._compat import dense, name_of
 from .equations import Elimination
 

@@ -19,16 +19,16 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from ..checks import FloatVector
-from ..errors import UnsupportedModel
-from ..expressions.program import Program
-from ..solving.result import Result
+from ..core.checks import FloatVector
+from ..core.errors import UnsupportedModel
+from ..core.solving.result import Result
 from . import _compat
+from .expressions.program import Program
 from .model import Model
 from .reading import Reader
 
 if TYPE_CHECKING:
-    from ..solving.derivative import Derivative
+    from ..problems.sensitivity.derivative import Derivative
 
 Changes = dict[int, Any]
 
@@ -166,7 +166,9 @@ class ModelDerivative:
 
     @cached_property
     def _at(self) -> Derivative:
-        from ..solving.derivative import derivative  # with compiled kernels, which a model alone does not need
+        from ..problems.sensitivity.derivative import (
+            derivative,  # with compiled kernels, which a model alone does not need
+        )
 
         return derivative(self._result)
 

@@ -17,16 +17,16 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
 
-from ..checks import FloatVector
-from ..conversions.program import QuadraticProgram
-from ..errors import UnsuitableProblem, UnsupportedModel
-from ..problem.lcp import LCP
+from ..core.checks import FloatVector
+from ..core.errors import UnsuitableProblem, UnsupportedModel
+from ..core.lcp import LCP
+from ..problems.programs.program import QuadraticProgram
 from ._compat import dense, leaf_value
 from .model_derivative import Changes
 from .qp_solver import SAME, ProgramEntries, SolverAnswer
 
 if TYPE_CHECKING:
-    from ..solving.derivative import Derivative
+    from ..problems.sensitivity.derivative import Derivative
 
 
 ROUNDING = 1e-9  # of the terms of a residual that is computed in two ways
@@ -181,7 +181,9 @@ class ProgramDerivative:
 
     @cached_property
     def _at(self) -> Derivative:
-        from ..solving.derivative import Derivative  # with compiled kernels, which a program alone does not need
+        from ..problems.sensitivity.derivative import (
+            Derivative,  # with compiled kernels, which a program alone does not need
+        )
 
         problem, z = self._conditions, self._z
         return Derivative(problem, z, problem.M @ z + problem.q)

@@ -17,12 +17,12 @@ from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from numpy.typing import NDArray
 
-from ..checks import FloatVector, checked_vector
-from ..conversions.program import QuadraticProgram
-from ..conversions.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
-from ..conversions.qp_solution import QPSolution
-from ..errors import InvalidProblem, UnsupportedModel
-from ..solving.quadratic_program import ProgramResult, judged_program
+from ..core.checks import FloatVector, checked_vector
+from ..core.errors import InvalidProblem, UnsupportedModel
+from ..problems.programs.program import QuadraticProgram
+from ..problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
+from ..problems.programs.qp_solution import QPSolution
+from ..problems.programs.solving import ProgramResult, judged_program
 from ._compat import CVXPY_STATUS, statistics
 from .compiled_program import CompiledProgram
 from .stated_terms import dense_value

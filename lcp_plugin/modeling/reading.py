@@ -17,13 +17,13 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy.expressions.expression import Expression
 
-from ..checks import FloatVector
-from ..errors import UnsupportedModel
-from ..expressions.functions import SAME
-from ..expressions.rows import Compiler, Rows, as_matrix
+from ..core.checks import FloatVector
+from ..core.errors import UnsupportedModel
 from . import _compat as atoms
 from ._compat import name_of, postorder
 from .atom_rules import Kind, kind_of, linearised, refused, right_to_left, rule_of, whole
+from .expressions.functions import SAME
+from .expressions.rows import Compiler, Rows, as_matrix
 
 Values = dict[int, Any]
 

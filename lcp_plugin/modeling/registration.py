@@ -16,10 +16,10 @@ from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..errors import UnsupportedModel
-from ..problem.lcp import LCP
-from ..problem.nonlinear import NonlinearProblem
-from ..solving.result import Result
+from ..core.errors import UnsupportedModel
+from ..core.lcp import LCP
+from ..core.solving.result import Result
+from ..problems.nonlinear.data import NonlinearProblem
 from ._compat import (
     CVXPY_STATUS,
     answer_derivatives,

@@ -33,16 +33,7 @@ from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
 from ._compat import attribute_bounds, clear_answering, leaf_value, name_of, postorder
-from .stated_terms import (
-    StatedTerms,
-    Terms,
-    Values,
-    dense_value,
-    entries_of,
-    expression_of,
-    nearest,
-    sense_of,
-)
+from .stated_terms import StatedTerms, Terms, Values, dense_value, entries_of, expression_of, nearest, sense_of
 
 EQUATIONS = (Equality, Zero)
 INEQUALITIES = (Inequality, NonPos, NonNeg)

@@ -14,12 +14,12 @@ from hypothesis import seed as fixed_seed
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
-from ..certificates.refutation import Infeasibility
-from ..checks import FloatVector
-from ..errors import InvalidOption
-from ..matrix import analyze
-from ..problem.exactly import exact_residuals, exact_slack, is_exact_solution
-from ..problem.lcp import LCP
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption
+from ..core.lcp import LCP
+from ..proofs.exact.exactly import exact_residuals, exact_slack, is_exact_solution
+from ..proofs.no_solution.refutation import Infeasibility
+from ..proofs.verdicts import analyze
 from .dominant import p_matrices
 from .options import checked_share, whole_number
 from .problems import Answer, infeasible_lcps, lcps, solved_lcps

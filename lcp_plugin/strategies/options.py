@@ -13,8 +13,8 @@ import scipy.sparse as sp
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ..checks import FloatVector
-from ..errors import InvalidOption
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption
 
 LARGEST_ENTRY = 9
 LARGEST_SIZE = 8

@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from hypothesis import strategies as st
 
-from ..certificates.refutation import Infeasibility
-from ..checks import FloatVector
-from ..errors import InvalidProblem
-from ..problem.lcp import LCP
+from ..core.checks import FloatVector
+from ..core.errors import InvalidProblem
+from ..core.lcp import LCP
+from ..proofs.no_solution.refutation import Infeasibility
 from .definite import positive_definite_matrices
 from .dominant import h_plus_matrices
 from .options import (

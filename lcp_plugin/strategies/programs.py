@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from hypothesis import strategies as st
 
-from ..checks import FloatVector
-from ..conversions.quadratic_program import QuadraticProgram
-from ..problem.lcp import LCP
-from ..problem.nonlinear import NonlinearProblem
+from ..core.checks import FloatVector
+from ..core.lcp import LCP
+from ..problems.nonlinear.data import NonlinearProblem
+from ..problems.programs.conversion import QuadraticProgram
 from .definite import positive_definite_matrices, positive_semidefinite_matrices
 from .dominant import p_matrices
 from .options import SIGNED, Numbers, blocks, drawn_number, entries, integer_vectors, sizes, vectors

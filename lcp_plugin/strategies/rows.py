@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from hypothesis import strategies as st
 
-from ..checks import FloatVector
-from ..errors import InvalidOption, InvalidProblem
-from ..problem.exactly import exact_slack
-from ..problem.lcp import LCP
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, InvalidProblem
+from ..core.lcp import LCP
+from ..proofs.exact.exactly import exact_slack
 from .options import (
     LARGEST_ENTRY,
     POSITIVE,

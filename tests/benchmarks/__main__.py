@@ -17,7 +17,7 @@ sys.path[0] = str(Path(__file__).parents[1])
 sys.path.insert(1, str(Path(__file__).parents[2]))
 
 from benchmarks import BENCHMARKS, load  # noqa: E402
-from lcp_plugin.errors import LCPError, did_you_mean  # noqa: E402
+from lcp_plugin.core.errors import LCPError, did_you_mean  # noqa: E402
 
 
 def main() -> int:

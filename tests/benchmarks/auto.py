@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.checks import FloatVector
-from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.evidence.gallery import build
-from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.lcp import LCP
+from lcp_plugin.core.solving.driver import solve
+from lcp_plugin.gallery import build
 
 from .crossovers import random_band
 from .rivals import SEED, spectrum

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lcp_plugin.conversions.equilibrium_program import EquilibriumProgram
-from lcp_plugin.conversions.program import QuadraticProgram
-from lcp_plugin.solving.equilibria.branch_and_bound import minimize_over_solutions
+from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
+from lcp_plugin.problems.equilibria.equilibrium_program import EquilibriumProgram
+from lcp_plugin.problems.programs.program import QuadraticProgram
 
 SMALL, LARGE = (10, 20), (10, 20, 40)  # pairs
 LEADERS = 5  # pairs for each variable of the leader

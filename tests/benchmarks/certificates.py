@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.certificates.error_bounds import error_bound
-from lcp_plugin.certificates.residuals import Certificate
-from lcp_plugin.checks import FloatVector
+from lcp_plugin.core.certificates.residuals import Certificate
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.contestants import fresh
-from lcp_plugin.evidence.gallery import build
-from lcp_plugin.matrix import analyze
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.gallery import build
+from lcp_plugin.proofs.bounds.error_bounds import error_bound
+from lcp_plugin.proofs.verdicts import analyze
 
 from .multigrid import require_pyamg
 from .timing import Calls, rounds

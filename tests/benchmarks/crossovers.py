@@ -1,4 +1,4 @@
-"""The constants of ``lcp_plugin.crossovers`` beside what this machine says of each."""
+"""The constants of ``lcp_plugin.core.crossovers`` beside what this machine says of each."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg.blas import dsyrk
 
-from lcp_plugin import crossovers
-from lcp_plugin.algorithms.interior_points.dense_ends import analysed, newton_matrix
-from lcp_plugin.algorithms.interior_points.quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
-from lcp_plugin.algorithms.splittings.projected_relaxation import PSOR
-from lcp_plugin.algorithms.splittings.projected_type import NPSOR
-from lcp_plugin.certificates.error_bounds import error_bound
-from lcp_plugin.certificates.infeasibility import decide_feasibility
+from lcp_plugin.core import crossovers
+from lcp_plugin.core.kernels.threads import share, threads_for
+from lcp_plugin.core.lcp import LCP
+from lcp_plugin.core.policy.stages import Stage
+from lcp_plugin.core.solving.driver import solve
+from lcp_plugin.core.splittings.projected_relaxation import PSOR
+from lcp_plugin.core.splittings.projected_type import NPSOR
 from lcp_plugin.evidence.contestants import fresh
-from lcp_plugin.evidence.gallery import build
-from lcp_plugin.kernels.threads import share, threads_for
-from lcp_plugin.matrix.definiteness import is_semidefinite_to_rounding, symmetric_part
-from lcp_plugin.matrix.factors import factorise, positive_factor, solver_of
-from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
-from lcp_plugin.matrix.hierarchy.truncation import Truncation
-from lcp_plugin.policy.stages import Stage
-from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.gallery import build
+from lcp_plugin.methods.interior.dense_ends import analysed, newton_matrix
+from lcp_plugin.methods.interior.quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
+from lcp_plugin.proofs.bounds.error_bounds import error_bound
+from lcp_plugin.proofs.no_solution.infeasibility import decide_feasibility
+from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, symmetric_part
+from lcp_plugin.systems.factors import factorise, positive_factor, solver_of
+from lcp_plugin.systems.hierarchy.levels import build_hierarchy
+from lcp_plugin.systems.hierarchy.truncation import Truncation
 
 from .small import friction
 from .timing import medians

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lcp_plugin.certificates.row_residuals import is_at_bound
-from lcp_plugin.checks import FloatVector
+from lcp_plugin.core.certificates.row_residuals import is_at_bound
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.lcp import LCP
+from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.contestants import fresh
-from lcp_plugin.evidence.gallery import parse
-from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.solving.derivative import derivative
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.gallery import parse
+from lcp_plugin.problems.sensitivity.derivative import derivative
 
 SCENES = ("half_active:n=10000", "paper_example_2:n=10000")
 QUICK_SCENES = ("half_active:n=2500",)

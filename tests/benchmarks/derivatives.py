@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.checks import FloatVector
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.contestants import fresh
-from lcp_plugin.evidence.gallery import Scene, parse
-from lcp_plugin.solving.derivative import Derivative, derivative
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.gallery import Scene, parse
+from lcp_plugin.problems.sensitivity.derivative import Derivative, derivative
 
 from .timing import timed
 

@@ -10,12 +10,12 @@ from unittest.mock import patch
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.algorithms.least_squares.faces import Faces, Point
-from lcp_plugin.algorithms.least_squares.projected_steps import projected_steps
-from lcp_plugin.checks import FloatVector
-from lcp_plugin.problem.least_squares import BoundedLeastSquares, UnitLeastSquares
-from lcp_plugin.solving.least_squares import SMALL, bounded_least_squares
-from lcp_plugin.solving.least_squares_run import DENSE_PATIENCE, SPARSE_PATIENCE
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, UnitLeastSquares
+from lcp_plugin.problems.least_squares.faces import Faces, Point
+from lcp_plugin.problems.least_squares.projected_steps import projected_steps
+from lcp_plugin.problems.least_squares.run import DENSE_PATIENCE, SPARSE_PATIENCE
+from lcp_plugin.problems.least_squares.solving import SMALL, bounded_least_squares
 
 from .rivals import SEED
 from .timing import medians, rounds, timed
@@ -181,7 +181,7 @@ def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[st
 
 def _crossover() -> str:
     """Return how the two ways with a dense A stand where one gives way to the other."""
-    from lcp_plugin.solving import least_squares as solving
+    from lcp_plugin.problems.least_squares import solving
 
     n = int(np.sqrt(SMALL / 2))
     rng = np.random.default_rng(SEED)

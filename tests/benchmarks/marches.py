@@ -18,13 +18,13 @@ import marches
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.checks import FloatVector
-from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.solving.derivative import derivative
-from lcp_plugin.solving.driver import solve
-from lcp_plugin.solving.march import March, march
-from lcp_plugin.solving.march_many import march_many
-from lcp_plugin.solving.result import Result
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.lcp import LCP
+from lcp_plugin.core.solving.driver import solve
+from lcp_plugin.core.solving.result import Result
+from lcp_plugin.problems.march.march import March, march
+from lcp_plugin.problems.march.march_many import march_many
+from lcp_plugin.problems.sensitivity.derivative import derivative
 
 SCENES: dict[str, tuple[Callable[[], marches.Steps], Callable[[], marches.Steps]]] = {
     "Heston put 400 × 150": (lambda: marches.heston()[0], lambda: marches.heston(40, 15, 4)[0]),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lcp_plugin.evidence.gallery import build
+from lcp_plugin.gallery import build
 
 from .timing import medians, timed
 

@@ -22,17 +22,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.certificates.residuals import Certificate
-from lcp_plugin.checks import FloatVector
 from lcp_plugin.commands.distributed import peak_memory
-from lcp_plugin.errors import InvalidProblem, LCPError
+from lcp_plugin.core.certificates.residuals import Certificate
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.errors import InvalidProblem, LCPError
+from lcp_plugin.core.lcp import LCP
+from lcp_plugin.core.settings import checked_threads
+from lcp_plugin.core.solving.driver import solve
+from lcp_plugin.core.solving.result import Result
 from lcp_plugin.evidence.contestants import fresh
-from lcp_plugin.evidence.gallery import Scene, build, parse
-from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.settings import checked_threads
-from lcp_plugin.solving.batch import prepare
-from lcp_plugin.solving.driver import solve
-from lcp_plugin.solving.result import Result
+from lcp_plugin.gallery import Scene, build, parse
+from lcp_plugin.problems.batches.batch import prepare
 
 from . import timing
 from .rivals import RIVALS, Answer, Case
@@ -95,9 +95,9 @@ ROWS = [
 
 FIRST_RUN = """
 import time
-from lcp_plugin.evidence import gallery
+from lcp_plugin import gallery
 from lcp_plugin.evidence.contestants import fresh
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.core.solving.driver import solve
 problem = gallery.parse("{}").problem
 for _ in range(5):
     new = fresh(problem)
@@ -244,8 +244,8 @@ def true_error(problem: LCP, z: FloatVector) -> float:
 
 def traffic(scene: Scene) -> str:
     """Return what one V-cycle must move at least, each array once a pass, beside what the machine copies."""
-    from lcp_plugin.matrix.hierarchy.levels import COARSEST, hierarchy_of
-    from lcp_plugin.matrix.hierarchy.truncation import Truncation
+    from lcp_plugin.systems.hierarchy.levels import COARSEST, hierarchy_of
+    from lcp_plugin.systems.hierarchy.truncation import Truncation
 
     hierarchy = hierarchy_of(scene.problem.matrix, COARSEST)
     truncation = Truncation(hierarchy)

@@ -16,10 +16,10 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu, spsolve_triangular
 
 from lcp_plugin.algorithms import create
-from lcp_plugin.checks import FloatVector
-from lcp_plugin.evidence.gallery import build
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.lcp import LCP
 from lcp_plugin.evidence.paper_tables import TOLERANCE, iterated
-from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.gallery import build
 
 from .timing import Calls, rounds
 

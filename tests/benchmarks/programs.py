@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.conversions.program import QuadraticProgram
-from lcp_plugin.conversions.program_files import load_program
-from lcp_plugin.conversions.qp_solution import QPSolution
-from lcp_plugin.solving.quadratic_program import solve_quadratic_program
+from lcp_plugin.doors.files.program_files import load_program
+from lcp_plugin.problems.programs.program import QuadraticProgram
+from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.solving import solve_quadratic_program
 
 from .rivals import SEED
 from .timing import medians, rounds, timed

@@ -9,8 +9,8 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.conversions.program import QuadraticProgram
 from lcp_plugin.evidence.convex_solvers import HEAD, OURS, judged_answers
+from lcp_plugin.problems.programs.program import QuadraticProgram
 
 ASKED = (OURS, "CLARABEL", "PIQP", "HIGHS", "OSQP", "SCS")
 LIMIT, QUICK_LIMIT = 20.0, 3.0  # seconds of each proof

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
-from lcp_plugin.checks import FloatVector
-from lcp_plugin.evidence.gallery.stencil import stencil_matrix
-from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.lcp import LCP
+from lcp_plugin.core.solving.driver import solve
+from lcp_plugin.gallery.stencil import stencil_matrix
+from lcp_plugin.methods.interior.interior_point import InteriorPoint
 
 from .timing import Timed, medians, timed
 
@@ -259,7 +259,7 @@ def _daqp(case: Case, precision: float, limit: float) -> tuple[Any, str]:
 
 def _psor(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     """Plain projected Gauss–Seidel, compiled, its residual looked at every ten sweeps."""
-    from lcp_plugin.kernels import splitting_sweeps as kernels
+    from lcp_plugin.core.kernels import splitting_sweeps as kernels
 
     problem = LCP(case.M, case.q)
     rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)

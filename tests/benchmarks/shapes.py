@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.checks import FloatVector
-from lcp_plugin.conversions.program import QuadraticProgram
-from lcp_plugin.solving.quadratic_program import solve_quadratic_program
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.problems.programs.program import QuadraticProgram
+from lcp_plugin.problems.programs.solving import solve_quadratic_program
 
 from .programs import MOST_ROUNDS, OPTIMAL, SECONDS, SETUPS, Case, controller, portfolio, support_vectors
 from .rivals import SEED

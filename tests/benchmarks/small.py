@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin.algorithms import create
-from lcp_plugin.checks import FloatVector
-from lcp_plugin.conversions.program_batch import QuadraticProgramBatch
-from lcp_plugin.evidence.gallery import build
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.lcp import LCP
+from lcp_plugin.core.settings import Status
+from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.paper_tables import iterated
-from lcp_plugin.problem.lcp import LCP
-from lcp_plugin.settings import Status
-from lcp_plugin.solving.batch import solve_batch
-from lcp_plugin.solving.batch_run import BatchResult
-from lcp_plugin.solving.derivative import derivative
-from lcp_plugin.solving.driver import solve
+from lcp_plugin.gallery import build
+from lcp_plugin.problems.batches.batch import solve_batch
+from lcp_plugin.problems.batches.batch_run import BatchResult
+from lcp_plugin.problems.programs.program_batch import QuadraticProgramBatch
+from lcp_plugin.problems.sensitivity.derivative import derivative
 
 from .rivals import RIVALS, SEED, Case, Solver, contact, obstacle, spectrum
 from .timing import medians

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from lcp_plugin.checks import FloatVector
-from lcp_plugin.evidence.gallery import build
-from lcp_plugin.kernels import splitting_sweeps as kernels
-from lcp_plugin.matrix.row_sums import inverse_residual_scale, row_splits
-from lcp_plugin.problem.lcp import LCP
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.kernels import splitting_sweeps as kernels
+from lcp_plugin.core.lcp import LCP
+from lcp_plugin.core.matrix.row_sums import inverse_residual_scale, row_splits
+from lcp_plugin.gallery import build
 
 from .timing import medians
 

@@ -31,7 +31,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, minimize_over_solutions
-from lcp_plugin.conversions.equilibrium_program import BETWEEN, CASES, LOWER
+from lcp_plugin.problems.equilibria.equilibrium_program import BETWEEN, CASES, LOWER
 
 INF = np.inf
 ACCURACY = 1e-6

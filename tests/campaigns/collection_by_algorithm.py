@@ -17,7 +17,7 @@ from collection import MODULES
 from collection.judgement import false_claim, shortfall
 
 from lcp_plugin import solve
-from lcp_plugin.errors import LCPError
+from lcp_plugin.core.errors import LCPError
 
 
 def main(algorithm: str, tolerance: float, seconds: float, quiet: bool) -> int:

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
-from lcp_plugin.solving.driver import solve
-from lcp_plugin.solving.quadratic_program import solve_quadratic_program
+from lcp_plugin.core.solving.driver import solve
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
+from lcp_plugin.problems.programs.solving import solve_quadratic_program
 
 TOLERANCE = 1e-6
 STATES, INPUTS = 4, 2  # of a system that is controlled

@@ -30,7 +30,7 @@ from exact import FREE, LOWER, UPPER
 from exact_derivatives import Change, ExactGradient, Piece, distance, piece_at
 
 from lcp_plugin import LCP, Derivative, derivative, solve
-from lcp_plugin.errors import ConvergenceWarning
+from lcp_plugin.core.errors import ConvergenceWarning
 
 Generator = np.random.Generator
 ACCURACY, ADJOINT, WELL_CONDITIONED = 1e-12, 1e-13, 100.0

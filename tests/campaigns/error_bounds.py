@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from exact import Exact, exact_solution
 
 from lcp_plugin import LCP, UnsuitableMatrix
-from lcp_plugin.certificates.error_bounds import ErrorBound, error_bound
+from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
 
 RADII = (0.5, 0.9, 0.99, 0.999)
 DEFINITE = "SPD"

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 
 import lcp_plugin
 from lcp_plugin import LCP, Result, Status, solve
-from lcp_plugin.conversions.bimatrix_game import lcp_from_bimatrix_game
+from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 
 NAMED = ("newton", "lemke", "interior_point", "psor", "npsor")
 ENOUGH, TIMES = 1e-3, 10.0  # of the solvable may stay unsolved; of auto's time a named method gets

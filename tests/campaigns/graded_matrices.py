@@ -35,12 +35,12 @@ from matrix_verdicts import Case, check, extreme
 
 from lcp_plugin import LCP
 from lcp_plugin.algorithms import Algorithm, create
-from lcp_plugin.certificates.convergence import numbers
-from lcp_plugin.certificates.error_bounds import error_bound
-from lcp_plugin.errors import ConvergenceWarning, LCPError
-from lcp_plugin.matrix import analyze, h_matrix, p_matrix, verdicts
-from lcp_plugin.matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
-from lcp_plugin.solving.guarantees import convergence_guarantee
+from lcp_plugin.core.errors import ConvergenceWarning, LCPError
+from lcp_plugin.core.matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
+from lcp_plugin.proofs.bounds.error_bounds import error_bound
+from lcp_plugin.proofs.guarantees.convergence import numbers
+from lcp_plugin.proofs.guarantees.guarantees import convergence_guarantee
+from lcp_plugin.proofs.verdicts import analyze, h_matrix, p_matrix, verdicts
 
 LARGEST_PIECES = 3  # rows up to which all linear pieces of an iteration are looked at
 Matrix = list[list[Fraction]]

@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lcp_plugin import LCP, solve
-from lcp_plugin.evidence import gallery
+from lcp_plugin import LCP, gallery, solve
+from lcp_plugin.core.solving.result import Result
 from lcp_plugin.evidence.contestants import fresh
-from lcp_plugin.evidence.gallery.stencil import balanced_matrix, stiff_cells
-from lcp_plugin.solving.result import Result
+from lcp_plugin.gallery.stencil import balanced_matrix, stiff_cells
 
 CYCLES, TIMES = 60, 3.0
 LONG, WIDEST = 2000, 20

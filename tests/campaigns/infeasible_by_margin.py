@@ -35,10 +35,10 @@ from exact_parts import part_of_rows, references_of_rows
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.certificates.criterion import RowUnits
-from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
-from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.solving.quadratic_program import solve_quadratic_program
+from lcp_plugin.core.certificates.criterion import RowUnits
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
+from lcp_plugin.problems.programs.solving import solve_quadratic_program
 
 TOLERANCE = 1e-8  # of a run
 CONSTRAINTS = 1e-7  # of a program that is called optimal

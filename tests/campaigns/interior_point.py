@@ -15,9 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.algorithms.interior_points.interior_point import InteriorPoint
-from lcp_plugin.conversions.quadratic_program import QuadraticProgram, lcp_from_qp
-from lcp_plugin.settings import Status
+from lcp_plugin.core.settings import Status
+from lcp_plugin.methods.interior.interior_point import InteriorPoint
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 
 MATRICES = ("definite", "rank-deficient", "integer", "nonsymmetric", "skew", "zero")
 PROGRAMS = ("strictly convex", "rank-deficient P", "P = 0", "κ(P) = 1e8", "equations, free", "redundant", "degenerate")

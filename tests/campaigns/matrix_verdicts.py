@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from exact import has_positive_pivots, principal_minors
 
-from lcp_plugin.matrix import MatrixReport, analyze
+from lcp_plugin.proofs.verdicts import MatrixReport, analyze
 
 EXACT_UP_TO = 6
 DECIDED_FROM = 1e-10

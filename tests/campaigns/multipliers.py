@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import convex_programs
 
 from lcp_plugin import QuadraticProgram
-from lcp_plugin.solving.quadratic_program import solve_quadratic_program
+from lcp_plugin.problems.programs.solving import solve_quadratic_program
 
 KINDS = ("degenerate", "redundant", "linear", "fixed", "decimal")
 MOST = 1e3  # times the multipliers of HiGHS

@@ -31,7 +31,7 @@ from exact import exact_solution
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.errors import ConvergenceWarning, UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.errors import ConvergenceWarning, UnsuitableMatrix, UnsuitableProblem
 
 Generator = np.random.Generator
 ALGORITHMS = ("auto", *REGISTRY)

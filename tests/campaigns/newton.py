@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from collection.truth import ExactData
 
 from lcp_plugin import LCP, Status, solve
-from lcp_plugin.algorithms.active_sets.semismooth_newton import Newton
+from lcp_plugin.methods.newton.semismooth_newton import Newton
 
 TOLERANCE = 1e-9
 PROVEN = ("P", "H+", "PSD", "PSD singular, q in range")

@@ -41,7 +41,7 @@ from exact_parts import references_of_rows, relative_residual
 
 from lcp_plugin import LCP, Status, derivative, error_bound, march, solve, solve_batch, solve_many
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 
 Generator = np.random.Generator
 Vector = np.ndarray

@@ -15,8 +15,8 @@ from itertools import product
 import numpy as np
 
 from lcp_plugin import LCP
-from lcp_plugin.algorithms.search import Found, NoSolution, Solution, search
-from lcp_plugin.certificates.infeasibility import decide_feasibility, find_forced_contradiction
+from lcp_plugin.methods.search import Found, NoSolution, Solution, search
+from lcp_plugin.proofs.no_solution.infeasibility import decide_feasibility, find_forced_contradiction
 
 # An inequality is (coefficients, constant, strict): coefficients·z + constant ≥ 0, or > 0.
 Inequality = tuple[tuple[Fraction, ...], Fraction, bool]

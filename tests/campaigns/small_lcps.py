@@ -23,7 +23,7 @@ from collection.judgement import false_claim, shortfall
 from collection.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, decide
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.errors import ConvergenceWarning, UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.errors import ConvergenceWarning, UnsuitableMatrix, UnsuitableProblem
 
 Matrix = np.ndarray
 Generator = np.random.Generator

@@ -24,7 +24,7 @@ from collection.truth import ExactData
 from small_families import FAMILIES, problem
 
 from lcp_plugin import LCP, Result, Status, solve
-from lcp_plugin.errors import ConvergenceWarning
+from lcp_plugin.core.errors import ConvergenceWarning
 
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
 REFUTED = (Status.INFEASIBLE, Status.NO_SOLUTION)
@@ -35,7 +35,7 @@ SECONDS = 20.0
 def long_road(drawn: LCP, algorithm: str) -> Result:
     """Solve without the compiled road."""
     limits = dict.fromkeys(("COMPILED_UP_TO", "COMPILED_SPARSE_UP_TO"), 0)
-    with mock.patch.multiple("lcp_plugin.algorithms.small_dense", **limits):
+    with mock.patch.multiple("lcp_plugin.methods.small.small_dense", **limits):
         return solve(drawn, algorithm, max_seconds=SECONDS)
 
 

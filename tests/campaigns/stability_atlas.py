@@ -16,7 +16,7 @@ import numpy as np
 
 from lcp_plugin import LCP
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence.exact_answers import lie_in
 from lcp_plugin.evidence.stability import stability_atlas
 from lcp_plugin.evidence.stresses import Case, planted, rescaled

@@ -44,7 +44,7 @@ from relations import bits, surroundings
 from trust_kinds import CRASH, MODIFIED, ROUND, SCHEDULE, TOLD, VIOLATIONS, Finding, Found
 
 from lcp_plugin import LCP
-from lcp_plugin.errors import ConvergenceWarning
+from lcp_plugin.core.errors import ConvergenceWarning
 
 LONGEST = 300.0  # seconds of one case
 CHUNK = 200  # cases between two reports of a process

@@ -1,6 +1,6 @@
 """A collection of linear complementarity problems whose answers are known: one family of sources a module.
 
-``all_entries()`` gives them all; what each claims of itself is verified by ``tests/test_collection.py``.
+``all_entries()`` gives them all; what each claims of itself is verified by ``tests/evidence/test_collection.py``.
 """
 
 from __future__ import annotations

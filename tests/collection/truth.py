@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from exact_parts import part_of_rows, relative_residual
 
-from lcp_plugin.certificates.criterion import RowUnits
+from lcp_plugin.core.certificates.criterion import RowUnits
 
 Bound = Fraction | None
 Point = tuple[Fraction, ...]

@@ -68,9 +68,9 @@ def _anatomy(size: int) -> dict[str, Any]:
     """Time a fetch of foreign values and a cycle over all grids; count the foreign values of each grid."""
     from mpi4py import MPI
 
-    from lcp_plugin.evidence.gallery.on_ranks import build
-    from lcp_plugin.matrix.hierarchy.levels import hierarchy_of
-    from lcp_plugin.matrix.hierarchy.truncation import Truncation
+    from lcp_plugin.evidence.on_ranks import build
+    from lcp_plugin.systems.hierarchy.levels import hierarchy_of
+    from lcp_plugin.systems.hierarchy.truncation import Truncation
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
     hierarchy = hierarchy_of(problem.matrix, 60)
@@ -122,7 +122,7 @@ def _multigrid(size: int, runs: int = RUNS) -> dict[str, Any]:
     from mpi4py import MPI
 
     from lcp_plugin import solve
-    from lcp_plugin.evidence.gallery.on_ranks import build
+    from lcp_plugin.evidence.on_ranks import build
 
     solve(build("obstacle_2d", MPI.COMM_WORLD, {"size": 60}).problem, "multigrid")
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
@@ -134,7 +134,7 @@ def _serial(size: int) -> dict[str, Any]:
     sys.path.insert(0, str(Path(__file__).parents[1]))
     from benchmarks.multigrid import from_scratch
 
-    from lcp_plugin.evidence.gallery import build
+    from lcp_plugin.gallery import build
 
     from_scratch(build("obstacle_2d", size=60).problem)
     problem = build("obstacle_2d", size=size).problem
@@ -147,10 +147,10 @@ def _snesvi(size: int) -> dict[str, Any]:
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    from lcp_plugin.certificates.criterion import reference_residual
-    from lcp_plugin.certificates.row_residuals import measured_residual
-    from lcp_plugin.communicator.ranks.halo import numbered_over_all
-    from lcp_plugin.evidence.gallery.on_ranks import build
+    from lcp_plugin.core.certificates.criterion import reference_residual
+    from lcp_plugin.core.certificates.row_residuals import measured_residual
+    from lcp_plugin.evidence.on_ranks import build
+    from lcp_plugin.ranks.petsc.halo import numbered_over_all
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
     layout, rows = problem.communicator, numbered_over_all(problem.matrix.csr_rows, problem.communicator)

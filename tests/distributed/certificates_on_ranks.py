@@ -11,10 +11,10 @@ import scipy.sparse as sp
 from checks import check, run_checks
 
 from lcp_plugin import LCP, Certificate, error_bound
-from lcp_plugin.certificates.criterion import reference_residual
-from lcp_plugin.certificates.residuals import MEASURED
-from lcp_plugin.errors import UnsuitableMatrix
-from lcp_plugin.matrix import comparison_certificate
+from lcp_plugin.core.certificates.criterion import reference_residual
+from lcp_plugin.core.certificates.residuals import MEASURED
+from lcp_plugin.core.errors import UnsuitableMatrix
+from lcp_plugin.proofs.verdicts import comparison_certificate
 
 NUMBERS = (
     "scaled_residual", "relative_residual", "natural_residual", "euclidean_residual", "bound_violation",

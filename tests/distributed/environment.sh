@@ -34,6 +34,6 @@ export PETSC_CONFIGURE_OPTIONS="--with-fc=0 --with-debugging=0"
 "${pip[@]}" install --editable "${root}[test]"
 "$folder/bin/python" -c "
 from petsc4py import PETSc
-import mpi4py, lcp_plugin.communicator.ranks
+import mpi4py, lcp_plugin.ranks.petsc
 print('PETSc', '.'.join(map(str, PETSc.Sys.getVersion())), '· mpi4py', mpi4py.__version__, '· ready')"
 echo "$folder/bin/python -m pytest $root/tests/distributed"

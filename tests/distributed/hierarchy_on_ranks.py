@@ -10,10 +10,10 @@ import scipy.sparse as sp
 from mpi4py import MPI
 
 from lcp_plugin import LCP, gallery
-from lcp_plugin.matrix.hierarchy import vectors
-from lcp_plugin.matrix.hierarchy.grids import Grid, Hierarchy, Operator
-from lcp_plugin.matrix.hierarchy.levels import build_hierarchy
-from lcp_plugin.matrix.hierarchy.truncation import Truncation
+from lcp_plugin.systems.hierarchy import vectors
+from lcp_plugin.systems.hierarchy.grids import Grid, Hierarchy, Operator
+from lcp_plugin.systems.hierarchy.levels import build_hierarchy
+from lcp_plugin.systems.hierarchy.truncation import Truncation
 
 COMM = MPI.COMM_WORLD
 

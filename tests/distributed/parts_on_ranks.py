@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from checks import check, run_checks
 
 from lcp_plugin import LCP, Certificate, Status, solve
-from lcp_plugin.matrix.structure import parts
+from lcp_plugin.core.matrix.structure import parts
 
 UNITS = (-12, 13)  # exponents of ten
 

@@ -14,9 +14,9 @@ from checks import check, run_checks
 from petsc4py import PETSc
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.communicator.ranks.collective import Ranks
-from lcp_plugin.communicator.ranks.halo import numbered_over_all
-from lcp_plugin.errors import InvalidOption, InvalidProblem, UnreadableFile
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem, UnreadableFile
+from lcp_plugin.ranks.petsc.collective import Ranks
+from lcp_plugin.ranks.petsc.halo import numbered_over_all
 
 N = 7
 

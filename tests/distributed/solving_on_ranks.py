@@ -23,11 +23,12 @@ from lcp_plugin import (
     convergence_guarantee,
     derivative,
     error_bound,
+    gallery,
     prepare,
     solve,
 )
 from lcp_plugin.algorithms import create
-from lcp_plugin.errors import (
+from lcp_plugin.core.errors import (
     InvalidOption,
     LCPError,
     NotConverged,
@@ -35,7 +36,6 @@ from lcp_plugin.errors import (
     UnsuitableMatrix,
     UnsuitableProblem,
 )
-from lcp_plugin.evidence import gallery
 
 ALGORITHMS = ("auto", "multigrid", "npsor", "npaor", "npgs", "npj", "pgs", "psor")
 SIZES = {

@@ -20,9 +20,9 @@ COMPARE = """
 import numpy as np
 from mpi4py import MPI
 from lcp_plugin import gallery
-from lcp_plugin.evidence.gallery import on_ranks as scenes
-from lcp_plugin.communicator.ranks.collective import ends_together
-from lcp_plugin.communicator.ranks.halo import numbered_over_all
+from lcp_plugin.evidence import on_ranks as scenes
+from lcp_plugin.ranks.petsc.collective import ends_together
+from lcp_plugin.ranks.petsc.halo import numbered_over_all
 
 def compare(name, size, shifted):
     part = scenes.build(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted)).problem
@@ -145,7 +145,7 @@ def test_a_saved_problem_is_read_in_parts(tmp_path: Path) -> None:
     """What LCP.save wrote on three ranks, the command solves on two."""
     code = f"""
 from mpi4py import MPI
-from lcp_plugin.evidence.gallery import on_ranks as scenes
+from lcp_plugin.evidence import on_ranks as scenes
 scenes.build("obstacle_2d", MPI.COMM_WORLD, dict(size=20)).problem.save({str(tmp_path / "parts")!r})
 """
     end = run_code(3, code)
@@ -179,7 +179,7 @@ def test_front_door_solves_rows_on_ranks() -> None:
     code = """
 from mpi4py import MPI
 from lcp_plugin import solve
-from lcp_plugin.evidence.gallery import on_ranks as scenes
+from lcp_plugin.evidence import on_ranks as scenes
 problem = scenes.build("obstacle_2d", MPI.COMM_WORLD, dict(size=30)).problem
 result = solve(problem, "npgs", tolerance=1e-6).require_solved()
 assert result.z.shape == (problem.last - problem.first,)

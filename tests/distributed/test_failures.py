@@ -16,8 +16,8 @@ SECONDS = 20.0  # far more than an end takes, far less than a hang
 FAIL = """
 import sys, time
 from mpi4py import MPI
-from lcp_plugin.communicator.ranks.collective import ends_together
-from lcp_plugin.errors import InvalidOption
+from lcp_plugin.ranks.petsc.collective import ends_together
+from lcp_plugin.core.errors import InvalidOption
 rank = MPI.COMM_WORLD.rank
 with ends_together():
     {body}
@@ -29,7 +29,7 @@ ENDLESS = """
 import os, sys
 from pathlib import Path
 from mpi4py import MPI
-from lcp_plugin.algorithms.splittings.projected_type import ProjectedType
+from lcp_plugin.core.splittings.projected_type import ProjectedType
 iterates, rank = ProjectedType.iterates, MPI.COMM_WORLD.rank
 def noted(*arguments):
     for k, step in enumerate(iterates(*arguments)):

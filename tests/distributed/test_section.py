@@ -8,7 +8,7 @@ from pathlib import Path
 
 from launch import run, run_code
 
-import lcp_plugin.communicator
+import lcp_plugin.ranks
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 SECTION = README.split("## Several machines")[1].split("\n## ")[0]
@@ -16,8 +16,8 @@ SECTION = README.split("## Several machines")[1].split("\n## ")[0]
 
 def test_the_script_of_the_page_runs() -> None:
     """The script solves its problem on two ranks, with a rigorous bound, and rank 0 alone speaks."""
-    assert 'help("lcp_plugin.communicator")' in SECTION
-    blocks = (lcp_plugin.communicator.__doc__ or "").split("::\n\n")[1:]
+    assert 'help("lcp_plugin.ranks")' in SECTION
+    blocks = (lcp_plugin.ranks.__doc__ or "").split("::\n\n")[1:]
     code, = (block for block in blocks if "from_rows" in block)
     lines = [line for line in code.split("\n\n**")[0].splitlines() if line == "" or line.startswith("    ")]
     done = run_code(2, textwrap.dedent("\n".join(lines)))

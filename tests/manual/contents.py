@@ -25,7 +25,7 @@ SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages i
         "certificates matrix algorithms.search solving.certification solving.program_proofs solving.guarantees",
     ),
     "batch": ("Batch: many problems at once", "solving.batch solving.batch_run solving.program_batch solving.march "
-              "conversions.program_batch"),
+              "problems.programs.program_batch"),
     "differentiate": ("Differentiate: how the answer changes", "learn solving.derivative solving.batch_derivative"),
     "measure": ("Measure: scenes, pictures, tests of solvers", "evidence strategies"),
     "doors": ("Doors: other languages, files, machines", "doors pyomo modeling.nl communicator commands"),

@@ -39,22 +39,28 @@ from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).parents[2]
 ENOUGH = 0.85
-CERTIFICATES, CLASSES = "lcp_plugin/certificates", "lcp_plugin/matrix"
-BOUND_TESTS = ("tests/test_bound_stages.py", "tests/test_error_bounds.py", CERTIFICATES)
-CLASS_TESTS = ("tests/test_matrix_proofs.py", "tests/test_matrix_classes.py", CLASSES, "tests/test_error_bounds.py")
+CERTIFICATES, BOUNDS, CLASSES = "lcp_plugin/core/certificates", "lcp_plugin/proofs/bounds", "lcp_plugin/proofs/verdicts"
+BOUND_TESTS = ("tests/proofs/test_bound_stages.py", "tests/proofs/test_error_bounds.py", CERTIFICATES)
+CLASS_TESTS = ("tests/proofs/test_matrix_proofs.py", "tests/proofs/test_matrix_classes.py", CLASSES,
+    "tests/proofs/test_error_bounds.py")
 # The files, each with its tests, those first that fail soonest.
 TESTS = {
-    f"{CERTIFICATES}/residuals.py": ("tests/test_bound_stages.py", "tests/test_certificate.py", CERTIFICATES),
-    f"{CERTIFICATES}/error_bounds.py": BOUND_TESTS,
-    f"{CERTIFICATES}/solution_bounds.py": BOUND_TESTS,
-    f"{CERTIFICATES}/row_inequality.py": BOUND_TESTS,
+    f"{CERTIFICATES}/residuals.py": ("tests/proofs/test_bound_stages.py", "tests/core/test_certificate.py",
+        CERTIFICATES),
+    f"{BOUNDS}/error_bounds.py": BOUND_TESTS,
+    f"{BOUNDS}/solution_bounds.py": BOUND_TESTS,
+    f"{BOUNDS}/row_inequality.py": BOUND_TESTS,
     **dict.fromkeys(
-        [f"{CERTIFICATES}/{name}.py" for name in ("curvature", "dual_bounds", "feasible_points")]
-        + ["lcp_plugin/solving/program_proofs.py"], ("tests/test_certify.py",),
+        [f"{BOUNDS}/curvature.py"]
+        + [f"lcp_plugin/problems/programs/{name}.py" for name in ("dual_bounds", "feasible_points")]
+        + ["lcp_plugin/problems/programs/program_proofs.py"], ("tests/problems/programs/test_certify.py",),
     ),
-    "lcp_plugin/exact/upward.py": BOUND_TESTS,
-    "lcp_plugin/exact/rounding.py": ("tests/test_rounding.py", "tests/test_error_bounds.py"),
-    **{str(file.relative_to(ROOT)): CLASS_TESTS for file in sorted((ROOT / CLASSES).glob("[a-z]*.py"))},
+    "lcp_plugin/proofs/exact/upward.py": BOUND_TESTS,
+    "lcp_plugin/core/rounding.py": ("tests/core/test_rounding.py", "tests/proofs/test_error_bounds.py"),
+    **{str(file.relative_to(ROOT)): CLASS_TESTS for file in sorted(
+        file for room in (CLASSES, "lcp_plugin/core/matrix",
+            "lcp_plugin/systems") for file in (ROOT / room).glob("[a-z]*.py")
+    )},
 }
 # Operators are exchanged within a group: floats have no shifts, and `x is None` is `x == None`.
 GROUPS = (

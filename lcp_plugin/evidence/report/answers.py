@@ -8,9 +8,9 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
+from ...gallery import parse
 from ..cross_check import cross_validate
 from ..exporting import finite_content
-from ..gallery import parse
 from ..paper_tables import cells
 from ..stability import PROVED, RANGES, Atlas, Cell, stability_atlas
 from ..stresses import FAMILIES

@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ...errors import LCPError
+from ...core.errors import LCPError
 from ..collecting import Collected, collect, machine
 from ..drawing import COLOURS
 from ..exporting import finite_content, write_text

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ...gallery import parse
+from ...gallery.scene import Scene
 from ..collecting import data_of
 from ..contestants import comparison
 from ..curves import Curve, Report
@@ -16,8 +18,6 @@ from ..drawing import COLOURS
 from ..error_against_time import best_answer, error_against_time
 from ..exporting import csv_text
 from ..figures import OWN
-from ..gallery import parse
-from ..gallery.scene import Scene
 from ..pictures import draw_sketch, sketch_of
 from .section import PAGE_WIDTH, Collected, Effort, Part, Say, Section, brief, count, figure, seconds
 

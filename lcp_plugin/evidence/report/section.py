@@ -9,10 +9,10 @@ from importlib import import_module, resources
 from pkgutil import iter_modules
 from typing import Any, ClassVar
 
+from ...gallery.scene import Scene
 from ..collecting import Collected, Compute, Part, Say
 from ..drawing import svg
 from ..exporting import csv_of
-from ..gallery.scene import Scene
 
 __all__ = ["Collected", "Compute", "Effort", "Finding", "Part", "Say", "Section", "claims", "plan", "sections"]
 

@@ -1,0 +1,273 @@
+"""What an algorithm is: frozen options and an iterator; no clock, no tolerance, no status."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..checks import FloatVector, is_number
+from ..crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO, SWEEP_ENTRIES
+from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
+from ..lcp import LCP
+from ..matrix.iteration_facts import IterationFacts
+from ..matrix.row_sums import has_positive_diagonal as has_positive_diagonal  # noqa: PLC0414 - offered here
+from ..matrix.row_sums import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414
+from ..matrix.row_sums import row_splits as row_splits  # noqa: PLC0414
+
+SWEEPS = ("forward", "backward", "symmetric")
+Phases = tuple[bool, bool, bool]  # sweeps, rounds, pivots
+
+
+@dataclass(slots=True)
+class Step:
+    """One iterate, handed to the driver.
+
+    Attributes
+    ----------
+    z : ndarray, shape (n,)
+        Borrowed: the algorithm may overwrite it after the driver has asked for the next step.
+    residual : float or None
+        Exactly the numerator of the relative residual of this z, where the algorithm has it for free.
+    euclidean : float or None
+        ‖z − mid(lower, upper, z − w)‖₂ of this z, where the algorithm has it for free.
+    increment : float or None
+        ‖z − previous z‖∞; tells the driver when a residual is worth measuring.
+    work : float
+        Matrix entries touched since the last step, divided by the nonzeros of M.
+    is_settling : bool
+        The algorithm has just changed a parameter of its own: a residual that does not fall now is no standstill.
+    proof : object, optional
+        Of `certificates`: that the problem has no solution. The driver verifies it before it believes it.
+    remark : str
+        A clause for the advice of a run that does not solve the problem: what was left undecided, and what to do.
+    label : str
+        The name of the part at work, where an algorithm has several; the result shows them as its stages.
+    least_residual : float
+        No z has a smaller relative residual, as doubles say and nobody has proved: where the run asks for less, `auto`
+        spends no work on other methods.
+    successor : Algorithm, optional
+        The same algorithm with what it has learned of M so far, for a problem of the same M and a q nearby; said again
+        where it has learned more.
+    """
+
+    z: FloatVector
+    residual: float | None = None
+    euclidean: float | None = None
+    increment: float | None = None
+    work: float = 1.0
+    is_settling: bool = False
+    proof: Any = None
+    remark: str = ""
+    label: str = ""
+    least_residual: float = 0.0
+    successor: Algorithm | None = None
+
+
+@dataclass(slots=True)
+class FusedSolve:
+    """Where all steps of a run at once have converged: an answer within the tolerance.
+
+    Attributes
+    ----------
+    z : ndarray, shape (n,)
+        Within the bounds; the caller's own from now on.
+    residual : float
+        The relative one, enclosed by :mod:`lcp_plugin.core.kernels.enclosures`: as the certificate has it.
+    work : float
+        In passes over M, summed step by step.
+    parts : tuple of (label, iterations, work)
+        What ran, in order.
+    """
+
+    z: FloatVector
+    residual: float
+    work: float
+    parts: tuple[tuple[str, int, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Algorithm(ABC):
+    """A frozen dataclass of its own options that can iterate.
+
+    Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
+    (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
+    `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
+    `problem.communicator` for what other ranks know; `is_monotone` False says that rises of the residual are legal, and
+    that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
+    run whose best residual stands still; `why_no_start` is said of a start that is given and not used.
+    """
+
+    name: ClassVar[str]
+    assumption: ClassVar[str] = "–"
+    converges_on: ClassVar[str] = "–"
+    cost: ClassVar[str] = "–"
+    reference: ClassVar[str] = "–"
+    runs_on_ranks: ClassVar[bool] = False
+    is_monotone: ClassVar[bool] = True
+    is_watched: ClassVar[bool] = False
+    why_no_start: ClassVar[str] = ""
+
+    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
+        """Return whether the run depends on the start z0, shape (n,), where that is another than z°."""
+        return True
+
+    @abstractmethod
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start and then one step an iteration, for ever.
+
+        Parameters
+        ----------
+        problem : LCP
+        z0 : ndarray, shape (n,)
+            A start within the bounds; the algorithm may overwrite it.
+
+        Raises
+        ------
+        UnsuitableMatrix, UnsuitableProblem
+            Before the first step, naming the row that stands in the way.
+        """
+
+    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+        """Return where the steps of `iterates`, taken without Python between them, converge within the tolerance.
+
+        z, iterations and work are those that single steps give, bit for bit. None where they do not converge, or where
+        there is no such loop for this problem: then the steps are taken one by one.
+
+        Parameters
+        ----------
+        problem : LCP
+        z0 : ndarray, shape (n,)
+            A start within the bounds; not overwritten.
+        tolerance : float
+            On the relative residual, enclosed.
+        max_iterations : int
+        """
+        return None
+
+    def phases_of_small(self) -> Phases | None:
+        """Return the phases of the compiled road that this algorithm takes on small problems from z°, or None."""
+        return None
+
+    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+        """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""
+        return z
+
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return about how many passes over M an answer takes where npsor needs so many more sweeps.
+
+        ∞ where it is no rival of npsor, or none by its work: those come by their prospects.
+        """
+        return math.inf
+
+    def facts(self, problem: LCP) -> IterationFacts | None:
+        """Return what the convergence theorems ask of the iteration, or None where no theorem here is about it.
+
+        Raises
+        ------
+        UnsuitableMatrix, UnsuitableProblem
+            Where it cannot run at all.
+        """
+        return None
+
+    def theorem(self, problem: LCP, report: Any) -> str | None:
+        """Return what proves, for a method without `facts`, that it ends in a solution whatever q is, or None.
+
+        Parameters
+        ----------
+        problem : LCP
+        report : MatrixReport
+            Of its matrix.
+
+        Raises
+        ------
+        UnsuitableMatrix, UnsuitableProblem
+            Where it cannot run at all.
+        """
+        return None
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def identity(algorithm: Algorithm) -> tuple[Hashable, ...] | None:
+    """Return its class, not the name of that, and all it holds; None where that is more than numbers and words."""
+    held = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
+    held |= getattr(algorithm, "__dict__", {})
+    if not all(value is None or isinstance(value, (str, int, float)) for value in held.values()):
+        return None
+    return type(algorithm), *sorted(held.items(), key=lambda item: item[0])
+
+
+def without_warnings(steps: Iterator[Step]) -> Iterator[Step]:
+    """Yield the steps; what overflows in them is seen in the residual. Whoever takes them keeps his own settings."""
+    while True:
+        with np.errstate(all="ignore"):  # not around a yield: there it would reach the caller
+            step = next(steps, None)
+        if step is None:
+            return
+        yield step
+
+
+def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf) -> None:
+    """Raise unless the option is a number in (0, below)."""
+    value = getattr(algorithm, option)
+    if not is_number(value) or not 0.0 < value < below:
+        limit = "" if below == math.inf else f" and below {below:g}"
+        raise InvalidOption(f"{algorithm.name}: {option} must be a positive finite number{limit}, got {value!r}")
+
+
+def check_number(algorithm: Algorithm, option: str) -> None:
+    """Raise unless the option is a finite number."""
+    value = getattr(algorithm, option)
+    if not is_number(value) or not math.isfinite(value):
+        raise InvalidOption(f"{algorithm.name}: {option} must be a finite number, got {value!r}")
+
+
+def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None]) -> None:
+    """Raise unless the option is one of the choices."""
+    value = getattr(algorithm, option)
+    if not (value is None or isinstance(value, str)) or value not in choices:
+        raise InvalidOption(
+            f"{algorithm.name}: {option}={value!r} is not offered{did_you_mean(value, choices)}"
+        )
+
+
+def direct_passes(problem: LCP) -> float:
+    """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
+    if problem.is_dense or not has_positive_diagonal(problem.matrix).all():
+        return DIRECT_PASSES
+    if problem.n > DIRECT_UP_TO:
+        return math.inf
+    entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)
+    return max(DIRECT_PASSES, in_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))
+
+
+def in_driven_sweeps(problem: LCP, passes: float) -> float:
+    """Return how many sweeps, each with the calls around it, take as long as so many compiled passes over M."""
+    return passes * problem.nonzeros / (problem.nonzeros + SWEEP_ENTRIES)
+
+
+def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
+    """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
+    diagonal, usable = problem.diagonal, has_positive_diagonal(problem.matrix)
+
+    def check() -> None:
+        if not usable.all():
+            i = int(np.flatnonzero(~usable)[0])
+            row, other = problem.first + i, "npsor" if problem.is_distributed else "auto"
+            raise UnsuitableMatrix(
+                f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="{other}"'
+            )
+
+    problem.communicator.together(check)
+    return diagonal
+
+
+def directions(sweep: str) -> tuple[bool, ...]:
+    """Return the `backward` flag of each pass of one iteration."""
+    return {"forward": (False,), "backward": (True,), "symmetric": (False, True)}[sweep]

@@ -1,0 +1,1 @@
+"""How wrong a z is: residuals of rows, what they are compared with, the certificate."""

@@ -1,0 +1,348 @@
+"""What SOLVED asks for: residuals in the units in which M is balanced, in each part beside the reference of that part.
+
+In the units R, C of :mod:`lcp_plugin.core.matrix.units`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in each
+part P, a connected component of the graph of M,
+
+    ‖r̂_P(z)‖∞ ≤ max(tolerance · ‖r̂_P(z°)‖∞, absolute tolerance),  r̂_i = ẑ_i − mid(l̂_i, û_i, ẑ_i − ŵ_i / d̂_i).
+
+In the caller's units r̂_i is r_i, with d̂_i / 2^(row_i + column_i) for d_i, times the *weight* 2^−column_i: this is how
+a certificate computes it, on the caller's data. A run works on the problem in these units, and there, with 2^k_P for
+each part, so that 2^k_P ‖r̂_P(z°)‖∞ lies in [1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm
+speaks of every part within a factor 2. Where ‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where a part falls into several
+components of the graph of rows and columns (zero diagonals: games, linear programs), M̂ leaves the unit of each open,
+and q̂ at z° decides: its largest entry in the rows of each lies in [½, 1).
+
+What it does not see: units that M cannot tell (a factor of 2⁸ between unknowns, rows that dominate), and jumps in mixed
+units, whose stiff part counts more than its share. Rows over ranks keep the units they are given in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import BoolVector, FloatVector, read_only
+from ..kernels.floats import DATA_ROUNDING, TINY
+from ..lcp import LCP
+from ..matrix.matrix import Matrix
+from ..matrix.structure import IntVector, Parts, parts
+from ..matrix.units import Units, units_of
+from .row_residuals import at_rounding_level, magnitude, residual_ends_of, rounding_floor, sharp_residual_ends
+
+VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
+_references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
+_own_references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
+_row_units: WeakKeyDictionary[LCP, RowUnits] = WeakKeyDictionary()
+SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)
+LARGEST_EXPONENT = 1000  # of two, that other units may give a number
+
+
+class RowUnits(NamedTuple):
+    """What the criterion makes of rows in the caller's units.
+
+    Attributes
+    ----------
+    row, column : array of int, shape (own,)
+        ŵ_i = 2^row_i w_i and ẑ_i = 2^−column_i z_i.
+    scale : array, shape (own,)
+        What w_i is divided by in r_i.
+    """
+
+    row: IntVector
+    column: IntVector
+    scale: FloatVector
+
+    @classmethod
+    def of(cls, problem: LCP) -> RowUnits | None:
+        """Return those of a problem; None where its own units are those of the criterion, or its origin has one."""
+        units = None if problem.criterion is not None else units_of(problem.matrix)
+        if units is None:
+            return None
+        if problem not in _row_units:
+            _row_units[problem] = cls(*_with_offset(problem, units))
+        return _row_units[problem]
+
+    def upwards(self, residuals: FloatVector) -> FloatVector:
+        """Return residuals ≥ 0 in the units of the criterion, no smaller, shape (own,)."""
+        with np.errstate(all="ignore"):
+            weighted = np.ldexp(residuals, -self.column)
+            return np.where((weighted < SMALLEST_NORMAL) & (residuals > 0.0), weighted + TINY, weighted)
+
+    def downwards(self, residuals: FloatVector) -> FloatVector:
+        """Return the same, no larger."""
+        with np.errstate(all="ignore"):
+            weighted = np.ldexp(residuals, -self.column)
+            return np.where(weighted < SMALLEST_NORMAL, np.maximum(weighted - TINY, 0.0), weighted)
+
+
+def _with_offset(problem: LCP, units: Units) -> tuple[IntVector, IntVector, FloatVector]:
+    """Return exponents and scale with the unit that q gives to components of which a part has several."""
+    row, column, scale = units.row, units.column, units.scale
+    if np.array_equal(units.of_row, units.of_column):
+        return row, column, scale
+    with np.errstate(all="ignore"):
+        slack = np.ldexp(np.abs(problem.slack(problem.nearest_to_zero)), row)
+    largest = np.zeros(2 * problem.n)
+    np.maximum.at(largest, units.of_row, np.where(np.isfinite(slack), slack, 0.0))
+    shift = np.where(largest > 0.0, -np.frexp(largest)[1], 0).astype(np.int64)
+    is_open = (units.row != 0) | (units.column != 0)
+    of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
+    with np.errstate(all="ignore"):
+        scale = np.ldexp(scale, of_column - of_row)
+    return row + of_row, column - of_column, read_only(np.clip(scale, TINY, np.finfo(float).max))
+
+
+def residual_scale_of_criterion(problem: LCP) -> FloatVector:
+    """Return what w is divided by in the residual that SOLVED speaks of, shape (own,)."""
+    units = RowUnits.of(problem)
+    return problem.residual_scale if units is None else units.scale
+
+
+def largest_of_parts(problem: LCP, values: FloatVector) -> FloatVector:
+    """Return the largest of the values ≥ 0 of each part's rows, shape (parts,); a NaN stays, 0 where there is no row.
+
+    Parameters
+    ----------
+    values : array, shape (own,)
+    """
+    several = parts(problem.matrix)
+    if several is not None:
+        return several.largest(values)
+    return np.array([problem.communicator.largest(float(values.max()) if values.size else 0.0)])
+
+
+def for_each_row(problem: LCP, values: Any) -> Any:
+    """Return the value of each own row's part, shape (own,), or (1,) where there is one part."""
+    several = parts(problem.matrix)
+    return values if several is None else values[several.labels]
+
+
+def references_of_parts(problem: LCP) -> VectorEnds:
+    """Return bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each; computed once a problem."""
+    if RowUnits.of(problem) is None:
+        return own_references(problem)
+    if problem not in _references:
+        _references[problem] = _references_in(problem, RowUnits.of(problem))
+    return _references[problem]
+
+
+def own_references(problem: LCP) -> VectorEnds:
+    """Return bounds of ‖r_P(z°)‖∞ in the problem's own units, as a run on it has them; computed once a problem."""
+    if problem not in _own_references:
+        _own_references[problem] = _references_in(problem, None)
+    return _own_references[problem]
+
+
+def _references_in(problem: LCP, units: RowUnits | None) -> VectorEnds:
+    z, matrix, scale = problem.nearest_to_zero, problem.matrix, problem.residual_scale if units is None else units.scale
+
+    def of_parts(ends: VectorEnds) -> tuple[FloatVector, ...]:
+        weighted = ends if units is None else (units.downwards(ends[0]), units.upwards(ends[1]))
+        return tuple(largest_of_parts(problem, end) for end in weighted)
+
+    whole = matrix.whole(z)
+    rows = matrix.rows if whole.any() else _no_entries(matrix.own, matrix.width)
+    least, most = of_parts(residual_ends_of(rows, whole, problem, z, scale))
+    is_open = (least == 0.0) & (most > 0.0)  # is z° the answer?
+    if not problem.communicator.everywhere(not is_open.any()):
+        sharp = of_parts(sharp_residual_ends(problem, z, scale))
+        least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
+    return least, most
+
+
+def least_reference(least: FloatVector, most: FloatVector) -> float:
+    """Return the least of references between these ends that is not 0; ∞ where there is none."""
+    return float(np.min(np.where(least > 0.0, least, most), initial=np.inf, where=most > 0.0))
+
+
+def reference_residual(problem: LCP) -> float:
+    """Return ‖r(z°)‖∞ in the problem's own units, rounded upwards: what a run compares residuals with on the way."""
+    return problem.communicator.largest(float(own_references(problem)[1].max(initial=0.0)))
+
+
+def rounding_of_data(problem: LCP) -> float:
+    """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q_i|/d_i."""
+    with np.errstate(over="ignore"):
+        largest = float(np.abs(problem.q / problem.residual_scale).max(initial=0.0))
+    return DATA_ROUNDING * problem.communicator.largest(largest)
+
+
+def _no_entries(rows: int, columns: int) -> sp.csr_array:
+    """Return zeros; scipy takes as long for them as a kernel for a small matrix."""
+    empty = np.empty(0), np.empty(0, dtype=np.int32), np.zeros(rows + 1, dtype=np.int32)
+    return sp.csr_array(empty, shape=(rows, columns))
+
+
+@dataclass(frozen=True, eq=False)
+class CommonUnits:
+    """A problem in the units of the criterion, the references of its parts alike, and the way back to the caller's.
+
+    Attributes
+    ----------
+    callers : LCP
+        The problem as it was stated.
+    problem : LCP
+        What a run works on: M̂ with q and the bounds in these units; the caller's own where nothing changes.
+    exponents : array of int, shape (own,), or None
+        ẑ_i = 2^exponents_i z_i; None where ẑ = z.
+    row_exponents : array of int, shape (own,), or None
+        ŵ_i = 2^row_exponents_i w_i.
+    answered : array of bool, shape (own,), or None
+        The rows of parts that z° solves, as far as double precision can tell; None where there are none.
+    least : float
+        No other reference counts for less than this, in the caller's units.
+    """
+
+    callers: LCP
+    problem: LCP
+    exponents: IntVector | None = None
+    row_exponents: IntVector | None = None
+    answered: BoolVector | None = None
+    least: float = 0.0
+
+    @classmethod
+    def of(cls, problem: LCP, least: float = 0.0) -> CommonUnits:
+        """Return those of a problem; where a number would overflow in them, the problem's own."""
+        units, several = RowUnits.of(problem), parts(problem.matrix)
+        balanced = None if units is None else _scaled(problem, units.row, -units.column, _matrix_in_units(problem))
+        if several is None:
+            if balanced is None or units is None:
+                return cls(problem, problem, least=least)
+            return cls(problem, balanced, -units.column, units.row, None, least)
+        inner = balanced or problem
+        most = own_references(inner)[1]
+        is_answered = (most == 0.0) | hold_at_zero(problem)
+        if balanced is None:
+            most = np.maximum(most, least)
+        exponents = _exponents(inner, several, np.where(is_answered, 0.0, most))
+        answered = is_answered[several.labels]
+        has_units, has_answers = (not problem.communicator.everywhere(not rows.any()) for rows in (exponents, answered))
+        run = (_scaled(inner, exponents, exponents, inner.matrix) if has_units else None) or inner
+        rows, columns = (exponents, exponents) if has_units and run is not inner else (None, None)
+        if balanced is not None and units is not None:
+            rows = units.row if rows is None else units.row + rows
+            columns = -units.column if columns is None else columns - units.column
+        return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least)
+
+    @cached_property
+    def references(self) -> VectorEnds:
+        """Bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each, raised to `least`; 0 where z° is the answer."""
+        least, most = own_references(self.problem)
+        if self.least:
+            with np.errstate(over="ignore"):
+                of_rows = np.full(self.callers.own, self.least)
+                of_rows = of_rows if self.exponents is None else np.ldexp(of_rows, self.exponents)
+            raised = np.where(most > 0.0, largest_of_parts(self.problem, of_rows), 0.0)
+            least, most = np.maximum(least, raised), np.maximum(most, raised)
+        return self.in_open_parts(least), self.in_open_parts(most)
+
+    def in_open_parts(self, values: FloatVector) -> FloatVector:
+        """Return values of parts, shape (parts,), with 0 for those that z° answers."""
+        several = parts(self.problem.matrix)
+        if several is None or self.answered is None:
+            return values
+        return np.where(several.largest(self.answered.astype(np.float64)) == 0.0, values, 0.0)
+
+    @cached_property
+    def reference(self) -> float:
+        """The least of them that is not 0, rounded upwards where there is one part; 0 where z° is the answer."""
+        least, most = self.references
+        if parts(self.problem.matrix) is None:
+            return float(most.max(initial=0.0))
+        smallest = -self.problem.communicator.largest(-least_reference(least, most))
+        return smallest if smallest < np.inf else 0.0
+
+    @property
+    def is_the_callers(self) -> bool:
+        """Whether z means the same in both."""
+        return self.exponents is None and self.answered is None
+
+    def inward(self, z: FloatVector) -> FloatVector:
+        """Return a point of the caller's in the common units, shape (own,); z° where that is the answer.
+
+        So it is where a number overflows: it is far from anything in its part.
+        """
+        if self.is_the_callers:
+            return z
+        origin = self.problem.nearest_to_zero
+        if z is self.callers.nearest_to_zero:
+            return origin
+        with np.errstate(all="ignore"):
+            scaled = z if self.exponents is None else np.ldexp(z, self.exponents)
+        scaled = np.where(np.isinf(scaled) & np.isfinite(z), origin, scaled)
+        scaled = np.clip(scaled, self.problem.lower, self.problem.upper)
+        return scaled if self.answered is None else np.where(self.answered, origin, scaled)
+
+    def outward(self, z: FloatVector) -> FloatVector:
+        """Return a point in the common units in the caller's, shape (own,); z° where that is the answer."""
+        if self.is_the_callers:
+            return z
+        with np.errstate(all="ignore"):
+            back = z if self.exponents is None else np.ldexp(z, -self.exponents)
+        return back if self.answered is None else np.where(self.answered, self.callers.nearest_to_zero, back)
+
+
+def hold_at_zero(problem: LCP) -> BoolVector:
+    """Return of which parts z° cannot be told from a solution in double precision, shape (parts,).
+
+    In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
+    """
+    z, matrix = problem.nearest_to_zero, problem.matrix
+    if problem.communicator.everywhere(not z.any()):  # what r(0) is made of is not rounded
+        return np.asarray(references_of_parts(problem)[1] == 0.0)
+    whole = matrix.whole(z)
+    residual = residual_ends_of(matrix.rows, whole, problem, z, problem.residual_scale)[1]
+    with np.errstate(all="ignore"):
+        floor = rounding_floor(problem, magnitude(problem, whole), problem.residual_scale)
+        is_rounding = at_rounding_level(np.abs(problem.slack(z)) / problem.residual_scale, floor)
+    is_above = largest_of_parts(problem, ((residual > 0.0) & ~is_rounding).astype(np.float64))
+    return np.asarray(is_above == 0.0)
+
+
+def _matrix_in_units(problem: LCP) -> Matrix:
+    units = units_of(problem.matrix)
+    return problem.matrix if units is None else units.matrix
+
+
+def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LCP | None:
+    """Return the problem with 2^row q and bounds 2^of_z times theirs; None where one of them overflows."""
+    with np.errstate(all="ignore"):
+        q, lower, upper = np.ldexp(problem.q, row), np.ldexp(problem.lower, of_z), np.ldexp(problem.upper, of_z)
+    is_whole = bool(np.isfinite(q).all())
+    for new, old in ((lower, problem.lower), (upper, problem.upper)):
+        is_whole &= bool(np.array_equal(np.isinf(new), np.isinf(old)))
+    if not is_whole:
+        return None
+    scaled = problem.with_q(q, lower=lower, upper=upper) if matrix is problem.matrix else LCP(
+        matrix, q, lower=lower, upper=upper
+    )
+    scaled.origin, scaled.criterion = problem.origin, problem.criterion
+    return scaled
+
+
+def _exponents(problem: LCP, several: Parts, most: FloatVector) -> IntVector:
+    """Return the binary logarithm of each row's unit, shape (own,): 0 where nothing has to be changed.
+
+    Of a part that z° solves only numbers larger than the others' references are made smaller; no number is made larger
+    than a double is.
+    """
+    with np.errstate(all="ignore"):
+        sizes = [np.abs(problem.nearest_to_zero), np.abs(problem.q / problem.residual_scale), np.abs(problem.q)]
+        sizes += [np.where(np.isinf(bound), 0.0, np.abs(bound)) for bound in (problem.lower, problem.upper)]
+        size = several.largest(np.nan_to_num(np.maximum(*sizes[:2]), posinf=np.finfo(float).max))
+        largest = several.largest(np.maximum.reduce(sizes[2:]))
+    is_open = (most > 0.0) & np.isfinite(most)
+    wanted = 1 - np.frexp(most)[1].astype(np.int64)
+    ends = np.max(wanted, initial=-(10**6), where=is_open), np.max(-wanted, initial=-(10**6), where=is_open)
+    highest, minus_lowest = problem.communicator.all_largest(*map(float, ends))
+    if highest == -minus_lowest:  # they are alike
+        wanted -= int(highest)
+    unit = 1 - int(highest) if highest == -minus_lowest else 1
+    smaller = np.minimum(unit - np.frexp(size)[1], 0)
+    wanted = np.where(is_open, wanted, np.where(most == 0.0, smaller, 0))
+    return np.minimum(wanted, LARGEST_EXPONENT - np.frexp(largest)[1].astype(np.int64))[several.labels]

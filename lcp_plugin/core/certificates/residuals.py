@@ -1,0 +1,393 @@
+"""How wrong a z is: a function of the caller's (M, q, lower, upper) and z, and of nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import BoolVector, FloatVector, read_only, restored
+from ..errors import InvalidProblem
+from ..kinds import refusal
+from ..lcp import LCP
+from ..matrix.structure import parts
+from ..rounding import gamma
+from .criterion import RowUnits, VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
+from .row_residuals import (
+    at_rounding_level,
+    euclidean_norm,
+    is_large_product,
+    largest_ratio,
+    magnitude,
+    over,
+    residual_ends_of,
+    rounding_floor,
+    scaled_residual,
+    sharp_residual_ends,
+)
+
+MEASURED = (
+    "w", "worst_index", "relative_residual", "natural_residual", "euclidean_residual", "backward_error",
+    "bound_violation", "slack_violation", "complementarity", "relative_complementarity", "scale_spread",
+    "is_at_rounding_level", "is_limited_by_rounding",
+)
+GAINED = 1e-2  # of the reference
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Every measure of how far z is from solving the problem; nothing in it comes from an algorithm.
+
+    The relative, natural and euclidean residuals are proved: upper bounds of the exact ones, sharp but for some ulps.
+    The others are measured in double precision.
+
+    Attributes
+    ----------
+    problem : LCP
+        The problem that z was judged on. Where its rows are spread over ranks, all of them measure at once, and every
+        number is the same on each.
+    z, w : ndarray, shape (n,)
+        The point and its slack M z + q in double precision; on ranks the own parts, shape (own,).
+    scaled_residual : float
+        The numerator of the relative residual, in the units of the criterion, measured.
+    relative_residual : float
+        The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts P, the connected components of the graph of M, with
+        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the units
+        in which M is balanced (:mod:`lcp_plugin.core.certificates.criterion`): the units of rows and unknowns do not
+        change it.
+    parts : int
+        How many parts there are.
+    natural_residual : float
+        ‖z − mid(lower, upper, z − w)‖∞, unscaled; the number other solvers print.
+    euclidean_residual : float
+        ‖z − mid(lower, upper, z − w)‖₂; the paper's Res.
+    bound_violation : float
+        How far z lies outside [lower, upper], in the unit of z.
+    slack_violation : float
+        How far w has a sign that no z within the bounds could allow, in the unit of w.
+    complementarity : float
+        max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
+    relative_complementarity : float
+        The same with w_i/d_i for w_i, over ‖r_P(z°)‖∞², P the part of row i. Invariant as the relative residual is.
+        That is about the lesser factor; where the other is huge, the product is large although the residual is small.
+    worst_index : int
+        The row of the largest residual beside the reference of its part: it names the worst part; −1 for an empty
+        problem.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> Certificate.of(problem, [2.5, 0]).relative_residual
+    0.0
+    >>> Certificate.of(problem, [2.5, 0.5]).worst_index
+    1
+    """
+
+    problem: LCP = field(repr=False)
+    z: FloatVector = field(repr=False)
+
+    is_linearised: ClassVar[bool] = False  # whether `problem` is only what a nonlinear one looks like near z
+
+    __setstate__ = restored
+
+    @classmethod
+    def of(cls, problem: LCP, z: ArrayLike) -> Certificate:
+        """Return the certificate of z, shape (n,), for the problem; on ranks of the own part, and all of them call.
+
+        Raises
+        ------
+        InvalidProblem
+            Where z is no real vector of length n. NaN and infinities are measured, not refused.
+        """
+        if not isinstance(problem, LCP):
+            raise InvalidProblem(refusal("Certificate.of", problem))
+        if problem.is_distributed or type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
+            z = problem.own_part(z)
+        else:
+            z = read_only(z.copy())
+        certificate = cls(problem, z)
+        if problem.is_distributed:
+            certificate._measure_at_once()
+        return certificate
+
+    @classmethod
+    def enclosed(cls, problem: LCP, z: FloatVector, relative_residual: float) -> Certificate:
+        """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed in the same way."""
+        certificate = cls(problem, read_only(z))
+        certificate.__dict__["relative_residual"] = relative_residual
+        return certificate
+
+    def _measure_at_once(self) -> None:
+        """Measure everything while all ranks are here: what one of them reads later, it reads alone."""
+        for name in MEASURED:
+            getattr(self, name)
+        for name in ("_whole", "_scaled_ends", "_natural", "_products"):
+            del self.__dict__[name]
+
+    @cached_property
+    def _whole(self) -> FloatVector:
+        """z, and behind it the values on other ranks that the own rows meet."""
+        return self.problem.matrix.whole(self.z)
+
+    @cached_property
+    def w(self) -> FloatVector:
+        """The slack M z + q in double precision, shape (n,), read-only."""
+        with np.errstate(all="ignore"):
+            w: FloatVector = self.problem.matrix.rows @ self._whole
+            w += self.problem.q
+        return read_only(w)
+
+    def _largest(self, values: FloatVector) -> float:
+        """Return the largest of all rows' values."""
+        return self.problem.communicator.largest(_largest(values))
+
+    @cached_property
+    def _row_references(self) -> FloatVector:
+        """An upper bound of the reference of each row's part, shape (own,) or, where there is one part, (1,)."""
+        references: FloatVector = for_each_row(self.problem, self.references[1])
+        return references
+
+    @cached_property
+    def _worst(self) -> tuple[float, float, int]:
+        """The largest residual beside the reference of its part, this residual, and its row."""
+        several = parts(self.problem.matrix)
+        with np.errstate(all="ignore"):
+            residual = self._in_units(np.abs(scaled_residual(self.problem, self.z, self.w, self._scale)))
+            relative = residual
+            if several is not None:  # as the relative residual is proved, so that its part is the one that is named
+                relative = over(self._proved_rows, self.references[0][several.labels])
+        worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
+        communicator, is_empty = self.problem.communicator, not relative.size
+        largest, row = communicator.worst(0.0 if is_empty else float(relative[worst]), worst)
+        is_here = not is_empty and row == self.problem.first + worst
+        return largest, communicator.largest(float(residual[worst]) if is_here else 0.0), row
+
+    @property
+    def worst_index(self) -> int:
+        """The row of the largest residual beside the reference of its part; −1 for an empty problem."""
+        return self._worst[2]
+
+    @property
+    def scaled_residual(self) -> float:
+        """‖r(z)‖∞ of the worst part, as measured in double precision."""
+        return self._worst[1]
+
+    @property
+    def parts(self) -> int:
+        """How many parts the problem has: connected components of the graph of M."""
+        several = parts(self.problem.matrix)
+        return 1 if several is None else several.total
+
+    @cached_property
+    def relative_residual(self) -> float:
+        """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts, rounded upwards; 0 for 0/0."""
+        communicator = self.problem.communicator
+        if not communicator.everywhere(not np.isinf(self.references[1]).any()):
+            return np.nan
+        return communicator.largest(largest_ratio(*self.residuals_of_parts))
+
+    @property
+    def residuals_of_parts(self) -> VectorEnds:
+        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ‖r_P(z°)‖∞, shape (parts,) each."""
+        return largest_of_parts(self.problem, self._proved_rows), self.references[0]
+
+    @property
+    def _proved_rows(self) -> FloatVector:
+        """An upper bound of every |r_i|, sharp in parts that z° solves: there only what is exactly 0 will do."""
+        ends, least = self._in_units(self._scaled_ends[1]), self.references[0]
+        several = parts(self.problem.matrix)
+        of_rows = least if several is None else least[several.labels]
+        is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
+        if self.problem.communicator.everywhere(not is_exact.any()):
+            return ends
+        return np.where(is_exact, self._in_units(self._sharp_ends()), ends)
+
+    @cached_property
+    def _units(self) -> RowUnits | None:
+        """The units of the criterion; None where they are the caller's."""
+        return RowUnits.of(self.problem)
+
+    @property
+    def _scale(self) -> FloatVector:
+        """What w is divided by in the residual that SOLVED speaks of."""
+        return self.problem.residual_scale if self._units is None else self._units.scale
+
+    def _in_units(self, residuals: FloatVector) -> FloatVector:
+        """Return upper bounds of |r| in the units of the criterion."""
+        return residuals if self._units is None else self._units.upwards(residuals)
+
+    @property
+    def references(self) -> VectorEnds:
+        """Bounds of ‖r_P(z°)‖∞ of each part, shape (parts,) each."""
+        return references_of_parts(self.problem)
+
+    def _sharp_ends(self) -> FloatVector:
+        return sharp_residual_ends(self.problem, self.z, self._scale)[1]
+
+    @cached_property
+    def _scaled_ends(self) -> tuple[FloatVector, FloatVector]:
+        """Bounds of every |r_i|."""
+        return self._ends(self._scale)
+
+    def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
+        problem = self.problem
+        return residual_ends_of(problem.matrix.rows, self._whole, problem, self.z, scale)
+
+    @cached_property
+    def _natural(self) -> FloatVector:
+        """An upper bound of every |z − mid(lower, upper, z − w)|."""
+        return self._ends(np.ones(self.z.size))[1]
+
+    @cached_property
+    def natural_residual(self) -> float:
+        """‖z − mid(lower, upper, z − w)‖∞."""
+        return self._largest(self._natural)
+
+    @cached_property
+    def euclidean_residual(self) -> float:
+        """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
+        communicator, terms = self.problem.communicator, self.problem.n + 7 + self.problem.communicator.size
+        norm = euclidean_norm(self._natural, communicator)
+        return float(np.nextafter(norm * (1.0 + gamma(terms)), np.inf)) if norm else norm
+
+    @cached_property
+    def backward_error(self) -> float:
+        """max_i |r_i| / (|z_i| + (|M||z| + |q|)_i / d_i), invariant under row and column scaling."""
+        with np.errstate(all="ignore"):
+            residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
+            size = np.abs(self.z) + self._magnitude / self._scale
+            return self._largest(np.where(residual == 0.0, 0.0, residual / size))
+
+    @property
+    def _magnitude(self) -> FloatVector:
+        """|M||z| + |q|, shape (n,)."""
+        return magnitude(self.problem, self._whole)
+
+    @cached_property
+    def bound_violation(self) -> float:
+        """max_i of lower_i − z_i, z_i − upper_i and 0."""
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
+        return self._largest(np.maximum(outside, 0.0))
+
+    @cached_property
+    def slack_violation(self) -> float:
+        """The largest part of w with a sign that the row's bounds never allow."""
+        problem = self.problem
+        positive = np.where(problem.lower == -np.inf, np.maximum(self.w, 0.0), 0.0)
+        negative = np.where(problem.upper == np.inf, np.maximum(-self.w, 0.0), 0.0)
+        return self._largest(np.maximum(positive, negative))
+
+    @cached_property
+    def _products(self) -> FloatVector:
+        """The larger of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds, shape (n,)."""
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
+            below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
+            larger = np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))
+            products: FloatVector = np.abs(larger)
+            return products
+
+    @cached_property
+    def complementarity(self) -> float:
+        """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
+        return self._largest(self._products)
+
+    @cached_property
+    def relative_complementarity(self) -> float:
+        """max_i of those products with w_i/d_i for w_i, over ‖r(z°)‖∞²; 0 for 0/0."""
+        reference = self._row_references
+        with np.errstate(all="ignore"):
+            products = self._products / self._scale
+            if self._units is not None:
+                products = np.ldexp(products, -2 * self._units.column)
+            products = over(over(products, reference), reference)
+        return self._largest(products)
+
+    @property
+    def large_product(self) -> str:
+        """Which (z_i − bound_i) w_i is large though the residual is small, in words; empty where none is."""
+        if not is_large_product(self.relative_complementarity, self.relative_residual):
+            return ""
+        if self.problem.is_distributed:
+            return "a z_i far from its bound has a w_i that is not 0: large beside the residual"
+        i = int(np.argmax(self._products / self._scale))
+        bound = self.problem.lower[i] if self.w[i] > 0.0 else self.problem.upper[i]
+        distance = abs(self.z[i] - bound)
+        return f"z[{i}] is {distance:.1e} from its bound and w[{i}] = {self.w[i]:.1e}: large beside the residual"
+
+    @cached_property
+    def rounding_floor(self) -> FloatVector:
+        """What rounding alone can make of each residual: k_i ε (|M||z| + |q|)_i / d_i, shape (n,).
+
+        k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
+        """
+        return rounding_floor(self.problem, self._magnitude, self._scale)
+
+    @cached_property
+    def scale_spread(self) -> float:
+        """The largest residual scale d_i divided by the smallest; 1 for an empty problem."""
+        scale = self.problem.residual_scale
+        extremes = scale.max(initial=-np.inf), -scale.min(initial=np.inf)
+        most, minus_least = self.problem.communicator.all_largest(*map(float, extremes))
+        with np.errstate(over="ignore"):
+            return float(np.divide(most, -minus_least)) if self.problem.n else 1.0
+
+    @cached_property
+    def is_at_rounding_level(self) -> bool:
+        """True where no row's residual exceeds four times its rounding floor."""
+        is_low = at_rounding_level(self._scaled_ends[1], self.rounding_floor)
+        return self.problem.communicator.everywhere(bool(is_low.all()))
+
+    @cached_property
+    def is_limited_by_rounding(self) -> bool:
+        """True at that level, where the residual is small, or in its part z° cannot be told from a solution either.
+
+        Rounding as large as the problem itself is no limit reached, but data or a z out of all proportion.
+        """
+        if not self.is_at_rounding_level:
+            return False
+        largest, least = self.residuals_of_parts
+        with np.errstate(all="ignore"):
+            is_large = ~(over(largest, least) <= GAINED)
+        if self.problem.communicator.everywhere(not is_large.any()):
+            return True
+        return self.problem.communicator.everywhere(not (is_large & ~hold_at_zero(self.problem)).any())
+
+    def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
+        """Return the relative residual with no reference taken for less than `least`, in the caller's unit of z.
+
+        The `answered` rows, shape (own,), do not count.
+        """
+        if not least and answered is None:
+            return self.relative_residual
+        rows = self._proved_rows if answered is None else np.where(answered, 0.0, self._proved_rows)
+        floors = np.full(self.z.size, least)
+        floors = floors if self._units is None else self._units.downwards(floors)
+        references = np.maximum(for_each_row(self.problem, self.references[0]), floors)
+        return self.problem.communicator.largest(largest_ratio(rows, references))
+
+    @property
+    def _worst_part(self) -> str:
+        """Which of several parts is the worst, in words; empty where there is one."""
+        return f"the worst of {self.parts} parts: that of row {self.worst_index}" if self.parts > 1 else ""
+
+    def __str__(self) -> str:
+        lines = [
+            ("relative residual", self.relative_residual, self._worst_part),
+            ("natural residual", self.natural_residual, ""),
+            ("bound violation", self.bound_violation, ""),
+            ("slack violation", self.slack_violation, ""),
+            ("complementarity", self.complementarity, self.large_product),
+            ("backward error", self.backward_error, ""),
+        ]
+        return "\n".join(f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines)
+
+
+def _largest(values: FloatVector) -> float:
+    return float(values.max()) if values.size else 0.0  # NaN is the maximum of anything with NaN in it

@@ -1,0 +1,396 @@
+"""The linear complementarity problem: checked, canonical, read-only data."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from os import PathLike
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from .checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
+from .communicator import Communicator
+from .matrix.matrix import Matrix
+from .registry import ask
+from .written import written_lcp
+
+
+class OriginsCriterion(Protocol):
+    """What an answer of a problem has to be for what it was converted from, a program for one."""
+
+    def is_answered(self, z: FloatVector, tolerance: float) -> bool:
+        """Return whether z, shape (n,), stands for an answer of that where a run has this tolerance."""
+
+    def is_refuted(self, tolerance: float) -> bool:
+        """Return whether that is proved to have none."""
+
+
+class LCP:
+    """Find z with lower ≤ z ≤ upper and w = M z + q complementary to it.
+
+    For every row i: w_i ≥ 0 where z_i = lower_i, w_i = 0 where lower_i < z_i < upper_i, and w_i ≤ 0
+    where z_i = upper_i. With the default bounds this is the classical problem z ≥ 0, w ≥ 0, zᵀw = 0;
+    a row with bounds (−∞, ∞) is an equation. The repr of a small problem can be pasted, beside `csr_array` and `inf`.
+
+    Parameters
+    ----------
+    M : array or sparse array, shape (n, n)
+        Real, finite. Integers, booleans and single precision become float64. A dense M is copied. A canonical
+        CSR array of float64 (sorted, no duplicates, no stored zeros) is used without a copy, so leave its entries as
+        they are while the problem lives, or give ``M.copy()``; nothing given is ever modified.
+    q : array, shape (n,)
+        Real, finite.
+    lower, upper : scalar or array, shape (n,)
+        Bounds of z in the unit of z; −∞ and ∞ are allowed, lower ≤ upper.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the data do not state such a problem.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> problem
+    LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    >>> problem.slack([2.5, 0])
+    array([0. , 3.5])
+    """
+
+    def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
+        self.matrix = M if isinstance(M, Matrix) else Matrix(M)
+        self._set_vectors(q, lower, upper)
+        self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
+        self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual
+
+    def _set_vectors(self, q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
+        self.q: FloatVector = finite_vector(q, "q", self.own)
+        self.lower: FloatVector = checked_bound(lower, "lower", self.own)
+        self.upper: FloatVector = checked_bound(upper, "upper", self.own)
+        check_order(self.lower, self.upper)
+
+    @property
+    def n(self) -> int:
+        """The number of unknowns."""
+        return self.matrix.n
+
+    @property
+    def own(self) -> int:
+        """How many of the rows are here: all, unless they are spread over the ranks of an MPI job."""
+        return self.matrix.own
+
+    @property
+    def first(self) -> int:
+        """The rows that are here are first ≤ i < last."""
+        return self.matrix.communicator.first
+
+    @property
+    def last(self) -> int:
+        """The end of the rows that are here."""
+        return self.first + self.own
+
+    @property
+    def communicator(self) -> Communicator:
+        """Who has the other rows."""
+        return self.matrix.communicator
+
+    @property
+    def M(self) -> Any:
+        """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
+        return self.matrix.array
+
+    @property
+    def csr(self) -> sp.csr_array:
+        """The matrix as canonical, read-only CSR, shape (n, n)."""
+        return self.matrix.csr
+
+    @property
+    def is_dense(self) -> bool:
+        """True where M is kept as an ndarray."""
+        return self.matrix.is_dense
+
+    @property
+    def is_distributed(self) -> bool:
+        """True where the rows are spread over the ranks of an MPI job."""
+        return not self.matrix.communicator.is_alone
+
+    @property
+    def nonzeros(self) -> int:
+        """Number of nonzero entries of M."""
+        return self.matrix.nonzeros
+
+    @property
+    def is_plain(self) -> bool:
+        """True for the classical problem: lower = 0 and upper = ∞ on every row."""
+        return not self.lower.any() and bool(np.all(self.upper == np.inf))
+
+    @property
+    def diagonal(self) -> FloatVector:
+        """The diagonal of M, shape (n,)."""
+        return self.matrix.diagonal
+
+    @property
+    def residual_scale(self) -> FloatVector:
+        """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.matrix.Matrix.residual_scale`."""
+        return self.matrix.residual_scale
+
+    @cached_property
+    def nearest_to_zero(self) -> FloatVector:
+        """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
+        return read_only(np.clip(0.0, self.lower, self.upper))
+
+    def slack(self, z: ArrayLike) -> FloatVector:
+        """Return w = M z + q, shape (n,).
+
+        Parameters
+        ----------
+        z : array, shape (n,)
+            On several ranks the own part, and so is what is returned; all ranks call.
+        """
+        matrix = self.matrix
+        is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.own,)
+        # On ranks all hear of a wrong part on one of them.
+        own: Any = z if is_vector and matrix.communicator.is_alone else self.own_part(z)
+        w: FloatVector = matrix.rows @ matrix.whole(own)
+        w += self.q
+        return w
+
+    def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
+        """Return the vector, of which each rank gives its own part, shape (own,), read-only; NaN is allowed.
+
+        Parameters
+        ----------
+        z : array, shape (own,)
+        name : str
+            What an error calls it.
+
+        Raises
+        ------
+        InvalidProblem
+            On every rank, where one part is no real vector of the right length.
+        """
+        return self.communicator.together(lambda: real_vector(z, name, self.own))
+
+    def gathered(self, z: ArrayLike) -> FloatVector | None:
+        """Return the parts of all ranks one after the other on rank 0, None on the others.
+
+        Parameters
+        ----------
+        z : array, shape (own,)
+        """
+        return self.communicator.gathered(self.own_part(z, "the vector"))
+
+    def with_q(self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> LCP:
+        """Return the problem with another q (and bounds) that shares all that depends on M alone.
+
+        Parameters
+        ----------
+        q : array, shape (n,)
+            Real, finite.
+        lower, upper : scalar or array, shape (n,), optional
+            The present bounds by default.
+
+        Raises
+        ------
+        InvalidProblem
+            As the constructor.
+        """
+        other = object.__new__(LCP)
+        other.origin, other.criterion, other.matrix = None, None, self.matrix
+        if lower is None and upper is None:  # they have been checked, and cannot be written to
+            other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero
+            other.q = self.communicator.together(lambda: finite_vector(q, "q", self.own))
+            return other
+        bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
+        self.communicator.together(lambda: other._set_vectors(q, *bounds))
+        return other
+
+    # --- rows over the ranks of an MPI job ----------------------------------------------------------------
+
+    @classmethod
+    def from_rows(
+        cls, comm: Any, rows: Any, q: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,
+        first_row: int | None = None,
+    ) -> LCP:
+        """Return the problem whose rows follow each other in the order of the ranks, each of which gives its own.
+
+        Every method of such a problem is to be called by all ranks. Its vectors are the own parts.
+
+        Parameters
+        ----------
+        comm : communicator of mpi4py or petsc4py; None for the whole job
+            Where it is a part of the job, let all ranks of the job import ``petsc4py.PETSc`` before.
+        rows : sparse array, shape (own, n)
+            The own rows of M with global column indices; a rank may have none. They are only read.
+        q : array, shape (own,)
+        lower, upper : scalar or array, shape (own,)
+            A scalar holds for all rows and must be the same on every rank.
+        first_row : int, optional
+            The index of the first own row, where you know it: it is checked then.
+
+        Raises
+        ------
+        InvalidProblem
+            On every rank, where any part is damaged or the parts do not fit together.
+        """
+        matrix = ask("ranks", "matrix")(comm, rows, first_row)
+        problem = object.__new__(LCP)
+        problem.origin, problem.criterion, problem.matrix = None, None, matrix
+        matrix.communicator.together(lambda: problem._set_vectors(q, lower, upper))
+        ask("ranks", "require_same_numbers")(matrix.communicator, lower=lower, upper=upper)
+        return problem
+
+    @classmethod
+    def from_problem(cls, problem: LCP, comm: Any = None) -> LCP:
+        """Return the problem cut into equal parts, one a rank; every rank gives the same whole one.
+
+        Parameters
+        ----------
+        problem : LCP
+        comm : communicator of mpi4py or petsc4py; None for the whole job
+
+        Raises
+        ------
+        InvalidProblem
+            Where the ranks give different problems.
+        """
+        return cls.from_rows(comm, *ask("ranks", "equal_part")(comm, problem))
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
+
+        A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; any other
+        path becomes a folder with M.mtx, q.mtx, lower.mtx, upper.mtx. The file appears whole or not at all.
+        On several ranks it becomes a folder with one ``.npz`` file a rank.
+
+        Parameters
+        ----------
+        path : str or PathLike
+
+        Raises
+        ------
+        UnreadableFile
+            Where it cannot be written, or looks like a file of another kind, as a.mat does.
+        """
+        ask(*(("ranks", "save") if self.is_distributed else ("file format", "save")))(self, path)
+
+    @classmethod
+    def from_qp(
+        cls, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
+        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf, *, form: str = "auto",
+    ) -> LCP:
+        """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
+
+        Who wants x writes ``solve(QuadraticProgram(P, c, …))``, which is sooner there. This is for who wants the
+        LCP: ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
+        :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp` for the forms and errors. A run of
+        ``solve`` ends where the tolerance holds for the complementarity problem and the program is solved by its own
+        criteria, to 1e-6; where only the latter can be had, that is SOLVED (at tolerances from 1e-9 on).
+
+        Parameters
+        ----------
+        P : array or sparse array, shape (n, n)
+            Symmetric, positive semidefinite up to rounding: UnsupportedModel where it clearly is not.
+        c : array, shape (n,)
+        G, h : shapes (p, n) and (p,), optional
+            Inequalities G x ≤ h.
+        A, b : shapes (m, n) and (m,), optional
+            Equations A x = b.
+        lower, upper : scalar or array, shape (n,)
+            Bounds of x; none by default.
+        form : {"auto", "direct", "dual", "kkt"}
+            Which optimality conditions become the problem.
+        """
+        program = ask("kind", "QuadraticProgram").type(P, c, G, h, A, b, lower, upper)
+        problem: LCP = ask("conversion", "from_qp")(program, form)
+        return problem
+
+    @classmethod
+    def from_game(cls, A: Any, B: Any = None) -> LCP:
+        """Return the LCP whose solutions are a two-player game's Nash equilibria.
+
+        See ``problems.reformulations.bimatrix_game``.
+
+        Parameters
+        ----------
+        A, B : array, shape (m, k)
+            Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
+            ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
+        """
+        problem: LCP = ask("conversion", "from_game")(A, B)
+        return problem
+
+    def to_qp(self) -> Any:
+        """Return a quadratic program that this problem is; see ``problems.programs.conversion.qp_from_lcp``."""
+        return ask("conversion", "to_qp")(self)
+
+    @classmethod
+    def from_cvxpy(cls, problem: Any) -> LCP:
+        """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables.
+
+        Parameters
+        ----------
+        problem : cvxpy.Problem
+            Of :func:`lcp_plugin.complements` and equalities.
+        """
+        stated: LCP = ask("conversion", "from_cvxpy")(problem)
+        return stated
+
+    def to_cvxpy(self) -> Any:
+        """Return a ``ComplementarityProblem`` in one variable that states this problem."""
+        return ask("conversion", "to_cvxpy")(self)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], comm: Any = None) -> LCP:
+        """Return a problem written by :meth:`save` or ``numpy.savez(path, M=M, q=q)``, or in ``M.mtx`` and ``q.mtx``.
+
+        A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
+        they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. MATLAB's ``.mat``
+        (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
+        absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
+        which reads these, may end the process on a damaged one. AMPL's
+        ``.nl`` may state other problems, too: :func:`lcp_plugin.doors.nl.read_nl`.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            With a communicator: a folder written by :meth:`save` on any number of ranks.
+        comm : communicator of mpi4py or petsc4py, optional
+            Each of its ranks reads its own part.
+
+        Raises
+        ------
+        UnreadableFile
+            Where the file is missing, damaged, or no linear complementarity problem.
+        UnsupportedModel
+            Where a ``.nl`` file states something else.
+        """
+        problem: LCP = ask("file format", "load")(LCP, path) if comm is None else ask("ranks", "load")(LCP, path, comm)
+        return problem
+
+    __repr__ = written_lcp
+
+    def __str__(self) -> str:
+        last = f"ranks={self.communicator.size}" if self.is_distributed else f"bounds {self._bounds}"
+        return f"LCP(n={self.n}, nonzeros={self.nonzeros}, {last})"
+
+    @property
+    def _bounds(self) -> str:
+        if self.is_plain:
+            return "0 ≤ z"
+        is_below, is_above = np.isfinite(self.lower), np.isfinite(self.upper)
+        boxed, free = int((is_below & is_above).sum()), int((~is_below & ~is_above).sum())
+        parts = [(self.n - free - boxed, "one-sided"), (boxed, "boxed"), (free, "free")]
+        return ", ".join(f"{count} {kind}" for count, kind in parts if count)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what can be computed again."""
+        return {name: value for name, value in self.__dict__.items() if name != "nearest_to_zero"}
+
+    __setstate__ = restored

@@ -1,0 +1,265 @@
+"""A square matrix, canonical and read-only, with the facts about it: each computed once, by whoever asks first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from functools import update_wrapper
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
+from ..communicator import ALONE, Communicator
+from ..deadline import Lock
+from ..errors import UnsuitableProblem
+from ..kernels.floats import NEGLIGIBLE_DIAGONAL
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class fact(Generic[P, T]):  # noqa: N801 - a decorator
+    """A function of a matrix (and of hashable arguments) whose value is kept with the matrix.
+
+    A fact about M is one such function, in whichever room knows it: the function is its key, its annotation the type.
+
+    Examples
+    --------
+    >>> @fact
+    ... def trace(matrix: Matrix) -> float:
+    ...     print("summed")
+    ...     return float(matrix.diagonal.sum())
+    >>> identity = Matrix([[1.0, 0.0], [0.0, 1.0]])
+    >>> trace(identity), trace(identity)
+    summed
+    (2.0, 2.0)
+    """
+
+    def __init__(self, compute: Callable[Concatenate[Any, P], T]) -> None:
+        self._compute = compute
+        update_wrapper(self, compute)
+
+    def __call__(self, matrix: Matrix, *args: P.args, **kwargs: P.kwargs) -> T:
+        """Return the value, computed where nobody has asked before."""
+        key = (self, *args)
+        try:
+            value: T = matrix._facts[key]
+        except KeyError:
+            with matrix._lock.held():
+                if key not in matrix._facts:
+                    matrix._facts[key] = self._compute(matrix, *args, **kwargs)
+                value = matrix._facts[key]
+        return value
+
+    def is_known(self, matrix: Matrix, *args: Hashable) -> bool:
+        """Return whether it was asked for before."""
+        return (self, *args) in matrix._facts
+
+    def keep(self, matrix: Matrix, value: T) -> None:
+        """Keep a value that is known without computing it."""
+        matrix._facts[self,] = value
+
+
+class Matrix:
+    """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
+
+    It is its own rows and a communicator of the processes that hold the others; usually it is whole, and there are
+    none.
+
+    Parameters
+    ----------
+    M : array or sparse array, shape (n, n)
+        As for :class:`lcp_plugin.LCP`.
+
+    Attributes
+    ----------
+    n, own : int
+        How many rows there are, and how many of them are here.
+    communicator : Communicator
+
+    Raises
+    ------
+    InvalidProblem
+        Where M is no such matrix.
+
+    Examples
+    --------
+    >>> Matrix([[4, 1e-12], [1, 0]]).residual_scale
+    array([4., 1.])
+    """
+
+    def __init__(self, M: Any) -> None:
+        self._csr, self._dense = checked_matrix(M)
+        self.communicator: Communicator = ALONE
+        self.n: int = self.rows.shape[0]
+        self.own: int = self.n
+        self._begin()
+
+    def _begin(self) -> None:
+        self._facts: dict[Hashable, Any] = {}
+        self._lock = Lock()
+
+    @classmethod
+    def of_own_rows(cls, rows: sp.csr_array, communicator: Communicator) -> Matrix:
+        """Return the matrix of which these are the own rows, canonical, shape (own, width); all ranks call."""
+        matrix = object.__new__(cls)
+        matrix._csr, matrix._dense, matrix.communicator, matrix.own = rows, None, communicator, rows.shape[0]
+        matrix.n = int(communicator.total(matrix.own))
+        matrix._begin()
+        matrix.nonzeros  # noqa: B018 - known from now on, without asking anybody
+        return matrix
+
+    @property
+    def width(self) -> int:
+        """How many unknowns the own rows may meet: the own ones, and the foreign ones they do meet."""
+        return self.own + self.communicator.foreign
+
+    @property
+    def rows(self) -> Any:
+        """The own rows as they are kept: a CSR array, or an ndarray where M is dense and small, shape (own, width)."""
+        return self._csr if self._dense is None else self._dense
+
+    @property
+    def csr_rows(self) -> sp.csr_array:
+        """The own rows as canonical, read-only CSR, shape (own, width)."""
+        if self._csr is None:
+            self._csr = _csr_of_dense(self)
+        return self._csr
+
+    @property
+    def array(self) -> Any:
+        """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
+        self.require_all_rows()
+        return self.rows
+
+    @property
+    def csr(self) -> sp.csr_array:
+        """The matrix as canonical, read-only CSR, shape (n, n)."""
+        self.require_all_rows()
+        return self.csr_rows
+
+    def require_all_rows(self) -> None:
+        """Raise UnsuitableProblem where other processes hold some of the rows."""
+        if not self.communicator.is_alone:
+            raise UnsuitableProblem(
+                f"the {self.n} rows of M are spread over {self.communicator.size} ranks, and this needs all of them on "
+                "one machine; there are solve by multigrid or projected sweeps, Certificate.of and error_bound on ranks"
+            )
+
+    def whole(self, x: FloatVector) -> FloatVector:
+        """Return the own part x with the foreign values that the own rows meet behind it, shape (width,).
+
+        That is x itself where nobody needs any; all ranks call.
+        """
+        if self.communicator.is_empty:
+            return x
+        whole = np.zeros(self.width)
+        whole[: self.own] = x
+        self.communicator.fetch(whole)
+        return whole
+
+    @property
+    def is_dense(self) -> bool:
+        """True where it is kept as an ndarray."""
+        return self._dense is not None
+
+    @property
+    @fact
+    def nonzeros(self) -> int:
+        """Number of nonzero entries of all rows."""
+        own = int(self.csr_rows.nnz) if self._dense is None else int(np.count_nonzero(self._dense))
+        return int(self.communicator.total(own))
+
+    @property
+    @fact
+    def diagonal(self) -> FloatVector:
+        """The diagonal entries of the own rows, shape (own,)."""
+        return read_only(np.array(self.rows.diagonal(), dtype=np.float64))
+
+    @property
+    @fact
+    def residual_scale(self) -> FloatVector:
+        """D of the scaled residual, shape (own,): the diagonal where it is not negligible, else the row's largest.
+
+        d_i = m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
+        """
+        return read_only(residual_scale_of(self.rows, self.diagonal, self.largest))
+
+    @property
+    @fact
+    def largest(self) -> float:
+        """max_ij |m_ij| of the own rows, 0 where there is none."""
+        return largest_entry(self.rows)
+
+    @property
+    @fact
+    def row_largest(self) -> FloatVector:
+        """max_j |m_ij| of each row, 1 for an empty one, shape (own,)."""
+        row_largest = largest_in_rows(self.rows)
+        return read_only(np.where(row_largest == 0.0, 1.0, row_largest))
+
+    @property
+    @fact
+    def csc(self) -> sp.csc_array:
+        """The matrix by columns, shape (n, n)."""
+        return sp.csc_array(self.csr)
+
+    @property
+    @fact
+    def transpose(self) -> sp.csr_array:
+        """Mᵀ as CSR, shape (n, n)."""
+        return sp.csr_array(self.csr.T)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what can be computed again, and the lock."""
+        csr = None if self.is_dense else self.csr
+        return {"n": self.n, "own": self.n, "communicator": ALONE, "_dense": self._dense, "_csr": csr}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        restored(self, state)
+        self._begin()
+        if self._csr is not None:
+            self._csr = frozen(self._csr)
+
+
+@fact
+def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
+    """Return a dense matrix as CSR; where it has no zeros, its entries are used as they are."""
+    dense, n = matrix.array, matrix.n
+    if np.count_nonzero(dense) < dense.size or not dense.flags.c_contiguous:
+        return frozen(sp.csr_array(dense))
+    columns = np.tile(np.arange(n, dtype=np.int32), n)
+    rows = np.arange(0, n * n + 1, n, dtype=np.int32) if n else np.zeros(1, np.int32)
+    compressed = sp.csr_array((dense.reshape(-1), columns, rows), shape=dense.shape)
+    compressed.has_sorted_indices = compressed.has_canonical_format = True
+    return frozen(compressed)
+
+
+def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
+    """Return the largest |entry| of each row of an ndarray or CSR array, or size of a stored one; 0 where none is."""
+    if not sp.issparse(M):
+        return np.asarray(np.abs(M).max(axis=1, initial=0.0), dtype=np.float64)
+    largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
+    if filled.size:
+        largest[filled] = np.maximum.reduceat(np.abs(M.data) if sizes is None else sizes, M.indptr[filled])
+    return largest
+
+
+def largest_entry(M: Any) -> float:
+    """Return the largest |entry| of an ndarray or CSR array, 0 where there is none."""
+    entries = M.data if sp.issparse(M) else M
+    return max(float(entries.max()), -float(entries.min())) if entries.size else 0.0
+
+
+def residual_scale_of(M: Any, diagonal: FloatVector, largest: float) -> FloatVector:
+    """Return D of the scaled residual of the rows of an ndarray or CSR array; see :attr:`Matrix.residual_scale`."""
+    if not largest:
+        return np.ones(M.shape[0])
+    if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
+        return diagonal
+    row_largest = largest_in_rows(M)
+    # The product may underflow to 0, which no diagonal of 0 may pass.
+    is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * row_largest)
+    scale = np.where(is_usable, diagonal, row_largest)
+    return np.where(row_largest == 0.0, 1.0, scale)

@@ -1,0 +1,155 @@
+"""What sweeps and their theorems ask of the rows of M: scales, splits, sums over both triangles, NP's row scaling.
+
+Also the pivots with which sweeps that run on all processes at once converge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import FloatVector, read_only
+from ..communicator import Communicator
+from ..rounding import read_only_views
+from .matrix import Matrix, fact
+
+BLOCK = 16_384
+
+# Of the automatic row scaling of NP.
+LARGEST_FACTOR = 2.0
+COUPLED = 0.9  # g θ ℓ stays this far below 1
+ROUNDED = 1e-13  # rows whose entries were rounded miss d_i = Σ|m_ij| by this share
+
+
+@fact
+def inverse_residual_scale(matrix: Matrix) -> FloatVector:
+    """Return 1/d of the scaled residual, shape (n,), kept finite."""
+    with np.errstate(over="ignore"):
+        return read_only(np.minimum(1.0 / matrix.residual_scale, np.finfo(np.float64).max))
+
+
+@fact
+def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
+    """Return where the diagonal is positive and not too small to invert, shape (own,)."""
+    with np.errstate(over="ignore", divide="ignore"):
+        return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
+
+
+@fact
+def row_splits(matrix: Matrix, backward: bool) -> Any:
+    """Return the row splits of a sweep direction, shape (own,)."""
+    from ..kernels import splitting_sweeps as kernels
+
+    return kernels.row_splits(matrix.csr_rows, backward=backward)
+
+
+def triangle_sums(matrix: Matrix, v: FloatVector, part: Any = None) -> tuple[FloatVector, FloatVector]:
+    """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (own,); one pass over M.
+
+    On several ranks v has shape (width,), and what others hold is part of U: no sweep has updated it. With a CSR array
+    `part`, shape (n, n), of its triangles instead of those of M.
+    """
+    from ..kernels.rows import triangle_sums as compiled
+
+    lower, upper = np.empty(matrix.own), np.empty(matrix.own)
+    M = matrix.csr_rows if part is None else part
+    compiled(*read_only_views(M.indptr, M.indices, M.data, inverse_residual_scale(matrix), v), lower, upper)
+    return lower, upper
+
+
+@fact
+def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
+    """Return the triangle sums of v = 1."""
+    return triangle_sums(matrix, np.ones(matrix.width))
+
+
+@fact
+def longest_row(matrix: Matrix) -> int:
+    """Return the largest number of entries in a row."""
+    return int(np.diff(matrix.csr.indptr).max(initial=0))
+
+
+def row_blocks(n: int) -> Iterator[slice]:
+    """Yield blocks of rows whose temporary vectors stay in a processor's cache."""
+    for first in range(0, n, BLOCK):
+        yield slice(first, min(first + BLOCK, n))
+
+
+@fact
+def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVector:
+    """Return θ, shape (n,): 1 where a row is not dominant in M, else up to 2; one pass over M, kept with M.
+
+    Parameters
+    ----------
+    matrix : Matrix
+    coupling : float
+        g = β/α.
+    sweep : str
+        "forward", "backward" or "symmetric".
+
+    Notes
+    -----
+    NP with S = θ_i/d_i, α > 0 and the coupling g = β/α in [0, 2] converges where, for some v > 0 with ⟨M⟩v > 0,
+
+        θ_i ≤ 2   and   g θ_i ℓ_i < 1,      ℓ_i = (|L|v)_i/(d_i v_i) with L what the sweep has already updated
+
+    (θ_i ≤ 1 needs g ≤ 1 and nothing else). Where all rows are dominant, d_i ≥ Σ|m_ij|, v may be taken as near to 1 as
+    one likes: with ⟨M⟩y > 0 also ⟨M⟩(1 + εy) > 0. There one pass over M decides, and θ balances the two parts of the
+    answer. On z* > 0 an iteration contracts by about 1 − 2θ(1 − ℓ − u)/p, on w* > 0 by 1 − 2/p, p = θ/α + θ + 2: equal
+    for θ = 1/(1 − ℓ − u). On the gallery larger θ than 2 lost again where the rows are far from equal.
+    """
+    lower, upper = unit_triangle_sums(matrix)
+    updated = lower if sweep == "forward" else upper if sweep == "backward" else np.maximum(lower, upper)
+    return balanced_factors(matrix, abs(coupling), updated, (lower, upper))
+
+
+def balanced_factors(
+    matrix: Matrix, coupling: float, updated: FloatVector, sums: tuple[FloatVector, FloatVector]
+) -> FloatVector:
+    """Return θ, read-only, shape (n,), from g, the sums ℓ that it couples to, and (ℓ, u) of v = 1."""
+    factors = np.empty(matrix.own)
+    is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(matrix.residual_scale, matrix.diagonal)
+    for rows in row_blocks(matrix.own):
+        total = sums[0][rows] + sums[1][rows]
+        is_dominant = is_dominant and bool(total.max() <= 1.0 + ROUNDED)  # False where it is not a number
+        if not is_dominant:
+            break
+        with np.errstate(divide="ignore", over="ignore"):
+            quick = np.minimum(LARGEST_FACTOR, 1.0 / np.maximum(1.0 - total, 0.0))
+            np.minimum(quick, COUPLED / (coupling * updated[rows]), out=factors[rows])
+    if not matrix.communicator.everywhere(is_dominant):
+        factors.fill(1.0)
+    factors.flags.writeable = False
+    return factors
+
+
+@np.errstate(all="ignore")
+def pivot_weight(rows: Any, communicator: Communicator, relaxation: float) -> FloatVector:
+    """Return what is added to the pivots d_i of a sweep on all processes at once, shape (own,).
+
+    Parameters
+    ----------
+    rows : CSR array, shape (own, width)
+        Of a symmetric matrix; the columns behind the own ones are those of other processes.
+    communicator : Communicator
+        Whoever has those; all of them call.
+    relaxation : float
+        r in (0, 2).
+
+    Notes
+    -----
+    With σ_i = Σ |m_ij| √(d_i/d_j) over the foreign columns j the weight is ω_i = max(0, (r σ_i − (1 − r/2) d_i)/2).
+    No scaling of rows and columns alike changes it. For M symmetric positive definite the splitting 𝓜 has
+    𝓜 + 𝓜ᵀ − M = (2/r − 1) D + (2/r) Ω − (the foreign part of M), and that is positive definite, because
+    2 |m_ij x_i x_j| ≤ |m_ij| (s x_i² + x_j²/s) with s = √(d_i/d_j). For an H₊-matrix and r ≤ 1 any ω ≥ 0 does.
+    """
+    own, width = rows.shape
+    whole = np.ones(width)
+    whole[:own] = diagonal = rows.diagonal()
+    communicator.fetch(whole)
+    coupling = np.sqrt(np.abs(diagonal)) * (abs(rows[:, own:]) @ (1.0 / np.sqrt(np.abs(whole[own:]))))
+    weight: FloatVector = np.maximum(0.0, 0.5 * relaxation * coupling - 0.25 * (2.0 - relaxation) * diagonal)
+    return np.where(np.isfinite(weight), weight, 0.0)

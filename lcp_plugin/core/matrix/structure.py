@@ -1,0 +1,152 @@
+"""Structure of a matrix: what its pattern and its row sums tell.
+
+Its parts are the connected components of its graph, between which no entry stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..checks import FloatVector, read_only
+from ..communicator import Communicator
+from .matrix import Matrix, fact
+
+IntVector = np.ndarray[Any, np.dtype[np.int64]]
+
+
+def row_numbers(M: Any) -> IntVector:
+    """Return the row number of each stored entry of a CSR array, shape (nnz,)."""
+    return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))
+
+
+@fact
+def components(matrix: Matrix) -> int:
+    """Return the number of connected components of the graph of M."""
+    found = parts(matrix)
+    return min(matrix.n, 1) if found is None else found.total
+
+
+@fact
+def triangular_form(matrix: Matrix) -> str | None:
+    """"diagonal", "lower", "upper", or None."""
+    M = matrix.csr
+    rows = row_numbers(M)
+    if (rows == M.indices).all():
+        return "diagonal"
+    if (rows >= M.indices).all():
+        return "lower"
+    return "upper" if (rows <= M.indices).all() else None
+
+
+BLOCK = 2**14  # rows
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Which part each of the own rows belongs to, where a matrix has several.
+
+    Attributes
+    ----------
+    labels : array of int, shape (own,)
+        Numbers of parts, from 0 on; on ranks the parts that several of them share come first, the same on all.
+    count : int
+        How many parts there are; on a rank those that it counts.
+    total : int
+        How many there are in all.
+    shared : int
+        How many of them lie on several ranks.
+    communicator : Communicator
+    """
+
+    labels: IntVector
+    count: int
+    total: int
+    shared: int
+    communicator: Communicator
+
+    def largest(self, values: FloatVector) -> FloatVector:
+        """Return the largest of the values ≥ 0 of each part's rows, shape (count,); a NaN stays."""
+        found = np.zeros(self.count)
+        np.maximum.at(found, self.labels, values)
+        if self.shared:
+            found[: self.shared] = self.communicator.all_largest(*found[: self.shared].tolist())
+        return found
+
+
+@fact
+def parts(matrix: Matrix) -> Parts | None:
+    """Return the parts of M; None where all rows belong together, as they mostly do.
+
+    Examples
+    --------
+    >>> parts(Matrix([[2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 2.0]])).labels
+    array([0, 1, 0])
+    >>> parts(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
+    True
+    """
+    if not matrix.communicator.is_alone:
+        return _parts_on_ranks(matrix)
+    if _is_seen_connected(matrix):
+        return None
+    labels, count = _local_parts(matrix)
+    return Parts(read_only(labels), count, count, 0, matrix.communicator) if count > 1 else None
+
+
+def _is_seen_connected(matrix: Matrix) -> bool:
+    """Return whether every row but the first meets one before it, by its first entry: all lead to row 0 then."""
+    if matrix.n < 2:
+        return True
+    if matrix.is_dense and bool(matrix.rows[0].all()):
+        return True
+    if matrix.is_dense:  # entries left of the diagonal, or mirrored above it
+        nonzero = matrix.rows != 0.0
+        return bool(np.tril(nonzero | nonzero.T, -1).any(axis=1)[1:].all())
+    starts, indices = matrix.csr_rows.indptr, matrix.csr_rows.indices
+    if starts[-1] == 0:
+        return False
+    for first in range(1, matrix.n, BLOCK):
+        last = min(first + BLOCK, matrix.n)
+        begin, end = starts[first:last], starts[first + 1 : last + 1]
+        if not (end > begin).all() or not (indices[begin] < np.arange(first, last, dtype=indices.dtype)).all():
+            return False
+    return True
+
+
+def _local_parts(matrix: Matrix) -> tuple[IntVector, int]:
+    """Return the part of every unknown that the own rows meet, by these rows alone, and how many there are."""
+    from ..kernels.rows import join  # numba, which `import lcp_plugin` must not load
+
+    rows = matrix.csr_rows
+    first = np.empty(matrix.width, np.int64)
+    join(rows.indptr, rows.indices, first)
+    roots, labels = np.unique(first, return_inverse=True)
+    return labels.astype(np.int64).reshape(-1), roots.size
+
+
+def _parts_on_ranks(matrix: Matrix) -> Parts | None:
+    """Return the parts of rows over several ranks: those of each rank, joined where one of its unknowns is another's.
+
+    What a rank calls a part is told to the others by the values of its unknowns there; the parts that meet are few.
+    """
+    communicator, own = matrix.communicator, matrix.own
+    local, count = _local_parts(matrix)
+    before, total = communicator.places(count)
+    theirs = matrix.whole((local[:own] + before).astype(np.float64))[own:].astype(np.int64)
+    met = np.unique(np.stack([local[own:] + before, theirs], axis=1), axis=0)
+    pairs = communicator.everybodys(met)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    pattern = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(total, total))
+    joined_count, joined = connected_components(pattern, directed=False)
+    if joined_count <= 1:
+        return None
+    shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
+    mine = joined[local[:own] + before]
+    order = np.concatenate([shared, np.setdiff1d(mine, shared)])
+    number = np.full(joined_count, -1)
+    number[order] = np.arange(order.size)
+    return Parts(read_only(number[mine]), order.size, int(joined_count), shared.size, communicator)

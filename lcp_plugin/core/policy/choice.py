@@ -1,0 +1,385 @@
+"""The policy behind algorithm="auto": what comes next is what is predicted to need the fewest passes over M.
+
+A small problem (256 unknowns where M is dense, 128 elsewhere, but not on tridiagonal M-matrices) is solved by one
+compiled call, which does the same in miniature: sweeps of npsor guess the active set, rounds solve for it, pivots
+follow; where no positive diagonal entry allows a sweep they come first. What that leaves open goes to the direct
+methods, with which the KKT form of a program begins: neither sweeps nor pivots find much in it. Otherwise:
+
+The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
+and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
+`banded`, where it is predicted to cost no more than a trial of npsor, or 150 sweeps where psor is not proved quick. As
+soon as the rate of npsor is known, what it still needs is compared with what its rivals predict
+(`Algorithm.predicted_passes`, from :mod:`lcp_plugin.core.crossovers`):
+
+| rival | where | predicts |
+|---|---|---|
+| psor with automatic relaxation | after npsor; sparse, positive diagonal | 3 √(npsor's sweeps), or 20 |
+| multigrid | once; sparse, n > 1000, positive diagonal | 90 passes, and 350 000 rows of passes |
+| the direct methods | M is dense, or its diagonal not positive | 10 passes |
+| the direct methods | n ≤ 1000 | 12 500 n entries, 0.06 n³ at most, or 10 passes |
+| the direct methods | otherwise | only when nothing else is left |
+
+| the question is asked | |
+|---|---|
+| of npsor, M sparse | after 10 sweeps (from 3 on where two rates agree), then every 20 |
+| of npsor, M dense | from its first sweep on |
+| of psor | after 40 sweeps, then every 20: its first relaxation must have had its trial |
+| of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
+
+The first sweeps are the quickest: they smooth what is left, and only then the slowest error shows. So of a symmetric M
+the free unknowns F so far are asked, too, with one pass: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by
+a factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
+below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps: of a lump in
+the plane the residual falls as 1/k². That is the least that npsor is reckoned to need; where multigrid needs less, it
+comes after one sweep.
+
+A sweep costs its pass and the calls around it, as much as 10 000 entries more: so `banded` and the direct methods
+are reckoned on small M. psor's rate is that of all its sweeps, since each trial of a relaxation raises the residual.
+What sweeps have cost and still need must together stay below 1.5 times what the rival predicts, so that nothing that is
+always nearly there goes on for ever.
+
+Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of the triangle is exact;
+where multigrid ends without an answer and n > 20 000, psor goes on until it fails. No clock is asked: the same call
+gives the same answer bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
+from ..algorithms.base import in_driven_sweeps
+from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, SURE_FACTOR_UP_TO
+from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from ..lcp import LCP
+from ..matrix.row_sums import has_positive_diagonal
+from ..matrix.symmetry import has_symmetric_entries
+from ..registry import ask_or_none
+from ..settings import OF_SOLVE
+from ..splittings.projected_relaxation import PGS, PSOR
+from ..splittings.projected_type import NPSOR
+from .stages import Choice, Stage
+
+if TYPE_CHECKING:
+    from ...methods.direct.direct_methods import Retries, Turns
+
+TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40
+ASKED_EVERY = 20  # sweeps
+PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple of what the rival predicts
+CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
+BLOCK = 2**14  # rows
+NEAR = 1e-2  # of the largest unknown: so near to a bound is none that is free
+PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
+
+
+class Policy:
+    """Chooses the first algorithm, and after each step whether another one takes over.
+
+    Attributes
+    ----------
+    name : str
+    chosen : str or Algorithm
+        What the caller asked for.
+    """
+
+    name: str
+    chosen: Any
+
+    def first(self, problem: LCP) -> Choice:
+        """Return the algorithm to begin with."""
+        raise NotImplementedError
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
+        return None
+
+    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return what begins where the run began, after a point so far out that rounding hides the tolerance there."""
+        return None
+
+
+class Single(Policy):
+    """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility.
+
+    Where `refutes` is False, nobody looks for a proof.
+    """
+
+    def __init__(self, algorithm: Algorithm, *, refutes: bool = True) -> None:
+        self.algorithm = self.chosen = algorithm
+        self.name, self._refutes = algorithm.name, refutes
+
+    def first(self, problem: LCP) -> Choice:
+        """Return the caller's algorithm."""
+        return Choice(self.algorithm)
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return None, or the feasibility check after a method that ended without a solution."""
+        is_unfit = not self._refutes or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
+        if not failed or len(stages) > 1 or is_unfit:
+            return None
+        check = ask_or_none("step of auto", "feasibility")
+        return check and Choice(check(), f"{self.name} found no solution: is there one?")
+
+
+class Auto(Policy):
+    """What is predicted to need the least work; where `refutes` is False, without a look for proofs.
+
+    Where `looks_at_cases` is False, a solution near the start is wanted: no search looks for another one.
+    """
+
+    name = chosen = "auto"
+
+    def __init__(self, *, refutes: bool = True, looks_at_cases: bool = True) -> None:
+        self._refutes, self.looks_at_cases = refutes, looks_at_cases
+        self._direct: Turns | None = None
+
+    @cached_property
+    def _retries(self) -> Retries | None:
+        retries: type[Retries] | None = ask_or_none("step of auto", "once more")
+        return None if retries is None else retries()
+
+    def first(self, problem: LCP) -> Choice:
+        """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
+        if getattr(problem.origin, "form", "") == "kkt":
+            self._direct = self._turns(problem)
+            if self._direct is not None and (first := self._direct.first()) is not None:
+                return replace(first, because=f"multipliers have no diagonal entry to sweep with; {first.because}")
+            self._direct = None
+        if takes_the_small_dense_solver(problem):
+            return Choice(_small(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
+        banded = method_or_none("banded")
+        passes = math.inf if banded is None else in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
+        narrow = PROJECTED_TYPE if banded is None else Choice(banded, f"a narrow band: about {passes:.0f} sweeps")
+        is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
+        if passes <= TRIAL_SWEEPS:
+            return narrow
+        if is_large and _triangle(problem) is None and _is_clearly_dominant(problem):
+            return Choice(PSOR(), f"every row is dominated: a sweep gains a factor {CLEARLY_DOMINANT} at least")
+        return narrow if passes <= BANDED_PASSES else PROJECTED_TYPE
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return what needs the least work from here, or None to go on."""
+        now = stages[-1]
+        if self._direct is not None:
+            return self._direct.after(stages, target, failed=failed)
+        is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
+        if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() and (order := _triangle(problem)):
+            return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
+        if now.algorithm.name == "banded":
+            return replace(PROJECTED_TYPE, because="banded came to an end") if failed else None
+        failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
+        is_asked, sweeps = failed or _is_asked(problem, now), 0.0
+        is_sought = isinstance(now.algorithm, NPSOR) and problem.n > DIRECT_UP_TO and not problem.is_dense
+        if is_sought and not failed and (is_asked or is_after_one_sweep):
+            sweeps = _least_sweeps(problem, now, target)
+        if is_asked:
+            sweeps = math.inf if failed else max(sweeps, now.steps_to_go(target))
+        elif sweeps == 0.0:
+            return None
+        else:
+            sweeps /= PATIENCE**2  # after one sweep multigrid has to be clearly less than psor, which takes the root
+        name = now.algorithm.name
+        needs = f"{name} needs {sweeps:.0f} more sweeps" if sweeps < math.inf else f"{name} does not get nearer"
+        needs = f"{name} came to an end" if failed else needs
+        if name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
+            return Choice(PSOR(), f"{needs}, and a factorisation may be too large")
+        predicted = {rival: rival.predicted_passes(problem, sweeps) for rival in _rivals(problem, stages)}
+        if not predicted:  # no room of rivals is here
+            return None
+        least = min(predicted, key=lambda rival: predicted[rival])
+        is_hovering = now.work + sweeps > PATIENCE * predicted[least]  # its prediction came true too late before
+        is_enough = sweeps <= predicted[least] and not (failed or is_hovering)
+        if is_enough or not (is_asked or least.name == "multigrid"):
+            return None
+        if predicted[least] == math.inf or least.name == DIRECT:
+            self._direct = self._turns(problem)
+            first = None if self._direct is None else self._direct.first()
+            return first and replace(first, because=f"{needs}; {first.because}")
+        return Choice(least, f"{needs}, {least.name} about {predicted[least]:.0f} passes over M")
+
+    def _turns(self, problem: LCP) -> Turns | None:
+        """Return the direct methods, where they are here."""
+        turns: type[Turns] | None = ask_or_none("step of auto", "direct methods")
+        if turns is None or self._retries is None:
+            return None
+        return turns(problem, self._retries, refutes=self._refutes, looks_at_cases=self.looks_at_cases)
+
+    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return newton or lemke, where they have not begun there."""
+        return None if self._retries is None else self._retries.following(problem, stages)
+
+
+DIRECT = "newton"  # predicts for all direct methods
+
+
+class AutoOnRanks(Policy):
+    """What is left of the tables where no process holds all rows: multigrid, then sweeps."""
+
+    name = chosen = "auto"
+
+    def first(self, problem: LCP) -> Choice:
+        """Return multigrid, which needs about as many cycles whatever n is."""
+        return Choice(_multigrid())
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+        """Return PSOR where multigrid came to an end."""
+        return Choice(PSOR(), "multigrid came to an end: projected sweeps") if failed and len(stages) == 1 else None
+
+
+def takes_the_small_dense_solver(problem: LCP) -> bool:
+    """Return whether auto solves the problem by one compiled call: small, and no tridiagonal M-matrix kept sparse."""
+    small = _small()
+    if small is None or not small.takes(problem):
+        return False
+    banded = None if problem.is_dense else method_or_none("banded")
+    return banded is None or banded.predicted_passes(problem, math.inf) > TRIAL_SWEEPS
+
+
+def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:
+    """Return what could take over, in the order in which a tie is decided."""
+    now = stages[-1].algorithm
+    rivals: list[Algorithm] = []
+    if not problem.is_dense and has_positive_diagonal(problem.matrix).all():
+        rivals += [PSOR()] if isinstance(now, NPSOR) else []
+        was_tried = any(stage.algorithm.name == "multigrid" for stage in stages)
+        if isinstance(now, (NPSOR, PSOR)) and not was_tried and "multigrid" in REGISTRY:
+            rivals.append(_multigrid())
+    return [*rivals, *([create(DIRECT, {})] if DIRECT in REGISTRY else [])]
+
+
+def _multigrid() -> Algorithm:
+    return create("multigrid", {"hands_over": True})
+
+
+@cache
+def _small() -> Any:
+    """Return the solver of small problems, None where its room is not here."""
+    solver = ask_or_none("step of auto", "small")
+    return solver and solver()
+
+
+@cache
+def method_or_none(name: str) -> Algorithm | None:
+    """Return the registered method with its own options, None where its room is not here."""
+    return create(name, {}) if name in REGISTRY else None
+
+
+def _is_asked(problem: LCP, now: Stage) -> bool:
+    """Return whether the stage's rate is known well enough to ask for what needs less work."""
+    k = now.iterations
+    if isinstance(now.algorithm, PSOR):
+        return k >= TRIAL_SWEEPS_PSOR and k % ASKED_EVERY == 0
+    if not isinstance(now.algorithm, NPSOR):
+        return False
+    if problem.is_dense:
+        return k >= TRIAL_SWEEPS_DENSE
+    is_trial_over = k >= TRIAL_SWEEPS and (k - TRIAL_SWEEPS) % ASKED_EVERY == 0
+    return is_trial_over or (SHORTEST_TRIAL <= k < TRIAL_SWEEPS and now.is_steady())
+
+
+def _least_sweeps(problem: LCP, now: Stage, target: float) -> float:
+    """Return how many sweeps errors that are constant on the free unknowns take, 0 where nobody knows."""
+    if now.z is None or not now.residuals or not target > 0.0:
+        return 0.0
+    gain = now.residuals[-1][1] / target
+    with np.errstate(all="ignore"):
+        room = NEAR * max(now.z.max(), -now.z.min())  # npsor approaches a bound without reaching it
+        is_free = (problem.lower + room < now.z) & (now.z < problem.upper - room)
+        free = is_free.astype(np.float64)
+        sums, diagonal = problem.csr @ free, problem.diagonal
+        share, least = free @ sums / (free @ diagonal), (sums / diagonal).min(initial=1.0, where=is_free)
+        slowest = max(0.5 * (math.pi * share) ** 2, least)
+    is_far = gain > 1.0 and 0.0 < slowest < 1.0
+    if not (is_far and has_symmetric_entries(problem.matrix)):
+        return 0.0
+    return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))
+
+
+def _is_clearly_dominant(problem: LCP) -> bool:
+    """Return whether Σ_{j≠i} |m_ij| ≤ 0.8 m_ii on every row; the first block of rows refuses most other matrices."""
+    M, diagonal = problem.csr, problem.diagonal
+    for first in range(0, problem.n, BLOCK):
+        d = diagonal[first:first + BLOCK]
+        if not d.min() > 0.0:
+            return False
+        ends = M.indptr[first:first + BLOCK + 1]
+        with np.errstate(over="ignore"):
+            sums = np.add.reduceat(np.abs(M.data[ends[0]:ends[-1]]), ends[:-1] - ends[0])
+            if not bool(np.all(sums - d <= CLEARLY_DOMINANT * d)):
+                return False
+    return True
+
+
+def _triangle(problem: LCP) -> str | None:
+    """Return the direction of a sweep that solves a triangular problem, or None."""
+    M = problem.csr
+    # The rows are sorted; those at both ends refuse almost every other matrix.
+    if problem.n < 2 or (M.indices[M.indptr[1] - 1] > 0 and M.indices[M.indptr[-2]] < problem.n - 1):
+        return None
+    from ..matrix.structure import triangular_form
+
+    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
+
+
+def last_resort(problem: LCP) -> Algorithm:
+    """Return the method that auto follows to its end where nothing before it converges."""
+    return create("lemke" if problem.n <= PIVOTED_UP_TO else "psor", {})
+
+
+def name_of(policy: Policy, stages: Sequence[Any]) -> str:
+    """Return what ran: the policy, and the chain of what it chose, as records of stages, where that says more."""
+    chain = [stage.name for stage in stages]
+    return policy.name if "".join(chain) in ("", policy.name) else f"{policy.name}: {', '.join(chain)}"
+
+
+def policy_for(
+    algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False, refutes: bool = True,
+    looks_at_cases: bool = True,
+) -> Policy:
+    """Return the policy that the caller's `algorithm` and options mean, where the rows lie on several ranks or on one.
+
+    Where `refutes` is False, it has no stage that looks for a proof that there is no solution; where `looks_at_cases`
+    is, none that looks for a solution anywhere.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption
+        Where the name or an option does not exist.
+    """
+    if isinstance(algorithm, Algorithm):
+        if options:
+            raise InvalidOption(
+                f"options {sorted(options)} were given beside an algorithm object; "
+                f"set them in {type(algorithm).__name__}(…){did_you_mean(next(iter(options)), (), OF_SOLVE)}"
+            )
+        if not getattr(algorithm, "name", ""):
+            raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
+        return _single(algorithm, on_ranks, refutes)
+    if isinstance(algorithm, Policy):
+        return algorithm
+    if isinstance(algorithm, str) and algorithm == "auto":
+        if options:
+            raise InvalidOption(
+                f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well'
+                f"{did_you_mean(next(iter(options)), (), OF_SOLVE)}"
+            )
+        return AutoOnRanks() if on_ranks else Auto(refutes=refutes, looks_at_cases=looks_at_cases)
+    if isinstance(algorithm, type):
+        name = algorithm.__name__
+        raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")
+    if not isinstance(algorithm, str):
+        raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
+    return _single(create(algorithm, options), on_ranks, refutes)
+
+
+def _single(algorithm: Algorithm, on_ranks: bool, refutes: bool) -> Single:
+    if on_ranks and not algorithm.runs_on_ranks:
+        names = ", ".join(name for name in REGISTRY if algorithm_class(name).runs_on_ranks)
+        raise UnknownAlgorithm(f"{algorithm.name!r} does not run on several ranks; auto does, and {names}")
+    return Single(algorithm, refutes=refutes)

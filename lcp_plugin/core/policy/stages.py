@@ -1,0 +1,195 @@
+"""One link of a chain of algorithms: what was chosen and why, what it has done, whether it still gets nearer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..algorithms import Algorithm, Step
+from ..checks import FloatVector
+from ..lcp import LCP
+
+if TYPE_CHECKING:
+    from ...methods.presolve.presolve import Presolved
+
+STEADY = 0.05
+KEPT_RESIDUALS = 512
+FIRST_CHECK = 10
+CHECK_GROWTH = 1.5
+FIRST_FLOOR_CHECK = 25
+PROGRESS = 0.99
+LONGEST_FRONT = 2000
+RISING = 10
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An algorithm, the reason for it, and the smaller problem it is to run on, if any.
+
+    `may_wait` says that another one may have its turn before this one has come to its end; `from_start`, that it does
+    not go on from the best point so far but begins where the run began.
+    """
+
+    algorithm: Algorithm
+    because: str = ""
+    presolved: Presolved | None = None
+    may_wait: bool = False
+    from_start: bool = False
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the steps of the algorithm in terms of the caller's problem."""
+        if self.presolved is None or self.presolved.problem is problem:
+            yield from self.algorithm.iterates(problem, z0)
+            return
+        smaller = self.presolved.problem
+        start = np.clip(self.presolved.reduce(z0), smaller.lower, smaller.upper)
+        share = smaller.nonzeros / max(problem.nonzeros, 1)
+        for step in self.algorithm.iterates(smaller, start):
+            z = np.clip(self.presolved.restore(step.z), problem.lower, problem.upper)
+            yield replace(step, z=z, residual=None, euclidean=None, increment=None, work=share * step.work, proof=None)
+
+
+@dataclass
+class Stage:
+    """What one algorithm of a chain has done so far.
+
+    `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
+    several; `from_start` says that it began where the run began; `least_residual` is that of its steps; `settles`, that
+    steps have said their residuals may rise for a while; `z` is the latest iterate, as long as the stage lasts;
+    `successor`, what its algorithm would be with all that it has learned.
+    """
+
+    algorithm: Algorithm
+    because: str = ""
+    from_start: bool = False
+    iterations: int = 0
+    work: float = 0.0
+    remark: str = ""
+    least_residual: float = 0.0
+    settles: bool = False
+    z: FloatVector | None = None
+    successor: Algorithm | None = None
+    residuals: list[tuple[int, float]] = field(default_factory=list)
+    parts: list[tuple[str, int, float]] = field(default_factory=list)
+
+    def take(self, label: str, iterations: int, work: float) -> None:
+        """Count iterations and work, for the part of that label where there is one."""
+        self.iterations += iterations
+        self.work += work
+        if label and self.parts and self.parts[-1][0] == label:
+            _, before, spent = self.parts.pop()
+            self.parts.append((label, before + iterations, spent + work))
+        elif label:
+            self.parts.append((label, iterations, work))
+
+    def note(self, residual: float) -> None:
+        """Keep the residual of the present iteration: of the first 512 measured all, then the latest."""
+        if len(self.residuals) >= KEPT_RESIDUALS:
+            self.residuals.pop()
+        self.residuals.append((self.iterations, residual))
+
+    def rate(self) -> float:
+        """Return the contraction of the residual a sweep, over the second half of the stage.
+
+        Over all of it where steps settle, as those of psor do: each trial of a relaxation raises the residual.
+        """
+        if len(self.residuals) < 2:
+            return 1.0
+        last_step, last = self.residuals[-1]
+        since = 0 if self.settles else last_step // 2
+        first_step, first = next((entry for entry in self.residuals if entry[0] >= since), self.residuals[0])
+        if last_step == first_step or not first > 0.0 or not math.isfinite(last):
+            return 1.0
+        return float((last / first) ** (1.0 / (last_step - first_step)))
+
+    def is_steady(self) -> bool:
+        """Return whether the last two contractions of the residual agree."""
+        (_, first), (_, second), (_, third) = self.residuals[-3:]
+        if not min(first, second, third) > 0.0:
+            return False
+        return abs(third / second - second / first) <= STEADY * second / first
+
+    def steps_to_go(self, target: float) -> float:
+        """Return how many more steps reach that residual, at the stage's own rate."""
+        if not self.residuals:
+            return math.inf
+        residual, rate = self.residuals[-1][1], self.rate()
+        if residual <= target:
+            return 0.0
+        return math.log(target / residual) / math.log(rate) if 0.0 < rate < 1.0 and target > 0.0 else math.inf
+
+
+class CheckSchedule:
+    """When to measure the residual of an in-place method: at geometric intervals, and when it looks small enough."""
+
+    def __init__(self, residual_per_increment: float, tolerance: float) -> None:
+        self.next_check = FIRST_CHECK
+        self.residual_per_increment = residual_per_increment
+        self.tolerance = tolerance
+
+    def is_due(self, iteration: int, increment: float | None) -> bool:
+        """Return whether this step's residual is worth measuring."""
+        if iteration >= self.next_check or increment is None:
+            return True
+        return increment * self.residual_per_increment <= self.tolerance
+
+    def learn(self, iteration: int, increment: float, residual: float) -> None:
+        """Take note of a measured residual: the next is due half as far again."""
+        self.next_check = max(iteration + 1, math.ceil(max(iteration, FIRST_CHECK) * CHECK_GROWTH))
+        if increment > 0.0:
+            self.residual_per_increment = residual / increment
+
+
+class Progress:
+    """Whether the best residual still falls."""
+
+    def __init__(self, n: int, max_iterations: int) -> None:
+        # A front that crosses the unknowns one a sweep leaves the largest residual as it is until it has passed.
+        self.shortest_window = max(200, 5 * math.ceil(math.log2(max(n, 2))), min(n, LONGEST_FRONT))
+        self.max_iterations = max_iterations
+        self.window_start: tuple[int, float] | None = None
+        self.last_residual, self.rises = math.inf, 0
+        self.last_fall: tuple[int, float] = (0, math.inf)
+        self.next_floor_check = FIRST_FLOOR_CHECK
+
+    def restart(self, iteration: int, best: float) -> None:
+        """Begin to watch for a standstill afresh at this iteration."""
+        self.window_start = (iteration, best) if math.isfinite(best) else None
+
+    def is_rising(self, residual: float) -> bool:
+        """Return whether a measured residual is not finite, or higher than the one before for ten times in a row."""
+        self.rises = self.rises + 1 if residual > self.last_residual else 0
+        self.last_residual = residual
+        return self.rises >= RISING or not math.isfinite(residual)
+
+    def is_flat(self, iteration: int, best: float) -> bool:
+        """Return whether it is time to ask for the rounding floor: no fall for 25, 50, 100, … steps."""
+        since, value = self.last_fall
+        if best < PROGRESS * value:
+            self.last_fall = (iteration, best)
+            self.next_floor_check = FIRST_FLOOR_CHECK
+        elif iteration - since >= self.next_floor_check:
+            self.next_floor_check *= 2
+            return True
+        return False
+
+    def is_stalled(self, iteration: int, best: float, tolerance: float) -> bool:
+        """Return whether a window passed with less than 1 % and extrapolation misses max_iterations.
+
+        A window is at least half as long as the run was before it.
+        """
+        if self.window_start is None:
+            self.window_start = (iteration, best)
+        since, value = self.window_start
+        if iteration - since < max(self.shortest_window, since // 2):
+            return False
+        self.window_start = (iteration, best)
+        if best < PROGRESS * value:
+            return False
+        fall = math.log(value / best) / (iteration - since) if 0.0 < best < value else 0.0
+        needed = math.log(best / tolerance) if 0.0 < tolerance < best else math.inf
+        return needed > fall * (self.max_iterations - iteration)

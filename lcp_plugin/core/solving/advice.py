@@ -1,0 +1,77 @@
+"""What a run that did not solve its problem is told to do: never what has just run, nor the default where that ran."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..algorithms import Algorithm
+from ..lcp import LCP
+from ..matrix.row_sums import has_positive_diagonal
+from ..policy.stages import Stage
+from ..settings import Status
+
+LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
+WITHOUT_END = (Status.STALLED, Status.DIVERGED)
+EXCLUDED = "no solution was found, and as far as doubles tell there is none near any z"
+ELSEWHERE = "auto has tried what suits this M: another start z0 may lead elsewhere"
+
+
+def advice_of_run(
+    problem: LCP, chosen: Any, stages: Sequence[Stage], goal: float, words: Mapping[Status, str]
+) -> dict[Status, str]:
+    """Return the advice of each status with which a run may have ended, what happened and what to do.
+
+    Parameters
+    ----------
+    problem : LCP
+        In the units of the run.
+    chosen : str or Algorithm
+        What was asked for.
+    stages : sequence of Stage
+        What ran.
+    goal : float
+        The residual that was asked for.
+    words : mapping from Status to str
+        What happened, where another than the status's own is right.
+
+    Examples
+    --------
+    >>> from lcp_plugin.algorithms import create
+    >>> said = advice_of_run(LCP([[2.0]], [1.0]), create("npsor", {"scaling": None}), (), 1e-8, {})
+    >>> said[Status.DIVERGED].partition("; ")[2]
+    'try scaling="auto", which is enough where M is an H₊-matrix, or algorithm="auto"'
+    >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", (), 1e-8, {})[Status.MAX_ITERATIONS]
+    'the iteration limit came first: raise max_iterations, or go on from z0=result.z'
+    """
+    said = {status: words.get(status, status.value) for status in (*LIMITS, *WITHOUT_END)}
+    other = _other_call(problem, chosen) if isinstance(chosen, Algorithm) else ""
+    is_excluded = bool(stages) and stages[-1].least_residual > goal
+    reached = stages[-1].z if stages and isinstance(chosen, Algorithm) else None
+    goes_on = reached is None or chosen.uses_start(problem, reached)
+    for status in LIMITS:
+        said[status] += ", or go on from z0=result.z" * goes_on + f", or try {other}" * bool(other)
+    for status in WITHOUT_END:
+        said[status] = EXCLUDED if is_excluded else f"{said[status]}; {f'try {other}' if other else ELSEWHERE}"
+    return {**words, **said}
+
+
+def _other_call(problem: LCP, chosen: Algorithm) -> str:
+    """Return another call than the one that has failed: what its options lack, or auto."""
+    is_unscaled = getattr(chosen, "scaling", "auto") is None and bool(has_positive_diagonal(problem.matrix).all())
+    scaled = 'scaling="auto", which is enough where M is an H₊-matrix, or ' if is_unscaled else ""
+    return f'{scaled}algorithm="auto"'
+
+
+def unused_start(problem: LCP, chosen: Any, start: Any) -> str:
+    """Return what to say of a start that the caller gave and the algorithm does not use; '' elsewhere.
+
+    Parameters
+    ----------
+    problem : LCP
+        In the units of the run, as the start is.
+    chosen : str or Algorithm
+    start : array, shape (n,)
+    """
+    is_given = isinstance(chosen, Algorithm) and bool((start != problem.nearest_to_zero).any())
+    return chosen.why_no_start if is_given and not chosen.uses_start(problem, start) else ""

@@ -1,0 +1,273 @@
+"""solve(): one compiled call from the start to the answer where nobody watches, else a run; judged alike."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..algorithms import Algorithm, FusedSolve
+from ..certificates.criterion import CommonUnits, least_reference, reference_residual
+from ..certificates.residuals import Certificate
+from ..checks import FloatVector, checked_start
+from ..deadline import Clock
+from ..errors import InvalidOption
+from ..kernels.floats import EPSILON
+from ..kernels.threads import threads_for
+from ..kinds import solve_any
+from ..lcp import LCP
+from ..lcp_kind import LINEAR_COMPLEMENTARITY_PROBLEM
+from ..matrix.structure import parts
+from ..policy.choice import Policy, name_of, policy_for
+from ..policy.stages import Choice
+from ..registry import ask_or_none
+from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
+from .judge import answers_program
+from .result import Result, StageRecord
+from .run import Callback, Run
+
+if TYPE_CHECKING:
+    from ...problems.equilibria.equilibrium_program import EquilibriumProgram
+    from ...problems.equilibria.result import EquilibriumResult
+    from ...problems.least_squares.data import BoundedLeastSquares
+    from ...problems.least_squares.solving import LeastSquaresResult
+    from ...problems.nonlinear.data import NonlinearProblem
+    from ...problems.programs.program import QuadraticProgram
+    from ...problems.programs.solving import QuadraticProgramResult
+
+
+
+@overload
+def solve(
+    problem: LCP, algorithm: str | Algorithm | Policy = "auto", *, z0: ArrayLike | None = None,
+    tolerance: float = 1e-8, tolerance_on: str = "residual",
+    max_iterations: int | None = None, max_seconds: float | None = None, absolute_tolerance: float = 0.0,
+    record: bool = False, callback: Callback | None = None, error_bound: bool = False, refute: bool = True,
+    threads: int | None = None, verbose: bool = False, **options: Any,
+) -> Result: ...
+@overload
+def solve(
+    problem: NonlinearProblem, algorithm: str | Algorithm = "auto", *, x0: ArrayLike, **options: Any
+) -> Result: ...
+@overload
+def solve(
+    problem: QuadraticProgram, algorithm: str | Algorithm = "auto", **options: Any
+) -> QuadraticProgramResult: ...
+@overload
+def solve(problem: EquilibriumProgram, **options: Any) -> EquilibriumResult: ...
+@overload
+def solve(problem: BoundedLeastSquares, **options: Any) -> LeastSquaresResult: ...
+def solve(
+    problem: Any,
+    algorithm: str | Algorithm | Policy = "auto",
+    *,
+    z0: ArrayLike | None = None,
+    tolerance: float = 1e-8,
+    tolerance_on: str = "residual",
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    record: bool = False,
+    callback: Callback | None = None,
+    error_bound: bool = False,
+    refute: bool = True,
+    threads: int | None = None,
+    verbose: bool = False,
+    **options: Any,
+) -> Any:
+    """Return the answer to a problem, judged on the problem's own data.
+
+    Parameters
+    ----------
+    problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem or BoundedLeastSquares
+        Never modified. What follows is said of an LCP; see Notes for the others. Where its rows are spread over ranks
+        (:meth:`LCP.from_rows`), all of them call with the same arguments; z0, z and w are the own parts then, and
+        everything else is the same on every rank.
+    algorithm : str or Algorithm
+        A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
+    z0 : array, shape (n,), or a number for n = 1, optional
+        Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. ``interior_point``
+        uses one on dense symmetric M and programs only, ``lemke`` where its residual is a tenth of that point's or
+        less; where it changes nothing ``explain()`` says so.
+    tolerance : float
+        SOLVED means that the measured residual of the returned z is at most this: in every part of the problem
+        (connected component of M's pattern) relative to that part's own reference.
+    tolerance_on : {"residual", "error"}
+        With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved of every part, z* the solution.
+    max_iterations : int, default 100 000
+    max_seconds : float, optional
+        Wall-clock limit in seconds, set-up included and compilation of kernels excluded; obeyed at the end of
+        the iteration under way, or within a tenth of a second inside a long factorisation, as Ctrl-C is. That goes
+        on in a thread of its own until it is done, and what it finds is dropped.
+    absolute_tolerance : float
+        In the unit of z: a part with ‖r‖∞ ≤ absolute_tolerance is solved whatever its reference, as a contact at rest
+        is whose gaps are rounding; INFEASIBLE and NO_SOLUTION are proved beyond it.
+    record : bool
+        Keep samples of the run at geometric intervals in ``Result.history``.
+    callback : callable, optional
+        Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
+        run with status INTERRUPTED. What it raises is passed on.
+    error_bound : bool
+        Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
+        clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
+    refute : bool
+        Look for a proof that there is no solution where none is found. False saves the work: a run that finds none ends
+        STALLED, at the start where a look at all cases of a small problem in doubles has excluded every z.
+    threads : int, optional
+        How many threads this solve may use; by default all that the process may use, but one where the rows are on
+        ranks. The answer is the same bit for bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.
+    verbose : bool
+        Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
+        seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.
+    **options
+        Options of the named algorithm.
+
+    Returns
+    -------
+    Result
+        Or that of the other kind; each is an :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x,
+        objective, advice and proof. Always, whatever the status, with the best iterate whose residual was measured
+        (in-place methods are measured at intervals and at the end), also after Ctrl-C; before the first step that is
+        the start. ``result.require_solved()`` raises instead.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+        Before the first iteration; UnsuitableMatrix also where ``tolerance_on="error"`` and M allows no error bound.
+
+    Notes
+    -----
+    What the other kinds take, and what SOLVED means there, is that of the function which solves them; they refuse the
+    rest, and have default tolerances of their own:
+
+    - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.solve_nonlinear`;
+    - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and
+      UNBOUNDED with a proof, see :class:`~lcp_plugin.QuadraticProgramResult`; options as for an LCP, z0 is the
+      ``result.z`` of an earlier run, a start where that has as many unknowns;
+    - ``EquilibriumProgram``: :func:`~lcp_plugin.minimize_over_solutions`;
+    - ``BoundedLeastSquares``: :func:`~lcp_plugin.bounded_least_squares`.
+
+    Kernels of small problems are interpreted, with the same bits, until compiling them pays. The first large problem of
+    its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles everything.
+
+    Examples
+    --------
+    >>> problem = LCP([[4, -1], [-1, 4]], [-3, 5])
+    >>> result = solve(problem, "npsor", relaxation=1.7)
+    >>> result.status.name, result.z.round(6)
+    ('SOLVED', array([0.75, 0.  ]))
+
+    >>> from lcp_plugin import QuadraticProgram
+    >>> best = solve(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
+    >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
+    ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
+    """
+    if not isinstance(problem, LCP):
+        given = dict(
+            z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, max_iterations=max_iterations,
+            max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, record=record, callback=callback,
+            error_bound=error_bound, refute=refute, threads=threads, verbose=verbose,
+        )
+        wishes = {name: value for name, value in given.items() if value is not (solve.__kwdefaults__ or {})[name]}
+        return solve_any(problem, algorithm, {**wishes, **options})
+    if options:
+        LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)
+    communicator, clock = problem.communicator, Clock(problem.communicator)
+    # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
+    with np.errstate(), communicator.interruptions() as clock.hears:
+        policy, settings, callers, start = communicator.together(lambda: (
+            policy_for(algorithm, options, on_ranks=problem.is_distributed, refutes=refute),
+            Settings(
+                tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
+                threads, verbose, refute,
+            ),
+            checked_callback(callback), checked_start(problem, z0),
+        ))
+        asked = policy.chosen, settings
+        communicator.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
+        run: Run | None = None
+        with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
+            units = CommonUnits(problem, problem)
+            try:
+                if policy.chosen != "auto" and (warn := ask_or_none("remark", "uncovered")) is not None:
+                    warn(problem, policy, stacklevel=2)
+                units = CommonUnits.of(problem, settings.least_reference)
+                start, first = units.inward(start), policy.first(units.problem)
+                if callers is None and (result := fused(units, policy, first, settings, start, clock)) is not None:
+                    return result
+                run = Run(units, policy, settings, callers, clock)
+                return run.judged(start, run.drive(start, first))
+            except KeyboardInterrupt:
+                if problem.is_distributed:
+                    raise  # the second one: the other ranks have not heard of it
+                run = run or Run(units, policy, settings, callers, clock)
+                return run.judged(start, Status.INTERRUPTED)
+
+
+def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[Policy, Settings]:
+    """Return what an algorithm and other keyword arguments of `solve` ask for; a start and a callback may be there."""
+    settings = Settings(**{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE})
+    options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
+    return policy_for(algorithm, options, refutes=settings.refute), settings
+
+
+def fused(
+    units: CommonUnits, policy: Policy, first: Choice, settings: Settings, start: FloatVector, clock: Clock
+) -> Result | None:
+    """Return the result of the first algorithm's steps taken in one compiled call; None where they have to be driven.
+
+    They are driven where somebody wants to see them, where another residual or the error is to be watched, and where
+    the call does not converge within the tolerance.
+    """
+    algorithm, problem = first.algorithm, units.problem
+    may_fuse = settings.is_unobserved and first.presolved is None
+    if type(algorithm).solve_fused is Algorithm.solve_fused or not may_fuse:
+        return None
+    clock.read()
+    if clock.elapsed >= settings.max_seconds:
+        return None
+    is_one = parts(problem.matrix) is None
+    found = algorithm.solve_fused(problem, start, _tolerance_of_all(units, settings, is_one), settings.max_iterations)
+    if found is None:
+        return None
+    if is_one and units.is_the_callers:  # the kernel has enclosed the residual of the whole
+        certificate = Certificate.enclosed(units.callers, found.z, found.residual)
+    else:
+        certificate = Certificate.of(units.callers, units.outward(found.z))
+    if not settings.accept(certificate) or answers_program(units.callers, settings, certificate.z) is False:
+        return None
+    return fused_result(certificate, policy, first, found, settings, clock.read())
+
+
+def _tolerance_of_all(units: CommonUnits, settings: Settings, is_one: bool) -> float:
+    """Return the tolerance beside the largest reference of all parts that means the one asked for beside the least."""
+    if settings.absolute_tolerance and units.reference > 0.0:  # of which the kernel does not know
+        share = units.reference / reference_residual(units.problem)
+        return settings.goal * share * (1.0 if is_one else 1.0 - 4.0 * EPSILON)
+    return settings.goal if is_one else beside_the_largest(*units.references, settings.goal)
+
+
+def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) -> float:
+    """Return the same for parts with these bounds of their references."""
+    largest = float(most.max(initial=0.0))
+    if not largest > 0.0 or least.size == 1:
+        return tolerance
+    return tolerance * (least_reference(least, most) / largest) * (1.0 - 4.0 * EPSILON)
+
+
+def fused_result(
+    certificate: Certificate, policy: Policy, first: Choice, found: FusedSolve, settings: Settings, seconds: float
+) -> Result:
+    """Return the result of a fused solve that converged at the z of a certificate, after these seconds."""
+    stages = tuple(
+        StageRecord(name, "" if k else first.because, iterations, work)
+        for k, (name, iterations, work) in enumerate(found.parts)
+    )
+    return Result(
+        z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
+        tolerance=settings.tolerance, algorithm=name_of(policy, stages),
+        iterations=sum(stage.iterations for stage in stages), work=found.work,
+        absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
+        setup_seconds=0.0, stages=stages, _asked=policy.chosen,
+    )

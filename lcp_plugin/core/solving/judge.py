@@ -1,0 +1,216 @@
+"""The judge of a run: what a residual is, when it is small enough, and what the certificate makes of the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..algorithms import Algorithm, Step
+from ..certificates.criterion import CommonUnits, rounding_of_data
+from ..certificates.residuals import GAINED, Certificate
+from ..certificates.row_residuals import measured_residual, ratio
+from ..checks import FloatVector
+from ..kernels.floats import EPSILON
+from ..lcp import LCP
+from ..registry import ask
+from ..settings import PROVEN, Settings, Status
+from .result import BoundOrReason
+
+if TYPE_CHECKING:
+    from ...proofs.bounds.error_watch import ErrorWatch
+
+FAR_OUT = 1e-2
+ASKED_AGAIN = 5  # after a fifth of the steps up to now
+SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem, too
+
+
+def answers_program(problem: LCP, settings: Settings, z: FloatVector) -> bool | None:
+    """Return whether z answers the program that the problem was made from, by its own criteria; None without one."""
+    if problem.criterion is None or settings.is_on_error or settings.absolute_tolerance:
+        return None
+    answers: bool = problem.criterion.is_answered(z, settings.tolerance)
+    return answers
+
+
+class Judge:
+    """Measures, certifies and names the end of a run on the caller's own data; this one judges an LCP.
+
+    Every z that it is given is in the common units of the run; what it gives back is the caller's. A problem of another
+    kind brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run` asks: at each step
+    `residual_of` (what the algorithm says), `measure`, `certified` and `passes`; where nothing falls `is_at_floor` and
+    `is_limited_by_size`; of a proof `counts` and `misses_by_rounding`; at the end `final`, whose certificate `verdict`
+    names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the Result of an LCP of them.
+
+    Attributes
+    ----------
+    problem : LCP
+        The caller's.
+    asked : LCP or NonlinearProblem
+        What the caller wants to have solved; of a nonlinear problem, `problem` is the linearisation at the start.
+    reference : float
+        What the residuals of the run are relative to, in its units; where it is 0, z° solves the problem.
+    proof : object or None
+        Of the proofs that the problem has no solution, the one with the largest margin.
+    words : mapping from Status to str
+        The advice of a status where another than its own is right.
+    """
+
+    words: Mapping[Status, str] = MappingProxyType({})
+    _answer: FloatVector | None = None  # as the caller has it, where it need not be the z of the smallest residual
+    _asked_at, _ask_again = math.inf, 0  # residual and iteration
+
+    def __init__(self, units: CommonUnits, settings: Settings) -> None:
+        self.units, self.problem, self.settings = units, units.callers, settings
+        self.asked: Any = self.problem
+        self.reference = units.reference
+        watches = settings.error_bound or settings.is_on_error
+        self.errors: ErrorWatch | None = ask("watch", "error")(self.problem, settings) if watches else None
+        self.proof: Any = None
+        self._certificate: Certificate | None = None
+
+    def certificate_of(self, z: FloatVector) -> Certificate:
+        """Return the certificate of z on the caller's own data."""
+        return Certificate.of(self.problem, self.units.outward(z))
+
+    @property
+    def per_increment(self) -> float:
+        """How large a residual is beside the increment that goes with it near the answer, about."""
+        return ratio(1.0, self.reference)
+
+    def residual_of(self, step: Step) -> float | None:
+        """Return the relative residual of a step where the algorithm knows it."""
+        return None if step.residual is None else self._relative(step.residual)
+
+    def measure(self, z: FloatVector) -> float:
+        """Return the relative residual of z as double precision gives it."""
+        return self._relative(measured_residual(self.units.problem, z))
+
+    def _relative(self, residual: float) -> float:
+        """Return a residual of the run beside the reference; 0 where z° answers all parts: no step changes that."""
+        if self.reference == 0.0 and self.units.answered is not None:
+            return 0.0
+        return ratio(residual, self.reference)
+
+    def certified(self, z: FloatVector) -> float:
+        """Return an upper bound of the relative residual of z; no step changes what z° answers."""
+        self._certificate = self.certificate_of(z)
+        return self._relative_in_open_parts(self._certificate)
+
+    def _relative_in_open_parts(self, certificate: Certificate) -> float:
+        return certificate.relative_above(self.settings.least_reference, self.units.answered)
+
+    def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
+        """Return whether z, of that certified residual, is what was asked for."""
+        if self.errors is None or not self.settings.is_on_error:
+            return bool(residual <= self.settings.goal) and self._answers(self.units.outward(z), residual, iteration)
+        return self.errors.proves(self.units.outward(z), residual * self.reference, iteration)
+
+    def _answers(self, z: FloatVector, residual: float, iteration: int) -> bool:
+        """Return whether z answers the program, if there is one; that takes long, and is not asked at every step."""
+        if not residual <= 0.5 * self._asked_at and iteration < self._ask_again:
+            return False
+        answers = self.is_answered(z)
+        if answers is None:
+            return True
+        self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
+        self._answer = z.copy() if answers else None
+        return answers
+
+    def is_answered(self, z: FloatVector) -> bool | None:
+        """Return whether z, the caller's, answers the program that the problem was made from; None where there is none.
+
+        Another tolerance than a relative one is asked of the complementarity problem alone.
+        """
+        return answers_program(self.problem, self.settings, z)
+
+    def require_rigorous_bounds(self) -> None:
+        """Raise where the run stops on the error and M allows no rigorous bound of it."""
+        if self.errors is not None:
+            self.errors.require_rigorous()
+
+    def bound_along_the_run(self, z: FloatVector, work: float) -> float | None:
+        """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
+        return None if self.errors is None else self.errors.along_the_run(self.units.outward(z), work)
+
+    def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
+        """Return the bound of the answer's error where the caller wants one, or how it is computed once looked at."""
+        return BoundOrReason() if self.errors is None else self.errors.final(certificate.z)
+
+    def is_at_floor(self, z: FloatVector | None) -> bool:
+        """Return whether the residual of z is small and no larger than rounding explains: no step is worth its work."""
+        if z is None:
+            return False
+        certificate = self.certificate_of(z)
+        return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
+
+    def is_limited_by_size(self, z: FloatVector | None) -> bool:
+        """Return whether z is so far out that rounding of z alone hides the tolerance: a nearer solution need not."""
+        size = 0.0 if z is None else float(np.abs(z).max(initial=0.0))
+        return bool(size * EPSILON > FAR_OUT * self.settings.goal * self.reference)
+
+    def misses_by_rounding(self, z: FloatVector | None) -> bool:
+        """Return whether no z is a solution, but this one misses by no more than rounding of the data."""
+        if z is None or self.proof is None or not self.proof.is_rounding:
+            return False
+        return measured_residual(self.problem, self.units.outward(z)) <= rounding_of_data(self.problem)
+
+    def counts(self, proof: Any) -> bool:
+        """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
+
+        It is one in the units of the run; kept is what it says in the caller's. Where the problem is made from a
+        program, that has to be refuted in its own units as well.
+        """
+        settings, units = self.settings, self.units
+        if units.row_exponents is not None:
+            proof = proof.in_units(units.callers, -units.row_exponents)
+        if not proof.verify():
+            return False
+        if self.proof is None or proof.margin > self.proof.margin:
+            self.proof = proof
+        criterion = self.problem.criterion
+        if criterion is None and getattr(proof, "radius", math.inf) < math.inf:
+            return False  # a near-singular M has solutions that large
+        if not proof.excludes(settings.tolerance, settings.tolerance_on, settings.absolute_tolerance):
+            return False
+        return criterion is None or criterion.is_refuted(settings.tolerance)
+
+    def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Certificate:
+        """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
+        everywhere, certificate = self.problem.communicator.everywhere, self._certificate
+        answer = self.units.outward(z)
+        proof = None if self.errors is None else self.errors.proof
+        passed = self._answer if proof is None else proof[0]
+        if passed is not None:  # by another criterion it need not be the best
+            answer, z = passed, self.units.inward(passed)
+        if certificate is None or not everywhere(np.array_equal(certificate.z, answer)):
+            certificate = self.certificate_of(z)
+        may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS)
+        if last is None or not may_finish or not everywhere(bool(np.isfinite(z).all())):
+            return certificate
+        finished = last.finish(self.units.problem, z)
+        cleaned = certificate if finished is z else self.certificate_of(finished)
+        residual = self._relative_in_open_parts(certificate)
+        if cleaned is certificate or not self._relative_in_open_parts(cleaned) <= residual < math.inf:
+            return certificate
+        return cleaned if self.is_answered(cleaned.z) is not False else certificate
+
+    def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
+        """Return the status: what the certificate proves, or else why the run ended."""
+        if self.errors is not None and self.settings.is_on_error:
+            is_solved = self.errors.is_proved(certificate.z)
+        elif (answers := self.is_answered(certificate.z)) is None:
+            is_solved = self.settings.accept(certificate)
+        else:
+            is_solved = answers and (self.settings.tolerance >= SMALL or self.settings.accept(certificate))
+        if is_solved:
+            return Status.SOLVED
+        if reason in PROVEN:
+            return reason
+        if certificate.is_limited_by_rounding or self.misses_by_rounding(self.units.inward(certificate.z)):
+            return Status.PRECISION_LIMIT
+        is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT)
+        return Status.STALLED if is_unfounded or (reason is Status.DIVERGED and is_chain) else reason

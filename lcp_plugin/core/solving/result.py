@@ -1,0 +1,330 @@
+"""What a run gives back: a status that is an advice, the answer, and the record of how it was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..certificates.residuals import Certificate
+from ..checks import FloatVector, restored
+from ..registry import ask, ask_or_none, offered
+from ..settings import Status
+from .answer import Answer
+
+if TYPE_CHECKING:
+    from ...proofs.bounds.error_bounds import ErrorBound
+    from ...proofs.guarantees.theorems import Guarantee
+
+STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
+STIFF_SPREAD = 1e6
+FAR = 1e-2  # part of ‖z‖∞
+FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
+
+
+class BoundOrReason(NamedTuple):
+    """A bound of the error, or none and the reason."""
+
+    bound: ErrorBound | None = None
+    reason: str = ""
+
+
+class StageRecord(NamedTuple):
+    """One algorithm of a run: its name, why it came, its iterations, its work in passes over M, what it left open."""
+
+    name: str
+    because: str
+    iterations: int
+    work: float
+    remark: str = ""
+
+
+ON_ERROR = {
+    Status.SOLVED: "the error is proved to be within the tolerance",
+    Status.PRECISION_LIMIT: (
+        "the error is not proved to be within the tolerance, and the residual is no larger than rounding in double "
+        "precision explains: accept z with the bound it has, or rescale the data"
+    ),
+    Status.STALLED: (
+        "the error is not proved to be within the tolerance, and the residual no longer falls enough to change that; "
+        "raise the tolerance, or try another algorithm or a better start z0"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One point of a run's history.
+
+    Attributes
+    ----------
+    iteration : int
+        0 is the projected start, after the set-up.
+    work : float
+        Matrix entries touched so far, divided by the nonzeros of M.
+    seconds : float
+        Seconds of the algorithm so far, set-up included; the clock stands still while a sample is measured.
+    residual : float or None
+        The relative one; None in a callback at a step where nobody measured it.
+    label : str
+        The algorithm at work.
+    error_bound : float or None
+        A proved bound of ‖z − z*‖∞, where asked for. Above 100 000 unknowns it is seldom the sharpest there is: a
+        sharp one costs a linear solve, and is computed only once the run has cost as much.
+    """
+
+    iteration: int
+    work: float
+    seconds: float
+    residual: float | None
+    label: str = ""
+    error_bound: float | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Answer):
+    """The answer of a run, judged by its certificate.
+
+    Attributes
+    ----------
+    z, w : ndarray, shape (n,)
+        The best iterate and its slack M z + q, read-only; `x` is z.
+    status : Status
+        Derived from the certificate; where that does not pass, the reason why the run ended.
+    certificate : Certificate
+        All residuals of z on the caller's own data.
+    algorithm : str
+        What ran; for ``auto`` the chain of what it chose.
+    iterations, work, seconds, setup_seconds
+        Of the whole run; see :class:`Sample` for the units.
+    tolerance, tolerance_on, absolute_tolerance
+        As given to :func:`lcp_plugin.solve`.
+    history : tuple of Sample
+        Empty unless asked for with ``record=True``.
+    stages : tuple of StageRecord
+        What ran, in order; more than one for ``auto``.
+    infeasibility : Refutation or None
+        A proof that the stored doubles have no solution, which can ``verify()`` itself on the problem's data. Its
+        ``margin`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION where
+        that exceeds the tolerance. With another status the contradiction is smaller: `advice` says by how much.
+    """
+
+    z: FloatVector = field(repr=False)
+    w: FloatVector = field(repr=False)
+    status: Status
+    certificate: Certificate = field(repr=False)
+    algorithm: str
+    iterations: int
+    work: float
+    seconds: float
+    setup_seconds: float
+    tolerance: float
+    history: tuple[Sample, ...] = field(default=(), repr=False)
+    stages: tuple[StageRecord, ...] = field(default=(), repr=False)
+    infeasibility: Any = field(default=None, repr=False)
+    tolerance_on: str = "residual"
+    absolute_tolerance: float = 0.0
+    _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
+    # The error bound, or how it is computed once somebody looks at it.
+    _bound: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
+    _advice: Mapping[Status, str] = field(default_factory=dict, repr=False)  # of a status, in place of its own
+
+    __setstate__ = restored
+
+    @property
+    def error_bound(self) -> ErrorBound | None:
+        """The bound of the error where asked for and where M allows one; the first look at it computes it.
+
+        What that took stands in ``error_bound.seconds``, and not in the run's.
+        """
+        return self._bound_or_reason.bound
+
+    @property
+    def no_error_bound(self) -> str:
+        """The reason where a bound was asked for and there is none."""
+        return self._bound_or_reason.reason
+
+    @cached_property
+    def _bound_or_reason(self) -> BoundOrReason:
+        return self._bound() if callable(self._bound) else self._bound
+
+    @cached_property
+    def guarantee(self) -> Guarantee:
+        """What is proved about the convergence of what the caller chose, on this matrix; the first look computes it.
+
+        See :func:`lcp_plugin.convergence_guarantee`.
+        """
+        guarantee: Guarantee = ask("remark", "guarantee")(self.certificate.problem, self._asked)
+        return guarantee
+
+    @property
+    def x(self) -> FloatVector:
+        """The best iterate, z."""
+        return self.z
+
+    @property
+    def proof(self) -> Any:
+        """`infeasibility` where the status rests on it, otherwise None."""
+        return self.infeasibility if self.is_refuted else None
+
+    @property
+    def residual(self) -> float:
+        """The relative residual."""
+        return self.certificate.relative_residual
+
+    @property
+    def advice(self) -> str:
+        """What the status means for this run, in a sentence."""
+        words = {**self._advice, **ON_ERROR} if self.tolerance_on == "error" else self._advice
+        advice = words.get(self.status, self.status.value)
+        if self.is_solved or self.is_refuted:
+            return "; ".join([advice, *(self._sign() if self.is_refuted else [])])
+        remarks = [stage.remark for stage in self.stages if stage.remark]
+        return "; ".join([*self._small_contradiction(), advice, *remarks, *self._sign()])
+
+    def _sign(self) -> list[str]:
+        """Return what the diagonal of M says where it is negative throughout; of an LCP."""
+        tell = None if self.certificate.is_linearised else ask_or_none("remark", "sign")
+        remark = "" if tell is None else tell(self.certificate.problem.matrix)
+        return [remark] if remark else []
+
+    def _small_contradiction(self) -> list[str]:
+        """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
+        if self.infeasibility is None or self.is_refuted:
+            return []
+        what = "infeasible" if self.infeasibility.status is Status.INFEASIBLE else "without solution"
+        if self.infeasibility.is_rounding:
+            size = self.infeasibility.absolute_margin
+            return [f"{what}, but only by {size:.0e} in the unit of z: rounding beside the largest number in q; "
+                    f"absolute_tolerance={1.1 * max(self.certificate.scaled_residual, size):.1e} accepts z"]
+        if (radius := getattr(self.infeasibility, "radius", np.inf)) < np.inf:
+            return [f"{what} up to ‖z‖∞ = {radius:.0e}"]
+        margin = self.infeasibility.margin
+        if margin > self.tolerance and self.absolute_tolerance:
+            return [f"{what}, but only by {self.infeasibility.absolute_margin:.0e} in the unit of z"]
+        if margin > self.tolerance:
+            return [f"{what} beside its own data, but not beside those of the program that it was made from"]
+        return [f"{what}, but only by {margin:.0e} relative"]
+
+    def explain(self) -> str:
+        """Return the story of the run in a few lines."""
+        lines = [
+            f"{self.status.name}: {self.advice}.",
+            self.reached(),
+            self._effort(),
+        ]
+        if len(self.stages) > 1:
+            total = sum(stage.work for stage in self.stages) or 1.0
+            lines += [
+                f"  {stage.name}: {stage.iterations} iterations, {stage.work / total:.0%} of the work"
+                + (stage.because and f"; {stage.because}")
+                for stage in self.stages
+            ]
+        if self.is_solved:
+            lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
+            lines += [*(f"the stored doubles are {small}" for small in self._small_contradiction()), *self._sign()]
+        if self.infeasibility is not None:
+            lines.append(str(self.infeasibility))
+        if self.no_error_bound:
+            lines.append(f"no error bound: {self.no_error_bound}")
+        return "\n".join([*lines, *self._not_covered(), *self._stiffness(), *self._complementarity()])
+
+    def _effort(self) -> str:
+        return (
+            f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
+            f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s"
+        )
+
+    def _not_covered(self) -> list[str]:
+        """Return a line where a chosen method failed that nothing proves to converge."""
+        is_auto = isinstance(self._asked, str)
+        if self.status not in FAILED or is_auto or self.certificate.problem.is_distributed or not offered("remark"):
+            return []
+        guarantee = self.guarantee
+        if guarantee.is_guaranteed or not guarantee.remedy:
+            return []
+        return [f"{self.algorithm} on this matrix: {guarantee.verdict} ({guarantee.theorem}); what to do: "
+                f"{guarantee.remedy}"]
+
+    def reached(self) -> str:
+        """Return what was reached beside what was asked for."""
+        residual = f"relative residual {self.residual:.3e}"
+        asked_on_error = self.tolerance_on == "error"
+        if self.error_bound is None:
+            what = "a relative error of " if asked_on_error else ""
+            return f"{residual}, asked for {what}{self.tolerance:.3e}{self._or_absolute}"
+        residual += "" if asked_on_error else f" (asked for {self.tolerance:.3e}{self._or_absolute})"
+        asked = f" (asked for {self.tolerance:.3e})" if asked_on_error else ""
+        bound, *proven = str(self.error_bound).splitlines()
+        return "\n".join([f"{residual}; {bound}{asked}", *proven])
+
+    @property
+    def _or_absolute(self) -> str:
+        if not self.absolute_tolerance:
+            return ""
+        return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"
+
+    def _stiffness(self) -> list[str]:
+        """Return a line where a small residual goes, or may go, with a much larger error."""
+        relative = self.certificate.relative_residual
+        if self.error_bound is not None:
+            factor = self.error_bound.relative / relative if relative > 0.0 else 0.0
+            if not factor > STIFF_FACTOR:
+                return []
+            further = "" if self.tolerance_on == "error" else ', and ask for tolerance_on="error"'
+            return [f"stiff: the error may be {factor:.0e} times the residual; trust the bound{further}"]
+        spread = self.certificate.scale_spread
+        if not self.is_solved:
+            return []
+        if not spread > STIFF_SPREAD:
+            return self._far()
+        return [f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "
+                "error; error_bound=True bounds it"]
+
+    def _far(self) -> list[str]:
+        """Return a line where the error may be a good part of z although the residual is small."""
+        certificate, problem = self.certificate, self.certificate.problem
+        estimated_error = ask_or_none("remark", "estimated error")
+        if problem.is_distributed or estimated_error is None:
+            return []
+        residual = certificate.scaled_residual
+        error = estimated_error(problem, self.z, self.w, residual)
+        size = float(np.abs(self.z).max(initial=0.0))
+        if error is None or not error > FAR * size:
+            return []
+        known = f"of up to about {error:.0e}" if error < np.inf else "of any size"
+        return [f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error {known}, and "
+                f"‖z‖∞ = {size:.0e}; error_bound=True bounds it"]
+
+    def _complementarity(self) -> list[str]:
+        """Return a line where z was accepted and a product of z and w is large."""
+        if self.status not in (Status.SOLVED, Status.PRECISION_LIMIT) or not self.certificate.large_product:
+            return []
+        other = "" if "lemke" in self.algorithm else 'try another algorithm ("lemke" for a small problem) or '
+        return [f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
+                f"product counts, {other}begin from a z0 near a smaller z"]
+
+    def to_content(self) -> dict[str, Any]:
+        """Return what :meth:`to_json` writes, as a dictionary."""
+        kind = {} if self.error_bound is None else {"error_bound_kind": self.error_bound.kind}
+        return {**super().to_content(), "tolerance_on": self.tolerance_on, **kind}
+
+    def _numbers(self) -> dict[str, float]:
+        certificate, bound = self.certificate, self.error_bound
+        bounds = {} if bound is None else {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
+        return {
+            "relative_residual": certificate.relative_residual,
+            "natural_residual": certificate.natural_residual,
+            "euclidean_residual": certificate.euclidean_residual,
+            "bound_violation": certificate.bound_violation,
+            "slack_violation": certificate.slack_violation,
+            "complementarity": certificate.complementarity,
+            "work": self.work,
+            "setup_seconds": self.setup_seconds,
+            "tolerance": self.tolerance,
+            **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
+            **bounds,
+        }

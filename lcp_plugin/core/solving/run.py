@@ -1,0 +1,312 @@
+"""One run: its loop, its incumbent, its state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..algorithms import Step
+from ..certificates.criterion import CommonUnits
+from ..certificates.residuals import Certificate
+from ..checks import FloatVector, read_only
+from ..deadline import Clock, OutOfTimeError, time_limit
+from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..lcp import LCP
+from ..policy.choice import Policy, name_of
+from ..policy.stages import CheckSchedule, Choice, Progress, Stage
+from ..settings import CallersOwn, Settings, Status
+from .advice import advice_of_run, unused_start
+from .judge import Judge
+from .result import BoundOrReason, Result, Sample, StageRecord
+from .run_log import RunLog
+
+Callback = Callable[[Sample, FloatVector], Any]
+
+SAMPLE_GROWTH = 1.05
+DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
+
+
+class Run:
+    """One run: algorithms yield steps, the judge measures them, and the first reason to end ends it.
+
+    They work in the common units of the problem's parts. A judge of another problem than the one that the algorithms
+    take may be given (see :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which that one is
+    the linearisation at the start.
+    """
+
+    def __init__(
+        self, units: CommonUnits, policy: Policy, settings: Settings, callback: CallersOwn | None, clock: Clock,
+        judge: Judge | None = None,
+    ) -> None:
+        self.units, self.policy, self.settings, self.callback, self.clock = units, policy, settings, callback, clock
+        self.judge, self.incumbent, self.state = judge or Judge(units, settings), Incumbent(), RunState()
+        self.problem = problem = units.problem
+        self.progress = Progress(problem.n, settings.max_iterations)
+        self.start_residual = math.inf
+        with clock.paused():
+            self.log = RunLog(self.judge.asked, settings) if settings.verbose else None
+        self._is_watched = settings.record or settings.verbose or not problem.communicator.everywhere(callback is None)
+        self._next_sample = 0
+
+    @cached_property
+    def checks(self) -> CheckSchedule:
+        """When to measure what the algorithm does not tell."""
+        return CheckSchedule(self.judge.per_increment, self.settings.goal)
+
+    def drive(self, start: FloatVector, first: Choice) -> Status:
+        """Run the chain of algorithms within the time that is left; return why it ended."""
+        self.judge.require_rigorous_bounds()
+        following: Choice | None = first
+        left = self.settings.max_seconds
+        left -= 0.0 if left == math.inf else self.clock.read()
+        if self.judge.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
+            start = self.problem.nearest_to_zero
+        try:
+            with (
+                nullcontext() if left == math.inf else time_limit(left, is_enforced=self.problem.communicator.is_alone),
+                nullcontext() if self.log is None else self.log.telling_of_compilation(),
+            ):
+                while following is not None:
+                    if self.log is not None:
+                        self.log.begin(following)
+                    from_start = following.from_start or self.incumbent.z is None
+                    self.state.open(Stage(following.algorithm, following.because, from_start))
+                    z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
+                    reason, following = self._follow(following.iterates(self.problem, z))
+        except OutOfTimeError:
+            return Status.MAX_SECONDS
+        return reason
+
+    def _follow(self, steps: Iterator[Step]) -> tuple[Status, Choice | None]:
+        """Take the steps of one algorithm until the run or the policy wants an end; return why, and what comes next."""
+        self.progress.restart(max(self.state.iteration, 0), self.incumbent.residual)
+        reason: Status | None = None
+        try:
+            for step in steps:
+                reason = self._observe(step)
+                if reason is not None:
+                    break
+                following = self._next(has_failed=False)
+                if following is not None:
+                    return Status.STALLED, following
+        except (UnsuitableMatrix, UnsuitableProblem) as error:
+            is_the_callers = self.callback is not None and error is self.callback.raised
+            is_known_to_all = not (is_the_callers or self.problem.is_distributed)
+            if len(self.state.stages) == 1 or self.state.stages[-1].iterations > 0 or not is_known_to_all:
+                raise  # otherwise auto tried what does not take this problem
+        self.clock.read()  # what ends by itself may have done so because time is over
+        is_late = self.clock.elapsed >= self.settings.max_seconds
+        reason = reason or (Status.MAX_SECONDS if is_late else Status.STALLED)
+        if reason in (Status.STALLED, Status.DIVERGED) and self.judge.is_at_floor(self.incumbent.z):
+            reason = Status.PRECISION_LIMIT
+        if reason is Status.PRECISION_LIMIT and self.judge.is_limited_by_size(self.incumbent.z):
+            return reason, self.policy.another_start(self.problem, self.state.stages)
+        if reason not in (Status.STALLED, Status.DIVERGED):
+            return reason, None
+        return reason, self._next(has_failed=True)
+
+    def _next(self, *, has_failed: bool) -> Choice | None:
+        return self.policy.next_step(self.problem, self.state.stages, self.settings.goal, has_failed)
+
+    def _observe(self, step: Any) -> Status | None:
+        """Take note of one step; return the reason to end, if there is one."""
+        state, incumbent = self.state, self.incumbent
+        if not isinstance(step, Step):  # as an algorithm of somebody else's may yield
+            name = state.stages[-1].algorithm.name
+            raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
+        is_first = state.enter(step, self.clock.read())
+        if self.settings.absolute_tolerance:
+            self.state.stages[-1].least_residual = 0.0  # it speaks of the relative one alone
+        incumbent.unmeasured = step.z
+        known = residual = self.judge.residual_of(step)
+        if known is None and (is_first or self.checks.is_due(state.iteration, step.increment)):
+            residual = self.judge.measure(step.z)
+            state.work += 1.0 if state.iteration > 0 else 0.0  # the start is measured for every problem
+        is_within = residual is not None and residual <= self.settings.goal
+        if residual is not None:
+            if is_within:  # measured, not proved
+                residual = self.judge.certified(step.z)
+            if known is None and step.increment is not None:
+                self.checks.learn(state.iteration, step.increment, residual)
+            incumbent.offer(step.z, residual)
+            state.stages[-1].note(residual)
+            if state.iteration == 0:
+                self.start_residual = residual
+        reason = self._reason_to_end(step, residual)
+        if reason is None and self.clock.is_interrupted:
+            reason = Status.INTERRUPTED
+        if self._is_watched and self._report(step, residual, reason is not None):
+            reason = reason or Status.INTERRUPTED
+        if step.proof is not None and reason is None:
+            if self.judge.counts(step.proof):
+                return step.proof.status  # type: ignore[no-any-return]
+            if self.judge.misses_by_rounding(self.incumbent.z):
+                return Status.PRECISION_LIMIT
+        return reason
+
+    def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
+        """Return why the run ends with this step, or None."""
+        iteration, best = self.state.iteration, self.incumbent.residual
+        progress, settings = self.progress, self.settings
+        algorithm = self.state.stages[-1].algorithm
+        is_monotone = algorithm.is_monotone
+        if residual is not None:
+            if self.judge.passes(step.z, residual, iteration):
+                return Status.SOLVED
+            is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
+            is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
+            if is_beyond and not residual <= DIVERGED_BEYOND:
+                return Status.DIVERGED
+        elif step.increment is not None and not math.isfinite(step.increment):
+            return Status.DIVERGED
+        if iteration >= settings.max_iterations:
+            return Status.MAX_ITERATIONS
+        if self.clock.elapsed >= settings.max_seconds:
+            return Status.MAX_SECONDS
+        if step.is_settling:
+            progress.restart(iteration, best)
+        if residual is None:
+            return None
+        if progress.is_flat(iteration, best) and self.judge.is_at_floor(self.incumbent.z):
+            return Status.PRECISION_LIMIT
+        is_stalled = (is_monotone or algorithm.is_watched) and progress.is_stalled(iteration, best, settings.goal)
+        return Status.STALLED if is_stalled else None
+
+    # --- telling ----------------------------------------------------------------------------------------
+
+    def _report(self, step: Step, residual: float | None, is_last: bool) -> bool:
+        """Record and call back, the clock stopped; return whether the caller wants to stop."""
+        state, stage, log = self.state, self.state.stages[-1], self.log
+        is_due = self.settings.record and (is_last or state.iteration >= self._next_sample)
+        with self.clock.paused():
+            sample = Sample(state.iteration, state.work, state.seconds, residual, stage.algorithm.name)
+            wants_to_stop = self._called_back(sample, step.z)
+            is_due |= self.settings.record and wants_to_stop
+            is_printed = log is not None and log.is_due(stage)
+            if is_due or is_printed:
+                sample = replace(sample, residual=self.judge.measure(step.z) if residual is None else residual)
+            if log is not None and is_printed:
+                log.step(stage, sample)
+            if is_due:
+                self._next_sample = max(state.iteration + 1, math.ceil(state.iteration * SAMPLE_GROWTH))
+                bound = self.judge.bound_along_the_run(step.z, state.work)
+                state.samples.append(replace(sample, error_bound=bound))
+        return wants_to_stop
+
+    def _called_back(self, sample: Sample, z: FloatVector) -> bool:
+        """Return whether a callback, of any rank, wants to stop."""
+        callback, communicator = self.callback, self.problem.communicator
+        shown = z if callback is None else self.units.outward(z)
+        wants_to_stop = communicator.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
+        return not communicator.everywhere(not wants_to_stop)
+
+    def ended(self, start: FloatVector, reason: Status) -> tuple[Certificate, Status]:
+        """Return what the judge makes of the best iterate, cleaned up, and of the reason why the run ended."""
+        incumbent, state = self.incumbent, self.state
+        if incumbent.unmeasured is not None:
+            incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
+        last = state.stages[-1].algorithm if state.stages else None
+        is_excluded = bool(state.stages) and state.stages[-1].least_residual > self.settings.goal
+        best = start if incumbent.z is None or is_excluded else incumbent.z  # no z is near a solution: as in a batch
+        certificate = self.judge.final(best, reason, last)
+        return certificate, self.judge.verdict(certificate, reason, is_chain=len(state.stages) > 1)
+
+    def judged(self, start: FloatVector, reason: Status) -> Result:
+        """Return the result, whose status the certificate names."""
+        state, settings, stages = self.state, self.settings, self.state.records()
+        certificate, status = self.ended(start, reason)
+        words = dict(self.judge.words)
+        if isinstance(self.judge.asked, LCP):
+            if unused := unused_start(self.problem, self.policy.chosen, start):
+                stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
+            if status is not Status.SOLVED:
+                words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
+        if not settings.refute:
+            stalled = words.get(Status.STALLED, Status.STALLED.value)
+            words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"
+        result = Result(
+            z=certificate.z, w=certificate.w, status=status, certificate=certificate,
+            tolerance=settings.tolerance, tolerance_on=settings.tolerance_on,
+            absolute_tolerance=settings.absolute_tolerance,
+            algorithm=name_of(self.policy, stages), iterations=max(state.iteration, 0), work=state.work,
+            seconds=self.clock.read(), setup_seconds=state.setup_seconds, history=tuple(state.samples),
+            stages=stages, infeasibility=self.judge.proof, _asked=self.policy.chosen,
+            _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
+            _advice=words,
+        )
+        if self.log is not None:
+            self.log.end(result)
+        return result
+
+
+class Incumbent:
+    """The best iterate whose residual was measured, and the latest one that was not."""
+
+    def __init__(self) -> None:
+        self.z: FloatVector | None = None
+        self.residual = math.inf
+        self.unmeasured: FloatVector | None = None
+
+    def offer(self, z: FloatVector, residual: float) -> None:
+        """Keep a copy of z where its residual is smaller than the best; NaN counts as ∞."""
+        self.unmeasured = None
+        if self.z is None:
+            self.z = z.copy()
+            self.residual = math.inf if math.isnan(residual) else residual
+        elif residual < self.residual:
+            np.copyto(self.z, z)
+            self.residual = residual
+
+
+class RunState:
+    """What was done so far: stages, iterations, work, seconds, samples."""
+
+    def __init__(self) -> None:
+        self.stages: list[Stage] = []
+        self.samples: list[Sample] = []
+        self.iteration, self.work = -1, 0.0
+        self.seconds = self.setup_seconds = 0.0
+        self._is_first = True  # step of its stage
+
+    def open(self, stage: Stage) -> None:
+        """Begin a stage."""
+        if self.stages:
+            self.stages[-1].z = None
+        self.stages.append(stage)
+        self._is_first = True
+
+    def enter(self, step: Step, seconds: float) -> bool:
+        """Count a step; return whether it is its stage's first, which a later stage begins where the last one ended."""
+        stage, is_first = self.stages[-1], self._is_first
+        self.seconds, stage.z = seconds, step.z
+        self.work += step.work
+        stage.take(step.label, 0 if is_first else 1, step.work)
+        stage.remark = step.remark or stage.remark
+        stage.successor = step.successor or stage.successor
+        stage.least_residual = max(stage.least_residual, step.least_residual)
+        stage.settles = stage.settles or step.is_settling
+        if not is_first:
+            self.iteration += 1
+        else:
+            self._is_first = False
+            self.iteration = max(self.iteration, 0)
+            if self.iteration == 0:
+                self.setup_seconds = seconds
+        return is_first
+
+    def records(self) -> tuple[StageRecord, ...]:
+        """Return the stages, and their parts, as a result shows them."""
+        return tuple(record for stage in self.stages for record in _records(stage))
+
+
+def _records(stage: Stage) -> list[StageRecord]:
+    parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
+    reasons, remarks = [stage.because] + [""] * (len(parts) - 1), [""] * (len(parts) - 1) + [stage.remark]
+    return [StageRecord(name, because, iterations, work, remark)
+            for (name, iterations, work), because, remark in zip(parts, reasons, remarks, strict=True)]

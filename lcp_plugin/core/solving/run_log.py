@@ -1,0 +1,88 @@
+"""What ``verbose=True`` prints: the problem, a line a stage, lines at geometric intervals, and how the run ended."""
+
+from __future__ import annotations
+
+import math
+import sys
+from contextlib import AbstractContextManager
+from typing import Any
+
+from ..deadline import NEW_KERNELS, compilation
+from ..lcp import LCP
+from ..policy.stages import Choice, Stage
+from ..registry import ask_or_none
+from ..settings import Settings
+from .result import Result, Sample
+
+GROWTH = 1.5  # of a stage's iterations from one line to the next
+NOTICEABLE = 0.5  # seconds of compilation
+QUIET = 1.0  # seconds of it before a line says why nothing happens
+
+
+class RunLog:
+    """Prints a run while it goes on; of several ranks the first one does.
+
+    Parameters
+    ----------
+    problem : LCP or NonlinearProblem
+        The caller's.
+    settings : Settings
+    """
+
+    def __init__(self, problem: Any, settings: Settings) -> None:
+        self._is_silent = isinstance(problem, LCP) and problem.communicator.rank > 0
+        self._compilation, self._compiled = compilation(), compilation().seconds
+        self._silent_until = NEW_KERNELS.seconds + QUIET
+        self._next = 0
+        is_linear = isinstance(problem, LCP)
+        classes, remark = (
+            tell(problem.matrix) if is_linear and (tell := ask_or_none("remark", what)) is not None else ""
+            for what in ("classes", "sign")
+        )
+        self._say(f"{problem}{classes and f'; M {classes}'}")
+        if remark:
+            self._say(remark)
+        self._say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
+
+    def telling_of_compilation(self) -> AbstractContextManager[None]:
+        """Say it once where kernels are compiled inside a ``with`` statement, when that takes more than a second."""
+        return NEW_KERNELS.watched_by(self._compiling)
+
+    def _compiling(self) -> None:
+        if NEW_KERNELS.is_under_way and NEW_KERNELS.seconds > self._silent_until:
+            self._silent_until = math.inf
+            self._write("(compiling, once an installation: some seconds more)")
+
+    def begin(self, choice: Choice) -> None:
+        """Print which algorithm begins, and why."""
+        self._next = 0
+        self._say(choice.algorithm.name + (choice.because and f": {choice.because}"))
+
+    def is_due(self, stage: Stage) -> bool:
+        """Return whether the present iteration of a stage has a line; the same on every rank."""
+        return stage.iterations >= self._next
+
+    def step(self, stage: Stage, sample: Sample) -> None:
+        """Print the line of an iteration."""
+        self._next = max(stage.iterations + 1, math.ceil(stage.iterations * GROWTH))
+        residual = math.nan if sample.residual is None else sample.residual
+        self._say(f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}")
+
+    def end(self, result: Result) -> None:
+        """Print what came out."""
+        self._say(
+            f"{result.status.name}: relative residual {result.residual:.2e} after {result.iterations} "
+            f"iterations, work {result.work:.1f} passes over M, {result.seconds:.3g} s; {result.advice}"
+        )
+
+    def _say(self, line: str) -> None:
+        compiled = self._compilation.seconds
+        if compiled - self._compiled > NOTICEABLE:
+            self._write(f"(compiling or loading kernels took {compiled - self._compiled:.1f} s, which are not counted)")
+            self._compiled = compiled
+        self._write(line)
+
+    def _write(self, line: str) -> None:
+        if not self._is_silent:
+            encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+            print(line.encode(encoding, "replace").decode(encoding), flush=True)

@@ -1,0 +1,375 @@
+"""P*: projected Jacobi, Gauss–Seidel, SOR and AOR, and the general fixed-point iteration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..algorithms.base import (
+    Step,
+    check_positive,
+    directions,
+    inverse_residual_scale,
+    require_positive_diagonal,
+    row_splits,
+)
+from ..checks import FloatVector
+from ..crossovers import PSOR_GAIN, PSOR_PASSES
+from ..errors import InvalidOption
+from ..lcp import LCP
+from ..matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
+from ..matrix.row_sums import pivot_weight
+from ..matrix.symmetry import has_symmetric_entries
+from . import Splitting
+
+# The automatic relaxation of PSOR.
+FIRST_WAIT, LONGEST_WAIT = 8, 4096
+LARGEST = 1.998
+WORTHWHILE = 0.05  # smallest step towards 2, as a share of 2 − ω, that pays for a new transient
+RECORD = 0.9
+LONGEST_TRIAL = 4  # periods
+HUMP = 40.0  # times 1/(2 − ω): how far increments may rise during a trial that is still worth its end
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Relaxation(Splitting):
+    """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii)."""
+
+    assumption: ClassVar[str] = "positive diagonal"
+    converges_on: ClassVar[str] = "H₊"
+    reference: ClassVar[str] = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
+
+    sweep: str = "forward"
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return ω and β, None where they are found during the run, and the sweep."""
+        require_positive_diagonal(problem, self.name)
+        omega, beta = self.weights()
+        return IterationFacts(family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep)
+
+    def weights(self) -> tuple[float, float] | tuple[None, None]:
+        """Return (ω, β), or None for each where they are to be found during the run."""
+        return self.splitting()
+
+
+class _InPlace(_Relaxation):
+    """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current.
+
+    On several ranks a sweep runs on all of them at once, with what the others had before it. That is a splitting with
+    fewer entries of L, which converges on H₊-matrices with ω ≤ 1; where M is symmetric, pivots beside other ranks are
+    made larger, so that it converges on every positive definite one, see `pivot_weight`.
+    """
+
+    runs_on_ranks: ClassVar[bool] = True
+
+    def first_trial(self) -> float:
+        """Return the ω that automatic relaxation tries first; 1 where it has none in mind."""
+        return 1.0
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
+        from ..kernels import splitting_sweeps as kernels
+
+        M, communicator = problem.matrix.csr_rows, problem.communicator
+        pivots = require_positive_diagonal(problem, self.name)
+        fixed, _ = self.weights()
+        adaptive = AdaptiveRelaxation(self.first_trial()) if fixed is None else None
+        relaxation, told = 1.0 if fixed is None else fixed, self.first_trial()
+        if not communicator.is_empty and has_symmetric_entries(problem.matrix):
+            pivots = pivots + pivot_weight(M, communicator, relaxation)
+        rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
+        passes = directions(self.sweep)
+        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
+        z = problem.matrix.whole(z0)
+        own = z[: problem.own]
+        yield Step(own, work=0.0)
+        while True:
+            largest = total = 0.0
+            for backward in passes:
+                communicator.fetch(z)
+                change, change_sum = kernels.relaxation_sweep(
+                    M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
+                )
+                largest = change if not change <= largest else largest  # a NaN stays
+                total += change_sum
+            is_settling = adaptive is not None and adaptive.is_settling
+            learned = None
+            if adaptive and adaptive.wanted != told:
+                told = adaptive.wanted
+                learned = ContinuedPSOR(sweep=self.sweep, first_relaxation=told)
+            yield Step(
+                own, increment=communicator.largest(largest), work=float(len(passes)), is_settling=is_settling,
+                successor=learned,
+            )
+            if adaptive:
+                relaxation = adaptive.after(communicator.total(total), z)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PSOR(_InPlace):
+    """PSOR, projected successive overrelaxation: z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current.
+
+    Parameters
+    ----------
+    relaxation : float or "auto"
+        ω in (0, 2), or found during the run by trials that are undone where they do not pay, so that it
+        converges wherever Gauss–Seidel does.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+
+    Notes
+    -----
+    Converges for symmetric positive definite M (0 < ω < 2) and for H₊-matrices (0 < ω < 2/(1 + ρ),
+    ρ the spectral radius of D⁻¹|L + U|).
+    """
+
+    name: ClassVar[str] = "psor"
+    converges_on: ClassVar[str] = "SPD for ω < 2, H₊ for ω < 2/(1+ρ), both for auto"
+
+    relaxation: float | str = "auto"
+
+    def check_weights(self) -> None:
+        """Raise unless ω is "auto" or in (0, 2)."""
+        if not isinstance(self.relaxation, str):
+            check_positive(self, "relaxation", below=2.0)
+        elif self.relaxation != "auto":
+            raise InvalidOption(f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"')
+
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return a multiple of the root of npsor's, as relaxation has it at best, and some in any case."""
+        return max(PSOR_PASSES, PSOR_GAIN * math.sqrt(sweeps))
+
+    def weights(self) -> tuple[float, float] | tuple[None, None]:
+        """Return (ω, ω), or None for each where ω is "auto"."""
+        return (None, None) if isinstance(self.relaxation, str) else self.splitting()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContinuedPSOR(PSOR):
+    """PSOR with automatic relaxation, which begins with what it has found on a problem of the same M and a q nearby.
+
+    Parameters
+    ----------
+    first_relaxation : float
+        ω of the first trial.
+    """
+
+    first_relaxation: float = 1.0
+
+    def first_trial(self) -> float:
+        """Return it."""
+        return self.first_relaxation
+
+
+@dataclass(frozen=True, kw_only=True)
+class PGS(_InPlace):
+    """PGS, projected Gauss–Seidel: PSOR with ω = 1.
+
+    Parameters
+    ----------
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+    """
+
+    name: ClassVar[str] = "pgs"
+    converges_on: ClassVar[str] = "SPD, H₊"
+
+
+class _Simultaneous(_Relaxation):
+    """z⁺ = mid(lower, upper, z − D⁻¹(ω w + β Σ m_ij (z⁺_j − z_j))), the sum over the rows done before row i."""
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z₀, z₁, …, each with its residual."""
+        from ..kernels.splitting_sweeps import packed, splitting_sweep
+
+        omega, beta = self.splitting()
+        with np.errstate(over="ignore"):  # a step that overflows ends in DIVERGED
+            step = omega / require_positive_diagonal(problem, self.name)
+        rows = packed(
+            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step, np.ones(problem.n)
+        )
+        yield from self.swept(problem, splitting_sweep, rows, (beta / omega, False), z0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PAOR(_Simultaneous):
+    """PAOR, projected accelerated overrelaxation: ω weighs the residual, β what is already updated.
+
+    Parameters
+    ----------
+    relaxation : float
+        ω > 0.
+    acceleration : float
+        β; PAOR(ω, ω) is PSOR(ω), PAOR(1, 0) projected Jacobi.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+    """
+
+    name: ClassVar[str] = "paor"
+    converges_on: ClassVar[str] = "H₊ for 0 ≤ β ≤ ω < 2/(1+ρ)"
+
+    relaxation: float = 1.0
+    acceleration: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class PJ(_Simultaneous):
+    """PJ, projected Jacobi: z⁺ = mid(lower, upper, z − D⁻¹ w).
+
+    Parameters
+    ----------
+    sweep : {"forward", "backward", "symmetric"}
+        Symmetric does two Jacobi steps in one iteration; otherwise the order does not matter.
+    """
+
+    name: ClassVar[str] = "pj"
+    is_coupled: ClassVar[bool] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class GFP(_Simultaneous):
+    """GFP, general fixed point: z⁺ = mid(lower, upper, z − Ω (M z + q)) with Ω = ω D⁻¹.
+
+    Parameters
+    ----------
+    relaxation : float
+        ω > 0.
+    sweep : {"forward", "backward", "symmetric"}
+        Symmetric does two fixed-point steps in one iteration; otherwise the order does not matter.
+
+    Notes
+    -----
+    On the classical problem z = max(0, z − Ω w) is the same as (I + ΩM) z = |(ΩM − I) z + Ωq| − Ωq.
+    """
+
+    name: ClassVar[str] = "gfp"
+    is_coupled: ClassVar[bool] = False
+    converges_on: ClassVar[str] = "H₊ for ω < 2/(1+ρ)"
+    reference: ClassVar[str] = "Fang 2021, doi:10.3934/math.2021691"
+
+    relaxation: float = 1.0
+
+
+class AdaptiveRelaxation:
+    """ω from the size Σ|z⁺ − z| of the increments, by trials that are undone where they do not pay.
+
+    A phase of Gauss–Seidel sweeps measures the contraction λ. On a consistently ordered symmetric positive
+    definite matrix SOR with ω contracts by λ with (λ + ω − 1)² = λ ω² μ², and ω* = 2/(1 + √(1 − μ²)) is best.
+    A trial with that ω lasts a few times 1/(2 − ω) sweeps, longer while its increments are still large, and ends
+    with one Gauss–Seidel sweep. If its
+    increment is a new record (0.9 of the last), the trial is kept, μ is estimated anew, and the next one
+    begins; otherwise z goes back to where the trial began and the next Gauss–Seidel phase is twice as long.
+
+    Where an ω is known from a problem nearby (`first`), it has its trial after one Gauss–Seidel sweep.
+
+    So the iteration converges wherever projected Gauss–Seidel does. Either infinitely many trials are kept: then
+    the increments of a Gauss–Seidel sweep fall to 0, and they vanish at solutions only. Or from some point on
+    all trials are undone: then what remains is Gauss–Seidel itself.
+
+    References
+    ----------
+    Hageman, Young: *Applied Iterative Methods*, Academic Press 1981, chapter 9.
+    """
+
+    def __init__(self, first: float = 1.0) -> None:
+        self.relaxation = 1.0
+        self._first, self._omega = first, 1.0
+        self._wait = FIRST_WAIT
+        self._record = math.inf
+        self._sizes: list[float] = []
+        self._checkpoint: FloatVector | None = None
+        self._is_final_sweep = False
+
+    @property
+    def wanted(self) -> float:
+        """The ω of the present trial; 1 in a phase of Gauss–Seidel sweeps."""
+        return 1.0 if self._checkpoint is None else self._omega
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether a trial is under way: a residual that rises now says nothing."""
+        return self._checkpoint is not None
+
+    def after(self, size: float, z: FloatVector) -> float:
+        """Return ω for the next sweep, given Σ|z⁺ − z| of the last one; z is put back where a trial failed."""
+        self._sizes.append(size)
+        if self._first > 1.0:  # one sweep of Gauss–Seidel is there to compare with
+            self._record, self._omega, self._first = size, self._first, 1.0
+            self._begin_trial(z)
+        elif self._checkpoint is None:
+            if len(self._sizes) >= self._wait:
+                self._end_phase(z)
+        elif self._is_final_sweep:
+            self._end_trial(size, z)
+        elif not size <= self._record * HUMP / (2.0 - self._omega):
+            self._undo(z)
+        elif self._is_time_to_prove(size):
+            self._is_final_sweep = True
+            self.relaxation = 1.0
+        return self.relaxation
+
+    def _is_time_to_prove(self, size: float) -> bool:
+        """Return whether the trial has had its time, or three times as long where its increments are still large."""
+        period = math.ceil(4.0 / (2.0 - self._omega)) + 8
+        sweeps = len(self._sizes)
+        return sweeps >= period and (size <= RECORD * self._record or sweeps >= LONGEST_TRIAL * period)
+
+    def _end_phase(self, z: FloatVector) -> None:
+        """Begin a trial where Gauss–Seidel contracts and a larger ω could do better; else another phase."""
+        rate = self._rate(self._sizes)
+        self._record = min(self._record, self._sizes[-1])
+        self._omega = best_relaxation(rate, 1.0)
+        if self._omega > 1.0 + WORTHWHILE and self._record > 0.0:
+            self._begin_trial(z)
+        else:
+            self._wait = min(2 * self._wait, LONGEST_WAIT)
+            self._sizes = []
+
+    def _begin_trial(self, z: FloatVector) -> None:
+        self._checkpoint = z.copy()
+        self._sizes = []
+        self._is_final_sweep = False
+        self.relaxation = self._omega
+
+    def _end_trial(self, size: float, z: FloatVector) -> None:
+        if not size <= RECORD * self._record:
+            self._undo(z)
+            return
+        self._record, self._wait = size, FIRST_WAIT
+        wanted = best_relaxation(self._rate(self._sizes[:-1]), self._omega)
+        if wanted > self._omega + WORTHWHILE * (2.0 - self._omega):
+            self._omega = wanted
+        self._begin_trial(z)
+
+    def _undo(self, z: FloatVector) -> None:
+        if self._checkpoint is not None:
+            np.copyto(z, self._checkpoint)
+        self._checkpoint, self._sizes, self.relaxation = None, [], 1.0
+        self._wait = min(2 * self._wait, LONGEST_WAIT)
+
+    @staticmethod
+    def _rate(sizes: list[float]) -> float:
+        """Return the contraction a sweep over the second half; the first half is transient."""
+        half = len(sizes) // 2
+        if not sizes[-1 - half] > 0.0:
+            return 0.0
+        rate: float = (sizes[-1] / sizes[-1 - half]) ** (1.0 / half)
+        return rate
+
+
+def best_relaxation(rate: float, omega: float) -> float:
+    """Return ω* by Young's formula from the contraction observed at ω, or ω itself where that tells nothing.
+
+    Examples
+    --------
+    >>> round(best_relaxation(0.96, 1.0), 3)
+    1.667
+    """
+    if not omega - 1.0 < rate < 1.0:  # beyond ω* the rate is ω − 1, whatever μ
+        return omega
+    mu_squared = ((rate + omega - 1.0) / omega) ** 2 / rate
+    return min(2.0 / (1.0 + math.sqrt(1.0 - mu_squared)), LARGEST) if mu_squared < 1.0 else omega

@@ -1,0 +1,254 @@
+"""NP*: the projected-type splitting iterations of Kumar, Deepmala and Das.
+
+Their Method 3.1 with any splitting M = 𝓜 − 𝓝 is, because |w − z| = w + z − 2 min(z, w), exactly
+
+    (𝓜 + 2I + D)(z⁺ − z) = −2 min(z, M z + q):
+
+the residual that is the stopping test anyway, and one triangular solve. Here min(z, w) is replaced by
+r_S(z) = z − mid(lower, upper, z − S w), which is the same on the classical problem, allows bounds and free
+rows, and lets a positive row scaling S in. Each component of z⁺ is projected onto its bounds (the paper's ζ₊)
+as soon as it is computed, so that the rows after it already see the projected value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..algorithms.base import (
+    Algorithm,
+    Step,
+    check_choice,
+    check_positive,
+    has_positive_diagonal,
+    inverse_residual_scale,
+    row_splits,
+)
+from ..checks import FloatVector
+from ..errors import InvalidOption, UnsuitableMatrix
+from ..lcp import LCP
+from ..matrix.iteration_facts import PROJECTED_TYPE, IterationFacts
+from ..matrix.row_sums import automatic_factors
+from . import Splitting
+
+SCALINGS = ("auto", "diagonal", None)
+REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScaledByRows(Algorithm):
+    """What all NP iterations have: a row scaling S, and a last projected Gauss–Seidel sweep."""
+
+    scaling: str | None = "auto"
+    scaling_factor: float = 1.0
+
+    reference: ClassVar[str] = REFERENCE
+
+    def __post_init__(self) -> None:
+        check_choice(self, "scaling", SCALINGS)
+        check_positive(self, "scaling_factor")
+        if self.scaling != "diagonal" and self.scaling_factor != 1.0:
+            raise InvalidOption(
+                f'{self.name}: scaling_factor={self.scaling_factor!r} needs scaling="diagonal"; '
+                f"with {self.scaling!r} it does nothing"
+            )
+
+    def row_scaling(self, problem: LCP, automatic: Callable[[], FloatVector | float]) -> FloatVector:
+        """Return the diagonal of S, shape (n,): ones, factor/m_ii, or θ/m_ii with automatic θ; finite.
+
+        The scale of the residual stands for m_ii where that is no use. A diagonal that is small beside its row is of
+        use: so it is in an H₊-matrix whose columns differ in unit.
+        """
+        if self.scaling is None:
+            return np.ones(problem.own)
+        factors = automatic() if self.scaling == "auto" else self.scaling_factor
+        inverse = inverse_residual_scale(problem.matrix)
+        with np.errstate(over="ignore", divide="ignore"):
+            if problem.residual_scale is not problem.diagonal:
+                inverse = np.where(has_positive_diagonal(problem.matrix), 1.0 / problem.diagonal, inverse)
+            return np.minimum(factors * inverse, np.finfo(np.float64).max)
+
+    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+        """Return z after one projected Gauss–Seidel sweep, so that active components are at their bound."""
+        from ..kernels.splitting_sweeps import packed, relaxation_sweep
+
+        M = problem.matrix.csr_rows
+        rows = packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix))
+        cleaned = problem.matrix.whole(z.copy())
+        relaxation_sweep(M.indptr, row_splits(problem.matrix, False), M.indices, M.data, rows, 1.0, False, cleaned)
+        return cleaned[: problem.own]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectedType(ScaledByRows, Splitting):
+    """(D/α + D + 2S⁻¹ − (β/α) L)(z⁺ − z) = −2 S⁻¹ r_S(z) by forward substitution, each component projected at once.
+
+    Parameters
+    ----------
+    scaling : {"auto", "diagonal", None}
+        Row scaling S: automatic, ``scaling_factor``/d_i with d_i the diagonal, or none (the paper). It changes the
+        iteration, never the solutions. "auto" takes θ_i/d_i with θ_i from 0.9 to 2, so that the iteration is proved
+        to converge for every H₊-matrix; so it is for "diagonal" with factor ≤ 1.
+    scaling_factor : float
+        θ of the diagonal scaling, > 0.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+
+    Notes
+    -----
+    Paper notation: α₁ = relaxation α, β₁ = acceleration β, A = M, σ = q, λ = ζ₊ = z.
+
+    On several ranks a sweep runs on all of them at once, with what the others had before it: L then has fewer entries,
+    and the theorem holds for every such choice.
+    """
+
+    sweep: str = "forward"
+
+    assumption: ClassVar[str] = "d/α + d + 2 > 0"
+    runs_on_ranks: ClassVar[bool] = True
+    converges_on: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
+
+    def __post_init__(self) -> None:
+        ScaledByRows.__post_init__(self)
+        Splitting.__post_init__(self)
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
+        from ..kernels.splitting_sweeps import packed, splitting_sweep
+
+        alpha, beta = self.splitting()
+        step = self._step(problem)
+        rows = packed(
+            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step,
+            problem.communicator.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
+        )
+        yield from self.swept(
+            problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0),
+            is_euclidean=self.scaling is None,
+        )
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return α, β, S and the sweep; raise where a pivot is not positive."""
+        alpha, beta = self.splitting()
+        step = self._step(problem)
+        self._inverse_pivot(problem, step * problem.diagonal, alpha)
+        return IterationFacts(
+            family=PROJECTED_TYPE, relaxation=alpha, acceleration=beta, sweep=self.sweep, scaling=step,
+            is_scaled=self.scaling is not None,
+        )
+
+    def _step(self, problem: LCP) -> FloatVector:
+        alpha, beta = self.splitting()
+        return self.row_scaling(problem, lambda: automatic_factors(problem.matrix, beta / alpha, self.sweep))
+
+    def _inverse_pivot(self, problem: LCP, scaled_diagonal: FloatVector, alpha: float) -> FloatVector:
+        with np.errstate(over="ignore", divide="ignore"):
+            pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
+            inverse: FloatVector = 1.0 / pivot
+        if pivot.size and not pivot.min() > 0.0:
+            i = int(np.flatnonzero(~(pivot > 0.0))[0])
+            raise UnsuitableMatrix(
+                f"{self.name} needs d/α + d + 2 > 0 on every row, but M[{i}, {i}] = {problem.diagonal[i]} "
+                f'gives {pivot[i]}; try algorithm="auto"'
+            )
+        huge = np.isinf(pivot)
+        inverse[huge] = 1.0 / scaled_diagonal[huge] / (1.0 / alpha + 1.0)
+        return inverse
+
+
+@dataclass(frozen=True, kw_only=True)
+class NPAOR(ProjectedType):
+    """NPAOR, new projected-type accelerated overrelaxation: (D/α + D + 2I − (β/α) L)(z⁺ − z) = −2 min(z, w).
+
+    Parameters
+    ----------
+    relaxation : float
+        α > 0.
+    acceleration : float
+        β; convergence is proved for 0 ≤ β ≤ α.
+    scaling : {"auto", "diagonal", None}
+        Row scaling S: automatic, ``scaling_factor``/d_i with d_i the diagonal, or none (the paper).
+    scaling_factor : float
+        θ of the diagonal scaling, > 0.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+
+    Notes
+    -----
+    The paper prints (α−β)U for (α−β)L + αU and αI + D for α(I + D); the formula above is what its
+    Method 3.1 gives. Paper notation: α₁ = relaxation, β₁ = acceleration.
+
+    Examples
+    --------
+    >>> import lcp_plugin
+    >>> problem = lcp_plugin.LCP([[4, -1], [-1, 4]], [-3, 5])
+    >>> lcp_plugin.solve(problem, "npaor", relaxation=1.5, acceleration=1.0).z.round(6)
+    array([0.75, 0.  ])
+    """
+
+    name: ClassVar[str] = "npaor"
+    converges_on: ClassVar[str] = 'H₊ for 0 ≤ β ≤ α (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
+    relaxation: float = 1.7
+    acceleration: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class NPSOR(ProjectedType):
+    """NPSOR, new projected-type successive overrelaxation: NPAOR with α = β = relaxation.
+
+    Parameters
+    ----------
+    relaxation : float
+        α > 0; 1.7 is the paper's choice.
+    scaling, scaling_factor : {"auto", "diagonal", None} and float
+        Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+
+    Notes
+    -----
+    The paper prints U for αU and αI + D for α(I + D); implemented as printed it converges to a wrong point.
+    Paper notation: α₁ = relaxation.
+    """
+
+    name: ClassVar[str] = "npsor"
+    relaxation: float = 1.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class NPGS(ProjectedType):
+    """NPGS, new projected-type Gauss–Seidel: NPAOR with α = β = 1.
+
+    Parameters
+    ----------
+    scaling, scaling_factor : {"auto", "diagonal", None} and float
+        Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+    """
+
+    name: ClassVar[str] = "npgs"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NPJ(ProjectedType):
+    """NPJ, new projected-type Jacobi: z⁺ = z − min(z, w)/(d + 1), NPAOR with α = 1, β = 0.
+
+    Parameters
+    ----------
+    scaling, scaling_factor : {"auto", "diagonal", None} and float
+        Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    sweep : {"forward", "backward", "symmetric"}
+        Order of the rows; symmetric does both in one iteration.
+
+    Notes
+    -----
+    Converges for every H₊-matrix at every scale.
+    """
+
+    name: ClassVar[str] = "npj"
+    converges_on: ClassVar[str] = "H₊"
+    is_coupled: ClassVar[bool] = False

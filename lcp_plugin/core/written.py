@@ -1,0 +1,49 @@
+"""Reprs that can be pasted: of small problems the call that makes them again, bit for bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from .checks import FloatVector
+
+WRITTEN_UP_TO = 8  # unknowns: up to here a repr holds all data
+
+
+def written_lcp(problem: Any) -> str:
+    """Return the call that makes a small LCP again; of an empty or a large one, what `str` says."""
+    if problem.is_distributed or not 0 < problem.n <= WRITTEN_UP_TO:
+        return str(problem)
+    bounds = written_bounds(problem.lower, problem.upper, least=0.0)
+    return f"LCP({', '.join([written_matrix(problem.M), repr(problem.q.tolist()), *bounds])})"
+
+
+def written_matrix(M: Any) -> str:
+    """Return what can be pasted for a matrix of floats, and is kept as this one is: a list of rows, or a CSR array.
+
+    Examples
+    --------
+    >>> written_matrix(np.eye(2)), written_matrix(sp.csr_array([[0.5, 2.0]]))
+    ('[[1.0, 0.0], [0.0, 1.0]]', 'csr_array([[0.5, 2.0]])')
+    """
+    return f"csr_array({M.toarray().tolist()})" if sp.issparse(M) else repr(M.tolist())
+
+
+def written_bounds(lower: FloatVector, upper: FloatVector, least: float) -> list[str]:
+    """Return the bounds as keyword arguments; those that are `least` and ∞ throughout need none.
+
+    Examples
+    --------
+    >>> written_bounds(np.zeros(2), np.array([1.0, np.inf]), 0.0), written_bounds(-np.ones(2), np.ones(2), 0.0)
+    (['upper=[1.0, inf]'], ['lower=-1.0', 'upper=1.0'])
+    """
+    given = []
+    for name, bound, default in (("lower", lower, least), ("upper", upper, np.inf)):
+        values = bound.tolist()
+        if len({value.hex() for value in values}) > 1:
+            given.append(f"{name}={values}")
+        elif values and values[0].hex() != float(default).hex():
+            given.append(f"{name}={values[0]}")
+    return given

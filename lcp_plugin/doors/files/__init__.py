@@ -1,0 +1,1 @@
+"""Problems in files: .npz, Matrix Market, .mat, QPS and MPS."""

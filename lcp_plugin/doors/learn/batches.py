@@ -1,0 +1,168 @@
+"""What the layers of both frameworks share: axes in front made one batch, solved, or refused in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
+from ...problems.batches.batch import solve_batch
+from ...problems.sensitivity.batch_derivative import BatchDerivative
+from ...problems.sensitivity.derivative import derivative
+
+
+@dataclass(eq=False)
+class Wishes:
+    """What one call of a layer asks for, and what it has found.
+
+    Attributes
+    ----------
+    options : dict
+        What :func:`lcp_plugin.solve_batch` takes.
+    M : sparse array, shape (n, n), or None
+        Where it is a constant of the layer.
+    found : BatchDerivative or None
+        Where PyTorch takes the derivative, whatever transforms the call; JAX begins again at z.
+    """
+
+    options: Mapping[str, Any]
+    M: Any = None
+    found: BatchDerivative | None = None
+
+
+def common_axes(
+    M: tuple[int, ...], q: tuple[int, ...], lower: tuple[int, ...] = (), upper: tuple[int, ...] = ()
+) -> tuple[int, ...]:
+    """Return the axes of the batch, from the shapes: those in front of the last one, of M of the last two.
+
+    Raises
+    ------
+    InvalidProblem
+        Where they do not broadcast, or a bound is no number and has another length than q.
+
+    Examples
+    --------
+    >>> common_axes((5, 1, 3, 3), (7, 3), (3,))
+    (5, 7)
+    """
+    if not q:
+        raise InvalidProblem("q must have shape (…, n), got a number")
+    for name, shape in (("lower", lower), ("upper", upper)):
+        if shape[-1:] not in ((), (1,), q[-1:]):
+            raise InvalidProblem(f"{name} must be a number or have the length of q, {q[-1]}, got shape {shape}")
+    try:
+        return np.broadcast_shapes(M[:-2], q[:-1], lower[:-1], upper[:-1])
+    except ValueError:
+        raise InvalidProblem(
+            f"the axes in front of a problem's own must broadcast, got M {M}, q {q}, lower {lower}, upper {upper}"
+        ) from None
+
+
+def is_one(M: Any) -> bool:
+    """Return whether an array or tensor of shape (…, n, n) is one matrix for all."""
+    return bool(math.prod(M.shape[:-2]) == 1)
+
+
+def solved(wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z0: Any = None) -> tuple[BatchDerivative, Any]:
+    """Return the derivative of all solutions, and the axes of the batch.
+
+    Parameters
+    ----------
+    wishes : Wishes
+    M : array, shape (…, n, n), or None for that of the wishes
+    q, lower, upper, z0 : array, shape (…, n)
+
+    Raises
+    ------
+    InvalidProblem
+        For numbers and shapes that are no problem.
+    NotConverged
+        Where one is not solved.
+    """
+    axes = common_axes(() if M is None else M.shape, *(vector.shape for vector in (q, lower, upper)))
+
+    def stacked(array: Any, own: tuple[int, ...]) -> Any:
+        return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
+
+    q, lower, upper, z0 = (None if one is None else stacked(one, q.shape[-1:]) for one in (q, lower, upper, z0))
+    if M is not None:
+        M = M.reshape(M.shape[-2:]) if is_one(M) else stacked(M, M.shape[-2:])
+    found = derivative(solve_batch(wishes.M if M is None else M, q, lower=lower, upper=upper, z0=z0, **wishes.options))
+    if found.errors:
+        is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
+        raise _first(found.errors, axes, InvalidProblem if is_none else NotConverged)
+    return found, axes
+
+
+def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[Any, ...]:
+    """Return the gradients by q and the bounds, each of the shape of g.
+
+    Parameters
+    ----------
+    found : BatchDerivative
+    axes : tuple of int
+    g : array, shape (…, n)
+        Axes in front as many as `axes`; where those have 1, g may have more: many gradients of one solution.
+
+    Raises
+    ------
+    UnsuitableProblem
+        Where a block of M on the free rows is singular, of a problem that the loss looks at.
+    """
+    return _derived(lambda g: attrgetter("q", "lower", "upper")(found.vjp(g)), 3, found, axes, g)
+
+
+def tangents(found: BatchDerivative, axes: tuple[int, ...], *moved: Any) -> tuple[Any, ...]:
+    """Return (dz,), the change of z that goes with dM z + dq and with those of the bounds; shapes as for `gradients`.
+
+    Raises
+    ------
+    UnsuitableProblem
+        Where a block of M on the free rows is singular, of a problem whose data move.
+    """
+    def ask(change: Any, lower: Any, upper: Any) -> tuple[Any]:
+        return (found.jvp(dq=change, dlower=lower, dupper=upper),)
+
+    return _derived(ask, 1, found, axes, *moved)
+
+
+def no_second_derivative(remedy: str) -> UnsupportedModel:
+    """Return the error of who asks for one."""
+    return UnsupportedModel(
+        "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "
+        f"is computed; {remedy}"
+    )
+
+
+def _derived(
+    ask: Callable[..., tuple[Any, ...]], count: int, found: BatchDerivative, axes: tuple[int, ...], *given: Any
+) -> tuple[Any, ...]:
+    """Return the so many arrays that are asked of all problems; axes that `found` does not have are taken in turn."""
+    *every, n = given[0].shape
+    tables = tuple(np.empty((*every, n)) for _ in range(count))
+    own = [mine == whole for mine, whole in zip(axes, every, strict=True)]
+    for place in np.ndindex(*(1 if is_own else whole for is_own, whole in zip(own, every, strict=True))):
+        at = tuple(slice(None) if is_own else slice(k, k + 1) for is_own, k in zip(own, place, strict=True))
+        rows = [array[at].reshape(len(found), n) for array in given]
+        answers = ask(*rows)
+        wrong = {k: error for k, error in found.errors.items() if any(row[k].any() for row in rows)}
+        if wrong:
+            raise _first(wrong, axes, type(next(iter(wrong.values()))))
+        for table, answer in zip(tables, answers, strict=True):
+            answer[[*found.errors]] = 0.0  # nothing is asked of them
+            table[at] = answer.reshape(*axes, n)
+    return tables
+
+
+def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:
+    """Return an error of that kind, which says what is wrong with the first problem, and where others are."""
+    places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
+    first, *others = places
+    also = f" (nor do {', '.join(str(places[k]) for k in others[:5])}{' …' if others[5:] else ''})" if others else ""
+    where = f"problem {places[first]} of the batch" if axes else "the problem"
+    return kind(f"{where} gives the layer no solution to go on with{also}: {errors[first]}")

@@ -1,0 +1,266 @@
+"""Writing ``.nl`` files, text or binary: the same segments in the same order."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.errors import InvalidProblem
+from ..files.files import checked_path, write_whole
+from .content import NLContent, Token, Trees
+from .header import BIG_ENDIAN, LITTLE_ENDIAN
+from .segments import ARITY, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL
+
+LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o", Token.CALL: b"f", Token.STRING: b"h"}
+ANY_COUNT = -1  # of the operands of an external function, which the content does not keep
+ALSO_STRINGS = 1  # its type: it takes texts as well
+
+
+def write_nl(
+    content: NLContent, path: str | PathLike[str], binary: bool = False, *, big_endian: bool = False
+) -> None:
+    """Write the content as an ``.nl`` file, with ``.col`` and ``.row`` files of the names beside it.
+
+    Parameters
+    ----------
+    content : NLContent
+    path : str or Path
+    binary : bool
+        Numbers of fixed length instead of text.
+    big_endian : bool
+        The order of their bytes.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the format cannot say it: integer variables that are not the last ones.
+    """
+    if not isinstance(content, NLContent):
+        raise InvalidProblem(f"content must be an NLContent, as read_content returns it, got {type(content).__name__}")
+    target = checked_path(path)
+    writer: _Text = _Binary(content, big_endian) if binary else _Text(content)
+    parts = writer.parts()
+    contents = {target: lambda file: file.writelines(parts)}
+    for ending, names in ((".col", content.names), (".row", content.row_names)):
+        if names is not None:
+            text = "".join(f"{name}\n" for name in names).encode()
+            contents[target.with_suffix(ending)] = lambda file, text=text: file.write(text)  # type: ignore[misc]
+    write_whole(contents)
+
+
+class _Text:
+    """The segments as lines."""
+
+    format, arithmetic = "g", 0
+
+    def __init__(self, content: NLContent) -> None:
+        self.content = content
+        self.out: list[bytes] = []
+
+    def parts(self) -> list[bytes]:
+        """Return the file in pieces."""
+        content, n = self.content, self.content.lower.size
+        self.out.append(self._head().encode())
+        for number, name in enumerate(content.functions):
+            self._line("F", (number, ALSO_STRINGS, ANY_COUNT), text=name.encode())
+        for suffix in content.suffixes:
+            is_real = suffix.values.dtype.kind == "f"
+            bits = suffix.kind | (SUFFIX_IS_REAL if is_real else 0)
+            self._line("S", (bits, suffix.indices.size), text=suffix.name.encode())
+            self._pairs(suffix.indices, suffix.values, is_real)
+        for k in range(content.defined_trees.size):
+            row = _row(content.defined_linear, k)
+            self._line("V", (n + k, row[0].size, 0))
+            self._pairs(*row)
+            self._tree(content.defined_trees, k)
+        for i in range(content.trees.size):
+            self._line("C", (i,))
+            self._tree(content.trees, i)
+        for k in range(content.objective_trees.size):
+            self._line("O", (k, int(content.is_maximized[k])))
+            self._tree(content.objective_trees, k)
+        for letter, is_given, values in (
+            ("d", content.dual_start != 0.0, content.dual_start), ("x", content.has_start, content.start)
+        ):
+            if is_given.any():
+                indices = np.flatnonzero(is_given)
+                self._line(letter, (indices.size,))
+                self._pairs(indices, values[indices])
+        if content.row_lower.size:
+            self._bounds("r", content.row_lower, content.row_upper)
+        self._bounds("b", content.lower, content.upper)
+        if n:
+            self._columns(np.cumsum(np.bincount(content.linear.indices, minlength=n))[:-1])
+        for letter, matrix in (("J", content.linear), ("G", content.objective_linear)):
+            for i in np.flatnonzero(np.diff(matrix.indptr)).tolist():
+                row = _row(matrix, i)
+                self._line(letter, (i, row[0].size))
+                self._pairs(*row)
+        return self.out
+
+    def _head(self) -> str:
+        content = self.content
+        n, m, o = content.lower.size, content.row_lower.size, content.objective_trees.size
+        is_pair = content.partners >= 0
+        is_equation = ~is_pair & (content.row_lower == content.row_upper)
+        is_range = ~is_pair & ~is_equation & np.isfinite(content.row_lower) & np.isfinite(content.row_upper)
+        is_nonlinear = _has_variables(content.trees)
+        in_rows, in_objectives, integers = _groups(content)
+        both = min(in_rows, in_objectives)
+        tolerance = "" if content.tolerance is None else f" {content.tolerance!r}"
+        return "".join(f"{line}\n" for line in (
+            f"{self.format}{' '.join(map(str, content.options))}{tolerance}\t# written by lcp_plugin",
+            f" {n} {m} {o} {is_range.sum()} {is_equation.sum()} {content.logical_rows}"
+            "\t# vars, constraints, objectives, ranges, eqns, logical",
+            f" {is_nonlinear.sum()} {_has_variables(content.objective_trees).sum()} {(is_pair & ~is_nonlinear).sum()} "
+            f"{(is_pair & is_nonlinear).sum()} 0 0\t# nonlinear constraints, objectives; ccons: lin, nonlin, nd, nzlb",
+            " 0 0\t# network constraints: nonlinear, linear",
+            f" {in_rows} {in_objectives} {both}\t# nonlinear vars in constraints, objectives, both",
+            f" 0 {len(content.functions)} {self.arithmetic} 1\t# linear network variables; functions; arith, flags",
+            f" 0 {' '.join(map(str, integers))}\t# discrete variables: binary, integer, nonlinear (b,c,o)",
+            f" {content.linear.nnz} {content.objective_linear.nnz}\t# nonzeros in Jacobian, gradients",
+            f" {_longest(content.row_names)} {_longest(content.names)}\t# max name lengths: constraints, variables",
+            f" {content.defined_trees.size} 0 0 0 0\t# common exprs: b,c,o,c1,o1",
+        ))
+
+    def _line(self, letter: str, numbers: Iterable[int], text: bytes | None = None) -> None:
+        """Write a letter with the numbers behind it, and a name."""
+        words = [str(number).encode() for number in numbers]
+        self.out.append(letter.encode() + b" ".join(words if text is None else [*words, text]) + b"\n")
+
+    def _pairs(self, indices: Any, values: Any, is_real: bool = True) -> None:
+        lines = zip(indices.tolist(), values.tolist(), strict=True)
+        self.out.append("".join(f"{index} {value!r}\n" for index, value in lines).encode())
+
+    def _columns(self, counts: Any) -> None:
+        self.out.append("\n".join(["k" + str(counts.size), *map(str, counts.tolist()), ""]).encode())
+
+    def _bounds(self, letter: str, lower: Any, upper: Any) -> None:
+        self._line(letter, ())
+        for kind, *numbers in _bounds(self.content, lower, upper, is_rows=letter == "r"):
+            self.out.append(" ".join([str(kind), *map(repr, numbers)]).encode() + b"\n")
+
+    def _tree(self, trees: Trees, k: int) -> None:
+        for kind, value, count in _tokens(trees, k):
+            if kind == Token.STRING:
+                text = trees.strings[int(value)]
+                self.out.append(b"h%d:%s\n" % (len(text), text))
+            elif kind == Token.NUMBER:
+                self.out.append(f"n{value!r}\n".encode())
+            else:
+                self.out.append(LETTERS[kind] + b"%d" % value)
+                self.out.append(b" %d\n" % count if kind == Token.CALL else b"\n")
+                if kind == Token.OPERATOR and (behind := _count_behind(int(value), count)):
+                    self.out.append(b"%d\n" % behind)
+
+
+class _Binary(_Text):
+    """The segments as letters and numbers of fixed length."""
+
+    format = "b"
+
+    def __init__(self, content: NLContent, big_endian: bool) -> None:
+        super().__init__(content)
+        self.order = ">" if big_endian else "<"
+        self.arithmetic = BIG_ENDIAN if big_endian else LITTLE_ENDIAN
+
+    def _integers(self, *numbers: int) -> bytes:
+        return struct.pack(f"{self.order}{len(numbers)}i", *numbers)
+
+    def _line(self, letter: str, numbers: Iterable[int], text: bytes | None = None) -> None:
+        self.out.append(letter.encode() + self._integers(*numbers))
+        if text is not None:
+            self.out.append(self._integers(len(text)) + text)
+
+    def _pairs(self, indices: Any, values: Any, is_real: bool = True) -> None:
+        pairs = np.empty(indices.size, dtype=[("index", self.order + "i4"),
+                                              ("value", self.order + ("f8" if is_real else "i4"))])
+        pairs["index"], pairs["value"] = indices, values
+        self.out.append(pairs.tobytes())
+
+    def _columns(self, counts: Any) -> None:
+        self._line("k", (counts.size,))
+        self.out.append(counts.astype(self.order + "i4").tobytes())
+
+    def _bounds(self, letter: str, lower: Any, upper: Any) -> None:
+        self._line(letter, ())
+        for kind, *numbers in _bounds(self.content, lower, upper, is_rows=letter == "r"):
+            form = "i" if kind == PARTNER else "d"
+            self.out.append(b"%d" % kind + struct.pack(f"{self.order}{len(numbers)}{form}", *numbers))
+
+    def _tree(self, trees: Trees, k: int) -> None:
+        for kind, value, count in _tokens(trees, k):
+            self.out.append(LETTERS[kind])
+            if kind == Token.STRING:
+                text = trees.strings[int(value)]
+                self.out.append(self._integers(len(text)) + text)
+            elif kind == Token.NUMBER:
+                self.out.append(struct.pack(self.order + "d", value))
+            else:
+                behind = _count_behind(int(value), count) if kind == Token.OPERATOR else 0
+                has_count = kind == Token.CALL or behind > 0
+                self.out.append(self._integers(int(value), *[behind or count] * has_count))
+
+
+def _row(matrix: sp.csr_array, i: int) -> tuple[Any, Any]:
+    part = slice(matrix.indptr[i], matrix.indptr[i + 1])
+    return matrix.indices[part], matrix.data[part]
+
+
+def _tokens(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
+    part = slice(trees.starts[k], trees.starts[k + 1])
+    return zip(trees.kinds[part].tolist(), trees.values[part].tolist(), trees.counts[part].tolist(), strict=True)
+
+
+def _count_behind(operator: int, count: int) -> int:
+    """Return the number that stands behind an operator: of operands, of slopes, or 0 where none does."""
+    return {NARY: count, PIECEWISE: count // 2}.get(int(ARITY[operator]), 0)
+
+
+def _bounds(content: NLContent, lower: Any, upper: Any, *, is_rows: bool) -> Iterable[tuple[Any, ...]]:
+    """Yield the kind of each bound with the numbers behind it."""
+    for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
+        if is_rows and content.partners[i] >= 0:
+            yield PARTNER, int(content.partner_bounds[i]), int(content.partners[i]) + 1
+        elif low == high and (low or repr(low) == repr(high)):  # −0 and 0 are two numbers to be read again
+            yield 4, low
+        elif low == -np.inf:
+            yield (3,) if high == np.inf else (1, high)
+        else:
+            yield (2, low) if high == np.inf else (0, low, high)
+
+
+def _has_variables(trees: Trees) -> Any:
+    """Return which trees hold anything but one number."""
+    return (np.diff(trees.starts) > 1) | (trees.kinds[trees.starts[:-1]] != Token.NUMBER)
+
+
+def _longest(names: list[str] | None) -> int:
+    return max(map(len, names or []), default=0)
+
+
+def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
+    """Return up to which variable the rows and the objectives are nonlinear, and the integers of each group."""
+    n = content.lower.size
+
+    def most(*forests: Trees) -> int:
+        used = np.concatenate([trees.values[trees.kinds == Token.VARIABLE] for trees in forests])
+        return int(used[used < n].max(initial=-1.0)) + 1
+
+    in_rows = most(content.trees, content.defined_trees)
+    in_objectives = most(content.objective_trees, content.defined_trees)
+    in_objectives = max(in_objectives, in_rows) if in_objectives else 0
+    integers = np.flatnonzero(content.is_integer)
+    if not integers.size:
+        return in_rows, in_objectives, (0, 0, 0, 0)
+    if integers[0] != n - integers.size:
+        raise InvalidProblem(f"variable {integers[0]} is integer and one behind it is not; the integer variables of an "
+                             ".nl file must come last; order the variables so")
+    if integers[0] >= max(in_rows, in_objectives):
+        return in_rows, in_objectives, (integers.size, 0, 0, 0)
+    return n, n, (0, integers.size, 0, 0)

@@ -1,0 +1,1 @@
+"""Pyomo: models with complementarities, programs and equilibria, and their answers."""

@@ -1,0 +1,205 @@
+"""The complementarities of a Pyomo model as rows and partners, read as they are stated and changing nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pyomo.core import value
+from pyomo.core.expr import EqualityExpression, InequalityExpression, RangedExpression, SumExpression
+from pyomo.core.expr.calculus.derivatives import differentiate
+from pyomo.core.expr.calculus.diff_with_pyomo import DifferentiationException
+from pyomo.core.expr.numvalue import is_potentially_variable
+from pyomo.core.expr.visitor import identify_variables
+
+from ...core.errors import UnsupportedModel
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One side of a pair: lower ≤ body ≤ upper, infinite where nothing is stated, equal for an equation."""
+
+    lower: float
+    body: Any
+    upper: float
+
+    @property
+    def bounds(self) -> int:
+        """The number of finite bounds."""
+        return math.isfinite(self.lower) + math.isfinite(self.upper)
+
+    @property
+    def is_equation(self) -> bool:
+        """True for body == number; a range with equal bounds holds its body, and leaves the row any sign."""
+        return self.lower == self.upper
+
+    @property
+    def is_fixed(self) -> bool:
+        """True where nothing in the body can change."""
+        return cannot_vary(self.body)
+
+    @property
+    def variable(self) -> Any:
+        """The variable that the body is, or None; a fixed one is a number."""
+        is_variable = hasattr(self.body, "is_variable_type") and self.body.is_variable_type()
+        return self.body if is_variable and not self.body.fixed else None
+
+    @property
+    def slack(self) -> Any:
+        """What is ≥ 0 at the one finite bound: body − lower or upper − body."""
+        if math.isfinite(self.upper):
+            return difference(self.upper, self.body)
+        return difference(self.body, self.lower) if self.lower else self.body
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A pair of sides with two finite bounds together: `held` lies within its bounds, `row` has the sign that goes.
+
+    Attributes
+    ----------
+    stated : ComplementarityData
+    held : Side
+    row : expression
+        ≥ 0 where the held body is at its lower bound, ≤ 0 at its upper bound, 0 between.
+    """
+
+    stated: Any
+    held: Side
+    row: Any
+
+    @property
+    def is_at_bound(self) -> bool:
+        """True where the held body is not between its bounds at the present values."""
+        return not self.held.lower < number(self.held.body) < self.held.upper
+
+    def residual_in(self, unit: float) -> float:
+        """Return body − mid(lower, upper, body − row/unit) at the present values, NaN where undefined."""
+        body, row = number(self.held.body), number(self.row) / unit
+        return body - min(max(body - row, self.held.lower), self.held.upper) if math.isfinite(row) else math.nan
+
+
+def sides_of(stated: Any) -> tuple[Side, Side]:
+    """Return both sides of a ComplementarityData, checked.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where they have not two finite bounds together, or a bound that is not constant.
+    """
+    if getattr(stated, "_args", None) is None:
+        raise UnsupportedModel(f"{stated.name} has no sides; give it complements(x >= 0, F >= 0), or deactivate it")
+    first, second = (_side(argument, stated) for argument in stated._args)
+    if first.is_equation or second.is_equation:
+        other = second if first.is_equation else first
+        if other.bounds:
+            raise UnsupportedModel(
+                f"{stated.name} has an equation on one side and a bound on the other, whose pair says no more than "
+                "both; write the equation as a Constraint and the bound at the variable"
+            )
+    elif first.bounds + second.bounds != 2:
+        raise UnsupportedModel(
+            f"{stated.name} has {first.bounds + second.bounds} finite bounds on its two sides together, and needs two: "
+            "complements(x >= 0, F >= 0), or complements(inequality(lower, x, upper), F)"
+        )
+    return first, second
+
+
+def _side(argument: Any, stated: Any) -> Side:
+    if argument is None or isinstance(argument, (bool, str)):
+        raise UnsupportedModel(f"a side of {stated.name} is {argument!r}; it needs an expression of variables")
+    if isinstance(argument, EqualityExpression):
+        left, right = argument.args
+        return Side(0.0, difference(left, right) if _counts(right) else left, 0.0)
+    if isinstance(argument, (InequalityExpression, RangedExpression)) and any(_strict(argument)):
+        raise UnsupportedModel(f"a side of {stated.name} is strict, {argument}; write <= or >=")
+    if isinstance(argument, RangedExpression):
+        lower, body, upper = argument.args
+        return Side(_bound(lower, stated), body, _bound(upper, stated))
+    if isinstance(argument, InequalityExpression):
+        smaller, larger = argument.args
+        if not is_potentially_variable(smaller) or (is_potentially_variable(larger) and cannot_vary(smaller)):
+            return Side(_bound(smaller, stated), larger, math.inf)
+        if cannot_vary(larger):
+            return Side(-math.inf, smaller, _bound(larger, stated))
+        return Side(0.0, difference(larger, smaller), math.inf)
+    return Side(-math.inf, argument, math.inf)
+
+
+def _counts(expression: Any) -> bool:
+    return bool(is_potentially_variable(expression) or value(expression) != 0.0)
+
+
+def _strict(expression: Any) -> tuple[bool, ...]:
+    strict = expression._strict
+    return tuple(strict) if isinstance(strict, (tuple, list)) else (strict,)
+
+
+def _bound(expression: Any, stated: Any) -> float:
+    if not cannot_vary(expression):
+        raise UnsupportedModel(
+            f"a bound of {stated.name} is {expression}, which varies; state the difference: "
+            "complements(body - bound >= 0, …)"
+        )
+    return float(value(expression))
+
+
+def difference(first: Any, second: Any) -> Any:
+    """Return first − second as a sum of its own: Pyomo's ``+`` may append to the list of a sum that the user holds."""
+    return SumExpression([first, -second])
+
+
+def cannot_vary(expression: Any) -> bool:
+    """Return whether nothing in an expression is free; the first free variable ends the search."""
+    left = [expression]
+    while left:
+        part = left.pop()
+        if not is_potentially_variable(part):
+            continue
+        if part.is_expression_type():
+            left.extend(part.args)
+        elif not part.fixed:
+            return False
+    return True
+
+
+def number(expression: Any) -> float:
+    """Return the value of an expression at the present values of its variables, NaN where it has none."""
+    found = value(expression, exception=False)
+    return math.nan if found is None or isinstance(found, complex) else float(found)
+
+
+def unit(expression: Any) -> float:
+    """Return Σ |slope| (1 + |x|) over the variables x of an expression: how much it changes where they all do."""
+    variables = list(identify_variables(expression))
+    if not variables:
+        return abs(number(expression))
+    try:
+        slopes = differentiate(expression, wrt_list=variables)
+    except (ArithmeticError, ValueError, DifferentiationException):  # no slope at this point, or none that Pyomo knows
+        return 1.0
+    found = sum(abs(slope) * (1.0 + abs(number(one))) for slope, one in zip(slopes, variables, strict=True))
+    return found if math.isfinite(found) else 1.0
+
+
+def paired(stated: Any, sides: tuple[Side, Side], is_taken: Callable[[Any], bool]) -> Pair:
+    """Return a pair with that side held which is ranged, else one that is a variable not taken, else a fixed one.
+
+    Parameters
+    ----------
+    stated : ComplementarityData
+    sides : tuple of Side
+        Its sides, none of them an equation.
+    is_taken : callable
+        Whether a variable goes with another row already.
+    """
+    first, second = sides
+    if first.bounds == 0 or second.bounds == 0:
+        held, free = (second, first) if first.bounds == 0 else (first, second)
+        return Pair(stated, held, free.body)
+    free_sides = [side for side in sides if side.variable is not None and not is_taken(side.variable)]
+    held = free_sides[0] if free_sides else second if second.is_fixed else first
+    slack = (second if held is first else first).slack
+    return Pair(stated, held, slack if math.isfinite(held.lower) else -slack)

@@ -1,0 +1,354 @@
+"""Membranes: over obstacles, of uneven stuff, in a wind; and when to stop a drifting diffusion."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector
+from ..core.lcp import LCP
+from .parameters import Count, NonNegative, Positive, Seed, at_least
+from .scene import Scene, scene_builder
+from .stencil import Field, balanced_matrix, dirichlet_terms, interior, nodes, stencil_matrix, stiff_cells, upwind
+
+CONTACT_RADIUS = {2: 0.6979651482233735, 3: 0.7892441190408083}
+"""By dimension, the root r* in (0, 1) of r² (1 − log(r/2)) = 1 and of 2 r² − r³/2 = 1."""
+
+CONE_BEGINS = 0.9
+"""From this radius on the sphere is continued by its tangent cone, so that ψ is finite everywhere."""
+
+HALF_SIDE = 2.0
+
+
+@scene_builder
+def obstacle_2d(*, size: Count = 100, shifted: bool = False) -> Scene:
+    """Membrane over a sphere on [−2, 2]², with analytic solution and free boundary.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 4/(size + 1).
+    shifted
+        False: the unknown is u with lower = ψ. True: it is u − ψ with lower = 0, the plain LCP.
+
+    Notes
+    -----
+    ψ(r) = √(1 − r²) and −Δu ≥ 0. Off the contact set the radial solution that vanishes at r = 2 is
+    u = −A log(r/2); u and u′ continuous with ψ at r* give A = r*²/√(1 − r*²) and r*² (1 − log(r*/2)) = 1.
+    The boundary values on the square are those of this u, so it solves the problem there too. From r = 0.9
+    on, outside the contact set, ψ is continued by its tangent cone, concave and below u. Rows are those of
+    the five-point stencil (4, −1), that is −h²Δ. The discretisation error falls about like h², unevenly, as
+    the discrete contact set grows by whole nodes.
+
+    References
+    ----------
+    Kinderlehrer, Stampacchia, *An Introduction to Variational Inequalities and Their Applications*, SIAM
+    2000, doi:10.1137/1.9780898719451.
+    """
+    return _sphere_scene(2, size, shifted)
+
+
+@scene_builder
+def obstacle_3d(*, size: Count = 30, shifted: bool = False) -> Scene:
+    """Membrane over a sphere on [−2, 2]³, with analytic solution and free boundary.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size³, mesh width 4/(size + 1).
+    shifted
+        False: the unknown is u with lower = ψ. True: it is u − ψ with lower = 0, the plain LCP.
+
+    Notes
+    -----
+    As `obstacle_2d` with the radial solution u = A (1/r − 1/2): u and u′ continuous with ψ at r* give
+    A = r*³/√(1 − r*²) and 2 r*² − r*³/2 = 1. Rows are those of the seven-point stencil (6, −1).
+    """
+    return _sphere_scene(3, size, shifted)
+
+
+def sphere_obstacle(r: Field) -> Field:
+    """Return ψ(r) = √(1 − r²), continued by the tangent at r = 0.9; any shape."""
+    slope = -CONE_BEGINS / math.sqrt(1.0 - CONE_BEGINS**2)
+    sphere = np.sqrt(1.0 - np.minimum(r, CONE_BEGINS) ** 2)
+    return sphere + slope * np.maximum(r - CONE_BEGINS, 0.0)
+
+
+def sphere_solution(r: Field, dimension: int) -> Field:
+    """Return the analytic u(r) in dimension 2 or 3; any shape."""
+    contact = CONTACT_RADIUS[dimension]
+    strength = contact**dimension / math.sqrt(1.0 - contact**2)
+    outside = np.maximum(r, contact)
+    free = -np.log(outside / 2.0) if dimension == 2 else 1.0 / outside - 0.5
+    return np.where(r < contact, sphere_obstacle(r), strength * free)
+
+
+class Layers(NamedTuple):
+    """Rows of a membrane over a sphere, all columns counted over the whole grid, and what is known at their nodes."""
+
+    rows: sp.csr_array
+    q: FloatVector
+    lower: FloatVector
+    continuum: FloatVector
+    radius: FloatVector
+
+
+def sphere_layers(dimension: int, size: int, shifted: bool, begin: int, end: int) -> Layers:
+    """Return the layers begin ≤ i < end along the first axis, each of size^(dimension − 1) rows."""
+    layer, n = size ** (dimension - 1), size**dimension
+    low, high = max(begin - 1, 0), min(end + 1, size)  # the neighbours' layers, so that no leg is cut off
+    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
+    r = np.sqrt(sum(x**2 for x in np.ix_(axis[low : high + 2], *[axis] * (dimension - 1))))
+    solution = sphere_solution(r, dimension)
+    radius = r[interior(dimension)]
+    obstacle, continuum = sphere_obstacle(radius).ravel(), solution[interior(dimension)].ravel()
+    legs = (-1.0,) * dimension
+    M = stencil_matrix(radius.shape, 2.0 * dimension, legs, legs)
+    q = dirichlet_terms(solution, legs, legs)
+    lower = obstacle
+    if shifted:
+        q, lower, continuum = M @ obstacle + q, np.zeros(obstacle.size), continuum - obstacle
+    if (low, high) == (begin, end):
+        return Layers(M, q, lower, continuum, radius.ravel())
+    own = slice((begin - low) * layer, (end - low) * layer)
+    rows = M[own]
+    columns = rows.indices.astype(np.int32 if n < 2**31 else np.int64) + low * layer
+    rows = sp.csr_array((rows.data, columns, rows.indptr), shape=(rows.shape[0], n))
+    return Layers(rows, q[own], lower[own], continuum[own], radius.ravel()[own])
+
+
+def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
+    whole = sphere_layers(dimension, size, shifted, 0, size)
+    return Scene(
+        problem=LCP(whole.rows, whole.q, lower=whole.lower),
+        continuum=whole.continuum,
+        is_symmetric=True,
+        is_h_plus=True,
+        active_share=float(np.mean(whole.radius < CONTACT_RADIUS[dimension])),
+        coordinates=(nodes(-HALF_SIDE, HALF_SIDE, size)[1:-1],) * dimension,
+        axis_labels=("x", "y", "z")[:dimension],
+        unknown="height",
+        active_means="on the obstacle",
+    )
+
+
+@scene_builder
+def obstacle_bumps(*, size: Count = 100, bumps: Count = 8, load: float = -5.0, seed: Seed = 0) -> Scene:
+    """Membrane under a load over several bumps on the unit square, zero on the boundary.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    bumps
+        Number of paraboloids of random height, width and place; ψ is their maximum.
+    load
+        f in −Δu ≥ f; negative values press the membrane onto the bumps.
+    seed
+        Of the generator that draws the bumps.
+
+    Notes
+    -----
+    Several contact sets with free boundaries of different curvature, and no closed form. Each paraboloid is
+    positive only inside the square, so ψ ≤ 0 on the boundary. Rows are scaled by h².
+    """
+    axis = nodes(0.0, 1.0, size)[1:-1]
+    x, y = np.ix_(axis, axis)
+    generator = np.random.default_rng(seed)
+    obstacle = np.full((size, size), -np.inf)
+    for _ in range(bumps):
+        width, height = generator.uniform(0.08, 0.25), generator.uniform(0.1, 0.5)
+        at_x, at_y = generator.uniform(width, 1.0 - width, size=2)
+        bump = height * (1.0 - ((x - at_x) ** 2 + (y - at_y) ** 2) / width**2)
+        np.maximum(obstacle, bump, out=obstacle)
+
+    legs = (-1.0, -1.0)
+    M = stencil_matrix((size, size), 4.0, legs, legs)
+    mesh_width = 1.0 / (size + 1)
+    return Scene(
+        problem=LCP(M, np.full(size**2, -load * mesh_width**2), lower=obstacle.ravel()),
+        is_symmetric=True,
+        is_h_plus=True,
+        coordinates=(axis, axis),
+        axis_labels=("x", "y"),
+        unknown="height",
+        active_means="on the obstacle",
+    )
+
+
+# --- Uneven stuff and wind --------------------------------------------------------------------------------------
+
+BLOCKS = 10
+PULL = 10.0
+
+
+@scene_builder
+def coefficient_jumps(*, size: Count = 100, contrast: Annotated[float, at_least(1)] = 1e6, seed: Seed = 0) -> Scene:
+    """Membrane above the ground whose stiffness jumps at random between 10 × 10 blocks.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    contrast
+        The logarithm of the stiffness is uniform over a range of this ratio.
+    seed
+        Of the generator that draws the blocks.
+
+    Notes
+    -----
+    −∇·(k ∇u) ≥ f, u ≥ 0, complementary, u = 0 on the boundary, f = 10 sin 3πx sin 2πy. k is constant on each cell of
+    the mesh; an edge takes the mean of the two cells it separates. Rows are scaled by h². The error of z can be much
+    larger than its residual: about contrast times.
+    """
+    stiffness = 10.0 ** (np.random.default_rng(seed).uniform(-0.5, 0.5, (BLOCKS, BLOCKS)) * math.log10(contrast))
+    block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
+    cells = stiffness[np.ix_(block, block)]
+    M = balanced_matrix((size, size), stiff_cells(cells))
+    return _pulled_membrane(M, size, is_symmetric=True, is_h_plus=True)
+
+
+@scene_builder
+def rotated_anisotropy(*, size: Count = 100, ratio: Positive = 1e-4, degrees: float = 30.0) -> Scene:
+    """Membrane above the ground, stiff along fibres that cross the grid at an angle; M has positive couplings.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    ratio
+        Stiffness across the fibres, divided by that along them.
+    degrees
+        Angle between the fibres and the first axis.
+
+    Notes
+    -----
+    −∇·(K ∇u) ≥ f as in `coefficient_jumps`, K with the eigenvalues 1 and `ratio`, by bilinear finite elements: a
+    nine-point stencil, symmetric and positive definite, but no M-matrix.
+    """
+    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    first, second = cosine**2 + ratio * sine**2, sine**2 + ratio * cosine**2
+    mixed = (1.0 - ratio) * cosine * sine
+    mass, slope, stiffness = _line(4.0, 1.0, 1.0, size) / 6.0, _line(0.0, -0.5, 0.5, size), _line(2.0, -1.0, -1.0, size)
+    M = sp.csr_array(
+        first * sp.kron(stiffness, mass) + second * sp.kron(mass, stiffness) - 2.0 * mixed * sp.kron(slope, slope)
+    )
+    M.sum_duplicates()
+    M.eliminate_zeros()
+    return _pulled_membrane(_narrow(M), size, is_symmetric=True, is_h_plus=size == 1)
+
+
+@scene_builder
+def convection_diffusion(*, size: Count = 100, diffusion: NonNegative = 1e-3, wind_angle: float = 0.6) -> Scene:
+    """Membrane above the ground in a constant wind: upwind differences, nonsymmetric M-matrix.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width h = 1/(size + 1).
+    diffusion
+        ε ≥ 0; below h the wind dominates.
+    wind_angle
+        Between the wind, which has length 1, and the first axis, radian.
+
+    Notes
+    -----
+    −ε Δu + b·∇u ≥ f as in `coefficient_jumps`, first-order upwind. Rows are scaled by h²/max(ε, h).
+    """
+    h = 1.0 / (size + 1)
+    scale = 1.0 / max(diffusion, h)
+    below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
+    M = balanced_matrix((size, size), ([scale * leg for leg in below], [scale * leg for leg in above]))
+    return _pulled_membrane(M, size, is_symmetric=size == 1, is_h_plus=True, scale=scale)
+
+
+def _pulled_membrane(M: sp.csr_array, size: int, *, is_symmetric: bool, is_h_plus: bool, scale: float = 1.0) -> Scene:
+    axis = nodes(0.0, 1.0, size)[1:-1]
+    x, y = np.ix_(axis, axis)
+    force: Field = PULL * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
+    q: FloatVector = (-scale / (size + 1) ** 2 * force).ravel()
+    return Scene(
+        problem=LCP(M, q),
+        is_symmetric=is_symmetric,
+        is_h_plus=is_h_plus,
+        coordinates=(axis, axis),
+        axis_labels=("x", "y"),
+        unknown="height",
+        active_means="on the ground",
+    )
+
+
+def _line(centre: float, below: float, above: float, size: int) -> sp.csr_array:
+    return sp.csr_array(
+        sp.diags_array([below, centre, above], offsets=[-1, 0, 1], shape=(size, size), dtype=np.float64)
+    )
+
+
+def _narrow(M: sp.csr_array) -> sp.csr_array:
+    if M.nnz >= 2**31:
+        return M
+    return sp.csr_array((M.data, M.indices.astype(np.int32), M.indptr.astype(np.int32)), shape=M.shape)
+
+
+@scene_builder
+def optimal_stopping(
+    *,
+    size: Count = 100,
+    diffusion: Positive = 1e-2,
+    wind_x: float = 1.0,
+    wind_y: float = 0.5,
+    swirl: float = 0.0,
+    discount: NonNegative = 1.0,
+    gain: float = 0.0,
+) -> Scene:
+    """Optimal stopping of a drifting diffusion on the unit square: upwind differences, nonsymmetric M-matrix.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    diffusion
+        ε > 0, length²/time; small values give sharp layers and a strongly nonsymmetric matrix.
+    wind_x, wind_y, swirl
+        b(x, y) = (wind_x − swirl·(y − ½), wind_y + swirl·(x − ½)), length/time. The process drifts with −b.
+    discount
+        Rate r ≥ 0, 1/time.
+    gain
+        Running gain f per unit of time until the process is stopped.
+
+    Notes
+    -----
+    The value u is the largest expected discounted gain plus reward ψ at the moment of stopping, leaving the
+    square included: −ε Δu + b·∇u + r u ≥ f, u ≥ ψ, complementary, u = ψ on the boundary. ψ is a hill and a
+    lower one. First-order upwind differences keep every off-diagonal entry ≤ 0 at any ratio of b to ε, so M
+    is an M-matrix. Rows are scaled by h². With all of the wind zero M is symmetric.
+
+    References
+    ----------
+    Kushner, Dupuis, *Numerical Methods for Stochastic Control Problems in Continuous Time*, Springer 2001,
+    doi:10.1007/978-1-4613-0007-6.
+    """
+    axis = nodes(0.0, 1.0, size)
+    x, y = np.ix_(axis, axis)
+    reward = _hill(x, y, 0.65, 0.6, 0.15) + 0.5 * _hill(x, y, 0.3, 0.25, 0.1)
+    h = 1.0 / (size + 1)
+    wind = (wind_x - swirl * (y[:, 1:-1] - 0.5), wind_y + swirl * (x[1:-1] - 0.5))
+    legs = upwind(diffusion, [h * b for b in wind])
+    M = balanced_matrix((size, size), legs, h**2 * discount)
+    q = dirichlet_terms(reward, *legs) - h**2 * gain
+    return Scene(
+        problem=LCP(M, q, lower=reward[interior(2)].ravel()),
+        is_symmetric=wind_x == wind_y == swirl == 0.0,
+        is_h_plus=True,
+        coordinates=(axis[1:-1], axis[1:-1]),
+        axis_labels=("x", "y"),
+        unknown="value",
+        active_means="stop at once",
+    )
+
+
+def _hill(x: Field, y: Field, at_x: float, at_y: float, width: float) -> Field:
+    return np.exp(-((x - at_x) ** 2 + (y - at_y) ** 2) / (2.0 * width**2))

@@ -1,0 +1,265 @@
+"""Answers that come first: the paper's examples, with constraints that bind, and matrices random or misleading."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector
+from ..core.lcp import LCP
+from .parameters import Count, NonNegative, Seed, Share, Square, at_least, between, one_of
+from .scene import Scene, scene_builder
+from .stencil import stencil_matrix
+
+
+@scene_builder
+def paper_example_1(*, n: Square = 100, delta: NonNegative = 4.0) -> Scene:
+    """Five-point Laplacian plus delta I with z* = (1, 2, 1, 2, …), nothing active: Example 1 of the paper.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, a perfect square m²; the paper takes 100, 900, 2500, 3600, 6400, 10000.
+    delta
+        Shift of the diagonal, at least 0; the tables take 4. With 0 inner rows are not strictly dominant.
+
+    Notes
+    -----
+    M = blocktridiag(−I, tridiag(−1, 4, −1), −I) + δI, q = −M z*, start (1, 0, 1, 0, …). The identity in
+    the fourth block row is printed without its minus sign. As w* = 0 and z* > 0, the solution is that of the
+    linear system M z = −q.
+
+    References
+    ----------
+    Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
+    """
+    return _paper_scene(n, delta, lower=(-1.0, -1.0), upper=(-1.0, -1.0))
+
+
+@scene_builder
+def paper_example_2(*, n: Square = 100, delta: NonNegative = 4.0) -> Scene:
+    """Nonsymmetric five-point matrix plus delta I with z* = (1, 2, 1, 2, …): Example 2 of the paper.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, a perfect square m²; the paper takes 100, 900, 2500, 3600, 6400, 10000.
+    delta
+        Shift of the diagonal, at least 0; the tables take 4.
+
+    Notes
+    -----
+    M = blocktridiag(−1.5 I, tridiag(−1.5, 4, −0.5), −0.5 I) + δI, q = −M z*, start (1, 0, 1, 0, …). The
+    diagonal block is printed as tridiag(−1, 4, −1); the tables were computed with the block given here.
+
+    References
+    ----------
+    Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
+    """
+    return _paper_scene(n, delta, lower=(-1.5, -1.5), upper=(-0.5, -0.5))
+
+
+def _paper_scene(n: int, delta: float, lower: tuple[float, float], upper: tuple[float, float]) -> Scene:
+    side = math.isqrt(n)
+    M = stencil_matrix((side, side), 4.0 + delta, lower, upper)
+    exact = _alternating(n, 1.0, 2.0)
+    return Scene(
+        problem=LCP(M, -(M @ exact)),
+        exact=exact,
+        start=_alternating(n, 1.0, 0.0),
+        is_symmetric=lower == upper,
+        is_h_plus=True,
+        grid=(side, side),
+        axis_labels=("row", "column"),
+    )
+
+
+@scene_builder
+def half_active(
+    *, n: Square = 10_000, delta: NonNegative = 4.0, block: Count = 5, degenerate: bool = True
+) -> Scene:
+    """Five-point Laplacian plus delta I, constraints active on every other block of a checkerboard.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, a perfect square m².
+    delta
+        Shift of the diagonal, at least 0; q is exact in floating point where it is an integer.
+    block
+        Side of the checkerboard's blocks in nodes. The share is exactly one half where 2·block divides m.
+    degenerate
+        Whether the first corner of each active block has z* = w* = 0; otherwise z* + w* > 0 throughout.
+
+    Notes
+    -----
+    The answer comes first: on free blocks z* = 1, 2, 1, 2, … and w* = 0, on active ones the other way round;
+    then q = w* − M z*. The paper's own examples have no active constraint and so say nothing about
+    complementarity: an iteration for the linear system alone would solve them.
+    """
+    side = math.isqrt(n)
+    M = stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
+    row, column = np.divmod(np.arange(n), side)
+    is_active = (row // block + column // block) % 2 == 1
+    values = _alternating(n, 1.0, 2.0)
+    exact = np.where(is_active, 0.0, values)
+    slack = np.where(is_active, values, 0.0)
+    if degenerate:
+        slack[(row % block == 0) & (column % block == 0)] = 0.0
+    return Scene(
+        problem=LCP(M, slack - M @ exact),
+        exact=exact,
+        is_symmetric=True,
+        is_h_plus=True,
+        grid=(side, side),
+        axis_labels=("row", "column"),
+    )
+
+
+def _alternating(n: int, first: float, second: float) -> FloatVector:
+    values = np.full(n, first)
+    values[1::2] = second
+    return values
+
+
+# --- Matrices that mislead --------------------------------------------------------------------------------------
+
+Exponent = Annotated[int, between(0, 100)]
+
+LARGEST_ENTRY = 9
+
+
+@scene_builder
+def random_h_plus(
+    *,
+    n: Annotated[int, at_least(2)] = 2000,
+    entries_per_row: Count = 5,
+    row_scale: Exponent = 20,
+    column_scale: Exponent = 10,
+    active_share: Share = 0.5,
+    seed: Seed = 0,
+) -> Scene:
+    """Random sparse H+-matrix, rows and columns wildly scaled, with a planted answer exact to the last bit.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, at least 2.
+    entries_per_row
+        Off-diagonal entries drawn per row; those that fall on the same place are added.
+    row_scale, column_scale
+        Rows and columns are multiplied by powers of two with random exponents from −scale to scale.
+    active_share
+        Share of components with z* = 0, in [0, 1], rounded to whole components. One in ten of them is
+        degenerate: w* = 0 too.
+    seed
+        Of the generator that draws everything.
+
+    Notes
+    -----
+    M = R A C with A an integer matrix of strictly dominant rows and R, C diagonal powers of two; thus
+    ⟨M⟩ C⁻¹1 > 0 and M is H+, though as a rule neither rows nor columns of M are dominant. z* = C⁻¹ẑ, w* = R ŵ
+    with small integers ẑ, ŵ, and q = w* − M z* = R (ŵ − A ẑ): integers far below 2⁵³ times powers of two, so
+    that no rounding happens anywhere and z* is the exact solution for the stored data.
+    """
+    generator = np.random.default_rng(seed)
+    A = _random_dominant(generator, n, entries_per_row)
+    z, w = _random_answer(generator, n, active_share)
+    row_power = np.exp2(generator.integers(-row_scale, row_scale + 1, size=n))
+    column_power = np.exp2(generator.integers(-column_scale, column_scale + 1, size=n))
+
+    q = row_power * (w - A @ z)
+    A.data *= np.repeat(row_power, np.diff(A.indptr)) * column_power[A.indices]
+    return Scene(
+        problem=LCP(A, q),
+        exact=z / column_power,
+        is_h_plus=True,
+    )
+
+
+def _random_dominant(generator: np.random.Generator, n: int, entries_per_row: int) -> sp.csr_array:
+    """Return an integer matrix whose diagonal exceeds the row sum of the absolute other entries by 1 … 9."""
+    count = n * entries_per_row
+    rows = np.repeat(np.arange(n), entries_per_row)
+    # A step of 1 … n − 1 around the circle never lands on the diagonal.
+    columns = (rows + generator.integers(1, n, size=count)) % n
+    values = generator.choice([-1.0, 1.0], size=count) * generator.integers(1, LARGEST_ENTRY + 1, size=count)
+    others = sp.csr_array((values, (rows, columns)), shape=(n, n))
+    row_sums: FloatVector = np.asarray(abs(others).sum(axis=1), dtype=np.float64)
+    diagonal = row_sums + generator.integers(1, LARGEST_ENTRY + 1, size=n)
+    matrix = (others + sp.diags_array(diagonal)).tocsr()
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _random_answer(
+    generator: np.random.Generator, n: int, active_share: float
+) -> tuple[FloatVector, FloatVector]:
+    """Return complementary integer vectors ẑ, ŵ; a tenth of the zeros of ẑ are zeros of ŵ."""
+    order = generator.permutation(n)
+    active = order[: round(active_share * n)]
+    z = generator.integers(1, LARGEST_ENTRY + 1, size=n).astype(np.float64)
+    w = np.zeros(n)
+    w[active] = z[active]
+    z[active] = 0.0
+    w[active[: len(active) // 10]] = 0.0
+    return z, w
+
+
+@scene_builder
+def murty(
+    *,
+    n: Annotated[int, between(1, 5000)] = 50,
+    orientation: Annotated[str, one_of("upper", "lower")] = "upper",
+) -> Scene:
+    """Murty's triangular matrix, on which pivoting methods can take exponentially many steps.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, at most 5000: half of the matrix is filled.
+    orientation
+        On which side of the diagonal the twos stand.
+
+    Notes
+    -----
+    1 on the diagonal, 2 strictly above (or below) it, q = −1. In the last (first) row the only entry is the
+    diagonal one, so that z* = e_n (e_1): there w = 1 − 1 = 0, elsewhere w = 2 − 1 = 1. Triangular with a
+    positive diagonal: J is nilpotent, so M is H+ with ρ(J) = 0, yet J is far from normal.
+
+    References
+    ----------
+    Murty, *Computational complexity of complementary pivot methods*, Math. Programming Study 7, 1978.
+    """
+    twos = np.full((n, n), 2.0)
+    M = np.eye(n) + (np.triu(twos, 1) if orientation == "upper" else np.tril(twos, -1))
+    exact = np.zeros(n)
+    exact[-1 if orientation == "upper" else 0] = 1.0
+    return Scene(
+        problem=LCP(M, np.full(n, -1.0)),
+        exact=exact,
+        is_symmetric=n == 1,
+        is_h_plus=True,
+    )
+
+
+@scene_builder
+def scaling_trap() -> Scene:
+    """Three unknowns, strictly dominant, yet the unscaled NPSOR(1.7) runs into a limit cycle beside z*.
+
+    Notes
+    -----
+    z* = (1, 1, 0), w* = (0, 0, 50). min(I, D) − |B| is not an M-matrix, so nothing is promised without
+    scaling; with the rows divided by the diagonal every H+-matrix is safe. From the start given here, beside
+    z*, NPGS converges slowly (over a thousand sweeps to 1e-10), the scaled NPSOR(1.7) within thirty.
+    """
+    M = [[110.0, 100.0, 0.0], [0.0, 110.0, 100.0], [-100.0, 0.0, 110.0]]
+    return Scene(
+        problem=LCP(M, [-210.0, -110.0, 150.0]),
+        exact=np.array([1.0, 1.0, 0.0]),
+        start=np.array([1.0, 1.0, 0.001]),
+        is_h_plus=True,
+    )

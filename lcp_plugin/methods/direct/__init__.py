@@ -1,0 +1,1 @@
+"""In which order auto tries the methods that factorise, pivot or search."""

@@ -1,0 +1,230 @@
+"""The methods that factorise, pivot or search, in the order of their prospects.
+
+| M | direct methods, in this order |
+|---|---|
+| sparse, the diagonal positive and nothing else | newton, then as below |
+| symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
+| any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
+| any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
+| the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
+| −M an M-matrix, no upper bounds | first of all largest_point: one linear solve, which decides it |
+
+Where the diagonal is negative throughout, as where M has the wrong sign, newton is left out beyond n = 5000. Before
+them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases
+in doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any
+other method takes; some ten milliseconds at the most. They run on the presolved problem, each until it ends; but where
+no theorem promises an end, a method that has cost as much as the next one is predicted to cost waits until all others
+have had their turn: so none costs more than twice what the right one would have (:class:`Turns`). What they leave open,
+newton and lemke try once more from the start: the best point may have led astray (:class:`Retries`). Where a factor
+would fill in too much (n > 5000), newton and interior_point are left out, but not of programs. A row that contradicts
+its bounds by itself brings `feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000). lemke
+takes n ≤ 6000 (beyond, psor comes back at the end, until it stalls), `search` looks at the cases of problems with
+n ≤ 60 until a counted number of operations; what doubles leave open goes to exact arithmetic where at most 24 rows
+leave a choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from ...core.algorithms import create
+from ...core.algorithms.base import has_positive_diagonal
+from ...core.crossovers import (
+    INTERIOR_STEPS,
+    LINEAR_PROGRAM_UP_TO,
+    PIVOTED_UP_TO,
+    PIVOTS_FIRST_UP_TO,
+    SEMIDEFINITENESS_UP_TO,
+)
+from ...core.kernels.floats import EPSILON
+from ...core.lcp import LCP
+from ...core.policy.choice import last_resort
+from ...core.policy.stages import Choice, Stage
+from ...proofs.no_solution.infeasibility import contradictory_row
+from ...proofs.verdicts.sign import is_negated_m_matrix, is_negative
+from ..lemke.lemke import has_parts_that_fit
+from ..presolve.presolve import presolve
+
+CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
+
+
+def direct_methods(problem: LCP) -> Iterator[Choice]:
+    """Yield the methods that factorise, pivot or search, in the order of the table."""
+    yield from _first_look(problem, refutes=True)
+    yield from _by_prospects(problem, refutes=True)
+    yield from _at_last(problem, refutes=True)
+
+
+class Turns:
+    """The direct methods one after the other; those that may wait, and go on too long, once more before the search.
+
+    Each has at most two turns, so that there is an end. Where `refutes` is False, nothing looks for proofs; where
+    `looks_at_cases` is, nothing looks for solutions but those that lie near the start.
+    """
+
+    def __init__(
+        self, problem: LCP, retries: Retries, *, refutes: bool = True, looks_at_cases: bool = True
+    ) -> None:
+        self._problem, self._waiting, self._retries = problem, list[Choice](), retries
+        self._last = _at_last(problem, refutes)
+        self._coming = chain(_first_look(problem, refutes) if looks_at_cases else (), _by_prospects(problem, refutes))
+        self._now: Choice | None = None
+
+    def first(self) -> Choice | None:
+        """Return the method with the best prospects."""
+        self._now = next(self._coming, None) or next(self._last, None)
+        return self._now
+
+    def after(self, stages: Sequence[Stage], target: float, *, failed: bool) -> Choice | None:
+        """Return what takes over from the last stage, or None to go on (where that failed: to end)."""
+        stage = stages[-1]
+        if failed and stage.least_residual > target:  # all cases were looked at
+            return None
+        is_overdue = self._now is not None and self._now.may_wait and has_had_its_turn(stage, self._problem, target)
+        if not (failed or is_overdue):
+            return None
+        following = next(self._coming, None)
+        if following is not None:
+            if self._now is not None and not failed:
+                self._waiting.append(replace(self._now, because="the others have had their turn", may_wait=False))
+        elif failed:
+            following = self._waiting.pop(0) if self._waiting else self._retries.following(self._problem, stages)
+            following = following or next(self._last, None)
+        self._now = following or self._now
+        return following
+
+
+class Retries:
+    """newton and lemke once more, each once, on the whole problem from the start: the best point may lead astray."""
+
+    def __init__(self) -> None:
+        self._left = ["newton", "lemke"]
+
+    def following(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
+        """Return the next that has not begun there: lemke where two paths cost no more than was spent, or little."""
+        spent = sum(stage.work for stage in stages) * problem.nonzeros
+        while problem.n <= PIVOTED_UP_TO and self._left:
+            name = self._left.pop(0)
+            is_dear = name == "lemke" and 4.0 * problem.n**3 > max(spent, CHEAP_ENTRIES)
+            if not is_dear and not any(stage.algorithm.name == name and stage.from_start for stage in stages):
+                return Choice(create(name, {}), f"{name} once more, from the start", from_start=True)
+        return None
+
+
+def has_had_its_turn(stage: Stage, problem: LCP, target: float) -> bool:
+    """Return whether a method has cost what the one after it is predicted to cost, and shows no end.
+
+    Newton's steps are factorisations, as those of interior_point; a path of n pivots touches 2 n² entries with each,
+    and lemke follows two.
+    """
+    if stage.algorithm.name == "lemke":
+        return stage.work * problem.nonzeros > 4.0 * problem.n**3
+    return stage.iterations >= INTERIOR_STEPS and stage.steps_to_go(target) > INTERIOR_STEPS
+
+
+def may_be_searched(problem: LCP) -> bool:
+    """Return whether a first look at all cases is worth its time.
+
+    A convex program is a matter of convex methods, which give the multipliers that its users expect.
+    """
+    from ..search import is_searchable
+
+    return is_searchable(problem) and not is_of_convex_program(problem.origin)
+
+
+def is_of_convex_program(origin: Any) -> bool:
+    """Return whether a problem of this origin states a convex program: only such are converted."""
+    return bool(getattr(origin, "is_of_convex_program", False))
+
+
+def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
+    from ..search.stages import ExhaustiveSearch
+
+    if may_be_searched(problem):
+        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), "few enough cases to look at all of them")
+
+
+def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
+    from ...systems.factors import factor_fits
+    from ..search.stages import FeasibilityCheck, LargestPoint
+
+    if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
+        yield Choice(LargestPoint(refutes=refutes), "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does")
+    # A program has been folded already, and what could be decided of its multipliers is not worth the look.
+    is_kkt = getattr(problem.origin, "form", "") == "kkt"
+    reduced = None if is_kkt else presolve(problem)
+    left = problem if reduced is None else reduced.problem
+    about = f" ({reduced})" if left is not problem else ""
+    newton = Choice(create("newton", {}), f"the active set is guessed and its linear system solved{about}", reduced)
+    interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
+    check = Choice(FeasibilityCheck(), "is there a solution at all?")
+    lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
+    left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
+    left_out += [] if has_parts_that_fit(left) else [lemke.algorithm]
+    # A program has no other method that would be quicker, whatever its factor fills.
+    if not (is_kkt or left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
+        left_out += [newton.algorithm, interior.algorithm]
+    if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
+        left_out.append(newton.algorithm)  # whose active sets change at random there
+    row = contradictory_row(problem) if refutes else None
+    if row is not None and row.excludes(EPSILON):
+        yield replace(check, because="one row contradicts its bounds by itself")
+    elif newton.algorithm not in left_out and not left.is_dense and _suits_newton(left):
+        yield newton
+        left_out.append(newton.algorithm)
+    if _seems_monotone(left, problem.origin):
+        order = [interior, check, newton, lemke]
+    else:
+        interior = replace(interior, because=f"M is not shown to be monotone, but interior points may do{about}")
+        may_be_p = bool(has_positive_diagonal(left.matrix).all())
+        newton, lemke = replace(newton, may_wait=may_be_p), replace(lemke, may_wait=True)
+        if left.is_dense or left.n <= PIVOTS_FIRST_UP_TO:
+            order = [newton, lemke, interior, check] if may_be_p else [lemke, interior, check, newton]
+        else:
+            order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]
+    chosen = [choice for choice in order if choice.algorithm not in left_out]
+    # A factor that fills in is better than no answer.
+    yield from chosen or [choice for choice in order if choice.algorithm in (newton.algorithm, interior.algorithm)]
+
+
+def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
+    from ..search import LARGEST_SIZE
+    from ..search.stages import ExhaustiveSearch
+
+    if refutes and problem.n <= LARGEST_SIZE:
+        yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them to the end")
+    if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
+        yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
+
+
+def _suits_newton(problem: LCP) -> bool:
+    from ...proofs.verdicts import analyze
+
+    return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
+
+
+def _seems_monotone(problem: LCP, origin: Any) -> bool:
+    """Return whether the interior point method has good prospects; proves nothing."""
+    from ...core.matrix.symmetry import is_nearly_symmetric
+
+    if problem.n == 0:
+        return False
+    if is_of_convex_program(origin):
+        return True
+    if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
+        return True
+    from ...systems.definiteness import is_semidefinite_to_rounding, symmetric_part
+
+    twice = symmetric_part(problem.M)
+    if bool((twice.diagonal() < 0.0).any()):
+        return False
+    # The multipliers of a quadratic program have empty rows and columns there.
+    rows = np.flatnonzero((twice != 0.0).sum(axis=1))  # the magnitudes may overflow
+    if rows.size > SEMIDEFINITENESS_UP_TO:
+        return False
+    return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True

@@ -1,0 +1,200 @@
+"""Newton matrices of interior points, M + diag: regularised, factorised, and the regularisation refined away.
+
+M is given, equilibrated, and not modified. Dense: Cholesky or LU. Sparse: LU by SuperLU; LDLᵀ of quadratic programs is
+in :mod:`.quasidefinite`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector, read_only
+from ...core.kernels.floats import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
+from ...core.matrix.structure import row_numbers
+from ...systems.factors import cholesky, dense_lu, sparse_lu, sparse_work
+
+REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
+SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4
+SMALLEST = 1e-300
+LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
+WORSE = 100.0  # times as large an error, beside its right-hand side, as before a smaller regularisation
+PIVOTS = (0.0, 0.1, 1.0)  # SuperLU's thresholds, tried in order where a factor turns out useless
+
+
+class NewtonMatrix:
+    """M + diag(diagonal), factorised once an iteration; M itself is given, equilibrated, and not modified.
+
+    Attributes
+    ----------
+    work : float
+        Multiplications so far.
+    enough : float
+        An error of a solve that is not refined any further.
+    missed : float
+        The largest error that a solve has left since the last factorisation.
+    share : float
+        The same beside the largest component of its right-hand side.
+    signs : ndarray, shape (n,)
+        −1 on the rows whose z is a multiplier of others, else 1.
+    """
+
+    def __init__(self, n: int, M: Any = None) -> None:
+        self.n, self.M = n, M
+        self.work = 0.0
+        self.signs = read_only(np.ones(self.n))
+        self.regularisation = self._least = REGULARISATION
+        self.missed = self.enough = 0.0
+        self.share, self._share_before = 0.0, np.inf
+        self._may_sharpen = self._is_easy = True
+        self._diagonal = np.zeros(self.n)
+
+    @property
+    def corrections(self) -> int:
+        """How many corrections towards the centre are worth their solves, beside a factorisation."""
+        return 2 if self.n >= LARGE else 1
+
+    def product(self, z: FloatVector) -> FloatVector:
+        """Return M z."""
+        return np.asarray(self.M @ z)
+
+    def factorise(self, diagonal: FloatVector) -> bool:
+        """Factorise with this diagonal, shape (n,), ≥ 0; return False where no regularisation helps."""
+        self._diagonal, self.missed, self.share = diagonal, 0.0, 0.0
+        if self._is_easy:
+            self.regularisation = max(self._least, 0.01 * self.regularisation)
+        self._is_easy = True
+        while not self._try(diagonal + self.regularisation):
+            self._may_sharpen = self._is_easy = False
+            self.regularisation *= 100.0
+            self._least = min(self.regularisation, REGULARISATION)
+            if self.regularisation > LARGEST_REGULARISATION:
+                return False
+        return True
+
+    def sharpen(self) -> None:
+        """Regularise less from the next factorisation on, unless that has failed, or made matters worse, before."""
+        if not self._may_sharpen:
+            return
+        self._may_sharpen = self.share <= WORSE * self._share_before
+        self._share_before = self.share
+        if self._may_sharpen:
+            self._least = max(0.01 * self._least, SMALLEST_REGULARISATION)
+        else:
+            self._least = min(100.0 * self._least, REGULARISATION)
+
+    def solve(self, right: FloatVector) -> FloatVector:
+        """Return x with (M + diag(diagonal)) x = right, shape (n,), the regularisation refined away where possible."""
+        x = self._apply(right)
+        size = float(np.max(np.abs(right), initial=0.0))
+        left, error = self._left(right, x)
+        for _ in range(REFINEMENTS):
+            if not max(REFINED * size, min(self.enough, ROUGH * size)) < error < np.inf:
+                break
+            better = x + self._apply(left)
+            left, smaller = self._left(right, better)
+            if not smaller < error:
+                break
+            x, error = better, smaller
+        self.missed, self.share = max(self.missed, error), max(self.share, error / max(size, SMALLEST))
+        return x
+
+    def _left(self, right: FloatVector, x: FloatVector) -> tuple[FloatVector, float]:
+        """Return what x leaves of the right-hand side, and its largest magnitude."""
+        self.work += self._entries
+        left = right - self.M @ x - self._diagonal * x
+        return left, float(np.max(np.abs(left), initial=0.0))
+
+    def is_useful(self, diagonal: FloatVector) -> bool:
+        """Whether a solve leaves a residual of M + diag(diagonal) that refinement can reduce."""
+        x = self._apply(np.ones(self.n))
+        left = float(np.max(np.abs(1.0 - self.M @ x - diagonal * x), initial=0.0))
+        return left <= max(USEFUL, STABLE * float(np.max(np.abs(x), initial=0.0)))
+
+    @property
+    def _entries(self) -> float:
+        return float(self.M.nnz if sp.issparse(self.M) else self.M.size)
+
+    def _try(self, diagonal: FloatVector) -> bool:
+        """Factorise M + diag(diagonal); return whether that succeeded."""
+        raise NotImplementedError
+
+    def _apply(self, right: FloatVector) -> FloatVector:
+        """Return the factor's answer to one right-hand side."""
+        raise NotImplementedError
+
+
+class DenseNewtonMatrix(NewtonMatrix):
+    """Cholesky where M is symmetric, else LU with partial pivoting, in one array that is used again."""
+
+    def __init__(self, M: FloatVector, is_symmetric: bool, signs: FloatVector | None = None) -> None:
+        super().__init__(M.shape[0], M)
+        self.signs = self.signs if signs is None else read_only(signs)
+        self._factorise = cholesky if is_symmetric else dense_lu
+        self._buffer = np.empty_like(M)
+        self._factor: Any = None
+
+    def _try(self, diagonal: FloatVector) -> bool:
+        np.copyto(self._buffer, self.M)
+        self._buffer.flat[:: self.n + 1] += diagonal
+        self._factor = self._factorise(self._buffer, overwrite=True)
+        self.work += self.n**3 / (6.0 if self._factorise is cholesky else 3.0)
+        return self._factor is not None
+
+    def _apply(self, right: FloatVector) -> FloatVector:
+        self.work += self._factor.solve_work
+        x: FloatVector = self._factor.solve(right)
+        return x
+
+
+class SparseNewtonMatrix(NewtonMatrix):
+    """LU by SuperLU, ordered once by the pattern of M + Mᵀ, pivots from the diagonal.
+
+    The symmetric part of M + diag is positive definite, so every pivot on the diagonal is positive. Where a solve shows
+    a factor to be useless, pivoting is allowed.
+    """
+
+    def __init__(self, M: sp.csr_array) -> None:
+        super().__init__(M.shape[0], M)
+        self._arrange(np.arange(self.n))
+        self._factor: Any = None
+        self._factor_order = self._order
+        self._factor_work = 0.0
+        self._pivoting = 0
+
+    def _arrange(self, order: Any) -> None:
+        """Put rows and columns in this order, every entry of the diagonal stored."""
+        self._order, self._own_diagonal = order, self.M.diagonal()[order]
+        stored = sp.diags_array(1.0 + np.abs(self._own_diagonal))
+        self._rows = sp.csr_array(self.M[order][:, order] + stored)
+        self._rows.sort_indices()
+        self._places = np.flatnonzero(row_numbers(self._rows) == self._rows.indices)
+
+    def _try(self, diagonal: FloatVector) -> bool:
+        for pivoting in range(self._pivoting, len(PIVOTS)):
+            self._rows.data[self._places] = self._own_diagonal + diagonal[self._order]
+            is_first = not self._factor_work
+            try:  # CSR of the matrix is CSC of its transpose
+                self._factor = sparse_lu(
+                    self._rows.T, permc_spec="MMD_AT_PLUS_A" if is_first else "NATURAL",
+                    diag_pivot_thresh=PIVOTS[pivoting], options={"SymmetricMode": PIVOTS[pivoting] < 1.0},
+                )
+            except RuntimeError:
+                continue
+            self._factor_order = self._order
+            if is_first:  # rows and columns stay in the order that was found
+                self._factor_work = sparse_work(self._factor)
+                self._arrange(np.argsort(self._factor.perm_c))
+            self.work += self._factor_work
+            if self.is_useful(diagonal):
+                self._pivoting = pivoting
+                return True
+        return False
+
+    def _apply(self, right: FloatVector) -> FloatVector:
+        self.work += float(self._factor.nnz)
+        x = np.empty_like(right)
+        x[self._factor_order] = self._factor.solve(right[self._factor_order], trans="T")
+        return x

@@ -1,0 +1,254 @@
+"""One path of complementary pivoting: where it starts, how far it is, whether its numbers still hold."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.checks import FloatVector
+from ...core.kernels.workspace import (
+    AT_LOWER,
+    AT_UPPER,
+    BASIC,
+    BETWEEN,
+    HIGH,
+    KEPT,
+    LOW,
+    OTHER,
+    PLACE,
+    SIDE,
+    WIDTH,
+    shapes,
+)
+from ..small.kernels import tableau
+from ..small.kernels.tableau import GOING_ON, HELD, LOST, RETURNED, SOLVED
+from .canonical_box import WELL_CONDITIONED
+
+FloatMatrix = NDArray[np.float64]
+
+FRESH_FOR = 25  # pivots after which the tableau is computed anew, n where that is more: it costs about as much
+ACCURATE = 1e-12
+FEASIBLE = 1e-7
+CANCELLED = 2.0**-44  # what is left of a difference of equals is taken for 0
+NOT_STARTED = -1
+
+
+class Path:
+    """The path of w = M z + q + t r, 0 ≤ z ≤ u complementary, from one start towards t = 0.
+
+    Parameters
+    ----------
+    M : ndarray, shape (n, n)
+        Equilibrated; not modified.
+    q, upper : ndarray, shape (n,)
+        `upper` is positive, ∞ allowed.
+    """
+
+    def __init__(self, M: FloatMatrix, q: FloatVector, upper: FloatVector) -> None:
+        self.M, self.q, self.upper = M, q, upper
+        self.n = n = q.size
+        self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
+        real, whole, room = shapes(n)  # type: ignore[no-untyped-call]
+        self.real, self.whole, self.room = np.zeros(real), np.zeros(whole, dtype=np.int64), np.zeros(room)
+        self.held = np.zeros((HELD, n)), np.zeros((HELD, n + 1))  # for the kernel
+        self.real[WIDTH, :n] = upper
+        self.basis, self.others, self.side = self.whole[BASIC, :n], self.whole[OTHER, :n + 1], self.whole[SIDE, :n]
+        self.values, self.tableau = self.real[KEPT, :n], self.room[:n]
+        self.entries = 0.0  # touched so far
+        self.fresh_for = max(FRESH_FOR, n)
+        self.is_well_conditioned = True  # the basis, when the tableau was last computed
+        self.pivots = self.age = 0
+        self.basis[:] = n + np.arange(n)
+
+    # --- starts -----------------------------------------------------------------------------------------
+
+    def start_along(self, covering: FloatVector) -> bool:
+        """Start at z = 0 with the smallest t for which q + t r ≥ 0; False where there is none.
+
+        `covering` is r, shape (n,), positive where q is negative and nowhere negative.
+        """
+        n, q = self.n, self.q
+        if not np.all(covering[q < 0.0] > 0.0):
+            return False
+        with np.errstate(all="ignore"):
+            level = np.where(covering > 0.0, -q / covering, -np.inf)
+        basis, side = n + np.arange(n), np.full(n, AT_LOWER)
+        return self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max())))
+
+    @np.errstate(all="ignore")
+    def start_in_cell(self, side: Any, z: FloatVector, w: FloatVector) -> bool:
+        """Start at t = 1 from a complementary pair with the vector r that makes it exact; False if that is singular.
+
+        `side` names the cell; z and w must lie strictly inside it.
+        """
+        n = self.n
+        basis = np.where(side == BETWEEN, np.arange(n), n + np.arange(n))
+        is_started = self.start_at_vertex(w - self.M @ z - self.q, basis, side, 2 * n, -1.0, level=1.0)
+        self.start_side = self.side.copy()
+        return is_started
+
+    def start_at_vertex(
+        self, covering: FloatVector, basis: Any, side: Any, driven: int, direction: float, *, level: float = 0.0
+    ) -> bool:
+        """Start at a given basis with variable `driven` moving in the direction; t, if driven, stands at the level."""
+        self.covering = self.columns[:, self.n] = covering
+        self.basis[:], self.side[:] = basis, side
+        self.driven, self.value, self.direction = driven, level, direction
+        self.start_side = np.full(self.n, NOT_STARTED)
+        self.pivots = 0
+        return self._renew()
+
+    # --- moving -----------------------------------------------------------------------------------------
+
+    def advance(self, limit: int) -> int:
+        """Make up to `limit` pivots and return the outcome, a constant of `tableau`.
+
+        A ray, and a pivot too small to trust, are looked at again with a new tableau.
+        """
+        outcome = self._run(limit)
+        if outcome in (SOLVED, RETURNED):
+            return outcome
+        is_doubtful = outcome != GOING_ON and self.age > 0
+        if not self._is_sound(is_doubtful):
+            return LOST
+        if is_doubtful:
+            outcome = self._run(limit)
+        return GOING_ON if outcome == LOST else outcome
+
+    def _run(self, limit: int) -> int:
+        outcome, driven, value, direction, made = tableau.pivots(
+            self.real, self.whole, self.room, *self.held, self.start_side, self.driven, self.value, self.direction,
+            self.age == 0, limit,
+        )
+        self.driven, self.value, self.direction = int(driven), float(value), float(direction)
+        self.pivots += int(made)
+        self.age += int(made)
+        self.entries += float(made) * self.n * (self.n + 1.0)
+        return int(outcome)
+
+    @np.errstate(all="ignore")
+    def _is_sound(self, is_doubtful: bool) -> bool:
+        """Correct the values, with a new tableau where one is due; return whether they are feasible."""
+        wrong = self._correct()
+        if is_doubtful or wrong > ACCURATE or self.age >= self.fresh_for:
+            if not self._renew():
+                return False
+            wrong = self._correct()
+        if not wrong <= np.sqrt(ACCURATE):
+            return False
+        outside = np.maximum(self.real[LOW, :self.n] - self.values, self.values - self.real[HIGH, :self.n])
+        return bool(np.all(outside <= FEASIBLE * max(1.0, float(np.abs(self.values).max(initial=0.0)))))
+
+    @np.errstate(all="ignore")
+    def _renew(self) -> bool:
+        """Compute tableau and basic values from the data; False where the basis is singular to working precision."""
+        n, basis, D = self.n, self.basis, self.columns  # w = D (z, t) + q
+        is_other = np.ones(2 * n + 1, dtype=bool)
+        is_other[basis] = False
+        others = self.others[:] = np.flatnonzero(is_other)
+        self.whole[PLACE, basis], self.whole[PLACE, others] = np.arange(n), n + np.arange(n + 1)
+        inner, outer, is_slack, rows = self._sorted_out()
+        columns, other_columns, slack_rows = (
+            np.minimum(part, n) for part in (basis[inner], others[~is_slack], basis[outer] - n)
+        )
+        core = D[np.ix_(rows, columns)]
+        try:
+            inverse = np.linalg.inv(core)
+        except np.linalg.LinAlgError:
+            return False
+        if not np.isfinite(inverse).all():
+            return False
+        absolute = np.abs(inverse)
+        size = absolute.sum(axis=0).max(initial=0.0) * np.abs(core).sum(axis=0).max(initial=0.0)
+        self.is_well_conditioned = bool(size < WELL_CONDITIONED)
+        # What is zero in exact arithmetic must be zero here, or a pivot could stand on it.
+        inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
+        if not inverse.any(axis=1).all():  # a row of nothing but rounding
+            return False
+        beyond = D[np.ix_(slack_rows, columns)]
+        if inner.size:
+            top, below = np.empty((inner.size, n + 1)), np.zeros((outer.size, n + 1))
+            top[:, is_slack], top[:, ~is_slack] = inverse, _product(-inverse, D[np.ix_(rows, other_columns)])
+            below[:, ~is_slack] = D[np.ix_(slack_rows, other_columns)]
+            self.tableau[inner], self.tableau[outer] = top, _product(beyond, top, below)
+        else:
+            self.tableau[:] = D[slack_rows]
+        self.entries += float(rows.size) * (3.0 * float(rows.size) ** 2 + 2.0 * float(n) ** 2)
+        b = self._right_hand_side()
+        self.values[inner] = -inverse @ b[rows]
+        self.values[outer] = beyond @ self.values[inner] + b[slack_rows]
+        low, high = self.real[LOW, :n], self.real[HIGH, :n]
+        is_above = np.ones(n, dtype=bool)
+        is_above[outer] = self.side[slack_rows] != AT_UPPER
+        low[:], high[:] = np.where(is_above, 0.0, -np.inf), np.where(is_above, np.inf, 0.0)
+        is_z = basis < n
+        high[is_z] = self.upper[basis[is_z]]
+        self.age = 0
+        self._correct()
+        return True
+
+    def _sorted_out(self) -> tuple[Any, Any, Any, Any]:
+        """Return where z and t, and where w are basic; whether what is not basic is a w, and the rows of these."""
+        n = self.n
+        is_w = (self.basis >= n) & (self.basis < 2 * n)
+        is_slack = (self.others >= n) & (self.others < 2 * n)
+        return np.flatnonzero(~is_w), np.flatnonzero(is_w), is_slack, self.others[is_slack] - n
+
+    def _right_hand_side(self) -> FloatVector:
+        b = self.q.copy()
+        at_upper = self.side == AT_UPPER
+        if at_upper.any():
+            b += self.M[:, at_upper] @ self.upper[at_upper]
+        if self.driven == 2 * self.n:
+            b += self.value * self.covering
+        return b
+
+    @np.errstate(all="ignore")
+    def _correct(self) -> float:
+        """Refine the basic values by one step; return how wrong they were, relative to their terms."""
+        n, z, w = self.n, self.z, np.zeros(self.n)
+        _, outer, is_slack, rows = self._sorted_out()
+        slack_rows = self.basis[outer] - n
+        w[slack_rows] = self.values[outer]
+        t = self.value if self.driven == 2 * n else float(self.values[self.basis == 2 * n].sum())
+        error = w - self.M @ z - t * self.covering - self.q
+        size = np.abs(w) + self.absolute @ np.abs(z) + abs(t) * np.abs(self.covering) + np.abs(self.q)
+        self.entries += 3.0 * n * n
+        of_others = np.zeros(n + 1)
+        of_others[is_slack] = error[rows]
+        self.values += self.tableau @ of_others  # the columns of w are those of −B⁻¹
+        self.values[outer] -= error[slack_rows]
+        return float(np.max(np.abs(error) / np.maximum(size, 1e-300), initial=0.0))
+
+    # --- reading ----------------------------------------------------------------------------------------
+
+    @property
+    def z(self) -> FloatVector:
+        """The present z, shape (n,)."""
+        z = np.where(self.side == AT_UPPER, self.upper, 0.0)
+        is_z = self.basis < self.n
+        z[self.basis[is_z]] = self.values[is_z]
+        return z
+
+    @property
+    def ray(self) -> FloatVector:
+        """The direction of z along which nothing blocks the driven variable, shape (n,)."""
+        direction = np.zeros(self.n)
+        if self.driven < self.n:
+            direction[self.driven] = self.direction
+        is_z = self.basis < self.n
+        column = self.tableau[:, self.whole[PLACE, self.driven] - self.n]
+        direction[self.basis[is_z]] += self.direction * column[is_z]
+        return direction
+
+
+def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> FloatMatrix:
+    """Return A B, or A B + C, with what is rounding of its terms taken for 0."""
+    product, terms = A @ B, np.abs(A) @ np.abs(B)
+    if C is not None:
+        product += C
+        terms += np.abs(C)
+    product[np.abs(product) <= CANCELLED * terms] = 0.0
+    return product

@@ -1,0 +1,1 @@
+"""Projected full multigrid: projected sweeps, truncated V-cycles on the free unknowns, nested iteration."""

@@ -1,0 +1,389 @@
+"""One run of projected full multigrid: the problems of its grids, its truncation, its safeguards."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.algorithms.base import Step
+from ...core.checks import FloatVector
+from ...core.lcp import LCP
+from ...core.matrix.equilibration import power_of_two
+from ...core.matrix.symmetry import has_symmetric_entries
+from ...systems.hierarchy import sweeps, vectors
+from ...systems.hierarchy.levels import hierarchy_of
+from ...systems.hierarchy.truncation import KrylovCorrection, Truncation
+from ...systems.hierarchy.vectors import dot, span
+from .multigrid_problem import GridProblem
+from .multigrid_safeguard import GAINED, Safeguard
+
+if TYPE_CHECKING:
+    from .multigrid import Multigrid
+
+COARSE_CYCLES, MOST_COARSE_CYCLES = 2, 10
+COARSE_CHANGES = 5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
+COARSEST_SWEEPS = 50
+CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
+CREPT_LONG = 2  # such cycles in a row
+SLOW = 0.1  # a contraction a cycle from which on Krylov steps pay
+SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
+SHORT_KRYLOV, LONG_KRYLOV = 2, 8
+LONG_CONJUGATE = 24  # where M is symmetric: conjugate gradients keep no directions
+KRYLOV_GAIN = 1e-2
+MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before has left
+MOST_IDLE = 2  # such rounds without fewer changes: the free set creeps, or comes back to where it was
+ROUND_GAIN = 0.1
+JUMPS, ROUND_GAIN_AT_JUMPS = 1e6, 1e-5  # of couplings: w of what is not quite solved has wrong signs
+TIGHTER, LEAST_GAIN = 1e-2, 1e-9  # times that, where such rounds have failed
+FALL_BACK_SWEEPS = 20
+NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
+HALVINGS = 4
+
+
+class MultigridRun:
+    """The state of one run on one problem."""
+
+    def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
+        self.algorithm, self.problem = algorithm, problem
+        matrix, own_entries = problem.matrix, problem.matrix.csr_rows.nnz
+        self.work = 0.0 if has_symmetric_entries.is_known(matrix) else float(own_entries)
+        self.is_symmetric = has_symmetric_entries(matrix)
+        is_built = hierarchy_of.is_known(matrix, algorithm.coarsest)
+        self.hierarchy = hierarchy = hierarchy_of(matrix, algorithm.coarsest)
+        self.work += 0.0 if is_built else hierarchy.work
+        finest = hierarchy.grids[0]
+        self.communicator = finest.communicator
+        # What snaps to a bound is measured before it does.
+        is_measured = algorithm.smoother in ("pgs", "psor")
+        self.tells_residual = is_measured and self.communicator.everywhere(
+            np.array_equal(problem.residual_scale, problem.diagonal)
+        )
+        self.truncation = Truncation(hierarchy)
+        self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.extends else 1
+        jumps = hierarchy.extends and self.communicator.largest(finest.spread) > JUMPS
+        self.gain = ROUND_GAIN_AT_JUMPS if jumps else ROUND_GAIN
+        self.has_tried_rounds = not self.is_symmetric
+        self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
+        self.size = self.communicator.total(finest.n)
+        self.entries = max(self.communicator.total(finest.matrix.data.size), 1.0)
+
+    def iterates(self, start: FloatVector) -> Iterator[Step]:
+        """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
+        n = start.size
+        z = start
+        if self.communicator.foreign:
+            z = np.zeros(self.hierarchy.grids[0].width)
+            z[:n] = start
+        is_cold = self.communicator.everywhere(np.array_equal(start, self.problem.nearest_to_zero))
+        for step in self._whole_iterates(z, is_cold):
+            yield step if z is start else replace(step, z=step.z[:n])
+
+    def _whole_iterates(self, z: FloatVector, is_cold: bool) -> Iterator[Step]:
+        begun = self._residual(z)
+        yield Step(z, residual=begun if self.tells_residual else None, work=self._spent())
+        if not self.hierarchy.is_helpful:
+            yield from self._sweeps_alone(z)
+            return
+        start = z.copy()
+        if not is_cold:  # the start may be much better than what the first cycle makes of it
+            nearest = np.zeros(z.size)
+            nearest[: self.problem.q.size] = self.problem.nearest_to_zero
+            begun = max(begun, self._residual(nearest))
+        if self.algorithm.nested and len(self.hierarchy.grids) > 1:
+            self._nested_start(z, is_cold)
+        yield from self._cycles(z, begun, start)
+
+    def _residual(self, z: FloatVector) -> float:
+        """Return the largest scaled residual of z, and leave everything as it is."""
+        fine = self.problems[0]
+        free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
+        self.communicator.fetch(z)
+        residual = fine.residual[: fine.q.size]
+        largest, _ = sweeps.free_rows(fine.grid.rows, fine.vectors, z, False, free, changed, residual)
+        self.work += fine.entries
+        return self.communicator.largest(float(largest))
+
+    # --- nested iteration -------------------------------------------------------------------------------
+
+    def _nested_start(self, z: FloatVector, is_cold: bool) -> None:
+        """Add to z what the coarser grids' problems for it answer, each the start of the next finer one.
+
+        From a warm start they are asked for the increment only: its free set may have to move by more rows than cycles
+        would move it, and what the start has got right stays as it is.
+        """
+        fine = self.problems[0]
+        own = z[: fine.q.size]
+        if is_cold:
+            z[:] = 0.0
+            self._add_coarse_problems(fine.q, fine.lower, fine.upper)
+        else:
+            fine.sweep(z, backward=False)
+            fine.sweep(z, backward=True)
+            self._add_coarse_problems(self.problem.slack(own), fine.lower - own, fine.upper - own)
+            self.work += 3.0 * fine.entries
+        coarsest, last = self.problems[-1], len(self.problems) - 1
+        answer = np.zeros_like(coarsest.residual)
+        np.clip(0.0, coarsest.lower, coarsest.upper, out=answer[: coarsest.q.size])
+        for k in range(COARSEST_SWEEPS):
+            coarsest.sweep(answer, backward=k % 2 == 1)
+        self.work += COARSEST_SWEEPS * coarsest.entries
+        for k in range(last - 1, 0, -1):
+            answer = self._interpolated(k, answer, np.zeros_like(self.problems[k].residual))
+            self._cycle_on(k, answer)
+        self._interpolated(0, answer, z)
+        del self.problems[1:]
+
+    @np.errstate(over="ignore", under="ignore")  # of bounds in single precision, or far from the unit
+    def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
+        unit = self.nested_unit = power_of_two(self.communicator.largest(span(q * self.problems[0].grid.inverse)))
+        for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
+            dtype = coarser.inverse.dtype
+            finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n, dtype)
+            vectors.restrict(transfer, finer, unit, q)
+            self.work += transfer.restriction.data.size
+            coarse = np.flatnonzero(transfer.is_coarse)
+            lower, upper = ((bound[coarse] / unit).astype(dtype) for bound in (lower, upper))
+            unit = 1.0
+            self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
+
+    def _whole(self, k: int, own: FloatVector) -> FloatVector:
+        """Return the values on grid k with the foreign ones behind them."""
+        grid = self.hierarchy.grids[k]
+        if not grid.communicator.foreign:
+            grid.communicator.fetch(own)
+            return own
+        whole = np.zeros(grid.width, own.dtype)
+        whole[: own.size] = own
+        grid.communicator.fetch(whole)
+        return whole
+
+    def _interpolated(self, k: int, coarse: FloatVector, z: FloatVector) -> FloatVector:
+        """Return z with P coarse added, within the bounds of grid k."""
+        fine, transfer = self.problems[k], self.hierarchy.transfers[k]
+        everywhere = np.ones(z.size, np.bool_)
+        self.hierarchy.grids[k + 1].communicator.fetch(coarse)
+        unit = self.nested_unit if k == 0 else 1.0
+        vectors.prolong(transfer, coarse, unit, everywhere, fine.lower, fine.upper, z)
+        self.work += transfer.prolongation.data.size
+        return z
+
+    def _cycle_on(self, k: int, z: FloatVector) -> None:
+        fine = self.problems[k]
+        self.truncation.start_at(k)
+        few = COARSE_CHANGES * self.communicator.total(fine.q.size)
+        for cycle in range(1, MOST_COARSE_CYCLES + 1):
+            fine.sweep(z, backward=False)
+            _, changed = self._look(k, z)
+            self._correct(k, z)
+            fine.sweep(z, backward=True)
+            self.work += 2.0 * fine.entries
+            if cycle >= COARSE_CYCLES and changed <= few:  # what is left to move is dearer one grid up
+                break
+
+    # --- the finest grid --------------------------------------------------------------------------------
+
+    def _cycles(self, z: FloatVector, begun: float, start: FloatVector) -> Iterator[Step]:
+        """Yield cycles from z; where they fail go back to what was accepted, at first `start`, of residual `begun`."""
+        self.truncation.start_at(0)
+        fine, guard = self.problems[0], Safeguard(self.problem, self.is_symmetric, start, begun)
+        previous, changed_before, cycles, crept = np.inf, 0.0, 0, 0
+        may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
+        nested_at = np.inf
+        while True:
+            fine.sweep(z, backward=False)
+            largest, changed = self._look(0, z)
+            self.work += self.entries
+            if is_lost := guard.is_out_of_hand(z, largest):
+                np.copyto(z, guard.z)
+                largest = guard.residual
+            yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
+            is_lost = is_lost or not guard.lets_pass(z, largest)
+            self.work += guard.take_products() * self.entries
+            if is_lost:
+                previous = np.inf
+                if not (yield from self._tries_again(z, guard)):
+                    return
+                continue
+            is_slow = cycles >= 1 and largest > SLOW * previous
+            crept = crept + 1 if changed > CREEPING * changed_before else 0
+            may_nest = may_nest and (largest <= GAINED * nested_at)
+            previous, changed_before, nested_at = largest, changed, np.inf
+            cycles += 1
+            if is_slow and changed and crept > CREPT_LONG and may_nest:
+                self._nested_start(z, is_cold=False)
+                self.truncation.start_at(0)
+                changed_before, crept, nested_at = self.size, 0, largest
+            elif is_slow and changed <= max(SETTLED * self.size, 1):
+                yield from self._krylov(z, is_settled=not changed)
+            else:
+                self.truncation.unit = power_of_two(largest)
+                self._correct(0, z)
+            fine.sweep(z, backward=True)
+            self.work += self.entries
+
+    def _tries_again(self, z: FloatVector, guard: Safeguard) -> Generator[Step, None, bool]:
+        """Go on from the accepted iterate by other means than those that have failed; return False where none is left.
+
+        They are grids in double precision, free sets found by Krylov steps in rounds, and sweeps.
+        """
+        if self._goes_on_in_double(z):
+            guard.forget()
+            return True
+        guard.restore(z)
+        if not self.has_tried_rounds:
+            self.has_tried_rounds, self.rounds = True, MOST_ROUNDS
+            self._look(0, z)
+            yield from self._krylov(z, is_settled=False)
+            return True
+        self.gain = max(TIGHTER * self.gain, LEAST_GAIN)
+        yield from self._fall_back(z)
+        return guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over)
+
+    def _goes_on_in_double(self, z: FloatVector) -> bool:
+        """Take coarser grids in double precision, and what they answer as z; False where they are so already.
+
+        What single precision made of z is no start: the errors that it cannot see are in it.
+        """
+        if not self.hierarchy.is_single:
+            return False
+        matrix, coarsest = self.problem.matrix, self.algorithm.coarsest
+        is_built = hierarchy_of.is_known(matrix, coarsest, False)
+        self.hierarchy = hierarchy_of(matrix, coarsest, False)
+        self.work += self.truncation.take_work() + (0.0 if is_built else self.hierarchy.work)
+        self.truncation = Truncation(self.hierarchy)
+        if self.algorithm.nested:
+            self._nested_start(z, is_cold=True)
+            self.truncation.start_at(0)
+        return True
+
+    def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
+        """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
+        top, fine = self.truncation.grids[k], self.problems[k]
+        fine.communicator.fetch(z)
+        own_largest, own_changed = sweeps.free_rows(
+            fine.grid.rows, fine.vectors, z, fine.is_projected_type, top.is_free, top.free_changed,
+            fine.residual[: fine.q.size],
+        )
+        self.work += fine.entries
+        largest, changed = fine.communicator.largest(own_largest), fine.communicator.total(own_changed)
+        if changed:
+            self.truncation.update()
+        return largest, changed
+
+    def _correct(self, k: int, z: FloatVector) -> None:
+        """Add to z on the free rows one V-cycle's answer to the residual, cut off at the bounds."""
+        fine, top = self.problems[k], self.truncation.grids[k]
+        if k == len(self.hierarchy.transfers):
+            np.copyto(top.b, fine.residual[: fine.q.size])
+            self.truncation.correct(k)
+            part = z[: fine.q.size]
+            np.clip(part + top.x[: fine.q.size], fine.lower, fine.upper, out=part)
+            return
+        below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
+        unit = self.truncation.unit
+        self.truncation.restrict(k, fine.residual)
+        self.truncation.correct(k + 1)
+        below.grid.communicator.fetch(below.x)
+        before = None
+        if k == 0 and self.is_symmetric:
+            before = self.truncation.vector()
+            np.copyto(before, z[: before.size])
+        cut = vectors.prolong(transfer, below.x, unit, top.is_interpolated, fine.lower, fine.upper, z)
+        self.work += 2.0 * transfer.prolongation.data.size
+        if before is None:
+            return
+        if self.communicator.total(cut) > NOTEWORTHY_CUT * self.size:
+            self._shorten(before, z)
+        self.truncation.spare.append(before)
+
+    @np.errstate(all="ignore")
+    def _shorten(self, before: FloatVector, z: FloatVector) -> None:
+        """Halve the step from `before` to z until the energy does not rise; take it back where that does not help."""
+        fine = self.problems[0]
+        n, product, step = before.size, self.truncation.vector(), z.copy()
+        step[:n] -= before
+        unit = power_of_two(self.communicator.largest(span(step[:n])))
+        step /= unit
+        self.communicator.fetch(step)
+        sweeps.free_product(fine.grid.rows, np.ones(n), step, product)
+        # w = −residual on the free rows; the others did not move
+        slope = -self.communicator.total(dot(step[:n], fine.residual[:n] / unit))
+        curvature = self.communicator.total(dot(step[:n], product))
+        self.work += self.entries
+        size = 1.0
+        for _ in range(HALVINGS):
+            if size * slope + 0.5 * size * size * curvature <= 0.0:
+                break
+            size *= 0.5
+        else:
+            size = 0.0
+        if size < 1.0:
+            np.copyto(z[:n], before + size * unit * step[:n])
+        self.truncation.spare.append(product)
+
+    def _krylov(self, z: FloatVector, *, is_settled: bool) -> Iterator[Step]:
+        """Add to z the correction of the free rows by Krylov steps, one V-cycle each.
+
+        In rounds: that cut off at the bounds gives the next free rows, until none changes; the method of primal-dual
+        active sets, which no single V-cycle can stand in for where few contacts hold much.
+        """
+        fine, part, origin = self.problems[0], z[: self.problems[0].q.size], self.truncation.vector()
+        most, gain = (LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV) if is_settled else SHORT_KRYLOV, KRYLOV_GAIN
+        if self.rounds > 1:
+            most, gain = LONG_CONJUGATE, self.gain
+        fewest, idle = np.inf, 0
+        for rounds_left in range(self.rounds - 1, -1, -1):
+            correction = KrylovCorrection(self.truncation, fine.residual[: fine.q.size], self.is_symmetric)
+            left = begun = correction.largest()
+            np.copyto(origin, part)
+            for step in range(most):
+                if not correction.step():
+                    break
+                correction.apply_within(origin, fine.lower, fine.upper, part)
+                left = correction.largest()
+                if left <= gain * begun or step == most - 1:
+                    break
+                yield Step(z, increment=left, work=self._spent())
+            correction.give_back()
+            if rounds_left == 0:
+                break
+            if left > ROUND_GAIN * begun:  # V-cycles do not do here
+                self.rounds = 1
+                break
+            largest, changed = self._look(0, z)
+            fewest, idle = (changed, 0) if changed < fewest else (fewest, idle + 1)
+            if idle > MOST_IDLE:
+                self.rounds = 1
+            if self.rounds == 1 or not changed:
+                break
+            yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
+        self.truncation.spare.append(origin)
+
+    # --- without coarser grids --------------------------------------------------------------------------
+
+    def _sweeps_alone(self, z: FloatVector) -> Iterator[Step]:
+        """Yield sweeps: multigrid is no help for this matrix. Where no theorem says more, as long as they contract."""
+        goes_on = self.is_symmetric and not self.algorithm.hands_over
+        before = np.inf
+        while True:
+            for _ in range(FALL_BACK_SWEEPS):
+                change = self.problems[0].gauss_seidel(z)
+                yield Step(z, increment=change, work=1.0)
+            if not (goes_on or change < GAINED * before):
+                return
+            before = change
+
+    def _fall_back(self, z: FloatVector) -> Iterator[Step]:
+        for _ in range(FALL_BACK_SWEEPS):
+            change = self.problems[0].gauss_seidel(z)
+            self.work += self.entries
+            yield Step(z, increment=change, work=self._spent())
+
+    def _spent(self) -> float:
+        """Return the passes over M since the last step."""
+        work = self.communicator.total(self.work + self.truncation.take_work())
+        self.work = 0.0
+        return work / self.entries

@@ -1,0 +1,153 @@
+r"""Why projected multigrid converges, and the safeguard that makes it so: the last accepted iterate.
+
+J(z) = ½ zᵀMz + qᵀz, ρ(z) the largest scaled residual |z_i − mid(l_i, u_i, z_i − w_i/d_i)|, d the diagonal of M, and S
+one projected Gauss–Seidel sweep. From an accepted iterate y the run tries z: any correction (a truncated V-cycle,
+Krylov steps, a nested iteration), cut off at the bounds and followed by sweeps. It accepts z where
+
+(a)  ρ(z) ≤ 0.9 · the least ρ of all accepted iterates, or
+(b)  J(z) ≤ J(y) − σ min(d) ρ(y)²,  σ = 1e-4.
+
+Where J rises, and where neither holds for twelve cycles in a row, it goes back and accepts S²⁰(y); but the first time
+it tries other corrections from y.
+
+**Theorem.** Let M be symmetric positive definite, with any bounds. In exact arithmetic the accepted iterates converge
+to the solution z* from any start, whatever the corrections are.
+
+*Proof.* ‖y − z*‖ ≤ C ρ(y) for some C [1]_, and J(y) − J(z*) ≥ ½ λ_min ‖y − z*‖², since z* is the minimiser of J
+within the bounds. If (a) accepts infinitely often, its iterates tend to z*, and J along them to J(z*). Between two of
+them J does not rise, neither by (b) nor by sweeps; so J of all accepted iterates tends to J(z*), and they to z*.
+Otherwise J never rises from some iterate on and has a limit. If (b) accepts infinitely often, the ρ(y) before those
+steps tend to 0, these y to z*, and J with all iterates to J(z*). If it does not, sweeps follow upon sweeps from some
+iterate on, and they converge [2]_. ∎
+
+Without symmetry there is no J, and any z with a smaller ρ than all since the last sweeps is accepted. On an H₊-matrix
+sweeps contract in a maximum norm; so a run in which corrections are accepted finitely often converges, and where each
+acceptance reduced the least ρ by a fixed factor so would any other. That is not asked: a correction may lower ρ by ever
+less, and no proof covers that. Such a run ends after three rounds of cycles and sweeps that gained little.
+
+(a) costs nothing. (b) is looked at where (a) fails, which is where cycles gain little, and costs one product with M.
+
+References
+----------
+.. [1] J. S. Pang, *A posteriori error bounds for the linearly-constrained variational inequality problem*,
+   Math. Oper. Res. 12 (1987), doi:10.1287/moor.12.3.474.
+.. [2] C. W. Cryer, *The solution of a quadratic programming problem using systematic overrelaxation*,
+   SIAM J. Control 9 (1971), doi:10.1137/0309028.
+.. [3] C. Gräser, R. Kornhuber, *Multigrid methods for obstacle problems*, J. Comput. Math. 27 (2009): the correction
+   after a nonlinear smoother needs to be monotone only.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.checks import FloatVector
+from ...core.kernels.floats import EPSILON
+from ...systems.hierarchy.vectors import dot
+
+if TYPE_CHECKING:
+    from ...core.lcp import LCP
+
+SHRUNK = 0.9
+SUFFICIENT = 1e-4
+PATIENCE = 12  # cycles that may pass without an accepted one
+OUT_OF_HAND = 100.0  # times the least residual, which no patience is for
+GAINED = 0.5  # a round of cycles and sweeps that reduces the least residual by less has failed
+MOST_FAILED_ROUNDS = 3
+
+
+class Safeguard:
+    """The last accepted iterate of a run, to which it goes back where corrections fail.
+
+    Parameters
+    ----------
+    problem : LCP
+    is_symmetric : bool
+    z : array, shape (width,)
+        An iterate with foreign values behind the own ones; copied.
+    residual : float
+        Its largest scaled residual.
+    """
+
+    def __init__(self, problem: LCP, is_symmetric: bool, z: FloatVector, residual: float) -> None:
+        self.problem, self.is_symmetric = problem, is_symmetric
+        self.z, self.residual, self.least = z.copy(), residual, residual
+        self.idle, self.failed_rounds, self._least_of_round = 0, 0, np.inf
+        self._slack: FloatVector | None = None
+        self._products = 0
+
+    def is_out_of_hand(self, z: FloatVector, residual: float) -> bool:
+        """Return whether the residual is no number, or far beyond the least one while the energy has not fallen."""
+        if residual <= OUT_OF_HAND * self.least:
+            return False
+        return not (self.is_symmetric and np.isfinite(residual) and self._energy_change(z)[0] < 0.0)
+
+    def lets_pass(self, z: FloatVector, residual: float) -> bool:
+        """Return whether the run may go on from z, which is accepted if it has gained enough."""
+        self.idle += 1
+        if residual < (SHRUNK * self.least if self.is_symmetric else self.least):
+            self._accept(z, residual)
+        elif self.is_symmetric:
+            change, noise, slack = self._energy_change(z)
+            if change > noise:
+                return False
+            if change < -max(noise, SUFFICIENT * self._least_diagonal * self.residual * self.residual):
+                self._accept(z, residual, slack)
+        return self.idle < PATIENCE
+
+    def restore(self, z: FloatVector) -> None:
+        """Overwrite z by the accepted iterate, from which other corrections are tried."""
+        np.copyto(z, self.z)
+        self.idle = 0
+
+    def forget(self) -> None:
+        """Accept the next iterate, whatever was before."""
+        self.least, self.idle = np.inf, 0
+
+    def lets_sweeps_pass(self, z: FloatVector, residual: float, *, hands_over: bool) -> bool:
+        """Accept what sweeps have made of the accepted iterate; return False where another method should take over.
+
+        That is where three rounds of cycles and sweeps have hardly reduced the least residual, and the energy has not
+        fallen beyond rounding; where the run `hands_over`, whatever the energy did.
+        """
+        is_gain = self.least < GAINED * self._least_of_round
+        if not is_gain and self.is_symmetric and not hands_over:
+            change, noise, _ = self._energy_change(z)
+            is_gain = change < -noise
+        self.failed_rounds = 0 if is_gain else self.failed_rounds + 1
+        self._least_of_round = self.least
+        self._accept(z, residual)
+        if not self.is_symmetric:
+            self.least = residual
+        return self.failed_rounds < MOST_FAILED_ROUNDS
+
+    def take_products(self) -> int:
+        """Return the products with M since the last call."""
+        products, self._products = self._products, 0
+        return products
+
+    def _accept(self, z: FloatVector, residual: float, slack: FloatVector | None = None) -> None:
+        np.copyto(self.z, z)
+        self.residual, self.least, self.idle, self._slack = residual, min(self.least, residual), 0, slack
+
+    @property
+    def _least_diagonal(self) -> float:
+        return -self.problem.communicator.largest(-float(self.problem.diagonal.min(initial=np.inf)))
+
+    @np.errstate(all="ignore")  # between bounds of ±1e308
+    def _energy_change(self, z: FloatVector) -> tuple[float, float, FloatVector]:
+        """Return J(z) − J(accepted) = ½ dᵀ(w + w_accepted), what rounding may make of it, and w."""
+        problem, n = self.problem, self.problem.q.size
+        own, accepted, total = z[:n], self.z[:n], problem.communicator.total
+        if self._slack is None:
+            self._slack = problem.slack(accepted)
+            self._products += 1
+        slack = problem.slack(own)
+        self._products += 1
+        step = own - accepted
+        terms = problem.diagonal * np.maximum(np.abs(own), np.abs(accepted)) + np.abs(problem.q)
+        return (
+            0.5 * total(dot(step, slack + self._slack)), 8.0 * EPSILON * total(dot(np.abs(step), terms)), slack,
+        )

@@ -1,0 +1,185 @@
+"""Active sets: which bounds hold, the linear system that remains once that is decided, and what a run remembers."""
+
+from __future__ import annotations
+
+import math
+from hashlib import blake2b
+from typing import NamedTuple
+
+import numpy as np
+
+from ...core.algorithms.base import Step
+from ...core.certificates.row_residuals import scaled_residual
+from ...core.checks import BoolVector, FloatVector
+from ...core.lcp import LCP
+from ...systems.free_systems import FreeSystem
+
+LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorisation
+LARGE_PATIENCE = 20
+
+
+class ActiveSetSolution(NamedTuple):
+    """What an active set gives.
+
+    Attributes
+    ----------
+    z : ndarray, shape (n,)
+        At its bound on the active rows; w = 0 on the free rows, as well as can be.
+    system : FreeSystem
+        That of the free rows, for another call with the same M.
+    work : float
+        Matrix entries touched, factorisation included, divided by the nonzeros of M.
+    """
+
+    z: FloatVector
+    system: FreeSystem
+    work: float
+
+    @property
+    def is_singular(self) -> bool:
+        """Whether the free block is singular to working precision: z is one of many solutions, or none at all."""
+        return self.system.is_singular
+
+
+def classify(
+    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
+) -> tuple[BoolVector, BoolVector]:
+    """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, shape (n,) each.
+
+    Parameters
+    ----------
+    z, w : ndarray, shape (n,)
+    scale : ndarray, shape (n,), optional
+        d > 0; the scale of the residual by default. A row with equal bounds is at its lower one.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> at_lower, at_upper = classify(problem, np.array([2.5, 0.0]), np.array([0.0, 3.5]))
+    >>> at_lower
+    array([False,  True])
+    """
+    d = problem.residual_scale if scale is None else scale
+    with np.errstate(all="ignore"):
+        step = w / d
+        # z − step ≤ lower, written so that a small step is not lost beside a large z.
+        at_lower = z - problem.lower <= step
+        at_upper = (problem.upper - z <= -step) & ~at_lower
+    is_fixed = problem.lower == problem.upper
+    return at_lower | is_fixed, at_upper & ~is_fixed
+
+
+def signature(at_lower: BoolVector, at_upper: BoolVector) -> bytes:
+    """Return a short key of an active set, for the detection of cycles."""
+    packed = np.packbits(at_lower).tobytes() + np.packbits(at_upper).tobytes()
+    return blake2b(packed, digest_size=16).digest()
+
+
+def solve_active_set(
+    problem: LCP, at_lower: BoolVector, at_upper: BoolVector, *, near: FloatVector | None = None,
+    system: FreeSystem | None = None,
+) -> ActiveSetSolution | None:
+    """Return z with z at its bounds on the active rows and w = 0 on the free ones, or None where none is finite.
+
+    Parameters
+    ----------
+    at_lower, at_upper : ndarray of bool, shape (n,)
+        The active rows; the bounds there are finite.
+    near : ndarray, shape (n,), optional
+        Where the free block is singular, a solution close to this z is sought; 0 by default.
+    system : FreeSystem, optional
+        That of an earlier call with the same M, used where its rows are the free ones.
+
+    Notes
+    -----
+    One factorisation of the free block, see :meth:`.FreeSystem.solve_near`. Nothing is judged here: look at the
+    residual of z.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> solve_active_set(problem, np.array([False, True]), np.array([False, False])).z
+    array([2.5, 0. ])
+    """
+    z = np.where(at_lower, problem.lower, np.where(at_upper, problem.upper, 0.0))
+    free = ~(at_lower | at_upper)
+    if system is None or not np.array_equal(free, system.free):
+        system = FreeSystem(problem.matrix, free, by_factor=True)
+    before = system.work
+    with np.errstate(all="ignore"):
+        x = system.solve_near(-problem.slack(z), np.zeros(problem.n) if near is None else near)
+        if x is None or not np.isfinite(z).all():
+            return None
+    return ActiveSetSolution(z + x, system, 1.0 + (system.work - before) / max(problem.nonzeros, 1))
+
+
+class NewtonState:
+    """The iterate z with w = M z + q, the best z so far, and the work since the last step.
+
+    Attributes
+    ----------
+    best_z : ndarray, shape (n,)
+        The best so far; it may be outside the bounds.
+    best : float
+        ‖r(best_z)‖∞, the numerator of the relative residual.
+    inside_z, inside : ndarray, shape (n,), and float
+        The best so far of the iterates projected onto the bounds, and its ‖r‖∞: what a step tells.
+    """
+
+    def __init__(self, problem: LCP, z: FloatVector) -> None:
+        self.problem = problem
+        self.scale = problem.residual_scale
+        self.entries = max(problem.nonzeros, 1)
+        self.work = 0.0
+        self.best = self.inside = math.inf
+        self.best_z = self.inside_z = z
+        self._solved: set[bytes] = set()
+        self._system: FreeSystem | None = None
+        self.move(z)
+
+    def move(self, z: FloatVector) -> None:
+        """Go to z, and keep it, and its projection, where it is the best so far."""
+        self.z, self.w = z, self.slack(z)
+        residual = self.residual = self._residual(z, self.w)
+        size = float(np.max(residual, initial=0.0))
+        if size < self.best or not self._solved:
+            self.best, self.best_z = size, z
+        inside = np.clip(z, self.problem.lower, self.problem.upper)
+        if not np.array_equal(inside, z):
+            size = float(np.max(self._residual(inside, self.slack(inside)), initial=0.0))
+        if size < self.inside or not self._solved:
+            self.inside, self.inside_z = size, inside
+
+    @property
+    def is_large(self) -> bool:
+        """Whether steps without clear gain are given up after LARGE_PATIENCE."""
+        return self.problem.n > LARGE
+
+    def _residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
+        with np.errstate(all="ignore"):
+            size: FloatVector = np.abs(scaled_residual(self.problem, z, w))
+        return size
+
+    def slack(self, z: FloatVector) -> FloatVector:
+        """Return M z + q, counted as work."""
+        self.work += 1.0
+        with np.errstate(all="ignore"):
+            return self.problem.slack(z)
+
+    def step(self) -> Step:
+        """Return the best iterate as a step, with the work since the last one."""
+        work, self.work = self.work, 0.0
+        return Step(self.inside_z, self.inside, work=work)
+
+    def is_known(self, at_lower: BoolVector, at_upper: BoolVector) -> bool:
+        """Return whether this active set has been solved before."""
+        return signature(at_lower, at_upper) in self._solved
+
+    def solve(self, at_lower: BoolVector, at_upper: BoolVector) -> ActiveSetSolution | None:
+        """Return the solution that belongs to an active set; z says which one where its block is singular."""
+        self._solved.add(signature(at_lower, at_upper))
+        solution = solve_active_set(self.problem, at_lower, at_upper, near=self.z, system=self._system)
+        if solution is not None:
+            self._system = solution.system
+            self.work += solution.work
+        return solution

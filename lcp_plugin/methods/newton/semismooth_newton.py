@@ -1,0 +1,341 @@
+"""Semismooth Newton on the scaled natural residual, alias primal-dual active set, with its safeguards."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, direct_passes, without_warnings
+from ...core.checks import BoolVector, FloatVector
+from ...core.lcp import LCP
+from ...systems.factors import factorise
+from ...systems.graph import bandwidth
+from ..small.small_dense import ROUNDS_ONLY, is_short, solve_fused, steps
+from .active_set import LARGE_PATIENCE, NewtonState, classify
+
+PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
+PATIENT_ROWS = 250
+ROUNDS = 3
+PIVOTED_ROWS = 500  # up to here single pivots are tried
+BLOCKS = 5  # block steps that may pass without a new smallest number of wrong rows
+PIVOTS_PER_STEP = 10
+
+# Of the line search.
+LONGEST_RUN = 150
+SUFFICIENT = 1e-4
+FULL_STEP_GAIN = 0.5  # a full active-set step must reduce ‖Φ‖ to this share
+HALVINGS = 25
+MEMORY = 5  # the line search compares with the worst of so many merits
+STAGNANT = 25  # steps without a fall of ‖Φ‖ by one per cent; by thirty within LARGE_PATIENCE on large ones
+SHIFT = 1e-3  # keeps the Jacobian regular where M is only P₀
+
+
+@dataclass(frozen=True, kw_only=True)
+class Newton(Algorithm):
+    """Semismooth Newton, alias primal-dual active set: w_F = 0, and z_A at the bounds that z − w/d reaches.
+
+    Notes
+    -----
+    Full steps as long as they lead to new active sets; on M-matrices these are finite and monotone. When an active
+    set comes back, or nothing improves, a line search on the Fischer–Burmeister function takes over, which tries
+    full steps again where they halve it. Small problems that resist are pivoted, one index at a time where blocks
+    do not pay, and tried once more from the point of the box nearest to 0. In theory the line search converges, and
+    the pivots are finite, on P-matrices; here both are bounded in number. Singular blocks are regularised, and the
+    residual judges what comes of it. On more than 3000 rows, steps that gain little are given up early. Each step
+    yields the best z so far, projected onto the bounds.
+
+    References
+    ----------
+    Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558. De Luca, Facchinei, Kanzow 1996,
+    doi:10.1007/BF02592192. Murty 1974, *Opsearch* 11, 123–130.
+
+    Examples
+    --------
+    >>> import lcp_plugin
+    >>> problem = lcp_plugin.LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> lcp_plugin.solve(problem, Newton()).z
+    array([2.5, 0. ])
+    """
+
+    name: ClassVar[str] = "newton"
+    assumption: ClassVar[str] = "none"
+    converges_on: ClassVar[str] = "M, bounds on one side, n ≤ 250"
+    cost: ClassVar[str] = "1 factorisation of the free block"
+    reference: ClassVar[str] = (
+        "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "
+        "doi:10.1007/BF02592192"
+    )
+    is_monotone: ClassVar[bool] = False
+
+    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
+        """Return those of a direct answer."""
+        return direct_passes(problem)
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the best z so far, once a factorisation; end where nothing more can be done."""
+        return without_warnings(self._steps(problem, z0))
+
+    def theorem(self, problem: LCP, report: Any) -> str | None:
+        """Return the theorem on M-matrices: full steps are monotone then, at most n + 2; patience suffices for them."""
+        is_one_sided = bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
+        if problem.n > PATIENT_ROWS or not is_one_sided or report.is_m_matrix is not True:
+            return None
+        return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
+
+    def phases_of_small(self) -> Phases:
+        """Return full steps only."""
+        return ROUNDS_ONLY
+
+    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+        """Return where compiled full steps converge on a small dense problem."""
+        return solve_fused(problem, z0, tolerance, max_iterations, ROUNDS_ONLY) if is_short(problem) else None
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        if is_short(problem):
+            yield from steps(problem, z0, ROUNDS_ONLY)
+        start = np.clip(z0, problem.lower, problem.upper)
+        is_elsewhere = problem.n <= PIVOTED_ROWS and not np.array_equal(start, problem.nearest_to_zero)
+        state = NewtonState(problem, start)
+        yield state.step()
+        if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
+            return
+        again = NewtonState(problem, problem.nearest_to_zero)
+        if state.inside < again.inside:
+            again.inside, again.inside_z = state.inside, state.inside_z
+        yield from rounds(again)
+
+
+def rounds(state: NewtonState) -> Generator[Step, None, bool]:
+    """Yield full steps and damped ones in turn, and pivots where they fail; return whether an active set settled."""
+    for _ in range(ROUNDS):
+        is_settled = yield from full_steps(state)
+        before = state.best
+        is_settled = is_settled or (yield from damped_steps(state))
+        if is_settled:
+            return True
+        if not state.best < (0.9 * before if state.is_large else before):
+            break
+    yield from principal_pivots(state)
+    return False
+
+
+def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
+    """Yield undamped active-set steps, until an active set comes back or neither residual nor changes fall.
+
+    Return whether the last set reproduced itself with a regular block: nothing but rounding is left.
+    """
+    problem = state.problem
+    patience = LARGE_PATIENCE if state.is_large else PATIENCE + min(problem.n, PATIENT_ROWS)
+    lowest, fewest, idle = math.inf, problem.n + 1, 0
+    previous = classify(problem, state.z, state.w)
+    while idle < patience and not state.is_known(*previous):
+        solution = state.solve(*previous)
+        if solution is None:
+            return False
+        state.move(solution.z)
+        yield state.step()
+        present = classify(problem, state.z, state.w)
+        changes = int(np.count_nonzero((present[0] != previous[0]) | (present[1] != previous[1])))
+        if changes == 0:
+            return not solution.is_singular
+        size = float(np.sum(state.residual))
+        idle = 0 if size < lowest or changes < fewest else idle + 1
+        lowest, fewest = min(lowest, size), min(fewest, changes)
+        previous = present
+    return False
+
+
+def principal_pivots(state: NewtonState) -> Iterator[Step]:
+    """Yield after every few pivots; nothing for large problems.
+
+    A row is wrong where its z leaves the bounds or its w has the wrong sign. Change all wrong rows as long as their
+    number reaches new minima, else only the first in a fixed order. On P-matrices that is finite; it may be
+    exponential, so that the number of pivots is bounded.
+
+    References
+    ----------
+    Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6. Murty 1974, *Opsearch* 11, 123–130.
+    """
+    problem = state.problem
+    if problem.n > PIVOTED_ROWS:
+        return
+    rank = np.random.default_rng(0).permutation(problem.n)
+    state.move(state.best_z)
+    at_lower, at_upper = classify(problem, state.z, state.w)
+    fewest, blocks_left = problem.n + 1, BLOCKS
+    for pivot in range(20 * problem.n + 100):
+        solution = state.solve(at_lower, at_upper)
+        if solution is None:
+            return
+        state.move(solution.z)
+        to_lower, to_upper = classify(problem, state.z, state.w)
+        wrong = np.flatnonzero((to_lower != at_lower) | (to_upper != at_upper))
+        if wrong.size == 0 or pivot % PIVOTS_PER_STEP == 0:
+            yield state.step()
+        if wrong.size == 0:
+            return
+        if wrong.size < fewest:
+            fewest, blocks_left = wrong.size, BLOCKS
+        else:
+            blocks_left -= 1
+        changed = wrong if blocks_left > 0 else wrong[[np.argmin(rank[wrong])]]
+        at_lower, at_upper = _changed(at_lower, to_lower, changed), _changed(at_upper, to_upper, changed)
+    yield state.step()
+
+
+def _changed(old: BoolVector, new: BoolVector, rows: NDArray[np.intp]) -> BoolVector:
+    result = old.copy()
+    result[rows] = new[rows]
+    return result
+
+
+# --- the safeguard: a line search on the Fischer–Burmeister function ---
+
+
+class Linearised(NamedTuple):
+    """Φ(z) and the diagonals of its Jacobian diag(by_z) + diag(by_w/d) M, shape (n,) each."""
+
+    value: FloatVector
+    by_z: FloatVector
+    by_w: FloatVector
+
+    @property
+    def norm(self) -> float:
+        """‖Φ‖₂."""
+        return float(np.linalg.norm(self.value))
+
+
+def fischer_burmeister(
+    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
+) -> Linearised:
+    """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b²).
+
+    d is the scale of the residual unless another one is given, shape (n,), > 0. Where a bound is infinite, its φ is
+    replaced by its limit; a row with equal bounds gives z − lower.
+
+    References
+    ----------
+    Billups 1995, *Algorithms for complementarity problems and generalized equations*, PhD thesis, Wisconsin.
+    """
+    with np.errstate(all="ignore"):
+        s = w / (problem.residual_scale if scale is None else scale)
+        value, by_a, by_b = _phi(problem.upper - z, -s)
+        has_upper, has_lower = np.isfinite(problem.upper), np.isfinite(problem.lower)
+        p = np.where(has_upper, -value, s)
+        p_by_z, p_by_s = np.where(has_upper, by_a, 0.0), np.where(has_upper, by_b, 1.0)
+        value, by_a, by_b = _phi(z - problem.lower, p)
+        value = np.where(has_lower, value, p)
+        by_z = np.where(has_lower, by_a + by_b * p_by_z, p_by_z)
+        by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
+        is_fixed = problem.lower == problem.upper
+        return Linearised(
+            np.where(is_fixed, z - problem.lower, value), np.where(is_fixed, 1.0, by_z), np.where(is_fixed, 0.0, by_s)
+        )
+
+
+def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:
+    """Return φ(a, b) and an element of its generalised derivative."""
+    root = np.hypot(a, b)
+    # a + b − root cancels where a and b are positive.
+    sum_ = a + b
+    value = np.where(sum_ > 0.0, 2.0 * a * b / np.where(sum_ > 0.0, sum_ + root, 1.0), sum_ - root)
+    safe = np.where(root > 0.0, root, 1.0)
+    by_a = np.where(root > 0.0, 1.0 - a / safe, 1.0 - np.sqrt(0.5))
+    by_b = np.where(root > 0.0, 1.0 - b / safe, 1.0 - np.sqrt(0.5))
+    return value, by_a, by_b
+
+
+def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
+    """Yield steps that reduce ‖Φ‖: full active-set steps where they do so at once, else a line search.
+
+    Ends where ‖Φ‖ stagnates; returns whether an active set reproduced itself with a regular block.
+    """
+    state.move(np.clip(state.best_z, state.problem.lower, state.problem.upper))
+    phi = fischer_burmeister(state.problem, state.z, state.w)
+    recent, lowest, since = [phi.norm], phi.norm, 0
+    gain, patience = (0.7, LARGE_PATIENCE) if state.is_large else (0.99, STAGNANT)
+    for _ in range(LONGEST_RUN):
+        if not 0.0 < phi.norm < np.inf:
+            return False
+        full = _full_step(state, phi)
+        is_settled = full is not None and full[1]
+        following = _searched(state, phi, max(recent[-MEMORY:])) if full is None else full[0]
+        if following is None:
+            return False
+        phi = following
+        recent.append(phi.norm)
+        yield state.step()
+        if is_settled:
+            return True
+        since, lowest = (0, phi.norm) if phi.norm < gain * lowest else (since + 1, lowest)
+        if since >= patience:
+            break
+    return False
+
+
+def _full_step(state: NewtonState, phi: Linearised) -> tuple[Linearised, bool] | None:
+    """Move to the solution of the active set of z if it is a new one and halves ‖Φ‖; return whether that settled it."""
+    at_lower, at_upper = classify(state.problem, state.z, state.w)
+    if state.is_known(at_lower, at_upper):
+        return None
+    solution = state.solve(at_lower, at_upper)
+    if solution is None:
+        return None
+    w = state.slack(solution.z)
+    found = fischer_burmeister(state.problem, solution.z, w)
+    if not found.norm <= FULL_STEP_GAIN * phi.norm:
+        return None
+    state.move(solution.z)
+    again = classify(state.problem, state.z, state.w)
+    is_same = np.array_equal(again[0], at_lower) and np.array_equal(again[1], at_upper)
+    return found, is_same and not solution.is_singular
+
+
+def _searched(state: NewtonState, phi: Linearised, reference: float) -> Linearised | None:
+    """Move along the Newton direction of Φ, or its steepest descent, until ½‖Φ‖² falls enough."""
+    jacobian = phi_jacobian(state.problem, phi, 0.0)
+    gradient = jacobian.T @ phi.value
+    for direction in (_newton_direction(state, phi), -gradient):
+        if direction is None:
+            continue
+        slope = float(gradient @ direction)
+        if not slope < -1e-14 * float(np.linalg.norm(gradient) * np.linalg.norm(direction)):
+            continue
+        length = 1.0
+        for _ in range(HALVINGS):
+            z = state.z + length * direction
+            found = fischer_burmeister(state.problem, z, state.slack(z))
+            if 0.5 * found.norm**2 <= 0.5 * reference**2 + SUFFICIENT * length * slope:
+                state.move(z)
+                return found
+            length *= 0.5
+    return None
+
+
+def _newton_direction(state: NewtonState, phi: Linearised) -> FloatVector | None:
+    largest = float(np.max(np.abs(phi.value), initial=0.0))
+    shift = SHIFT * largest / (largest + float(np.max(np.abs(state.z), initial=0.0)) + 1e-300)
+    jacobian = phi_jacobian(state.problem, phi, min(shift, SHIFT))
+    factor = factorise(jacobian, bandwidth=bandwidth(state.problem.matrix))
+    if factor is None:
+        return None
+    state.work += (factor.work + factor.solve_work) / state.entries
+    direction = factor.solve(-phi.value)
+    return direction if np.isfinite(direction).all() else None
+
+
+def phi_jacobian(problem: LCP, phi: Linearised, shift: float, scale: FloatVector | None = None) -> Any:
+    """Return the Jacobian of Φ in that scale plus shift times the identity, dense or CSR as M is."""
+    M = problem.M
+    rows, diagonal = phi.by_w / (problem.residual_scale if scale is None else scale), phi.by_z + shift
+    if sp.issparse(M):
+        return sp.csr_array(sp.diags_array(rows) @ M + sp.diags_array(diagonal))
+    jacobian = M * rows[:, None]
+    jacobian[np.diag_indices_from(jacobian)] += diagonal
+    return jacobian

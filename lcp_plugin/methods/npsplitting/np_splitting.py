@@ -1,0 +1,125 @@
+"""NPSplitting: the paper's Method 3.1 with any splitting M = 𝓜 − 𝓝, the left-hand matrix factorised once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.algorithms.base import Step, check_choice
+from ...core.certificates.row_residuals import euclidean_norm, scaled_residual
+from ...core.checks import FloatVector
+from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ...core.lcp import LCP
+from ...core.matrix.iteration_facts import PROJECTED_SPLITTING, IterationFacts
+from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.row_sums import balanced_factors, triangle_sums, unit_triangle_sums
+from ...core.splittings.projected_type import ScaledByRows
+from ...systems.factors import sparse_lu
+
+NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NPSplitting(ScaledByRows):
+    """NP with any splitting M = 𝓜 − 𝓝: (S(𝓜 + D) + 2I)(z⁺ − z) = −2 r_S(z), the left-hand matrix factorised once.
+
+    Parameters
+    ----------
+    splitting : sparse array or array, shape (n, n), or {"diagonal", "tridiagonal", "lower"}
+        𝓜, or the part of M to take: its diagonal (NPJ), three diagonals, or lower triangle (NPGS). A block
+        diagonal, or the product of incomplete factors, is a good 𝓜 too.
+    scaling, scaling_factor
+        Row scaling S as in NPSOR; for a splitting of your own "auto" is 1/d_i.
+
+    Raises
+    ------
+    UnsuitableMatrix
+        Where S(𝓜 + D) + 2I is singular.
+    """
+
+    name: ClassVar[str] = "npsplitting"
+    assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
+    converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1); H₊ for a named splitting, scaled"
+    cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
+
+    splitting: Any = "tridiagonal"
+
+    def __post_init__(self) -> None:
+        if isinstance(self.splitting, str):
+            check_choice(self, "splitting", NAMED_SPLITTINGS)
+        super().__post_init__()
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z₀, z₁, …, each with its residual."""
+        while not problem.n:  # SuperLU refuses a matrix without rows
+            yield Step(z0, 0.0, 0.0, work=0.0)
+        splitting = self._matrix(problem)
+        step = self._scaling(problem)
+        scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
+        factor = self._factorised(problem, scaled + sp.diags_array(np.full(problem.n, 2.0)))
+        entries = max(problem.nonzeros, 1)
+        work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
+        z = z0
+        while True:
+            with np.errstate(all="ignore"):  # what overflows is seen in the residual
+                w = problem.slack(z)
+                residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
+                natural = np.clip(step * w, z - problem.upper, z - problem.lower)
+                euclidean = euclidean_norm(natural) if self.scaling is None else None
+            yield Step(z, residual, euclidean, None, work)
+            with np.errstate(all="ignore"):
+                z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
+            work = (factor.nnz + problem.nonzeros) / entries
+
+    def facts(self, problem: LCP) -> IterationFacts:
+        """Return 𝓜, S, and whether 𝓜 is a part of M."""
+        splitting = self._matrix(problem)
+        return IterationFacts(
+            family=PROJECTED_SPLITTING, scaling=self._scaling(problem), is_scaled=self.scaling is not None,
+            splitting=splitting, is_part_of_matrix=isinstance(self.splitting, str),
+        )
+
+    def _scaling(self, problem: LCP) -> FloatVector:
+        is_named = isinstance(self.splitting, str)
+        return self.row_scaling(problem, lambda: split_factors(problem.matrix, self.splitting) if is_named else 1.0)
+
+    def _matrix(self, problem: LCP) -> sp.csr_array:
+        M = problem.csr
+        if isinstance(self.splitting, str):
+            return part_of(problem.matrix, self.splitting)
+        need = f"npsplitting: the splitting must be a real matrix of the shape {M.shape} of M"
+        shape = getattr(self.splitting, "shape", None)
+        if shape is not None and shape != M.shape:
+            raise InvalidOption(f"{need}, got shape {shape}")
+        try:
+            # The checks of a problem's matrix are the checks of 𝓜.
+            return LCP(self.splitting, np.zeros(problem.n)).csr
+        except InvalidProblem as error:
+            raise InvalidOption(f"{need}: {error}") from error
+
+    def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
+        try:
+            return sparse_lu(matrix)
+        except RuntimeError as error:
+            raise UnsuitableMatrix(
+                f'npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting, or algorithm="auto"'
+            ) from error
+
+
+@fact
+def part_of(matrix: Matrix, splitting: str) -> sp.csr_array:
+    """Return the part of M that a splitting by name is, shape (n, n)."""
+    reach = {"diagonal": 0, "tridiagonal": 1, "lower": matrix.n}[splitting]
+    upper_reach = 0 if splitting == "lower" else reach
+    return sp.csr_array(sp.tril(sp.triu(matrix.csr, -reach), upper_reach))
+
+
+@fact
+def split_factors(matrix: Matrix, splitting: str) -> FloatVector:
+    """Return θ for a splitting that is a part of M, shape (n,); see `automatic_factors`."""
+    taken = np.add(*triangle_sums(matrix, np.ones(matrix.n), part_of(matrix, splitting)))
+    return balanced_factors(matrix, 1.0, taken, unit_triangle_sums(matrix))

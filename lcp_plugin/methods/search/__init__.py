@@ -1,0 +1,275 @@
+"""Exhaustive search for small problems: every solution exactly, or the proof that there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from itertools import islice
+
+import numpy as np
+
+from ...core.checks import FloatVector
+from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...core.kinds import refusal
+from ...core.lcp import LCP
+from ...proofs.exact.exactly import exact_slack
+from ...proofs.exact.simplex import Effort
+from ...proofs.no_solution.infeasibility import Case, NoSolution
+from .explorer import Explorer, Face, Point, extreme_points
+
+__all__ = ["Effort", "Found", "GaveUp", "NoSolution", "Solution", "all_solutions", "explore", "is_searchable", "search"]
+
+LARGEST_CHOICES = 24  # rows with more than one choice
+LARGEST_SIZE = 60
+DEFAULT_NODES = 200_000
+SHOWN = 6  # vertices of a face, in words
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """One solution, or one vertex of a face of solutions.
+
+    Attributes
+    ----------
+    z, w : ndarray, shape (n,)
+        Rounded to double precision, each entry by itself. An entry beyond the largest double has no such rounding:
+        UnsuitableProblem, `exact_z` holds it.
+    exact_z, exact_w : tuple of Fraction, shape (n,)
+        The solution of the problem that the stored doubles state.
+    pattern : tuple of str, shape (n,)
+        The choice of every row: "lower" (z at its bound, w ≥ 0), "zero" (w = 0), "upper", "fixed" (lower = upper).
+    dimension : int
+        Of the face of all solutions with this pattern; 0 is an isolated solution.
+    problem : LCP
+    """
+
+    exact_z: tuple[Fraction, ...]
+    exact_w: tuple[Fraction, ...] = field(repr=False)
+    pattern: tuple[str, ...] = field(repr=False)
+    dimension: int
+    problem: LCP = field(repr=False)
+
+    @cached_property
+    def exact_vertices(self) -> tuple[Point, ...]:
+        """All vertices of the face in lexicographic order, found when first asked for; each is a solution.
+
+        None where the face contains a line. An unbounded face is more than what lies between them.
+        """
+        return tuple(sorted(extreme_points(self.problem, self.pattern)))
+
+    @property
+    def vertices(self) -> FloatVector:
+        """The vertices of the face in doubles, shape (number of vertices, n)."""
+        rounded = [_in_doubles(vertex, "z") for vertex in self.exact_vertices]
+        return np.array(rounded).reshape(len(rounded), self.problem.n)
+
+    @property
+    def z(self) -> FloatVector:
+        """The solution in doubles, shape (n,)."""
+        return _in_doubles(self.exact_z, "z")
+
+    @property
+    def w(self) -> FloatVector:
+        """Its slack in doubles, shape (n,)."""
+        return _in_doubles(self.exact_w, "w")
+
+    @property
+    def is_isolated(self) -> bool:
+        """True where no other solution lies nearby; False for one vertex of a continuum."""
+        return self.dimension == 0
+
+    def __str__(self) -> str:
+        if self.is_isolated:
+            return f"z = {_written(self.exact_z)}, isolated"
+        some = list(islice(extreme_points(self.problem, self.pattern), SHOWN + 2))
+        others = [_written(vertex) for vertex in sorted(some) if vertex != self.exact_z][: SHOWN + 1]
+        told = f"; others: {', '.join([*others[:SHOWN], *(['…'] if len(others) > SHOWN else [])])}" if others else ""
+        return f"z = {_written(self.exact_z)}, a vertex of a face of dimension {self.dimension}{told}"
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The search found solutions: the first, or all of them."""
+
+    solutions: tuple[Solution, ...]
+    nodes: int
+
+
+@dataclass(frozen=True)
+class GaveUp:
+    """The search ended at its limit of nodes and decided nothing."""
+
+    nodes: int
+
+
+def search(problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES) -> Found | NoSolution | GaveUp:
+    """Return a solution (or all), the proof that there is none, or that the limit was too low.
+
+    Parameters
+    ----------
+    first_only : bool
+        Stop at the first solution; it may lie anywhere in the solution set, and its dimension is that of its pattern.
+    max_nodes : int
+        Cases to look at; one costs about a millisecond at n = 10, more with long mantissas.
+
+    Raises
+    ------
+    UnsuitableProblem
+        Where more than 24 rows leave a choice, or n exceeds 60.
+
+    Examples
+    --------
+    A feasible problem without solution:
+
+    >>> proof = search(LCP([[1, -2, 1], [-3, 2, -2], [1, -2, 0]], [-1, 2, 2]))
+    >>> print(proof)
+    no solution: each of the 6 cases of an exhaustive search contradicts, exactly
+    >>> proof.verify()
+    True
+    """
+    limit, effort = _checked_count("max_nodes", max_nodes), Effort()
+    for outcome in explore(problem, effort, first_only=first_only):
+        if outcome is not None:
+            return outcome
+        if effort.cases > limit:
+            break
+    return GaveUp(limit)
+
+
+def explore(
+    problem: LCP, effort: Effort, *, first_only: bool = True, tree: Case | None = None
+) -> Iterator[Found | NoSolution | None]:
+    """Yield None after each case that was looked at, and within long ones, and at last what `search` returns.
+
+    For callers with a clock, or a limit of what they count in `effort`. Of a tree that is given only those cases are
+    looked at that it leaves open, or closes with what does not hold.
+    """
+    _require_small(problem)
+    explorer = Explorer(problem, effort, first_only=first_only, tree=tree)
+    for _ in explorer.run():
+        yield None
+    if explorer.faces:
+        yield Found(tuple(_solution(problem, face) for face in _maximal(explorer.faces)), explorer.nodes)
+    elif not first_only:
+        # A search for all leaves out cases that lie in others; the proof must not.
+        yield from explore(problem, effort)
+    else:
+        yield NoSolution(problem, explorer.tree, explorer.nodes)
+
+
+def all_solutions(
+    problem: LCP, *, limit: int | None = None, max_nodes: int = DEFAULT_NODES
+) -> list[Solution]:
+    """Return all solutions of a small problem, exactly; a continuum of them by its faces.
+
+    Parameters
+    ----------
+    problem : LCP
+        At most 24 rows that leave a choice, n at most 60.
+    limit : int, optional
+        The first so many only.
+    max_nodes : int
+        Cases to look at.
+
+    Returns
+    -------
+    list of Solution
+        In lexicographic order of z. Empty where there is none; `search` returns the proof of that. A face is listed
+        where it lies in no larger one, with z one of its vertices; ``solution.vertices`` has them all, of which some
+        may be those of another face, too.
+
+    Raises
+    ------
+    UnsuitableProblem
+        Where the problem is too large, or needs more than `max_nodes` cases.
+
+    Notes
+    -----
+    Branch and bound over z_i = lower_i, w_i = 0, z_i = upper_i by an exact simplex method. The stored doubles are
+    the data: a payoff of 0.1 is the double nearest to it.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.3.
+
+    Examples
+    --------
+    >>> for solution in all_solutions(LCP([[0, 2], [1, 0]], [-1, -1])):
+    ...     print(solution)
+    z = (1, 1/2), isolated
+    >>> (face,) = all_solutions(LCP([[1, 1], [1, 1]], [-2, -2]))
+    >>> print(face)
+    z = (2, 0), a vertex of a face of dimension 1; others: (0, 2)
+    """
+    outcome = search(problem, first_only=False, max_nodes=max_nodes)
+    if isinstance(outcome, GaveUp):
+        raise UnsuitableProblem(
+            f"the search looked at max_nodes={max_nodes} cases without an end; raise max_nodes, or ask for one "
+            "solution with solve(problem)"
+        )
+    found = outcome.solutions if isinstance(outcome, Found) else ()
+    return list(found if limit is None else found[: _checked_count("limit", limit)])
+
+
+def _maximal(faces: Sequence[Face]) -> list[Face]:
+    """Return the faces that lie in no other, in lexicographic order of their vertex."""
+    kept: list[Face] = []
+    for face in sorted(faces, key=lambda face: (-face.dimension, face.point, face.pattern)):
+        if not any(face.lies_in(other) for other in kept):
+            kept.append(face)
+    return sorted(kept, key=lambda face: (face.point, face.pattern))
+
+
+def _solution(problem: LCP, face: Face) -> Solution:
+    return Solution(tuple(face.point), tuple(exact_slack(problem, face.point)), face.pattern, face.dimension, problem)
+
+
+def _written(point: Sequence[Fraction]) -> str:
+    return f"({', '.join(map(str, point))})"
+
+
+def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:
+    """Return the values rounded one by one, or raise naming the first that is beyond the largest double."""
+    rounded = np.zeros(len(values))
+    for i, value in enumerate(values):
+        try:
+            rounded[i] = float(value)
+        except OverflowError:
+            raise UnsuitableProblem(
+                f"{name}[{i}] of the exact solution is about 2^{_exponent(value)}, beyond the largest double; take "
+                f"exact_{name}, or state the problem in other units"
+            ) from None
+    return rounded
+
+
+def _exponent(value: Fraction) -> int:
+    return abs(value.numerator).bit_length() - value.denominator.bit_length()
+
+
+def is_searchable(problem: LCP) -> bool:
+    """Return whether the problem is small enough for a search."""
+    return _choices(problem) <= LARGEST_CHOICES and problem.n <= LARGEST_SIZE
+
+
+def _choices(problem: LCP) -> int:
+    """Return how many rows leave a choice."""
+    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+    return int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))
+
+
+def _require_small(problem: LCP) -> None:
+    if not isinstance(problem, LCP):
+        raise InvalidProblem(refusal("all_solutions", problem))
+    if not is_searchable(problem):
+        raise UnsuitableProblem(
+            f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {LARGEST_SIZE}, "
+            f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
+        )
+
+
+def _checked_count(name: str, value: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise InvalidOption(f"{name} must be a whole number, at least 1, got {value!r}")
+    return int(value)

@@ -1,0 +1,278 @@
+"""Branch and bound over the choices of every row, by an exact simplex method, and the extreme points of what it finds.
+
+Nothing in it is rounded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from ...core.lcp import LCP
+from ...proofs.exact.exactly import integer_matrix, slack_bounds
+from ...proofs.exact.simplex import Bound, Effort, ExactSimplex
+from ...proofs.no_solution.infeasibility import Case
+from ...proofs.no_solution.refutation import FIXED, LOWER, SLACKLESS, UPPER, Choices, row_choices
+
+Point = tuple[Fraction, ...]
+
+
+@dataclass(frozen=True)
+class Face:
+    """The solutions of one pattern of choices: a polyhedron, with one of its vertices.
+
+    `tight[i]` holds all choices of row i that every point of it satisfies.
+    """
+
+    pattern: tuple[str, ...]
+    tight: tuple[frozenset[str], ...]
+    point: list[Fraction]
+    dimension: int
+
+    def lies_in(self, other: Face) -> bool:
+        """Return whether every point of this face satisfies the other's pattern."""
+        return all(choice in tight for choice, tight in zip(other.pattern, self.tight, strict=True))
+
+
+class Explorer:
+    """A depth-first search that ends with the faces found and, where there are none, the tree that proves it."""
+
+    def __init__(self, problem: LCP, effort: Effort, *, first_only: bool, tree: Case | None = None) -> None:
+        self.problem, self.effort = problem, effort
+        self.first_only = first_only
+        self.n = problem.n
+        self.choices = list(map(row_choices, problem.lower.tolist(), problem.upper.tolist()))
+        self.simplex = ExactSimplex(
+            integer_matrix(problem.matrix), problem.q, (problem.lower, problem.upper), slack_bounds(problem), effort
+        )
+        self.root_bounds = [self.simplex.bounds(x) for x in range(2 * self.n)]
+        self.weights = [max(map(abs, row[:-1]), default=0) or 1 for row in self.simplex.rows]
+        self.faces: list[Face] = []
+        self.tree = tree or Case()
+        self.nodes = 0
+        self.path: list[tuple[int, str]] = []
+
+    def run(self) -> Iterator[None]:
+        """Look at one case after the other until the search ends; yield after each, and within those that take long.
+
+        A face may have been added to `faces`.
+        """
+        yield from self.simplex.solve_equations()
+        stack = [(0, -1, "", self.tree)]
+        while stack:
+            depth, row, choice, case = stack.pop()
+            self._return_to(depth)
+            if row >= 0:
+                self.choose(row, choice)
+            branches = yield from self._examined(case)
+            stack.extend((len(self.path), case.row, branch, case.branches[branch]) for branch in reversed(branches))
+            self.nodes += 1
+            self.effort.cases += 1
+            yield
+            if self.first_only and self.faces:
+                return
+
+    def _examined(self, case: Case) -> Generator[None, None, list[str]]:
+        """Close the case, record its face, or split it, unless that is done; return the branches to look at."""
+        if case.branches:
+            return list(case.branches)
+        if case.y is not None and Choices(self.problem, dict(self.path)).closed_by(dict(enumerate(case.y))) is not None:
+            return []
+        case.y = yield from self.simplex.refutation()
+        if case.y is not None:
+            return []
+        decided = {i for i, _ in self.path}
+        undecided = [i for i in range(self.n) if i not in decided and len(self.choices[i]) > 1]
+        closed, implied = self._conclusions()
+        case.row, is_solution = self._row_to_split(undecided, closed, implied)
+        if is_solution and (self.first_only or case.row < 0):
+            yield from self._record(undecided)
+            return []
+        i = case.row
+        for choice in self.choices[i]:
+            case.branches[choice] = Case(y=closed.get((i, choice)))
+        if not self.first_only and i in implied:
+            return [implied[i]]  # every other choice describes a part of this one
+        return [choice for choice in self.choices[i] if (i, choice) not in closed]
+
+    def _conclusions(self) -> tuple[dict[tuple[int, str], list[Fraction]], dict[int, str]]:
+        """Return the choices that a row of the tableau refutes, each with its proof, and choices that always hold."""
+        simplex, n = self.simplex, self.n
+        closed: dict[tuple[int, str], list[Fraction]] = {}
+        implied: dict[int, str] = {}
+        for row, x in enumerate(simplex.basic):
+            low, high = simplex.implied_range(row)
+            if low is None and high is None:
+                continue
+            i = x % n
+            targets: list[tuple[str, Bound, Bound]] = [(LOWER, 0, None), (SLACKLESS, 0, 0), (UPPER, None, 0)]
+            if x < n:
+                (bottom, top) = self.root_bounds[x]
+                targets = [(LOWER, bottom, bottom), (UPPER, top, top)]
+            for choice, lowest, highest in targets:
+                if choice not in self.choices[i]:
+                    continue
+                if lowest is not None and high is not None and high < lowest * simplex.denominator:
+                    closed.setdefault((i, choice), simplex.farkas(row, 1))
+                elif highest is not None and low is not None and low > highest * simplex.denominator:
+                    closed.setdefault((i, choice), simplex.farkas(row, -1))
+                elif lowest is not None and lowest == highest and self._is_stuck(x, lowest, low, high):
+                    implied.setdefault(i, choice)
+        return closed, implied
+
+    def _is_stuck(self, x: int, at: int, low: Bound, high: Bound) -> bool:
+        """Return whether row and bounds leave a basic variable no other value."""
+        bottom, top = self.simplex.bounds(x)
+        target = at * self.simplex.denominator
+        return (low == target or bottom == at) and (high == target or top == at)
+
+    def _row_to_split(
+        self, undecided: list[int], closed: dict[tuple[int, str], list[Fraction]], implied: dict[int, str]
+    ) -> tuple[int, bool]:
+        """Return the row to split (−1: none is left), and whether the point solves the problem as it is."""
+        values = self.simplex.numerators()
+        best, worst = -1, 0
+        for i in undecided:
+            size = self._violation(i, values)
+            if size > worst:
+                best, worst = i, size
+        is_solution = best < 0
+        if is_solution and self.first_only:
+            return -1, True
+        for i in undecided:
+            if i in implied or sum((i, choice) not in closed for choice in self.choices[i]) <= 1:
+                return i, is_solution
+        return (undecided[0] if is_solution and undecided else best), is_solution
+
+    def _violation(self, i: int, values: list[int]) -> int:
+        z, w, d = values[i], values[self.n + i], self.simplex.denominator
+        bottom, top = self.root_bounds[i]
+        bound = bottom if w > 0 else top
+        gap = abs(z - bound * d) if bound is not None else 0
+        return gap * abs(w) // self.weights[i] + (gap != 0 and w != 0)
+
+    def _return_to(self, depth: int) -> None:
+        while len(self.path) > depth:
+            i, _ = self.path.pop()
+            for x in (i, self.n + i):
+                self.simplex.set_bounds(x, *self.root_bounds[x])
+
+    def choose(self, i: int, choice: str) -> None:
+        """Let row i keep to one of its choices, and go one level deeper."""
+        self.path.append((i, choice))
+        bottom, top = self.root_bounds[i]
+        if choice == SLACKLESS:
+            self.simplex.set_bounds(self.n + i, 0, 0)
+        elif choice == LOWER:
+            self.simplex.set_bounds(i, bottom, bottom)
+            self.simplex.set_bounds(self.n + i, 0, None)
+        else:
+            self.simplex.set_bounds(i, top, top)
+            self.simplex.set_bounds(self.n + i, None, 0)
+
+    def _record(self, undecided: list[int]) -> Iterator[None]:
+        """Add the face of the present pattern, completed by what the point satisfies where rows are undecided."""
+        for i in undecided:
+            self.choose(i, self._choice_at_point(i))
+        simplex = self.simplex
+        yield from simplex.refutation()
+        yield from simplex.go_to_vertex()
+        pattern = dict(self.path)
+        complete = tuple(pattern.get(i, self.choices[i][0]) for i in range(self.n))
+        point = simplex.point()
+        before = [simplex.bounds(x) for x in range(2 * self.n)]
+        is_point = (yield from simplex.release_fixed()) == 0
+        tight = []
+        for i, choice in enumerate(complete):
+            tight.append((yield from self._tight(i, choice, is_point)))
+        dimension = yield from simplex.release_fixed()
+        for x, bounds in enumerate(before):
+            simplex.set_bounds(x, *bounds)
+        self.faces.append(Face(complete, tuple(tight), point, dimension))
+
+    def _choice_at_point(self, i: int) -> str:
+        values = self.simplex.numerators()
+        if values[self.n + i] == 0:
+            return SLACKLESS
+        return LOWER if values[self.n + i] > 0 else UPPER
+
+    def _tight(self, i: int, choice: str, is_point: bool) -> Generator[None, None, frozenset[str]]:
+        """Return the choices of row i that hold at every point of the face, and fix what they fix."""
+        if choice == FIXED or len(self.choices[i]) == 1:
+            return frozenset(self.choices[i])
+        if choice == SLACKLESS:
+            bottom, top = self.root_bounds[i]
+            others = [(LOWER, i, bottom, 1), (UPPER, i, top, -1)]
+        else:
+            others = [(SLACKLESS, self.n + i, 0, 1 if choice == LOWER else -1)]
+        found = [choice]
+        for other, x, at, direction in others:
+            if (yield from self._stays(x, at, direction, is_point)):
+                found.append(other)
+        return frozenset(found)
+
+    def _stays(self, x: int, at: Bound, direction: int, is_point: bool) -> Generator[None, None, bool]:
+        if at is None or self.simplex.position(x) != at:
+            return False
+        if not is_point and (yield from self.simplex.can_leave(x, direction)):
+            return False
+        self.simplex.set_bounds(x, at, at)
+        return True
+
+
+def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
+    """Yield the extreme points of all solutions of a pattern, each once; none where they contain a line.
+
+    Parameters
+    ----------
+    problem : LCP
+    pattern : sequence of str, shape (n,)
+        The choice of every row, as of a ``Solution``.
+
+    Notes
+    -----
+    Bounds are made equations one after the other, in order, each where it lowers the dimension of what is left. An
+    extreme point is what is left in dimension 0: the first independent ones of the bounds that it meets lead to it.
+    """
+    explorer = Explorer(problem, Effort(), first_only=False)
+    simplex = explorer.simplex
+    _finish(simplex.solve_equations())
+    for i, choice in enumerate(pattern):
+        if len(explorer.choices[i]) > 1:
+            explorer.choose(i, choice)
+    if _finish(simplex.refutation()) is None:
+        bounds = [(x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)) if at is not None]
+        found = set()
+        for point in _corners(simplex, sorted(bounds), 0):
+            if point not in found:
+                found.add(point)
+                yield point
+
+
+def _corners(simplex: ExactSimplex, bounds: list[tuple[int, int]], first: int) -> Iterator[Point]:
+    """Yield where the set that is left ends in a point, once some of the bounds from the first on are met."""
+    dimension = _finish(simplex.release_fixed())
+    if dimension == 0:
+        yield tuple(simplex.point())
+        return
+    for k in range(first, len(bounds)):
+        x, at = bounds[k]
+        before = simplex.bounds(x)
+        if before == (at, at):
+            continue
+        simplex.set_bounds(x, at, at)
+        if _finish(simplex.refutation()) is None and _finish(simplex.release_fixed()) < dimension:
+            yield from _corners(simplex, bounds, k + 1)
+        simplex.set_bounds(x, *before)
+        _finish(simplex.refutation())
+
+
+def _finish(steps: Iterator[None]) -> Any:
+    """Return what a generator returns at its end."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value

@@ -1,0 +1,305 @@
+"""Branch and bound over the cases of a small problem in doubles: a solution, or what an exact proof needs to know.
+
+As :class:`~lcp_plugin.methods.search.explorer.Explorer`, with rounding: each case is a set of bounds on z and
+w = M z + q, a simplex method on the tableau that expresses the basic variables by the others moves to a point within
+them, or a row of the tableau says why there is none. Variables are numbered z_i = i, w_i = n + i. Nothing here proves:
+a Farkas vector counts only where exact arithmetic confirms it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+
+AT_LOWER, AT_ZERO, AT_UPPER = 0, 1, 2  # the choices of a row
+ROW, PARENT, CHOICE, IS_CLOSED = 0, 1, 2, 3  # columns of the tree
+FOUND, EXCLUDED, GAVE_UP = 0, 1, 2
+
+FEASIBLE = 1e-10  # a bound missed by less, beside the largest w at the start
+OWN_FROM = 1e-10  # of the largest entry: a diagonal entry that scales its row, as in `LCP.residual_scale`
+SMALLEST_PIVOT = 1e-10  # rows of M have a largest entry of 1
+RENEWED_AFTER = 64  # pivots
+MARGIN_GIVEN = 0.0625  # of a contradiction, for signs that survive rounding
+FARTHEST = 2.0**-16  # moved for that, beside the largest multiplier
+
+
+@interpreted_while_small
+def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-def]
+    """Look at the cases; return FOUND, EXCLUDED or GAVE_UP, how many, the tableau entries computed, and `least`.
+
+    Where they are all excluded, no z has a smaller relative residual than `least`, as doubles say.
+
+    Parameters
+    ----------
+    M : array, shape (n, n)
+    q, lower, upper : arrays, shape (n,)
+    limit : float
+        Entries of the tableau after which no case is begun.
+    tree : array of int, shape (cases, 4), to be filled
+        The row that splits a case, −1 in a leaf; its parent; the choice of the parent's row; whether it is closed.
+    y : array, shape (cases, n + 1), to be filled
+        The multipliers of the equations that close it, and by how much they contradict then.
+    z : array, shape (n,), to be filled
+        The solution, where one is found.
+    """
+    n = q.size
+    unit, scale, table, origin = np.ones(n), np.ones(n), np.empty((n, n + 1)), np.empty((n, n + 1))
+    basic, other, stack = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(2 * n + 2, np.int64)
+    root, bounds, reach = np.empty((2, 2 * n)), np.empty((2, 2 * n)), np.empty((2, 2 * n))
+    value, is_decided, size = np.zeros(2 * n), np.empty(n, np.bool_), 0.0
+    for i in range(n):
+        root[0, i], root[1, i] = lower[i], upper[i]
+        root[0, n + i] = 0.0 if upper[i] == np.inf else -np.inf
+        root[1, n + i] = 0.0 if lower[i] == -np.inf else np.inf
+        value[i] = min(max(0.0, lower[i]), upper[i])
+        largest = 0.0
+        for j in range(n):
+            largest = max(largest, abs(M[i, j]))
+        if largest > 0.0:
+            unit[i] = 1.0 / largest
+            scale[i] = M[i, i] if M[i, i] >= OWN_FROM * largest else largest
+        basic[i], other[i] = n + i, i
+        for j in range(n):
+            origin[i, j] = table[i, j] = unit[i] * M[i, j]
+        origin[i, n] = table[i, n] = unit[i] * q[i]
+    reference, least = 0.0, np.inf
+    for i in range(n):
+        total = table[i, n]
+        for j in range(n):
+            total += table[i, j] * value[j]
+        size = max(size, abs(total))
+        total /= unit[i] * scale[i]
+        reference = max(reference, abs(value[i] - min(max(value[i] - total, lower[i]), upper[i])))
+    allowed = FEASIBLE * size
+    tree[0, ROW] = tree[0, PARENT] = tree[0, CHOICE] = -1
+    tree[0, IS_CLOSED] = stack[0] = 0
+    top, count, seen, pivots, spent = 1, 1, 0, 0, 0.0
+    while top > 0:
+        top -= 1
+        case = stack[top]
+        seen += 1
+        if spent > limit:
+            return GAVE_UP, seen, spent, 0.0
+        for x in range(2 * n):
+            bounds[0, x], bounds[1, x] = root[0, x], root[1, x]
+        for i in range(n):
+            is_decided[i] = lower[i] == upper[i] or (lower[i] == -np.inf and upper[i] == np.inf)
+        child = case
+        while tree[child, PARENT] >= 0:
+            i = tree[tree[child, PARENT], ROW]
+            _choose(bounds, i, n, tree[child, CHOICE])
+            is_decided[i] = True
+            child = tree[child, PARENT]
+        for k in range(n):
+            x = other[k]
+            value[x] = min(max(value[x], bounds[0, x]), bounds[1, x])
+        tries = 0
+        while True:
+            if pivots >= RENEWED_AFTER:
+                pivots = 0
+                spent += n * n * (n + 1.0)
+                if not _renewed(table, origin, basic, other, n):
+                    return GAVE_UP, seen, spent, 0.0
+            spent += n * (n + 1.0)
+            row, sign, worst, is_last = -1, 1.0, allowed, tries > 3 * n
+            for k in range(n):
+                x, total = basic[k], table[k, n]
+                for j in range(n):
+                    total += table[k, j] * value[other[j]]
+                value[x] = total
+                gap = max(bounds[0, x] - total, total - bounds[1, x])
+                if gap > worst and (not is_last or row < 0 or x < basic[row]):
+                    row, sign = k, 1.0 if total < bounds[0, x] else -1.0
+                    worst = allowed if is_last else gap
+            if row < 0:
+                break
+            column, best = -1, SMALLEST_PIVOT
+            for j in range(n):
+                x, entry = other[j], table[row, j]
+                end = bounds[1, x] if entry * sign > 0.0 else bounds[0, x]
+                if abs(entry) > best and value[x] != end and (not is_last or column < 0 or x < other[column]):
+                    column, best = j, SMALLEST_PIVOT if is_last else abs(entry)
+            if column < 0:
+                _close(table, basic, other, bounds, value, row, sign, unit, y[case])
+                tree[case, IS_CLOSED] = 1
+                least = min(least, y[case, n] / (reference * _weight(M, lower, upper, bounds, scale, y[case])))
+                break
+            x = basic[row]
+            value[x] = bounds[0, x] if sign > 0.0 else bounds[1, x]
+            _exchange(table, basic, other, n, row, column)
+            tries, pivots = tries + 1, pivots + 1
+            spent += n * (n + 1.0)
+            if tries > 20 * n + 20:
+                return GAVE_UP, seen, spent, 0.0
+        if row >= 0:
+            continue
+        i = _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed)
+        spent += n * n
+        if i < 0:
+            for j in range(n):
+                z[j] = min(max(value[j], lower[j]), upper[j])
+            return FOUND, seen, spent, 0.0
+        if count + 3 > tree.shape[0]:
+            return GAVE_UP, seen, spent, 0.0
+        tree[case, ROW] = i
+        for choice in (AT_UPPER, AT_ZERO, AT_LOWER):  # the last is looked at first
+            if (choice == AT_UPPER and upper[i] == np.inf) or (choice == AT_LOWER and lower[i] == -np.inf):
+                continue
+            tree[count, ROW], tree[count, PARENT], tree[count, CHOICE], tree[count, IS_CLOSED] = -1, case, choice, 0
+            stack[top] = count
+            top, count = top + 1, count + 1
+    return EXCLUDED, seen, spent, least
+
+
+@compiled
+def look_at_all(M, q, lower, upper, items, limit, most, found, seen, spent, least, z):  # type: ignore[no-untyped-def]
+    """Look at the cases of these items of a batch; an array with one row in front stands for all of them."""
+    n = M.shape[1]
+    tree, y = np.empty((most, 4), np.int64), np.empty((most, n + 1))
+    for p in range(items.size):
+        k = items[p]
+        found[p], seen[p], spent[p], least[p] = look_at(
+            M[k if M.shape[0] > 1 else 0], q[k if q.shape[0] > 1 else 0], lower[k if lower.shape[0] > 1 else 0],
+            upper[k if upper.shape[0] > 1 else 0], limit, tree, y, z[p],
+        )
+
+
+@compiled_in_place
+def _choose(bounds, i, n, choice):  # type: ignore[no-untyped-def]
+    """Narrow the bounds of z_i and w_i to one choice of the row."""
+    if choice == AT_ZERO:
+        bounds[0, n + i] = bounds[1, n + i] = 0.0
+    elif choice == AT_LOWER:
+        bounds[1, i], bounds[0, n + i], bounds[1, n + i] = bounds[0, i], 0.0, np.inf
+    else:
+        bounds[0, i], bounds[0, n + i], bounds[1, n + i] = bounds[1, i], -np.inf, 0.0
+
+
+@compiled_part
+def _exchange(table, basic, other, n, row, column):  # type: ignore[no-untyped-def]
+    """Let the basic variable of `row` and the other one of `column` change places."""
+    p = table[row, column]
+    for j in range(n + 1):
+        table[row, j] /= -p
+    table[row, column] = 1.0 / p
+    for i in range(n):
+        factor = table[i, column]
+        if i != row and factor != 0.0:
+            table[i, column] = 0.0
+            for j in range(n + 1):
+                table[i, j] += factor * table[row, j]
+    basic[row], other[column] = other[column], basic[row]
+
+
+@compiled_in_place
+def _renewed(table, origin, basic, other, n):  # type: ignore[no-untyped-def]
+    """Compute the tableau of the present basis afresh; return False where it is singular."""
+    is_basic = np.zeros(2 * n, np.bool_)
+    for k in range(n):
+        is_basic[basic[k]] = True
+    for k in range(n):
+        basic[k], other[k] = n + k, k
+        for j in range(n + 1):
+            table[k, j] = origin[k, j]
+    for column in range(n):
+        if not is_basic[column]:
+            continue
+        row, best = -1, SMALLEST_PIVOT
+        for k in range(n):
+            if not is_basic[basic[k]] and abs(table[k, column]) > best:
+                row, best = k, abs(table[k, column])
+        if row < 0:
+            return False
+        _exchange(table, basic, other, n, row, column)
+    return True
+
+
+@compiled_in_place
+def _close(table, basic, other, bounds, value, row, sign, unit, y):  # type: ignore[no-untyped-def]
+    """Write the multipliers of the row whose basic variable cannot reach its bound; sign +1: the lower one.
+
+    Their products with the columns of other basic z_j are zero, in doubles about zero, and need a sign: a little of
+    the rows of these z_j is added, as little as leaves all other signs and most of the contradiction.
+    """
+    n = basic.size
+    added = np.zeros(n)
+    x, cost = basic[row], 0.0
+    contradiction = sign * ((bounds[0, x] if sign > 0.0 else bounds[1, x]) - value[x])
+    largest = 1.0 if x >= n else 0.0
+    for k in range(n):
+        x = basic[k]
+        if x < n and k != row and (bounds[0, x] == -np.inf) != (bounds[1, x] == np.inf):
+            way = 1.0 if bounds[1, x] == np.inf else -1.0
+            cost += way * (value[x] - (bounds[0, x] if way > 0.0 else bounds[1, x]))
+            for j in range(n):
+                added[j] += way * table[k, j]
+    for j in range(n):
+        if other[j] >= n:
+            largest = max(largest, abs(table[row, j]))
+    step = FARTHEST * largest
+    if cost > 0.0:
+        step = min(step, MARGIN_GIVEN * contradiction / cost)
+    for j in range(n):
+        x, entry = other[j], sign * table[row, j]
+        has_sign = bounds[0, x] == -np.inf or bounds[1, x] == np.inf
+        if has_sign and abs(entry) > SMALLEST_PIVOT * largest and entry * added[j] < 0.0:
+            step = min(step, 0.5 * abs(entry / added[j]))
+    for i in range(n):
+        y[i] = 0.0
+    y[n] = contradiction - step * cost
+    if basic[row] >= n:
+        y[basic[row] - n] = sign * unit[basic[row] - n]
+    for j in range(n):
+        x = other[j]
+        entry = sign * table[row, j]
+        if x >= n:
+            entry = (entry if abs(entry) > SMALLEST_PIVOT * largest else 0.0) + step * added[j]
+            y[x - n] = -entry * unit[x - n]
+
+
+@compiled_in_place
+def _weight(M, lower, upper, bounds, scale, y):  # type: ignore[no-untyped-def]
+    """Return what a residual of 1 on every row takes from the contradiction of the multipliers."""
+    n, weight = scale.size, 0.0
+    for i in range(n):
+        if lower[i] < upper[i] and bounds[0, i] == bounds[1, i]:
+            total = 0.0
+            for k in range(n):
+                total += y[k] * M[k, i]
+            weight += abs(total)
+        else:
+            weight += abs(y[i]) * scale[i]
+    return weight
+
+
+@compiled_in_place
+def _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed):  # type: ignore[no-untyped-def]
+    """Return a row that the point violates, one with the fewest choices left first; −1 where it solves the problem."""
+    n = basic.size
+    for j in range(n):
+        x = other[j]
+        reach[0, x], reach[1, x] = bounds[0, x], bounds[1, x]
+    for k in range(n):
+        low = high = table[k, n]
+        for j in range(n):
+            entry, x = table[k, j], other[j]
+            if abs(entry) > SMALLEST_PIVOT:
+                low += entry * (bounds[0, x] if entry > 0.0 else bounds[1, x])
+                high += entry * (bounds[1, x] if entry > 0.0 else bounds[0, x])
+        reach[0, basic[k]], reach[1, basic[k]] = low, high
+    found, worst, single = -1, 0.0, -1
+    for i in range(n):
+        if is_decided[i]:
+            continue
+        w, bottom, top = value[n + i], root[0, i], root[1, i]
+        is_up, is_down = reach[1, n + i] >= -allowed, reach[0, n + i] <= allowed
+        left = 1 if is_up and is_down else 0
+        left += 1 if bottom > -np.inf and reach[0, i] <= bottom + allowed and is_up else 0
+        left += 1 if top < np.inf and reach[1, i] >= top - allowed and is_down else 0
+        gap = abs(value[i] - (bottom if w > 0.0 else top)) if abs(w) > allowed else 0.0
+        if gap > allowed and gap * abs(w) > worst:
+            found, worst = i, gap * abs(w)
+        if left <= 1 and single < 0:
+            single = i
+    return single if found >= 0 and single >= 0 else found

@@ -1,0 +1,256 @@
+"""Feasibility and exhaustive search as stages of a run: they end it with a solution or with a proof.
+
+The cases are looked at in doubles, compiled: a solution, or a tree for exact arithmetic to check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from ...core.algorithms.base import Algorithm, Step, without_warnings
+from ...core.certificates.criterion import reference_residual
+from ...core.checks import FloatVector
+from ...core.crossovers import LINEAR_PROGRAM_UP_TO
+from ...core.errors import UnsuitableProblem
+from ...core.lcp import LCP
+from ...core.matrix.matrix import Matrix
+from ...core.matrix.structure import IntVector
+from ...proofs.exact.rational import integers
+from ...proofs.exact.simplex import QUANTUM
+from ...proofs.no_solution.infeasibility import Case, decide_feasibility, find_forced_contradiction
+from ...proofs.no_solution.refutation import LOWER, SLACKLESS, UPPER, Infeasibility
+from ...systems.free_systems import FreeSystem
+from ..small.small_dense import as_dense
+from . import LARGEST_CHOICES, LARGEST_SIZE, Effort, Found, NoSolution, explore, is_searchable
+
+SLIGHTLY = 1e-2  # of a contradiction, spent on the rounding of its proof
+MOST_CASES = 4096  # in doubles
+CHOICES = (LOWER, SLACKLESS, UPPER)  # as numbered in `methods.search.kernels.cases`
+CASES_A_STEP = 50
+MOST_EXACT = 20_000
+MOST_PRODUCTS = 300 * QUANTUM  # some seconds
+MOST_ENTRIES = 1e9  # about a second
+FIRST_ENTRIES, FIRST_PRODUCTS = 1e7, QUANTUM  # some ten milliseconds: no more than the methods after it take
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeasibilityCheck(Algorithm):
+    """Looks for a proof that no z satisfies the linear inequalities, or that complementarity contradicts itself."""
+
+    name: ClassVar[str] = "feasibility"
+    assumption: ClassVar[str] = "a linear program of that size can be solved"
+    converges_on: ClassVar[str] = "–"
+    cost: ClassVar[str] = "one linear program"
+    reference: ClassVar[str] = "Farkas"
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then once more with each proof that is found."""
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        yield Step(z0, work=0.0)
+        effort = None if problem.n <= LINEAR_PROGRAM_UP_TO else 0
+        proof = decide_feasibility(problem, effort_limit=effort).proof
+        if proof is not None:
+            yield Step(z0, proof=proof)
+        chain = find_forced_contradiction(problem)
+        if chain is not None:
+            yield Step(z0, proof=chain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LargestPoint(Algorithm):
+    """z = −M⁻¹q, where −M is an M-matrix and no z has an upper bound: a solution, or there is none.
+
+    (−M)⁻¹ ≥ 0, so that w = M z + q ≥ 0 means z ≤ x = −M⁻¹q. Where x ≥ lower, it is a solution, with w = 0. Elsewhere
+    c = max(lower − x, 0) and y = −M⁻ᵀc ≥ 0 contradict: yᵀw = cᵀ(x − z) ≤ cᵀ(x − lower) < 0 for every z ≥ lower.
+
+    Parameters
+    ----------
+    refutes : bool
+        Where False, or above the size up to which proofs are looked for, the contradiction is told as doubles have it.
+    """
+
+    refutes: bool = True
+
+    name: ClassVar[str] = "largest_point"
+    assumption: ClassVar[str] = "−M an M-matrix, no upper bounds"
+    converges_on: ClassVar[str] = "all of these that are feasible"
+    cost: ClassVar[str] = "a linear solve, and another one with Mᵀ"
+    reference: ClassVar[str] = "Cottle, Pang, Stone, §3.11 (least elements)"
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, −M⁻¹q within the bounds, then the start once more with what excludes a solution."""
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        yield Step(z0, work=0.0)
+        system = FreeSystem(Matrix(-problem.csr), np.ones(problem.n, np.bool_))
+        x = system.solve(problem.q)
+        if x is None:
+            return
+        yield Step(np.maximum(x, problem.lower), work=system.work / max(problem.nonzeros, 1))
+        short = np.maximum(problem.lower - x, 0.0)
+        y = self._multipliers(problem, system, x, short) if short.any() else None
+        if y is None:
+            return
+        if self.refutes and problem.n <= LINEAR_PROGRAM_UP_TO:
+            yield Step(z0, proof=Infeasibility.of(problem, dict(enumerate(y.tolist()))))
+            return
+        margin = float(short @ short / (y @ (problem.residual_scale * reference_residual(problem))))
+        remark = "in double precision no z within its bounds has w ≥ 0"
+        yield Step(z0, least_residual=margin, remark=remark)
+
+    @staticmethod
+    def _multipliers(
+        problem: LCP, system: FreeSystem, x: FloatVector, short: FloatVector
+    ) -> FloatVector | None:
+        """Return y > 0 with −Mᵀy = c, and a little more than that where z has a bound, for what rounds in it."""
+        is_bounded = problem.lower > -np.inf
+        room = float(np.where(is_bounded, np.abs(x - problem.lower), 0.0).sum())
+        more = SLIGHTLY * float(short @ short) / room
+        y = system.solve(short + more * is_bounded, transposed=True)
+        return y if y is not None and bool((y > 0.0).all()) else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExhaustiveSearch(Algorithm):
+    """Branch and bound over z_i = bound, w_i = 0: in doubles, compiled; what these do not prove, in exact arithmetic.
+
+    Parameters
+    ----------
+    is_first : bool
+        A look before other methods, with less patience; what it leaves open is said by another one at the end.
+    refutes : bool
+        Where False, the pass in doubles looks for a solution and nothing is proved.
+    """
+
+    is_first: bool = False
+    refutes: bool = True
+
+    name: ClassVar[str] = "search"
+    assumption: ClassVar[str] = f"n ≤ {LARGEST_SIZE}; exactly: at most {LARGEST_CHOICES} rows that leave a choice"
+    converges_on: ClassVar[str] = "every matrix"
+    cost: ClassVar[str] = "all cases in doubles; then at most 50, each an exact linear program"
+    reference: ClassVar[str] = "Cottle, Pang, Stone, §1.3"
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield z0 while it searches, then the solution, or z0 with the proof; end where that takes too much."""
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        yield Step(z0, work=0.0)
+        seen = outline(problem, FIRST_ENTRIES if self.is_first else MOST_ENTRIES)
+        step = Step(z0 if seen.z is None else seen.z, work=seen.entries / max(problem.nonzeros, 1))
+        if seen.tree is not None and self.refutes:
+            proof = NoSolution(problem, seen.tree, seen.cases)
+            step.proof = proof.infeasibility or proof
+        elif seen.tree is not None:
+            step.least_residual, step.remark = seen.least_residual, "in double precision every case contradicts"
+        yield step
+        is_proved = step.proof is not None and step.proof.exact  # but the contradiction is too small for the run
+        if self.refutes and not is_proved and is_searchable(problem):
+            yield from self._exactly(problem, z0, seen.tree)
+
+    def _exactly(self, problem: LCP, z0: FloatVector, tree: Case | None) -> Iterator[Step]:
+        """Yield z0 while exact arithmetic looks at all cases, or at those of a tree that are not closed."""
+        effort, told = Effort(), Effort()
+        for outcome in explore(problem, effort, tree=tree):
+            is_due = effort.cases - told.cases >= CASES_A_STEP or effort.products - told.products >= QUANTUM
+            if outcome is None and not is_due:
+                continue
+            step = Step(z0, work=(effort.entries - told.entries) / max(problem.nonzeros, 1))
+            told = replace(effort)
+            if isinstance(outcome, Found):
+                try:
+                    step.z = np.clip(outcome.solutions[0].z, problem.lower, problem.upper)
+                except UnsuitableProblem as error:
+                    step.remark = f"a search of all cases found a solution, but {error}"
+            elif isinstance(outcome, NoSolution):
+                step.proof = outcome.infeasibility or outcome
+            elif effort.cases >= MOST_EXACT or effort.products >= (FIRST_PRODUCTS if self.is_first else MOST_PRODUCTS):
+                if self.is_first:
+                    return
+                step.remark = f"not decided in {effort.cases} cases of an exact search; all_solutions goes on"
+            yield step
+            if step.remark:
+                return
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """What a pass in doubles found; nothing of it is proved.
+
+    Attributes
+    ----------
+    z : ndarray, shape (n,), or None
+        A solution to rounding.
+    least_residual : float
+        About the least relative residual of any z, where every case seems to contradict; 0 elsewhere.
+    cases : int
+        That were looked at.
+    entries : float
+        Of the tableau that were computed.
+    nodes, y : arrays
+        As `methods.search.kernels.cases` writes them.
+    """
+
+    z: FloatVector | None
+    least_residual: float
+    cases: int
+    entries: float
+    nodes: IntVector = field(repr=False)
+    y: FloatVector = field(repr=False)
+
+    @cached_property
+    def tree(self) -> Case | None:
+        """All cases where each seems to contradict, with Farkas vectors to be verified."""
+        return _tree(self.nodes.tolist(), self.y) if self.nodes.size else None
+
+
+def outline(problem: LCP, most_entries: float) -> Outline:
+    """Return what one pass over the cases finds before it has computed so many entries of its tableau.
+
+    Examples
+    --------
+    >>> outline(LCP([[0, 2], [1, 0]], [-1, -1]), 1e6).z.tolist()
+    [1.0, 0.5]
+    >>> found = outline(LCP([[1, -2, 1], [-3, 2, -2], [1, -2, 0]], [-1, 2, 2]), 1e6)
+    >>> found.tree is not None, round(found.least_residual, 3) > 0.0
+    (True, True)
+    """
+    from .kernels import cases as kernels
+
+    n = problem.n
+    most = min(MOST_CASES, 3 ** (n + 1))  # more than there are
+    nodes, y, z = np.empty((most, 4), np.int64), np.empty((most, n + 1)), np.empty(n)
+    M = as_dense(problem.matrix)[0]
+    with np.errstate(all="ignore"):
+        found, cases, entries, least = kernels.look_at(
+            M, problem.q, problem.lower, problem.upper, float(most_entries), nodes, y, z
+        )
+        if found == kernels.FOUND and np.isfinite(z).all():
+            return Outline(z, 0.0, cases, entries, nodes[:0], y[:0])
+        if found != kernels.EXCLUDED or not np.isfinite(y[:cases][nodes[:cases, kernels.ROW] < 0]).all():
+            return Outline(None, 0.0, cases, entries, nodes[:0], y[:0])
+    return Outline(None, least, cases, entries, nodes[:cases], y[:cases])
+
+
+def _tree(nodes: list[list[int]], y: FloatVector) -> Case:
+    """Return the cases of the kernel as a tree."""
+    cases = [Case(row) for row, *_ in nodes]
+    for k, (row, parent, choice, _) in enumerate(nodes):
+        if parent >= 0:
+            cases[parent].branches[CHOICES[choice]] = cases[k]
+        if row < 0:
+            cases[k].y = [Fraction(value) for value in integers(y[k, :-1])[0]]
+    return cases[0]

@@ -1,0 +1,1 @@
+"""Small dense problems, solved by one compiled call: sweeps, rounds of active sets, pivots."""

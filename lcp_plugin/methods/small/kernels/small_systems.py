@@ -1,0 +1,147 @@
+"""The dense linear system of a guessed active set, solved in place; arrays as in :mod:`.workspace`."""
+
+from __future__ import annotations
+
+from ....core.kernels.compilation import compiled_into_others, compiled_part
+from ....core.kernels.workspace import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
+
+CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
+LARGEST = 1e290
+
+
+@compiled_part
+def solve_free(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
+    """Write FOUND with every variable at its bound where SIDE says so, and w_i = 0 on the other rows.
+
+    Returns the number of those, or −1 where their block is singular to working precision: FOUND is what it was then.
+    """
+    n, free = M.shape[1], 0
+    for i in range(n):
+        if whole[SIDE, i] == BETWEEN:
+            whole[FREE, free] = i
+            free += 1
+    _gather(M, k, real, whole, room, is_symmetric, free)
+    if not (is_symmetric and _eliminate_symmetric(room, n, free)):
+        if is_symmetric:
+            _gather(M, k, real, whole, room, False, free)
+        if not _eliminate(room, n, free):
+            return -1
+    for p in range(free - 1, -1, -1):
+        total = room[p, free]
+        for j in range(p + 1, free):
+            total -= room[p, j] * room[j, free]
+        room[p, free] = total / room[p, p]
+    for p in range(free):
+        if not abs(room[p, free]) < LARGEST:
+            return -1
+    for i in range(n):
+        real[FOUND, i] = _bound(real, whole, i)
+    for p in range(free):
+        real[FOUND, whole[FREE, p]] = room[p, free]
+    return free
+
+
+@compiled_into_others
+def _bound(real, whole, i):  # type: ignore[no-untyped-def]
+    return 0.0 if whole[SIDE, i] == BETWEEN else real[UPPER if whole[SIDE, i] == AT_UPPER else LOWER, i]
+
+
+@compiled_into_others
+def _gather(M, k, real, whole, room, is_symmetric, free):  # type: ignore[no-untyped-def]
+    """Copy the rows and columns between the bounds, and the right-hand side behind them.
+
+    A symmetric block stays as it is; rows of another are divided by their SCALE, so that they may have any unit.
+    """
+    for p in range(free):
+        i = whole[FREE, p]
+        unit = 1.0 if is_symmetric else real[SCALE, i]
+        total = -real[Q, i]
+        for j in range(free):
+            room[p, j] = M[k, i, whole[FREE, j]] / unit
+        for j in range(M.shape[1]):
+            bound = _bound(real, whole, j)
+            if bound != 0.0:
+                total -= M[k, i, j] * bound
+        room[p, free] = total / unit
+
+
+@compiled_into_others
+def _eliminate_symmetric(room, n, free):  # type: ignore[no-untyped-def]
+    """Eliminate on and above the diagonal, without pivoting; return whether every pivot was clearly positive."""
+    for p in range(free):
+        if not room[p, p] > 0.0:
+            return False
+    for begin in range(0, free, 4):
+        end = min(begin + 4, free)
+        for p in range(begin, end):
+            for i in range(p + 1, end):
+                before, factor = room[i, i], room[p, i] / room[p, p]
+                for j in range(i, free + 1):
+                    room[i, j] -= factor * room[p, j]
+                if not room[i, i] > CANCELLED * before:
+                    return False
+        if end == free:
+            break
+        _copy(room, n, begin, end, free)
+        for i in range(end, free):
+            before = room[i, i]
+            a, b = room[n, i] / room[begin, begin], room[n + 1, i] / room[begin + 1, begin + 1]
+            c, d = room[n + 2, i] / room[begin + 2, begin + 2], room[n + 3, i] / room[begin + 3, begin + 3]
+            _subtract(room, n, i, a, b, c, d, i, free)
+            if not room[i, i] > CANCELLED * before:
+                return False
+    return True
+
+
+@compiled_into_others
+def _eliminate(room, n, free):  # type: ignore[no-untyped-def]
+    """Eliminate below the diagonal with partial pivoting; return whether no column was all rounding.
+
+    Four columns are eliminated at a time; their factors stay below the diagonal until the rest is updated.
+    """
+    largest = 0.0
+    for i in range(free):
+        for j in range(free):
+            largest = max(largest, abs(room[i, j]))
+    for begin in range(0, free, 4):
+        end = min(begin + 4, free)
+        for p in range(begin, end):
+            best = p
+            for i in range(p + 1, free):
+                best = i if abs(room[i, p]) > abs(room[best, p]) else best
+            if not abs(room[best, p]) > CANCELLED * largest:
+                return False
+            if best != p:
+                for j in range(begin, free + 1):
+                    room[p, j], room[best, j] = room[best, j], room[p, j]
+            for i in range(p + 1, free):
+                factor = room[i, p] / room[p, p]
+                room[i, p] = factor
+                for j in range(p + 1, end):
+                    room[i, j] -= factor * room[p, j]
+        for p in range(begin, end):
+            for i in range(p + 1, end):
+                for j in range(end, free + 1):
+                    room[i, j] -= room[i, p] * room[p, j]
+        if end == free:
+            break
+        _copy(room, n, begin, end, free)
+        for i in range(end, free):
+            a, b, c, d = room[i, begin], room[i, begin + 1], room[i, begin + 2], room[i, begin + 3]
+            _subtract(room, n, i, a, b, c, d, end, free)
+    return True
+
+
+@compiled_into_others
+def _copy(room, n, begin, end, free):  # type: ignore[no-untyped-def]
+    """Copy four rows from column `end` on behind the others."""
+    for p in range(4):
+        for j in range(end, free + 1):
+            room[n + p, j] = room[begin + p, j]
+
+
+@compiled_into_others
+def _subtract(room, n, i, a, b, c, d, first, free):  # type: ignore[no-untyped-def]
+    """Subtract those four rows at once from row i: it is read and written once instead of four times."""
+    for j in range(first, free + 1):
+        room[i, j] -= (a * room[n, j] + b * room[n + 1, j]) + (c * room[n + 2, j] + d * room[n + 3, j])

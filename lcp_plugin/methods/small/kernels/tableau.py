@@ -1,0 +1,393 @@
+"""Lemke's path on a dense tableau: complementary pivoting along w = M z + q + t r, 0 ≤ z ≤ u, from t = ∞ to t = 0.
+
+The tableau expresses the n basic variables by the n + 1 others, so a pivot touches n (n + 1) numbers. Exactly one of
+z_i, w_i is basic for every row i but the *driven* one; SIDE says where z_i stands: AT_LOWER (w_i ≥ 0 basic), BETWEEN
+(z_i basic), AT_UPPER (w_i ≤ 0 basic). Bounds are those of the variables. q is thought of as q + (ε, ε², …) for a tiny
+ε, which settles every tie in the ratio test, so that no basis can come twice (Eaves' lexicographic rule). Variables are
+numbered z_i = i, w_i = n + i, t = 2n; arrays as in :mod:`~lcp_plugin.core.kernels.workspace`.
+
+On small problems a path is followed in one call and nothing watched on the way: the caller measures what comes out
+(:func:`follow_path`; free rows are not taken). On others a few pivots are made at a time, and whoever asks for them
+renews the tableau (:func:`pivots`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.kernels.compilation import compiled, compiled_in_any_order, compiled_into_others, compiled_part
+from ....core.kernels.workspace import (
+    AT_LOWER,
+    AT_UPPER,
+    BASE,
+    BASIC,
+    BETWEEN,
+    CANDIDATE,
+    DISTANCE,
+    FIXED,
+    FOUND,
+    HIGH,
+    KEPT,
+    LOW,
+    LOWER,
+    OTHER,
+    PIVOT_ROW,
+    PLACE,
+    ROW_UNIT,
+    SIDE,
+    UNIT,
+    UPPER,
+    WIDTH,
+    Q,
+)
+
+SCALING_ROUNDS = 3
+SMALLEST_PIVOT = 1e-11  # in an equilibrated problem
+TIE = 1e-12
+DOUBTFUL = 1e-9  # of the largest entry in its column: a pivot so small is taken in a new tableau only
+HELD = 8  # pivots whose products are added to a large tableau at once
+OWN_BOUND, NOTHING = -1, -2
+GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
+
+
+@compiled_part
+def follow_path(M, k, real, whole, room, limit):  # type: ignore[no-untyped-def]
+    """Follow w = M z + q + t r from t = ∞ to t = 0; return the pivots made, or −1 where that was not reached.
+
+    FOUND and SIDE then say where it ended; r is 1 on every row of the equilibrated problem.
+    """
+    n = M.shape[1]
+    if not _begin(M, k, real, whole, room):
+        return -1
+    row, size = _most_negative(real, whole, n)
+    if row < 0:
+        _end(real, whole, n)
+        return 0
+    driven, value, direction = 2 * n, 0.0, 1.0
+    made, column, step = 0, n, -real[KEPT, row]
+    while made < limit:
+        left, driven, value, direction = _move(real, whole, room, n, driven, value, direction, row, column, step)
+        made += 1
+        if left == 2 * n:
+            _end(real, whole, n)
+            return made
+        if row >= 0:
+            _exchange(real, room, n, row, column)
+        column = whole[PLACE, driven] - n
+        row, step, count = _blocking(real, whole, room, n, column, direction, value, driven, size)
+        if row == NOTHING:
+            return -1
+        if count > 1:
+            row = _first_in_order(whole, room, n, column, direction, count)
+    return -1
+
+
+@compiled
+def pivots(  # type: ignore[no-untyped-def]
+    real, whole, room, factors, rows, start_side, driven, value, direction, is_fresh, limit
+):
+    """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
+
+    The tableau is what `room` holds plus the products of the columns `factors` with `rows`: those of the last few
+    pivots, which are added at once, so that a large tableau goes through memory once for all of them. What a pivot
+    looks at is brought up to date before.
+
+    Parameters
+    ----------
+    real, whole, room : arrays
+        KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE; the tableau. All but WIDTH are updated.
+    factors, rows : arrays, shape (HELD, n) and (HELD, n + 1)
+        Room to work in.
+    start_side : array of int, shape (n,)
+        SIDE of the cell where the path began, in which it must not end; −1 where it began outside of all.
+    is_fresh : bool
+        The tableau has just been computed: a first pivot is taken however small it is.
+    """
+    n, size = start_side.size, 0.0
+    for i in range(n):
+        size = max(size, abs(real[KEPT, i]))
+    made, held, outcome = 0, 0, GOING_ON
+    while made < limit and outcome == GOING_ON:
+        column, largest = whole[PLACE, driven] - n, 0.0
+        for i in range(n):
+            for k in range(held):
+                room[i, column] += factors[k, i] * rows[k, column]
+            largest = max(largest, abs(room[i, column]))
+        for k in range(held):
+            rows[k, column] = 0.0
+        row, step, count = _blocking(real, whole, room, n, column, direction, value, driven, size)
+        if row == NOTHING:
+            outcome = RAY
+            break
+        for c in range(count):
+            _bring_up_to_date(room, n, factors, rows, held, whole[CANDIDATE, c])
+        if count > 1:
+            row = _first_in_order(whole, room, n, column, direction, count)
+        if row >= 0 and not (is_fresh and made == 0) and abs(room[row, column]) < DOUBTFUL * largest:
+            outcome = LOST
+            break
+        left, driven, value, direction = _move(real, whole, room, n, driven, value, direction, row, column, step)
+        made += 1
+        if row >= 0:
+            _hold(room, n, factors[held], rows[held], row, column)
+            held += 1
+        if held == HELD:
+            _add(room, n, factors, rows)
+            held = 0
+        if left == 2 * n:
+            outcome = SOLVED
+            break
+        entered, is_back = BETWEEN if driven < n else AT_LOWER if direction > 0.0 else AT_UPPER, True
+        for i in range(n):
+            is_back &= start_side[i] == (entered if i == driven % n else whole[SIDE, i])
+        outcome = RETURNED if is_back else GOING_ON
+    for i in range(n):
+        _bring_up_to_date(room, n, factors, rows, held, i)
+    return outcome, driven, value, direction, made
+
+
+@compiled_into_others
+def _bring_up_to_date(room, n, factors, rows, held, row):  # type: ignore[no-untyped-def]
+    """Add what is held back of a row to the tableau; OWN_BOUND is none."""
+    for k in range(held):
+        if row >= 0 and factors[k, row] != 0.0:
+            factor = factors[k, row]
+            for j in range(n + 1):
+                room[row, j] += factor * rows[k, j]
+            factors[k, row] = 0.0
+
+
+@compiled_into_others
+def _hold(room, n, factor, held, row, column):  # type: ignore[no-untyped-def]
+    """Take the product that an exchange of `row` and `column` adds to the tableau, and clear these in it."""
+    p = room[row, column]
+    for j in range(n + 1):
+        held[j] = room[row, j] / -p
+        room[row, j] = 0.0
+    held[column] = 1.0 / p
+    for i in range(n):
+        factor[i] = room[i, column]
+        room[i, column] = 0.0
+    factor[row] = 1.0
+
+
+@compiled_into_others
+def _add(room, n, factors, rows):  # type: ignore[no-untyped-def]
+    """Add all that is held back to the tableau: HELD products at once."""
+    for i in range(n):
+        is_zero = True
+        for k in range(HELD):
+            is_zero &= factors[k, i] == 0.0
+        if is_zero:
+            continue
+        a, b, c, d = factors[0, i], factors[1, i], factors[2, i], factors[3, i]
+        e, f, g, h = factors[4, i], factors[5, i], factors[6, i], factors[7, i]
+        for j in range(n + 1):
+            first = (a * rows[0, j] + b * rows[1, j]) + (c * rows[2, j] + d * rows[3, j])
+            room[i, j] += first + ((e * rows[4, j] + f * rows[5, j]) + (g * rows[6, j] + h * rows[7, j]))
+
+
+@compiled_into_others
+def _move(real, whole, room, n, driven, value, direction, row, column, step):  # type: ignore[no-untyped-def]
+    """Move the driven variable by a step, at whose end `row` blocks it; return what left the basis, and what is driven.
+
+    That is 2n at the end of the path, OWN_BOUND where the variable has met its own other bound; then (driven variable,
+    its value, its direction).
+    """
+    is_falling = row >= 0 and direction * room[row, column] < 0.0
+    for i in range(n):
+        real[KEPT, i] += direction * step * room[i, column]
+    if row == OWN_BOUND and driven == 2 * n:
+        return driven, driven, 0.0, direction
+    if row == OWN_BOUND:
+        whole[SIDE, driven] = AT_UPPER if direction > 0.0 else AT_LOWER
+        return row, n + driven, 0.0, -direction
+    real[KEPT, row] = value + direction * step
+    leaving = _swap(real, whole, n, row, column)
+    if leaving == 2 * n:
+        return leaving, driven, value, direction
+    driven, value, direction = _complement(real, whole, n, leaving, is_falling)
+    return leaving, driven, value, direction
+
+
+@compiled_into_others
+def _power(size):  # type: ignore[no-untyped-def]
+    """Return a power of two of about size^(−1/2), 1 for 0."""
+    return 2.0 ** np.floor(-0.5 * np.log2(size) + 0.5) if size > 0.0 else 1.0
+
+
+@compiled_in_any_order
+def _equilibrate(M, k, real):  # type: ignore[no-untyped-def]
+    """Find powers of two that make the rows and columns of M about 1 (Ruiz); both sides at once."""
+    n = M.shape[1]
+    for i in range(n):
+        real[ROW_UNIT, i] = real[UNIT, i] = 1.0
+    for _ in range(SCALING_ROUNDS):
+        for i in range(n):
+            real[DISTANCE, i] = 0.0
+        for i in range(n):
+            largest, own = 0.0, real[ROW_UNIT, i]
+            for j in range(n):
+                size = abs(M[k, i, j]) * own * real[UNIT, j]
+                largest = max(largest, size)
+                real[DISTANCE, j] = max(real[DISTANCE, j], size)
+            real[LOW, i] = _power(largest)
+        for i in range(n):
+            real[ROW_UNIT, i] *= real[LOW, i]
+            real[UNIT, i] *= _power(real[DISTANCE, i])
+
+
+@compiled_into_others
+def _begin(M, k, real, whole, room):  # type: ignore[no-untyped-def]
+    """Fill in the tableau of the canonical problem 0 ≤ z ≤ WIDTH, z at 0; return False where a row is free."""
+    n = M.shape[1]
+    _equilibrate(M, k, real)
+    for i in range(n):
+        lower, upper = real[LOWER, i], real[UPPER, i]
+        if lower == -np.inf and upper == np.inf:
+            return False
+        real[BASE, i] = upper if lower == -np.inf else lower
+        real[WIDTH, i] = (upper - lower) / real[UNIT, i]
+        whole[SIDE, i] = FIXED if lower == upper else AT_LOWER
+        if lower == -np.inf:
+            real[UNIT, i], real[ROW_UNIT, i] = -real[UNIT, i], -real[ROW_UNIT, i]
+        whole[BASIC, i], whole[OTHER, i] = n + i, i
+        whole[PLACE, i], whole[PLACE, n + i] = n + i, i
+        real[LOW, i], real[HIGH, i] = -np.inf if whole[SIDE, i] == FIXED else 0.0, np.inf
+    whole[OTHER, n] = whole[PLACE, 2 * n] = 2 * n
+    for i in range(n):
+        total, own = real[Q, i], real[ROW_UNIT, i]
+        for j in range(n):
+            room[i, j] = own * M[k, i, j] * real[UNIT, j]
+        for j in range(n):
+            if real[BASE, j] != 0.0:
+                total += M[k, i, j] * real[BASE, j]
+        room[i, n] = 1.0
+        real[KEPT, i] = own * total
+    return True
+
+
+@compiled_into_others
+def _most_negative(real, whole, n):  # type: ignore[no-untyped-def]
+    """Return the row of the least w_i < 0, −1 where there is none, and the largest |w_i|."""
+    row, size = -1, 0.0
+    for i in range(n):
+        size = max(size, abs(real[KEPT, i]))
+        # Among equals the last is the one that the perturbation q + (ε, ε², …) blocks first.
+        if whole[SIDE, i] != FIXED and real[KEPT, i] < 0.0 and (row < 0 or real[KEPT, i] <= real[KEPT, row]):
+            row = i
+    return row, size
+
+
+@compiled_into_others
+def _exchange(real, room, n, row, column):  # type: ignore[no-untyped-def]
+    """Express the other variable of `column` by the basic one of `row`, and all others by it."""
+    p = room[row, column]
+    for j in range(n + 1):
+        real[PIVOT_ROW, j] = room[row, j] / -p
+    real[PIVOT_ROW, column] = 1.0 / p
+    for i in range(n):
+        factor = room[i, column]
+        if factor != 0.0:
+            room[i, column] = 0.0
+            for j in range(n + 1):
+                room[i, j] += factor * real[PIVOT_ROW, j]
+    for j in range(n + 1):
+        room[row, j] = real[PIVOT_ROW, j]
+
+
+@compiled_into_others
+def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
+    """Let the basic variable of `row` and the other one of `column` change places; return the one that was basic."""
+    leaving, entering = whole[BASIC, row], whole[OTHER, column]
+    whole[BASIC, row], whole[OTHER, column] = entering, leaving
+    whole[PLACE, entering], whole[PLACE, leaving] = row, n + column
+    if entering < n:
+        whole[SIDE, entering] = BETWEEN
+        real[LOW, row], real[HIGH, row] = 0.0, real[WIDTH, entering]
+    else:
+        is_above = entering == 2 * n or whole[SIDE, entering - n] == AT_LOWER
+        real[LOW, row], real[HIGH, row] = 0.0 if is_above else -np.inf, np.inf if is_above else 0.0
+    return leaving
+
+
+@compiled_into_others
+def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped-def]
+    """Return the complement of a variable that left the basis, the value it has, and the direction it moves in."""
+    if leaving >= n:  # w_i reached 0: z_i leaves the bound it stands at
+        i = leaving - n
+        is_low = whole[SIDE, i] == AT_LOWER
+        return i, 0.0 if is_low else real[WIDTH, i], 1.0 if is_low else -1.0
+    whole[SIDE, leaving] = AT_LOWER if is_falling else AT_UPPER
+    return n + leaving, 0.0, 1.0 if is_falling else -1.0
+
+
+@compiled_into_others
+def _blocking(real, whole, room, n, column, direction, value, driven, size):  # type: ignore[no-untyped-def]
+    """Return the row that blocks the driven variable, OWN_BOUND or NOTHING, the distance, and how many CANDIDATES do.
+
+    Where that is more than one the row is the first of them.
+    """
+    own = real[WIDTH, driven] if driven < n else value if driven == 2 * n else np.inf
+    nearest = own
+    for i in range(n):
+        rate = direction * room[i, column]
+        to_bound = (real[LOW, i] if rate < 0.0 else real[HIGH, i]) - real[KEPT, i]
+        distance = max(to_bound / rate, 0.0) if abs(rate) > SMALLEST_PIVOT else np.inf
+        real[DISTANCE, i] = distance
+        nearest = distance if distance < nearest else nearest
+    if not nearest < np.inf:
+        return NOTHING, nearest, 0
+    count, within = 0, nearest + TIE * (size + nearest)
+    for i in range(n):
+        if real[DISTANCE, i] <= within:
+            if whole[BASIC, i] == 2 * n:
+                whole[CANDIDATE, 0] = i
+                return i, nearest, 1
+            whole[CANDIDATE, count] = i
+            count += 1
+    if own <= within:
+        whole[CANDIDATE, count] = OWN_BOUND
+        count += 1
+    return whole[CANDIDATE, 0], nearest, count
+
+
+@compiled_into_others
+def _share(whole, room, n, column, direction, c, j):  # type: ignore[no-untyped-def]
+    """Return by how much later candidate c blocks when q_j grows; 0 for the driven variable's own bound."""
+    row, at = whole[CANDIDATE, c], whole[PLACE, n + j]
+    if row == OWN_BOUND:
+        return 0.0
+    return (room[row, at - n] if at >= n else -1.0 if at == row else 0.0) / (direction * room[row, column])
+
+
+@compiled_part
+def _first_in_order(whole, room, n, column, direction, count):  # type: ignore[no-untyped-def]
+    """Return the candidate that blocks first for q + (ε, ε², …)."""
+    for j in range(n):
+        if count == 1:
+            break
+        least, scale = np.inf, 0.0
+        for c in range(count):
+            share = _share(whole, room, n, column, direction, c, j)
+            least, scale = min(least, share), max(scale, abs(share))
+        kept = 0
+        for c in range(count):
+            if _share(whole, room, n, column, direction, c, j) <= least + TIE * scale:
+                whole[CANDIDATE, kept] = whole[CANDIDATE, c]
+                kept += 1
+        count = kept
+    return whole[CANDIDATE, 0]
+
+
+@compiled_into_others
+def _end(real, whole, n):  # type: ignore[no-untyped-def]
+    """Write FOUND and SIDE in terms of the caller's problem."""
+    for i in range(n):
+        at, side = whole[PLACE, i], whole[SIDE, i]
+        inside = real[KEPT, at] if at < n else real[WIDTH, i] if side == AT_UPPER else 0.0
+        real[FOUND, i] = real[BASE, i] + real[UNIT, i] * inside if inside != 0.0 else real[BASE, i]
+        if side == FIXED:
+            whole[SIDE, i] = AT_LOWER
+        elif side != BETWEEN and real[UNIT, i] < 0.0:
+            whole[SIDE, i] = AT_UPPER if side == AT_LOWER else AT_LOWER

@@ -1,1 +1,0 @@
-"""The linear complementarity problem, and its files."""

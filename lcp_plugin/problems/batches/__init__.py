@@ -1,0 +1,1 @@
+"""Many problems at once: prepare, solve_many, solve_batch."""

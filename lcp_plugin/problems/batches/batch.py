@@ -1,0 +1,342 @@
+"""Many problems with one matrix: prepare it once, solve for each q."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.algorithms import Algorithm
+from ...core.errors import InvalidOption, InvalidProblem, LCPError
+from ...core.kernels.threads import threads_for
+from ...core.kinds import kind_of, refusal
+from ...core.lcp import LCP
+from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
+from ...core.settings import CallersOwn, Settings, Status, checked_threads
+from ...core.solving.answer import Answer
+from ...core.solving.driver import solve
+from ...core.solving.result import Result
+from ...methods.banded.banded import Banded
+from ...systems.factors import bands
+from ..equilibria.equilibrium_program import EquilibriumProgram
+from ..least_squares.data import BoundedLeastSquares
+from ..programs.program import QuadraticProgram
+from ..programs.program_batch import QuadraticProgramBatch
+from .batch_items import Items, Listed, Stacked
+from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun
+from .program_batch import ProgramBatchResult, ProgramBatchRun
+
+
+def prepare(problem: LCP, *, threads: int | None = None) -> LCP:
+    """Return the same problem with all that depends on M alone computed: diagonal, bands, row splits, hierarchy.
+
+    ``problem.with_q(q)`` shares it, so that a march in time pays for it once; a solve without it computes what it
+    needs when it needs it.
+
+    Parameters
+    ----------
+    problem : LCP
+    threads : int, optional
+        As for :func:`lcp_plugin.solve`.
+
+    Raises
+    ------
+    InvalidOption
+        Where it is no LCP, or `threads` no number of threads.
+
+    Examples
+    --------
+    >>> from lcp_plugin import LCP, solve
+    >>> problem = prepare(LCP([[2, -1], [-1, 2]], [-1, 0]))
+    >>> [float(solve(problem.with_q([-1, q])).z[0].round(6)) for q in (0.0, 1.0)]
+    [0.666667, 0.5]
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(refusal("prepare", problem))
+    from ...methods.multigrid.multigrid import Multigrid
+    from ...systems.hierarchy.levels import hierarchy_of
+
+    allowed = problem.communicator.together(lambda: checked_threads(threads))
+    with threads_for(1 if threads is None and problem.is_distributed else allowed):
+        inverse_residual_scale(problem.matrix)
+        if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:
+            bands(problem.matrix)
+        for backward in (False, True):
+            row_splits(problem.matrix, backward)
+        if problem.communicator.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
+            hierarchy_of(problem.matrix, Multigrid.coarsest)
+    return problem
+
+
+@overload
+def solve_batch(
+    M: QuadraticProgramBatch, *, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
+    max_iterations: int | None = None, max_seconds: float | None = None, refute: bool = True,
+    threads: int | None = None,
+) -> ProgramBatchResult: ...
+@overload
+def solve_batch(  # type: ignore[overload-overlap]  # a list of LCPs is one of problems, too
+    M: Sequence[LCP], *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
+    max_iterations: int | None = None, max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0, refute: bool = True, threads: int | None = None,
+) -> BatchResult: ...
+@overload
+def solve_batch(
+    M: Sequence[LCP | QuadraticProgram | EquilibriumProgram | BoundedLeastSquares], *,
+    algorithm: str | Algorithm = "auto", tolerance: float = 1e-8, max_iterations: int | None = None,
+    max_seconds: float | None = None, refute: bool = True, threads: int | None = None,
+) -> AnswerList: ...
+@overload
+def solve_batch(
+    M: Any, q: ArrayLike | None = None, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf,
+    z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
+    max_iterations: int | None = None, max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0, refute: bool = True, threads: int | None = None,
+) -> BatchResult: ...
+def solve_batch(
+    M: Any,
+    q: ArrayLike | None = None,
+    *,
+    lower: ArrayLike = 0.0,
+    upper: ArrayLike = np.inf,
+    z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    refute: bool = True,
+    threads: int | None = None,
+) -> BatchResult | ProgramBatchResult | AnswerList:
+    """Return the answers to many problems, or quadratic programs, small ones in one compiled loop.
+
+    Parameters
+    ----------
+    M : array, shape (B, n, n) or (n, n), a sparse array for all, a sequence of problems, or a QuadraticProgramBatch
+        Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data: these are solved one
+        by one, programs sooner in a QuadraticProgramBatch. LCPs may differ in size; they and programs bring q and their
+        bounds. Arrays of shape (B, n, n) are read where they lie: leave their entries as they are while you use what is
+        returned.
+    q : array, shape (B, n) or (n,)
+    lower, upper : scalar or array, shape (n,) or (B, n)
+    z0 : array, shape (B, n) or (n,), optional
+        Warm starts; a list of vectors, or None, beside a list of LCPs.
+    algorithm, tolerance, max_iterations, absolute_tolerance, refute
+        For each problem, as in :func:`lcp_plugin.solve`.
+    max_seconds : float, optional
+        In seconds, for the whole batch: those not solved by then end with MAX_SECONDS.
+    threads : int, optional
+        How many take part in the compiled loop; by default all that the process may use. What it leaves open is
+        solved on one. The bits are the same for any number.
+
+    Returns
+    -------
+    BatchResult, ProgramBatchResult for a QuadraticProgramBatch, or AnswerList for a sequence of other problems
+        Each problem judged by its own certificate. One with NaN in it costs that one alone, and so does one without
+        solution: what the compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED.
+        Each program is judged by its own residuals, those of a QPSolution to 1e-6. Where the compiled loop meets a
+        contradiction that proves it infeasible, this is said with refute=False, too.
+
+    Raises
+    ------
+    InvalidProblem
+        Where shapes do not fit together, or an item of the sequence is no problem.
+    UnknownAlgorithm, InvalidOption
+        As :func:`lcp_plugin.solve`.
+
+    Examples
+    --------
+    >>> batch = solve_batch([[[2, 1], [1, 2]], [[4, 0], [0, 4]]], [[-5, 1], [-4, -8]])
+    >>> batch.z.round(6).tolist(), batch.all_solved
+    ([[2.5, 0.0], [1.0, 2.0]], True)
+    >>> batch[1].status.name
+    'SOLVED'
+
+    The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
+
+    >>> answers = solve_batch(QuadraticProgramBatch(np.eye(2), [[-1, -2], [0, -1]], G=[[1, 1]], h=[2]))
+    >>> answers.x.round(6).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
+    ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
+    """
+    checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
+    if isinstance(M, QuadraticProgramBatch):
+        if z0 is not None or absolute_tolerance != 0.0:
+            raise InvalidOption("a batch of programs takes no z0 or absolute_tolerance; leave them out")
+        _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
+        of_each = {"tolerance": tolerance, "max_iterations": max_iterations, "refute": refute, "threads": 1}
+        return ProgramBatchRun(M, algorithm, of_each, threads=checked, limit=limit).run()
+    items: Items
+    if (kind := kind_of(M)) is not None:
+        write = "QuadraticProgramBatch(P, c, …) or [program]" if isinstance(M, QuadraticProgram) else "[problem]"
+        raise InvalidProblem(f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})")
+    others = {one: kind for one in M if (kind := kind_of(one)) is not None} if isinstance(M, Sequence) else {}
+    for one, kind in others.items():
+        if "solve_batch" not in kind.ways:
+            raise InvalidProblem(refusal("solve_batch", one))
+    if any(not isinstance(one, LCP) for one in others):
+        for k, one in enumerate(M):
+            if kind_of(one) is None:
+                raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
+        _refuse_data("these problems", "new ones", q, lower, upper)
+        asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, max_iterations=max_iterations,
+                     absolute_tolerance=absolute_tolerance, refute=refute)
+        defaults = solve_batch.__kwdefaults__ or {}
+        wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
+        return MixedRun(M, wishes, limit=limit).run()
+    if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
+        items = Listed(_checked_list(M, q, lower, upper), z0)
+    else:
+        items = Stacked(M, q, lower, upper, z0)
+    wishes = {
+        "tolerance": tolerance, "max_iterations": max_iterations,
+        "absolute_tolerance": absolute_tolerance, "refute": refute, "threads": 1,
+    }
+    return BatchRun(items, algorithm, wishes, threads=checked, limit=limit).run()
+
+
+class MixedRun(BatchLoop):
+    """The answers to problems of several kinds, one after the other."""
+
+    def __init__(self, problems: Sequence[Any], wishes: dict[str, Any], *, limit: float) -> None:
+        super().__init__(len(problems), "auto", wishes, {}, threads=1, limit=limit)
+        self.problems = problems
+        self.results: dict[int, Answer] = {}
+
+    def run(self) -> AnswerList:
+        """Solve all, and gather what was found."""
+        self._solve_all()
+        self.status[self.is_open] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
+        self.seconds = self.clock.read()
+        return AnswerList(self, self.result_of)
+
+    def _solve_compiled(self) -> None:
+        """There is no loop for all kinds."""
+
+    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
+        found = solve(self.problems[k], **wishes)
+        self.results[k], self.status[k], self.is_open[k] = found, found.status, False
+        self.is_interrupted |= found.status is Status.INTERRUPTED
+
+    def result_of(self, k: int) -> Answer:
+        """Return the answer to problem k, which has no error; one that was not begun has what its start has."""
+        if k not in self.results:
+            found = solve(self.problems[k], **self.wishes, max_seconds=0.0)
+            self.results[k] = replace(found, status=self.status[k])
+        return self.results[k]
+
+
+class AnswerList(BatchAnswers[Answer]):
+    """The answers to problems of several kinds, in order.
+
+    Parameters
+    ----------
+    run : MixedRun
+        At its end.
+
+    Attributes
+    ----------
+    status : array of Status, shape (B,)
+        None where the data are no problem that can be solved, as a program that is not convex.
+    seconds : float
+        Wall-clock seconds of the whole batch.
+    errors : dict
+        What is wrong with problem k, where something is; ``answers[k]`` raises it.
+    """
+
+
+def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Sequence[LCP]:
+    for k, problem in enumerate(problems):
+        if not isinstance(problem, LCP):
+            raise InvalidProblem(f"a list of LCPs holds {type(problem).__name__} as item {k}; write LCP(M, q)")
+    _refuse_data("LCPs", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
+    return problems
+
+
+def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
+    if q is not None or np.ndim(lower) or np.ndim(upper) or (lower, upper) != (0.0, np.inf):
+        raise InvalidOption(f"{what} bring q and their bounds; write {remedy} for others")
+
+
+def solve_many(
+    problem: LCP, Q: ArrayLike | Sequence[ArrayLike], algorithm: str | Algorithm = "auto", **options: Any
+) -> list[Result | LCPError]:
+    """Return one entry a column of Q, in order: its Result, or the error that says what is wrong with it.
+
+    Parameters
+    ----------
+    problem : LCP
+        Gives M and the bounds; its own q is not used.
+    Q : array, shape (n, k), or a sequence of k vectors
+        A vector of another length, or with NaN in it, is an InvalidProblem in its place and does not stop the rest.
+    algorithm, **options
+        As for :func:`lcp_plugin.solve`.
+
+    Returns
+    -------
+    list of Result or LCPError
+        Of length k; shorter only where a run was INTERRUPTED, which ends the batch.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption
+        What concerns all columns, before the first.
+    InvalidProblem
+        Where Q is no collection of vectors, or none of them has length n: a transposed Q, for one.
+    Exception
+        What a callback raises, whatever it is, as in :func:`lcp_plugin.solve`.
+
+    Examples
+    --------
+    >>> answers = solve_many(LCP([[2, 1], [1, 2]], [0, 0]), [[-5, 1], [np.nan, 0], [1, 1]])
+    >>> [type(answer).__name__ for answer in answers], answers[0].z.round(6)
+    (['Result', 'InvalidProblem', 'Result'], array([2.5, 0. ]))
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(refusal("solve_many", problem))
+    if callable(options.get("callback")):
+        options["callback"] = CallersOwn(options["callback"])
+    problems: list[LCP | None] = []
+    errors: dict[int, LCPError] = {}
+    for k, q in enumerate(_columns(Q, problem.n)):
+        try:
+            problems.append(problem.with_q(q))
+        except LCPError as error:
+            problems.append(None)
+            errors[k] = error
+    starts = None if options.get("z0") is None else [options.pop("z0")] * len(problems)
+    run = BatchRun(Listed(problems, starts, errors), algorithm, options)
+    run.run()
+    answers: list[Result | LCPError] = []
+    for k in range(len(problems)):
+        answers.append(run.items.errors[k] if k in run.items.errors else run.result_of(k))
+        if isinstance(answers[-1], Result) and answers[-1].status is Status.INTERRUPTED:
+            break
+    return answers
+
+
+def _columns(Q: Any, n: int) -> list[Any]:
+    need = f"Q must be an array of shape (n, k), n = {n}, or a list of vectors of length {n}"
+    if isinstance(Q, np.ndarray) and Q.ndim == 2:
+        if Q.shape[0] != n:
+            hint = "; its rows are vectors of that length: give Q.T" if Q.shape[1] == n else ""
+            raise InvalidProblem(f"{need}, got an array of shape {Q.shape}{hint}")
+        return [np.ascontiguousarray(column) for column in Q.T]
+    if isinstance(Q, np.ndarray) or not isinstance(Q, Sequence) or isinstance(Q, str):
+        shape = f"an array of shape {Q.shape}" if isinstance(Q, np.ndarray) else type(Q).__name__
+        raise InvalidProblem(f"{need}, got {shape}")
+    lengths = {_length(q) for q in Q}
+    if Q and n not in lengths:
+        hint = "; they are as many as rows: give the columns" if len(Q) == n else ""
+        found = ", ".join(map(str, sorted(lengths)))
+        raise InvalidProblem(f"{need}, got a list of {len(Q)} with lengths {found}{hint}")
+    return list(Q)
+
+
+def _length(q: Any) -> int:
+    if isinstance(q, np.ndarray):
+        return q.size
+    return len(q) if hasattr(q, "__len__") else 1

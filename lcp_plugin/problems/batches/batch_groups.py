@@ -1,0 +1,149 @@
+"""Problems of a batch that share a compiled call: as they are, brought to common units, or looked at in all cases."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.algorithms.base import Phases
+from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.residuals import Certificate
+from ...core.certificates.row_residuals import largest_ratio
+from ...core.checks import BoolVector, read_only
+from ...core.kernels.threads import in_chunks
+from ...core.lcp import LCP
+from ...core.matrix.structure import IntVector, parts
+from ...core.matrix.units import are_in_one_unit
+from ...core.settings import Settings
+from ...core.solving.driver import beside_the_largest
+from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
+from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
+from ...methods.small.small_dense import Answers, run
+
+
+class Group(NamedTuple):
+    """Problems of one size as arrays for a compiled run; one row in front stands for all of them.
+
+    Attributes
+    ----------
+    items : array of int, shape (k,)
+        Which of the batch they are.
+    M : array, shape (k or 1, n, n)
+    q, lower, upper, starts : arrays, shape (k or 1, n)
+        Without columns, `starts` means z°.
+    """
+
+    items: Any
+    M: Any
+    q: Any
+    lower: Any
+    upper: Any
+    starts: Any
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """How many problems there are, and the unknowns of each."""
+        return self.items.size, self.M.shape[1]
+
+    def chosen(self, rows: IntVector) -> Group:
+        """Return the problems in these rows."""
+        return Group(self.items[rows], *(array if len(array) == 1 else array[rows] for array in self[1:]))
+
+    def vectors(self, *names: str) -> list[Any]:
+        """Return these vectors of all problems, each of shape (k, n)."""
+        return [np.broadcast_to(getattr(self, name), self.shape) for name in names]
+
+    def block_diagonal(self) -> LCP:
+        """Return the problem of all of them."""
+        count, n = self.shape
+        M = np.broadcast_to(self.M, (count, n, n))
+        blocks, rows, columns = np.nonzero(M)
+        places = blocks * n + rows, blocks * n + columns
+        q, lower, upper = (vector.reshape(-1) for vector in self.vectors("q", "lower", "upper"))
+        M = sp.csr_array((M[blocks, rows, columns], places), shape=(count * n, count * n))
+        return LCP(M, q, lower=lower, upper=upper)
+
+
+def in_one_unit(group: Group) -> Group:
+    """Return the problems that keep their units in the criterion; a compiled loop knows of no others."""
+    are = are_in_one_unit(group.M)
+    return group if are.all() else group.chosen(np.flatnonzero(are & np.ones(group.items.size, np.bool_)))
+
+
+def by_parts(group: Group) -> tuple[Group, Group]:
+    """Return the problems of one part, and those that may have several."""
+    is_open = _may_have_parts(group.M) & np.ones(group.items.size, np.bool_)
+    return group.chosen(np.flatnonzero(~is_open)) if is_open.any() else group, group.chosen(np.flatnonzero(is_open))
+
+
+def _may_have_parts(M: Any) -> BoolVector:
+    """Return where not every row but the first meets one before it, shape (k,)."""
+    is_open: BoolVector = ~(M[:, 0, 1:] != 0.0).all(axis=1)
+    some = np.flatnonzero(is_open)
+    if some.size:
+        nonzero = M[some] != 0.0
+        before = np.tril(nonzero | nonzero.transpose(0, 2, 1), -1).any(axis=2)
+        is_open[some] = ~before[:, 1:].all(axis=1)
+    return is_open
+
+
+def answers_in_common_units(group: Group, phases: Phases, settings: Settings) -> Answers:
+    """Return the answers of the compiled loop to problems each part of which is judged by its own reference."""
+    (count, n), answers = group.shape, Answers(*group.shape)
+    problem = group.block_diagonal()
+    units = CommonUnits.of(problem)
+    several = parts(problem.matrix)
+    labels = np.zeros(count * n, np.int64) if several is None else several.labels
+    ends = np.append(labels[::n], labels.max() + 1)  # parts are numbered in the order of their first rows
+    vectors = [read_only(getattr(units.problem, name).reshape(count, n)) for name in ("q", "lower", "upper")]
+    starts = group.starts
+    if starts.shape[1]:
+        starts = read_only(units.inward(group.vectors("starts")[0].reshape(-1)).reshape(count, n))
+    least, most = units.references
+    for k in range(count):
+        own = slice(ends[k], ends[k + 1])
+        tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
+        run((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
+    certificate = Certificate.of(units.callers, units.outward(answers.z.reshape(-1)))
+    answers.z[:] = certificate.z.reshape(count, n)
+    largest, least = certificate.residuals_of_parts
+    for k in np.flatnonzero(answers.has_converged).tolist():
+        own = slice(ends[k], ends[k + 1])
+        answers.residual[k] = largest_ratio(largest[own], least[own])
+        answers.has_converged[k] = answers.residual[k] <= settings.tolerance
+    return answers
+
+
+def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, Any, Any]:
+    """Return the rows of problems of one part that no z solves within the tolerance, their starts and residuals.
+
+    One compiled pass over all cases in doubles says so: no proof, and none is wanted. A run of each would end STALLED
+    at its start.
+    """
+    from ...methods.search.kernels import cases as kernels
+
+    n = group.shape[1]
+    starts = group.starts if group.starts.size else np.zeros((1, 1))
+    lower, upper, starts = group._replace(starts=starts).vectors("lower", "upper", "starts")
+    choices = np.count_nonzero((lower < upper) & ((lower > -np.inf) | (upper < np.inf)), axis=1)
+    rows = np.flatnonzero((choices <= LARGEST_CHOICES) & (n <= LARGEST_SIZE))
+    found, cases = np.empty((2, rows.size), np.int64)
+    spent, least, z = np.empty(rows.size), np.empty(rows.size), np.empty((rows.size, n))
+
+    def look(first: int, end: int) -> None:
+        some = slice(first, end)
+        kernels.look_at_all(
+            *group[1:5], rows[some], FIRST_ENTRIES, MOST_CASES,
+            found[some], cases[some], spent[some], least[some], z[some],
+        )
+
+    in_chunks(look, rows.size, threads)
+    rows = rows[(found == kernels.EXCLUDED) & (least > tolerance)]
+    points = np.clip(starts, lower, upper)[rows]
+    certificate = Certificate.of(group.chosen(rows).block_diagonal(), points.reshape(-1))
+    largest, smallest = certificate.residuals_of_parts
+    residual = np.array([largest_ratio(largest[k:k + 1], smallest[k:k + 1]) for k in range(rows.size)])
+    kept = residual > tolerance
+    return rows[kept], points[kept], residual[kept]

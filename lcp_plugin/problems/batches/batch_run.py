@@ -1,0 +1,287 @@
+"""The run of a batch: a compiled loop over what is small, in chunks on several threads; one by one the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+
+from ...core.algorithms import Algorithm
+from ...core.algorithms.base import Phases
+from ...core.certificates.residuals import Certificate
+from ...core.checks import read_only
+from ...core.communicator import ALONE
+from ...core.deadline import Clock
+from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
+from ...core.kernels.threads import in_chunks
+from ...core.lcp import LCP
+from ...core.settings import CallersOwn, Status
+from ...core.solving.answer import AnswerSequence, T
+from ...core.solving.driver import asked_of_solve, fused_result, solve
+from ...core.solving.result import Result
+from ...methods.direct.direct_methods import may_be_searched
+from ...methods.small.small_dense import Answers, run
+from .batch_groups import Group, answers_in_common_units, by_parts, excluded, in_one_unit
+from .batch_items import Items, Stacked, put
+
+
+class BatchLoop:
+    """Tables with a row an item: a compiled loop fills some at once, and what it leaves open is solved one by one.
+
+    Parameters
+    ----------
+    count : int
+    algorithm : str or Algorithm
+    wishes : dict
+        Whatever else :func:`lcp_plugin.solve` takes, for each item.
+    errors : dict
+        What is wrong with item k, where something is.
+    threads : int
+    limit : float
+        Seconds for all items together.
+    """
+
+    def __init__(
+        self, count: int, algorithm: str | Algorithm, wishes: dict[str, Any], errors: dict[int, LCPError], *,
+        threads: int, limit: float,
+    ) -> None:
+        self.algorithm, self.wishes, self.errors, self.threads, self.limit = algorithm, wishes, errors, threads, limit
+        self.policy, self.settings = asked_of_solve(algorithm, wishes)
+        self.status, self.residual = np.full(count, None), np.full(count, np.nan)
+        self.is_open = np.ones(count, np.bool_)
+        self.is_open[[*errors]] = False
+        self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock(ALONE)
+
+    @property
+    def has_time(self) -> bool:
+        """Whether the clock of all has not run out."""
+        return self.clock.read() < self.limit
+
+    def _in_chunks(self, solve_chunk: Callable[[int, int], None], count: int) -> None:
+        """Call ``solve_chunk(first, end)`` for all items of a compiled loop, on the threads, while there is time."""
+        in_chunks(lambda first, end: solve_chunk(first, end) if self.has_time else None, count, self.threads)
+
+    def _solve_compiled(self) -> None:
+        """Solve what compiled loops can."""
+        raise NotImplementedError
+
+    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
+        """Solve item k by itself."""
+        raise NotImplementedError
+
+    def _solve_all(self) -> None:
+        """Solve until all are done, the clock runs out, or Ctrl-C comes; what an item itself raises is kept."""
+        try:
+            self._solve_compiled()
+            for k in np.flatnonzero(self.is_open).tolist():
+                if self.is_interrupted or not self.has_time:
+                    break
+                self._solve_or_keep_error(k)
+        except KeyboardInterrupt:
+            self.is_interrupted = True
+
+    def _solve_or_keep_error(self, k: int) -> None:
+        callback, wishes = self.wishes.get("callback"), dict(self.wishes)
+        if self.limit < np.inf:
+            wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
+        try:
+            self._solve(k, wishes)
+        except (InvalidOption, UnknownAlgorithm):
+            raise
+        except LCPError as error:
+            if isinstance(callback, CallersOwn) and error is callback.raised:
+                raise
+            self.errors[k], self.is_open[k] = error, False
+
+
+class BatchAnswers(AnswerSequence[T]):
+    """The answers of a batch, each put together when it is looked at.
+
+    Parameters
+    ----------
+    run : BatchLoop
+        At its end.
+    answer_of : callable
+        The answer to item k, which has no error.
+    tables : arrays
+        What nobody may change any more.
+    """
+
+    status: Any
+
+    def __init__(self, run: BatchLoop, answer_of: Callable[[int], T], *tables: Any) -> None:
+        self.status, self.seconds, self.errors, self._answer_of = run.status, run.seconds, run.errors, answer_of
+        for table in (run.status, run.residual, *tables):
+            if isinstance(table, np.ndarray):
+                table.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def at(self, k: int) -> T:
+        """Return answer k, or raise what is wrong with its item."""
+        if k in self.errors:
+            raise self.errors[k]
+        return self._answer_of(k)
+
+
+@cache
+def _tiny() -> LCP:
+    """Return a problem for which auto takes one compiled call; to state it costs as much as to solve a small one."""
+    return LCP([[1.0]], [-1.0])
+
+
+class BatchRun(BatchLoop):
+    """The answers as they come, in tables with a row a problem.
+
+    Parameters
+    ----------
+    items : Items
+    algorithm, wishes, threads, limit
+        As in `BatchLoop`.
+    """
+
+    def __init__(
+        self, items: Items, algorithm: str | Algorithm, wishes: dict[str, Any], *, threads: int = 1,
+        limit: float = np.inf,
+    ) -> None:
+        super().__init__(items.count, algorithm, wishes, items.errors, threads=threads, limit=limit)
+        self.items, self.first = items, self.policy.first(_tiny())
+        count, sizes = items.count, items.sizes
+        self.z: Any = np.full((count, *sizes), np.nan) if len(sizes) <= 1 else [np.empty(0)] * count
+        self.iterations = np.zeros(count, np.int64)
+        self.results: dict[int, Result] = {}  # of those that were solved one by one
+        self.compiled: list[Answers] = []
+        self.place = np.full((2, count), -1)  # which of these has an answer, and where
+
+    def run(self) -> BatchResult:
+        """Solve all, and gather what was found."""
+        self._solve_all()
+        for k in np.flatnonzero(self.is_open).tolist():
+            self.z[k] = self.items.projected_start(k)
+            self.status[k] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
+        self.seconds = self.clock.read()
+        return BatchResult(self)
+
+    def _solve_compiled(self) -> None:
+        phases = self._phases()
+        for group in () if phases is None else self.items.groups():
+            if not phases or (group.starts.shape[1] and not phases[1]):  # pivots alone begin at z°
+                continue
+            whole, in_parts = by_parts(in_one_unit(group))
+            if whole.items.size:
+                self._leave_out_excluded(whole, self._run_compiled(whole, phases))
+            if in_parts.items.size and self.has_time:
+                self._keep(in_parts, answers_in_common_units(in_parts, phases, self.settings))
+
+    def _phases(self) -> Phases | None:
+        """Return the phases of the compiled loop that the caller's choice takes; None where it takes none."""
+        is_watched = not self.settings.is_unobserved or self.wishes.get("callback") is not None
+        return None if is_watched else self.first.algorithm.phases_of_small()
+
+    def _run_compiled(self, group: Group, phases: Phases) -> Answers:
+        answers = Answers(*group.shape)
+
+        def solve_chunk(first: int, end: int) -> None:
+            run(group[1:], phases, self.settings.tolerance, self.settings.max_iterations, first, end, answers)
+
+        try:
+            self._in_chunks(solve_chunk, group.items.size)
+        finally:
+            self._keep(group, answers)
+        return answers
+
+    def _keep(self, group: Group, answers: Answers) -> None:
+        converged = np.flatnonzero(answers.has_converged)
+        items = group.items[converged]
+        self.place[0, items], self.place[1, items] = len(self.compiled), converged
+        answers.z.flags.writeable = False  # they are judged
+        self.compiled.append(answers)
+        residual, steps = answers.residual[converged], answers.made[converged].sum(1)
+        self._write(items, answers.z[converged], Status.SOLVED, residual, steps)
+
+    def _write(self, items: Any, z: Any, status: Status, residual: Any, iterations: Any) -> None:
+        put(self.z, items, z if isinstance(z, list) else read_only(z))
+        self.status[items], self.residual[items], self.iterations[items] = status, residual, iterations
+        self.is_open[items] = False
+
+    def _leave_out_excluded(self, group: Group, answers: Answers) -> None:
+        """Note what a pass over all cases excludes, one iteration after those that were made; no proof is wanted."""
+        made = answers.made.sum(1) + 1
+        left = np.flatnonzero(self.is_open[group.items] & (made < self.settings.max_iterations))
+        is_asked = self.settings.refute or self.settings.absolute_tolerance or self.policy.chosen != "auto"
+        if is_asked or not left.size or not self.has_time:
+            return
+        if not isinstance(self.items, Stacked):
+            left = left[[may_be_searched(self.items.problem(k)) for k in group.items[left].tolist()]]
+        rows, starts, residual = excluded(group.chosen(left), self.settings.tolerance, self.threads)
+        self._write(group.items[left[rows]], starts, Status.STALLED, residual, made[left[rows]])
+
+    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
+        found = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+        self.results[k] = found
+        self.is_interrupted |= found.status is Status.INTERRUPTED
+        self._write([k], [found.z], found.status, found.certificate.relative_residual, found.iterations)
+
+    def result_of(self, k: int) -> Result:
+        """Return the result of problem k, which has no error."""
+        if k in self.results:
+            return self.results[k]
+        which, at = self.place[:, k].tolist()
+        if which < 0:  # excluded, or not begun
+            is_begun = self.status[k] is Status.STALLED
+            wishes = self.wishes if is_begun else self.wishes | {"max_iterations": 0}
+            found = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+            return found if is_begun or found.is_solved else replace(found, status=self.status[k])
+        answer = self.compiled[which].solve_fused(at)
+        assert answer is not None
+        certificate = Certificate.enclosed(self.items.problem(k), answer.z, answer.residual)
+        share = self.seconds / self.items.count
+        return fused_result(certificate, self.policy, self.first, answer, self.settings, share)
+
+
+class BatchResult(BatchAnswers[Result]):
+    """The answers to a batch of problems.
+
+    Parameters
+    ----------
+    run : BatchRun
+        At its end.
+
+    Attributes
+    ----------
+    z : array, shape (B, n), or a list of arrays where the sizes differ
+        NaN where the problem is none.
+    status : array of Status, shape (B,)
+        None where the problem is none.
+    relative_residual : array, shape (B,)
+        As in :class:`lcp_plugin.Certificate`; NaN where the problem is none, or was not begun.
+    iterations : array of int, shape (B,)
+    seconds : float
+        Seconds of the whole batch, compilation excluded.
+    errors : dict
+        What is wrong with problem k, an InvalidProblem, where something is; ``batch[k]`` raises it.
+    items : Items
+        The problems.
+    threads : int
+        How many took part, and will in its derivative.
+
+    Notes
+    -----
+    ``batch[k]`` is the :class:`~lcp_plugin.Result` that :func:`lcp_plugin.solve` gives for problem k, its `seconds`
+    a share of the batch's.
+    """
+
+    def __init__(self, run: BatchRun) -> None:
+        super().__init__(run, run.result_of, run.z, run.iterations)
+        self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
+        self.items, self.threads = run.items, run.threads
+
+    @cached_property
+    def w(self) -> Any:
+        """M z + q of each problem, like z; computed when it is looked at."""
+        rows = [np.full(len(z), np.nan) if k in self.errors else self.items.slack(k, z) for k, z in enumerate(self.z)]
+        return np.array(rows).reshape(self.z.shape) if isinstance(self.z, np.ndarray) else rows

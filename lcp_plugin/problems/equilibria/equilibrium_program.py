@@ -1,0 +1,187 @@
+"""Convex programs with complementarity constraints: the best of the solutions of a complementarity problem."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
+from ...core.errors import InvalidProblem
+from ..programs.program import QuadraticProgram
+
+Indices = NDArray[np.int64]
+#: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
+Cases = NDArray[np.uint8]
+
+LOWER, BETWEEN, UPPER = 1, 2, 4  # z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
+CASES = (LOWER, BETWEEN, UPPER)
+_COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
+
+
+def case_counts(cases: Cases) -> Indices:
+    """Return how many cases are open, of each pair."""
+    counts: Indices = _COUNTS[cases]
+    return counts
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumProgram:
+    """Minimise ½ xᵀP x + cᵀx over the constraints of a program and over pairs of variables z ⟂ w.
+
+    Each piece, one case of every pair, is a convex program; the problem is the least of all pieces.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+        Convex.
+    first, second : array of int, shape (k,)
+        Of each pair the variables z = x_first and w = x_second: w ≥ 0 where z is at its lower bound, w ≤ 0 where it is
+        at its upper bound, w = 0 between them; where it has none, w = 0.
+    lower, upper : scalar or array, shape (k,), optional
+        The bounds of z that pairs speak of; by default those of the program, of which the others are plain constraints.
+    offset : float
+        A constant in the objective.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the pairs are not two lists of variables of one length.
+
+    Examples
+    --------
+    Of the solutions of 0 ≤ x₀ ⟂ x₁ ≥ 0 with x₀ + x₁ = 1 that with the least x₀ + 2 x₁:
+
+    >>> program = QuadraticProgram(np.zeros((2, 2)), [1, 2], A=[[1, 1]], b=[1], lower=0)
+    >>> EquilibriumProgram(program, [0], [1])
+    EquilibriumProgram(n=2, 1 pair)
+    """
+
+    program: QuadraticProgram
+    first: Indices
+    second: Indices
+    lower: Any = None
+    upper: Any = None
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.program, QuadraticProgram):
+            raise InvalidProblem(f"program must be a QuadraticProgram, got {type(self.program).__name__}")
+        for name in ("first", "second"):
+            given = np.asarray(getattr(self, name))
+            n, k = self.program.n, np.size(self.first)
+            if given.ndim != 1 or (given.size and given.dtype.kind not in "iu") or given.size != k:
+                raise InvalidProblem(
+                    f"{name} must be a list of {k} variables, got dtype {given.dtype} and shape {given.shape}; give "
+                    "of each pair the number of z in first, and that of w in second"
+                )
+            if given.size and not (given.min() >= 0 and given.max() < n):
+                raise InvalidProblem(f"{name} must number variables from 0 to {n - 1}, got {given.min()}…{given.max()}")
+            object.__setattr__(self, name, given.astype(np.int64))
+        for name in ("lower", "upper"):
+            own = getattr(self.program, name)[self.first]
+            given = own if getattr(self, name) is None else checked_bound(getattr(self, name), name, own.size)
+            object.__setattr__(self, name, given)
+        check_order(self.lower, self.upper)
+
+    @classmethod
+    def of_rows(
+        cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike, offset: float = 0.0
+    ) -> EquilibriumProgram:
+        """Return the problem with z = x_columns ⟂ w = M x + q, of which w becomes variables behind x.
+
+        Parameters
+        ----------
+        program : QuadraticProgram
+        columns : array of int, shape (k,)
+        M, q : array or sparse array, shape (k, n), and array, shape (k,)
+        offset : float
+            A constant in the objective.
+
+        Examples
+        --------
+        >>> program = QuadraticProgram([[2, 0], [0, 0]], [-2, 1], lower=[-np.inf, 0])
+        >>> EquilibriumProgram.of_rows(program, [1], [[-1, 1]], [0.5])  # 0 ≤ y ⟂ y − x + ½ ≥ 0
+        EquilibriumProgram(n=3, 1 pair)
+        """
+        n, k = program.n, np.size(columns)
+        rows = sp.csr_array(rectangular_matrix(M, "M", k, n))
+        right = -checked_vector(q, "q", k)
+        nothing = sp.csr_array((k, k))
+        wider = QuadraticProgram(
+            sp.block_diag([sp.csr_array(program.P), nothing], format="csr"), np.append(program.c, np.zeros(k)),
+            sp.hstack([sp.csr_array(program.G), sp.csr_array((program.h.size, k))], format="csr"), program.h,
+            sp.block_array([[sp.csr_array(program.A), None], [rows, -sp.eye_array(k)]], format="csr"),
+            np.append(program.b, right),
+            np.append(program.lower, np.full(k, -np.inf)), np.append(program.upper, np.full(k, np.inf)),
+        )
+        return cls(wider, np.asarray(columns), np.arange(n, n + k), offset=offset)
+
+    @property
+    def pairs(self) -> int:
+        """The number of pairs."""
+        return int(self.first.size)
+
+    @cached_property
+    def all_cases(self) -> Cases:
+        """The cases that each pair has, shape (k,), without those that another one holds."""
+        lower, upper = (np.isfinite(end) & ~self._implies_no_w(end) for end in (self.lower, self.upper))
+        cases: Cases = (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
+        return cases
+
+    def _implies_no_w(self, end: FloatVector) -> NDArray[np.bool_]:
+        """Return for each pair whether a row a z + b w = d says w = 0 where z = end: that is the case between, too."""
+        A = sp.csr_array(self.program.A)
+        found: NDArray[np.bool_] = (self.first == self.second) & (end == 0.0)
+        pair_of = {(z, w): i for i, (z, w) in enumerate(zip(self.first.tolist(), self.second.tolist(), strict=True))}
+        for row in np.flatnonzero(np.diff(A.indptr) == 2):
+            entries = slice(A.indptr[row], A.indptr[row + 1])
+            (j, k), (a, b) = A.indices[entries].tolist(), A.data[entries].tolist()
+            i, factor = (pair_of[j, k], a) if (j, k) in pair_of else (pair_of.get((k, j), -1), b)
+            if i >= 0 and a and b and math.isfinite(end[i]):
+                found[i] = Fraction(factor) * Fraction(end[i]) == Fraction(self.program.b[row])
+        return found
+
+    def bounds(self, cases: Cases) -> tuple[FloatVector, FloatVector]:
+        """Return the bounds of x that hold in every open case; where lower > upper, no x is left."""
+        lower, upper = np.array(self.program.lower), np.array(self.program.upper)
+        z, w = self.first, self.second
+        np.maximum.at(lower, z, np.where(cases == UPPER, self.upper, self.lower))
+        np.minimum.at(upper, z, np.where(cases == LOWER, self.lower, self.upper))
+        np.maximum.at(lower, w, np.where(cases & UPPER, -np.inf, 0.0))
+        np.minimum.at(upper, w, np.where(cases & LOWER, np.inf, 0.0))
+        return lower, upper
+
+    def distances(self, x: FloatVector) -> FloatVector:
+        """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""
+        z, w = x[self.first], x[self.second]
+        found: FloatVector = np.array([
+            np.maximum(np.abs(z - self.lower), -w), np.maximum(np.abs(w), np.maximum(self.lower - z, z - self.upper)),
+            np.maximum(np.abs(self.upper - z), w),
+        ])
+        return found
+
+    def violations(self, x: FloatVector) -> FloatVector:
+        """Return how far x is from complementary in each pair, shape (k,)."""
+        nearest: FloatVector = self.distances(x).min(axis=0)
+        return nearest
+
+    def nearest(self, x: FloatVector, cases: Cases) -> Cases:
+        """Return of each pair the open case that x is nearest to, shape (k,)."""
+        choices = np.array(CASES, dtype=np.uint8)
+        is_closed = (cases & choices[:, None]) == 0
+        nearest: Cases = choices[np.argmin(np.where(is_closed, np.inf, self.distances(x)), axis=0)]
+        return nearest
+
+    def objective(self, x: FloatVector) -> float:
+        """Return ½ xᵀP x + cᵀx + offset."""
+        return self.program.objective(x) + self.offset
+
+    def __repr__(self) -> str:
+        return f"EquilibriumProgram(n={self.program.n}, {self.pairs} pair{'' if self.pairs == 1 else 's'})"

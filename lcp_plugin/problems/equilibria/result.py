@@ -1,0 +1,226 @@
+"""What a branch and bound says of its problem, and how that is checked again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...core.checks import FloatVector
+from ...core.settings import Status
+from ...core.solving.answer import Answer
+from ..programs.program import QuadraticProgram
+from ..programs.qp_proofs import QPInfeasibility, QPUnboundedness
+from .cuts import Strengthened
+from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
+from .relaxations import Node, Relaxations
+
+FEASIBLE = 1e-7
+
+
+ADVICE = {
+    Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
+    Status.INFEASIBLE: "the linear constraints contradict one another, and result.proof proves it: check the data",
+    Status.NO_SOLUTION: (
+        "every way to make the pairs complementary is refuted, and result.proof proves it: check the pairs and the "
+        "constraints beside them"
+    ),
+    Status.MAX_ITERATIONS: "the limit of nodes came first: raise it",
+    Status.MAX_SECONDS: "max_seconds came first: raise it",
+    Status.STALLED: (
+        "some way to make the pairs complementary could be neither solved nor refuted: bound the unknowns, or rescale "
+        "the data"
+    ),
+    Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
+}
+LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EquilibriumResult(Answer):
+    """The best solution found, and a proved bound of what any solution can reach.
+
+    Attributes
+    ----------
+    strengthened : Strengthened
+        The problem with its cuts, and what proves these.
+    status : Status
+        SOLVED: the gap is proved to be within the tolerance. INFEASIBLE: the linear constraints are refuted by a
+        verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls for ever. MAX_ITERATIONS, MAX_SECONDS,
+        INTERRUPTED: nodes, time, Ctrl-C or the callback ended the search. STALLED: some piece could be neither solved
+        nor refuted.
+    x : ndarray, shape (n,), or None
+        In every pair one side is at its bound, or zero, as a double.
+    value : float
+        Its objective; ∞ without an x, −∞ where it is unbounded.
+    lower_bound : float
+        No solution has a smaller objective.
+    is_b_stationary : bool or None
+        Whether x is least on every piece that holds it, so that it is a local minimum; None where that is not known.
+    nodes, programs : int
+        Nodes that were branched on, and convex programs that were solved.
+    seconds : float
+        Wall-clock seconds.
+    tolerance : float
+        Of the gap.
+    tree : tuple of Node
+        What `verify` checks.
+    descent : pair or None
+        The piece that falls for ever, and the proof.
+    """
+
+    strengthened: Strengthened = field(repr=False)
+    status: Status
+    x: FloatVector | None = field(repr=False)
+    value: float
+    lower_bound: float
+    is_b_stationary: bool | None
+    nodes: int
+    programs: int
+    seconds: float
+    tolerance: float = field(repr=False)
+    tree: tuple[Node, ...] = field(repr=False)
+    descent: tuple[Cases, QPUnboundedness] | None = field(default=None, repr=False)
+
+    @property
+    def problem(self) -> EquilibriumProgram:
+        """The problem that was given."""
+        return self.strengthened.original
+
+    @property
+    def gap(self) -> float:
+        """The value less the bound, beside |value| where that exceeds 1."""
+        if self.value == self.lower_bound:
+            return 0.0
+        return (self.value - self.lower_bound) / max(1.0, abs(self.value)) if math.isfinite(self.value) else math.inf
+
+    @property
+    def iterations(self) -> int:
+        """The number of nodes."""
+        return self.nodes
+
+    @property
+    def setup_seconds(self) -> float:
+        """0."""
+        return 0.0
+
+    @property
+    def is_global(self) -> bool:
+        """Whether x is proved to be within the tolerance of the least."""
+        return self.is_solved
+
+    def verify(self) -> bool:
+        """Return whether the status, x and the bound hold, from the data alone; some milliseconds a leaf."""
+        if not (self._x_holds() and self.strengthened.verify()):
+            return False
+        relaxations = Relaxations(self.strengthened.problem, self.tolerance)
+        if self.status is Status.UNBOUNDED:
+            return self._falls(relaxations)
+        is_excluded = self.x is None and self.lower_bound == math.inf
+        is_proved = {
+            Status.SOLVED: self.x is not None and self.gap <= self.tolerance,
+            Status.INFEASIBLE: is_excluded, Status.NO_SOLUTION: is_excluded,
+        }
+        if not is_proved.get(self.status, True) or self.lower_bound == -math.inf:  # which says nothing
+            return is_proved.get(self.status, True)
+        return self._tree_covers() and all(
+            self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0
+        )
+
+    def _x_holds(self) -> bool:
+        if self.x is None:
+            return self.value == (-math.inf if self.status is Status.UNBOUNDED else math.inf)
+        program = self.problem.program
+        excess = (program.constraints.excess(self.x) / program.constraints.unit).max(initial=0.0)
+        is_exact = bool((self.problem.violations(self.x) == 0.0).all())
+        return is_exact and bool(excess <= FEASIBLE) and self.problem.objective(self.x) <= self.value
+
+    def _falls(self, relaxations: Relaxations) -> bool:
+        """Return whether the proof of descent is one, of a piece of this problem."""
+        if self.descent is None:
+            return False
+        cases, proof = self.descent
+        is_piece = bool(((case_counts(cases) == 1) & (cases & self.problem.all_cases == cases)).all())
+        program = relaxations.program(cases)
+        return is_piece and program is not None and _is_of(proof, program) and proof.verify()
+
+    def _tree_covers(self) -> bool:
+        """Return whether the root has all cases, and the children of every node all that it has."""
+        children: dict[int, list[Node]] = {}
+        for node in self.tree:
+            children.setdefault(id(node.parent), []).append(node)
+        roots = children.get(id(None), [])
+        if len(roots) != 1 or not np.array_equal(roots[0].cases, self.problem.all_cases):
+            return False
+        for node in self.tree:
+            if node.pair >= 0:
+                wanted = [case for case in CASES if node.cases[node.pair] & case]
+                own = children.get(id(node), [])
+                rest = [np.delete(child.cases, node.pair) for child in own]
+                is_same = all(np.array_equal(one, np.delete(node.cases, node.pair)) for one in rest)
+                if not is_same or sorted(int(child.cases[node.pair]) for child in own) != wanted:
+                    return False
+        return True
+
+    def _leaf_holds(self, leaf: Node, relaxations: Relaxations) -> bool:
+        program = relaxations.program(leaf.cases)
+        if program is None or self.lower_bound == -math.inf:
+            return True
+        if leaf.proof is not None:
+            return _is_of(leaf.proof, program) and leaf.proof.verify()
+        if leaf.dual is None:
+            return False
+        if relaxations.bound(program, leaf.dual, self.lower_bound) >= self.lower_bound:
+            return True
+        # what holds of more cases than its own holds of them
+        parent = leaf.parent
+        return parent is not None and parent.dual is leaf.dual and self._leaf_holds(parent, relaxations)
+
+    @property
+    def objective(self) -> float | None:
+        """The value, where there is an x."""
+        return None if self.x is None else self.value
+
+    @property
+    def algorithm(self) -> str:
+        """What ran."""
+        return "branch and bound"
+
+    @property
+    def proof(self) -> EquilibriumResult | None:
+        """The result itself, which can ``verify()``, where a status is proved."""
+        return self if self.is_solved or self.is_refuted else None
+
+    @property
+    def advice(self) -> str:
+        """What the status means for this search, in a sentence."""
+        advice = ADVICE.get(self.status, self.status.value)
+        if self.status not in LIMITS:
+            return advice
+        found = "no solution was found so far" if self.x is None else "x is the best solution found so far"
+        return f"{advice}; {found}, lower_bound holds"
+
+    def _numbers(self) -> dict[str, float]:
+        own = {"lower_bound": self.lower_bound, "gap": self.gap, "programs": self.programs, "tolerance": self.tolerance}
+        return {**super()._numbers(), **own}
+
+    def reached(self) -> str:
+        """Return the value and the bound."""
+        if self.is_refuted:
+            return "no least objective" if self.status is Status.UNBOUNDED else "no solution"
+        bound = f"bound {self.lower_bound:.9g}"
+        if self.x is None:
+            return f"no solution found, {bound}"
+        return f"objective {self.value:.9g}, {bound}, gap {self.gap:.1e}"
+
+    def _effort(self) -> str:
+        return f"{self.algorithm}: {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
+
+
+def _is_of(proof: QPInfeasibility | QPUnboundedness, program: QuadraticProgram) -> bool:
+    """Return whether a proof speaks of this program."""
+    mine = proof.program
+    return mine.matrices is program.matrices and all(
+        np.array_equal(getattr(mine, name), getattr(program, name)) for name in ("c", "lower", "upper", "h", "b")
+    )

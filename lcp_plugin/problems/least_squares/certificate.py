@@ -1,0 +1,261 @@
+r"""What SOLVED means for min ½ Σ weights (A x − b)² + ½ ridge ‖x‖², lower ≤ x ≤ upper, and what is proved of an x.
+
+Write W = diag(weights), r = A x − b, f for the cost. For any y ∈ ℝᵐ and s = AᵀWy + ridge·x, convexity gives, summed
+without cancellation, for every feasible z
+
+    f(x) − f(z) ≤ gap(x, y) = ½ Σ_i weights_i (r_i − y_i)² + Σ_j s_j⁺(x_j − lower_j) + s_j⁻(upper_j − x_j),
+
+and, with μ ≥ ridge such that f(z) − ½μ‖z‖² is convex, no more than s_j²/(2μ) for any column j while y = r. A column
+without a bound on one side needs an s_j of one sign, which rounding and the tolerance deny to y = r: y = r + δp with
+AᵀWp of that sign has it. Where there is none (a free column, A not proved to have full rank) f(x) − f(z) ≤ f(x) is all
+there is to say: that is the `gap` of a result, rounding included.
+
+**SOLVED: x is within the bounds and, for some y, the gap is at most tolerance · cost, cost = ½ Σ weights y² + ½ ridge
+‖x‖², where of r_i − y_i and of s_j only what exceeds rounding counts**: what exceeds ρ_i = γ (|A||x| + |b|)_i in row i
+and τ_j = γ (|A|ᵀW|y| + ridge |x|)_j in column j, γ = 4 u (terms + 4). So x is optimal to the tolerance beside its cost
+for entries of A and b that differ from those given by no more than that relative rounding: b_i moved by r_i − y_i, and
+column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small, so that its rounding hides
+nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0. All that is compared is in
+the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their squares) and columns change
+nothing but rounding. It cannot see what such a change of A decides: columns that depend on others up to rounding, where
+no bound stops them. For a LinearOperator, whose entries nobody knows, SOLVED means a small gradient, and all is an
+estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import BoolVector, FloatVector
+from ...core.kernels.floats import TINY
+from .data import BoundedLeastSquares
+from .enclosures import NOTHING, OUTWARD, Ball, Enclosures
+
+REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
+IS_NEAR = 1  # what LSMR says then
+ENOUGH = 0.8  # of the 1 that (AᵀWp)_j is to be, in units of column j
+IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
+PUSHES = 4  # times that δ may be doubled
+ACCURACIES = (1e-3, 1e-6, 1e-8)  # with which a dual point is made orthogonal to the free columns, one after the other
+
+
+@dataclass(frozen=True, eq=False)
+class Optimality:
+    """How optimal an x is.
+
+    Attributes
+    ----------
+    x, residual : ndarray, shape (n,), (m,)
+    value : float
+        What SOLVED asks to be at most the tolerance: the least gap found, rounding aside, beside its cost, 1 at the
+        most; of a LinearOperator `steepness`.
+    steepness : float
+        The larger of ‖mid(x − upper, x − lower, g)‖∞/‖AᵀWb‖∞, g = AᵀW(A x − b) + ridge x, and the same with columns of
+        about unit length; an upper bound, rounding included, where A has entries.
+    is_at_rounding_level : bool
+        Whether no component of it is larger than what rounding explains.
+    dual : ndarray, shape (m,)
+        The y of the value.
+    """
+
+    x: FloatVector
+    residual: FloatVector
+    value: float
+    steepness: float
+    is_at_rounding_level: bool
+    dual: FloatVector
+
+    @classmethod
+    def of(
+        cls, enclosures: Enclosures, x: FloatVector, dual: FloatVector | None = None, *, tolerance: float = np.inf
+    ) -> Optimality:
+        """Return the optimality of x on the caller's own data.
+
+        A y that somebody has for x is tried beside the residual; others are computed where neither reaches `tolerance`.
+        """
+        from .kernels.least_squares_sums import largest_residuals
+
+        problem, units = enclosures.problem, enclosures.problem.column_units
+        with np.errstate(over="ignore", invalid="ignore"):
+            residual = enclosures.residual(x)
+            gradient, slope = enclosures.gradients(x, residual)
+            *largest, is_at_floor = largest_residuals(
+                *gradient, x, problem.lower, problem.upper, units, problem.has_entries
+            )
+            steepness = max(map(_ratio, largest, enclosures.reference))
+            value, y = steepness, residual[0]
+            if problem.has_entries:
+                duals = _dual_points(enclosures, x, residual, slope, dual, is_at_floor=is_at_floor)
+                value, y = _beside_cost(problem, x, residual, duals, tolerance)
+        return cls(x, residual[0], value, steepness, is_at_floor, y)
+
+
+def _beside_cost(
+    problem: BoundedLeastSquares, x: FloatVector, residual: Ball,
+    duals: Iterator[tuple[FloatVector, Ball, FloatVector]], tolerance: float,
+) -> tuple[float, FloatVector]:
+    """Return what SOLVED compares with the tolerance (the module's docstring), 1 at the most, and its y."""
+    least, best = np.inf, residual[0]
+    for y, slope, convexity in duals:
+        gap, cost, _ = _gap(problem, x, residual, y, slope, convexity, rounding=-1.0)
+        value = 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
+        if value < least:
+            least, best = value, y
+        if least <= tolerance:
+            break
+    return min(least, 1.0), best
+
+
+def _dual_points(
+    enclosures: Enclosures, x: FloatVector, residual: Ball, slope: Ball, dual: FloatVector | None, *, is_at_floor: bool
+) -> Iterator[tuple[FloatVector, Ball, FloatVector]]:
+    """Yield what y may be, with its s and the convexity that goes with it, the cheapest first."""
+    r, slip = residual
+    problem = enclosures.problem
+    if dual is not None:
+        yield dual, enclosures.gradient_at(x, dual), NOTHING
+    yield r, slope, NOTHING
+    if (np.abs(r) <= slip).any():
+        zeroed = np.where(np.abs(r) > slip, r, 0.0)
+        yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
+    if dual is not None:  # whoever has one knows better than what follows
+        return
+    free, y, at_y = (problem.lower < x) & (x < problem.upper), r, slope
+    if is_at_floor:
+        yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
+    for accuracy in ACCURACIES:
+        y = y - _push(problem, np.where(free, at_y[0] / problem.column_units, 0.0), free, accuracy)
+        at_y = enclosures.gradient_at(x, y)
+        yield y, at_y, NOTHING
+        if (np.abs(y) <= slip).any():  # the only entry of a column without bounds wants a y_i of 0, not of rounding
+            zeroed = np.where(np.abs(y) > slip, y, 0.0)
+            yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
+        yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
+    if (convexity := enclosures.convexity) is not None:
+        yield r, slope, convexity
+
+
+def _ratio(size: float, unit: float) -> float:
+    if math.isnan(size):
+        return math.inf
+    return OUTWARD * size / unit if unit > 0.0 else (math.inf if size > 0.0 else 0.0)
+
+
+def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVector) -> float:
+    """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
+
+    Parameters
+    ----------
+    problem : BoundedLeastSquares
+    x : array, shape (n,)
+    *duals : arrays, shape (m,)
+        Of any origin; residuals of points nearer to the answer make the bound sharper.
+    """
+    enclosures = Enclosures(problem)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        residual = enclosures.residual(x)
+        at_x = enclosures.gradient(x, residual)
+        exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
+        found = [_gap_of(_gap(problem, x, exactly, residual[0], at_x))]
+        duals = duals or (residual[0],)
+        found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in duals]
+        if not np.nanmin(found) < np.inf:
+            for y in duals:
+                repaired = _repaired(enclosures, x, y, enclosures.gradient_at(x, y))
+                found += [_gap_of(_gap(problem, x, residual, *repair)) for repair in repaired]
+        if not np.nanmin(found) < np.inf:
+            convexity = enclosures.convexity
+            found += [] if convexity is None else [_gap_of(_gap(problem, x, exactly, residual[0], at_x, convexity))]
+    return min(gap for gap in (_cost_above(problem, x, residual), *found) if not np.isnan(gap))
+
+
+def _cost_above(problem: BoundedLeastSquares, x: FloatVector, residual: Ball) -> float:
+    largest = np.abs(residual[0]) + residual[1]
+    return float(OUTWARD**3 * (problem.cost(x, largest) + TINY))
+
+
+def _gap(
+    problem: BoundedLeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball,
+    convexity: FloatVector = NOTHING, *, rounding: float = 1.0,
+) -> tuple[float, float, float]:
+    """Return gap(x, y) for s in `slope`, the cost, and the size whose square is the unit of both.
+
+    What rounding may have done is added, or with rounding=−1 excused.
+    """
+    from .kernels.least_squares_sums import gap_beside_cost
+
+    found: tuple[float, float, float] = gap_beside_cost(
+        *residual, y, *slope, x, problem.lower, problem.upper, problem.root_weights, problem.column_units,
+        problem.ridge, convexity, rounding,
+    )
+    return found
+
+
+def _gap_of(found: tuple[float, float, float]) -> float:
+    gap, _, size = found
+    return OUTWARD * gap * size * size + TINY if gap < np.inf else np.inf
+
+
+def _repaired(
+    enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball, *, rounding: float = 1.0
+) -> Iterator[tuple[FloatVector, Ball]]:
+    """Yield y + δp with a least δ that gives all columns the sign that they need, and its s, if one is found.
+
+    p is to push the columns whose sign is in doubt, or else all of them.
+    """
+    problem = enclosures.problem
+    wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
+    wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
+    sizes = wanted * slope[0] / problem.column_units
+    in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
+    missing = np.maximum(rounding * slope[1] - wanted * slope[0], 0.0)
+    lacking = (wanted != 0.0) & (missing > 0.0)
+    for push in _pushes(problem, np.where(in_doubt, wanted, 0.0), wanted):
+        moved = wanted * problem.transposed(problem.weighted(push))
+        share = float(np.max(missing[lacking] / moved[lacking], initial=0.0))
+        for _ in range(PUSHES if (moved[lacking] > 0.0).all() else 0):
+            share *= 1.0 + 2.0**-10
+            repaired = y + share * push
+            value, radius = enclosures.gradient_at(x, repaired)
+            if (wanted * value >= rounding * radius)[wanted != 0.0].all():
+                yield repaired, (value, radius)
+                return
+            share *= 2.0
+
+
+def _pushes(problem: BoundedLeastSquares, *wanted: FloatVector) -> Iterator[FloatVector]:
+    """Yield what p may be: A times the first that is wanted, which serves where entries are ≥ 0; then the shortest."""
+    yield problem.product(wanted[0] / problem.column_units)
+    for signs in wanted:
+        yield _push(problem, signs, signs != 0.0, ENOUGH / math.sqrt(max(int(np.count_nonzero(signs)), 1)))
+
+
+def _push(problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector, accuracy: float) -> FloatVector:
+    """Return the shortest p with (AᵀWp)_j about wanted_j times the length of column j, for the chosen j.
+
+    Its signs are looked at where it is used.
+    """
+    unit, columns, root = problem.unit, np.flatnonzero(chosen), problem.root_weights
+    if not wanted[columns].any():
+        return np.zeros(root.size)
+    from scipy.sparse.linalg import LinearOperator, lsmr
+
+    from ..programs.dual_bounds import least_squares
+
+    def back(pull: FloatVector) -> FloatVector:
+        full = np.zeros(wanted.size)
+        full[columns] = pull
+        return np.asarray(unit.product(full))
+
+    shape = (columns.size, root.size)
+    across = LinearOperator(shape, lambda push: unit.transposed(push)[columns], back, dtype=np.float64)
+    steps = min(REPAIR_STEPS, 2 * columns.size + 1)
+    push, reason, *_ = lsmr(across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)
+    if reason != IS_NEAR and problem.is_cheap_to_copy:  # however ill-conditioned A is
+        push = least_squares(sp.csr_array(unit.entries()[:, columns]).T, wanted[columns])
+    return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))

@@ -1,0 +1,294 @@
+"""Least squares within bounds: checked data in the caller's units, and the same problem in units that suit a method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ...core.checks import (
+    FloatVector,
+    check_kind,
+    check_order,
+    checked_bound,
+    checked_vector,
+    is_number,
+    read_only,
+    rectangular_matrix,
+)
+from ...core.communicator import Communicator
+from ...core.deadline import is_over
+from ...core.errors import InvalidOption, InvalidProblem
+from ...core.matrix.equilibration import power_of_two
+
+COPIED_UP_TO = 10**6  # places of A
+ALONE = Communicator()
+PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
+ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
+LARGEST_UNIT = 500  # exponent of a unit, so that squares of units are in range
+ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
+
+
+class BoundedLeastSquares:
+    """Minimise ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² over lower ≤ x ≤ upper.
+
+    Parameters
+    ----------
+    A : array, sparse array or scipy LinearOperator, shape (m, n)
+        Real, finite. An array of float64 and a canonical CSR array are used without a copy.
+    b : array, shape (m,)
+    lower, upper : scalar or array, shape (n,)
+        0 and ∞ by default.
+    weights : array, shape (m,), or None
+        ≥ 0; None means 1.
+    ridge : float
+        ≥ 0.
+
+    Raises
+    ------
+    InvalidProblem, InvalidOption
+        Where the data do not state such a problem.
+
+    Attributes
+    ----------
+    has_entries : bool
+        Whether A is more than a function: what is said of the answer can be proved then.
+    is_sparse, is_dense : bool
+        Whether it is a sparse array, or an ndarray.
+    """
+
+    def __init__(
+        self, A: Any, b: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,
+        weights: ArrayLike | None = None, ridge: float = 0.0,
+    ) -> None:
+        self.A, self.has_entries = _checked(A)
+        self.is_sparse = self.has_entries and not isinstance(self.A, np.ndarray)
+        self.is_dense = self.has_entries and not self.is_sparse
+        m, n = self.shape = self.A.shape
+        self._transpose = self.A.T if self.has_entries else self.A.H
+        self.b = checked_vector(b, "b", m)
+        self.lower, self.upper = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
+        check_order(self.lower, self.upper)
+        self.weights = None if weights is None else checked_vector(weights, "weights", m)
+        if self.weights is not None and (self.weights < 0.0).any():
+            i = int(np.flatnonzero(self.weights < 0.0)[0])
+            raise InvalidProblem(f"weights must be ≥ 0, but weights[{i}] = {self.weights[i]}; 0 leaves a row out")
+        if not is_number(ridge) or not 0.0 <= ridge < np.inf:
+            raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
+        self.ridge = float(ridge)
+
+    def __repr__(self) -> str:
+        kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
+        return f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind})"
+
+    @property
+    def is_cheap_to_copy(self) -> bool:
+        """Whether A has entries, and so few places for them that dense copies cost little."""
+        return self.has_entries and self.shape[0] * self.shape[1] <= COPIED_UP_TO
+
+    @cached_property
+    def nearest_to_zero(self) -> FloatVector:
+        """The point of [lower, upper] nearest to 0, shape (n,)."""
+        return read_only(np.clip(np.zeros(self.shape[1]), self.lower, self.upper))
+
+    def checked_start(self, x0: ArrayLike) -> FloatVector:
+        """Return the start within the bounds, shape (n,); raise InvalidOption where x0 is no finite vector of n."""
+        try:
+            return np.clip(checked_vector(x0, "x0", self.shape[1], may_be_number=True), self.lower, self.upper)
+        except InvalidProblem as error:
+            raise InvalidOption(str(error)) from error
+
+    def product(self, x: FloatVector) -> FloatVector:
+        """Return A x."""
+        return _vector(self.A @ x)
+
+    def transposed(self, y: FloatVector) -> FloatVector:
+        """Return Aᵀy."""
+        return _vector(self._transpose @ y)
+
+    def weighted(self, y: FloatVector) -> FloatVector:
+        """Return weights · y."""
+        return y if self.weights is None else self.weights * y
+
+    def cost(self, x: FloatVector, residual: FloatVector) -> float:
+        """Return what is minimised, at x with its residual A x − b."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0  # of an x too large to be squared
+            return float(0.5 * (self.weighted(residual) @ residual + penalty))
+
+    def blocks(self) -> Iterator[tuple[slice, Any]]:
+        """Yield the rows of A, where it has entries, in parts that a temporary may be made of."""
+        at_once = ROWS_AT_ONCE if self.is_dense else max(self.shape[0], 1)
+        for begin in range(0, self.shape[0], at_once):
+            rows = slice(begin, min(begin + at_once, self.shape[0]))
+            yield rows, self.A[rows] if self.is_dense else self.A
+
+    @cached_property
+    def column_units(self) -> FloatVector:
+        """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty one, shape (n,).
+
+        Those of a LinearOperator are estimates: the mean square of aᵀs for random signs s is ‖a‖².
+        """
+        root = self.root_weights
+        if not self.has_entries:
+            signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, root.size))
+            seen = np.array([self.transposed(root * row) for row in signs])
+            unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_UNIT)
+            lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
+            typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
+            lengths = np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
+        else:
+            largest, squares = np.zeros((2, self.shape[1]))
+            for rows, block in self.blocks():
+                _raise_to_largest(largest, block, root[rows])
+            unit = power_of_two(largest, LARGEST_UNIT)
+            for rows, block in self.blocks():
+                _add_squares(squares, block, root[rows], unit)
+            lengths = unit * np.sqrt(squares)
+        with np.errstate(over="ignore"):
+            return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_UNIT))
+
+    @cached_property
+    def unit(self) -> UnitLeastSquares:
+        """The problem in the units of the methods."""
+        with np.errstate(all="ignore"):
+            return UnitLeastSquares(self)
+
+    @cached_property
+    def root_weights(self) -> FloatVector:
+        """√weights, shape (m,)."""
+        return np.ones(self.shape[0]) if self.weights is None else np.sqrt(self.weights)
+
+
+class UnitLeastSquares:
+    """The same problem with columns of about unit length and b of about unit size: min ½‖A x − b‖² + ½ Σ ridge x².
+
+    Parameters
+    ----------
+    problem : BoundedLeastSquares
+
+    Attributes
+    ----------
+    lower, upper, ridge : ndarray, shape (n,)
+    b : ndarray, shape (m,)
+    columns : ndarray, shape (n,)
+        What the columns of A were divided by.
+    size : float
+        What b was.
+    """
+
+    communicator, is_distributed = ALONE, False
+
+    def __init__(self, problem: BoundedLeastSquares) -> None:
+        self.problem, self.n = problem, problem.shape[1]
+        self._root, self.columns = problem.root_weights, problem.column_units
+        sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
+        self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes), LARGEST_UNIT))
+        self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
+        self.b = self._root * problem.b / self.size
+        self.ridge = problem.ridge / self.columns / self.columns
+        self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
+
+    @cached_property
+    def inverse_columns(self) -> FloatVector:
+        """1/columns."""
+        return np.asarray(1.0 / self.columns)
+
+    def from_caller(self, x: FloatVector) -> FloatVector:
+        """Return x in these units."""
+        return x * (self.columns / self.size)
+
+    def to_caller(self, x: FloatVector) -> FloatVector:
+        """Return x in the caller's units, at a bound where it is at one here."""
+        lower, upper = self.problem.lower, self.problem.upper
+        there = np.clip(x * (self.size / self.columns), lower, upper)
+        return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, there))
+
+    def product(self, x: FloatVector) -> FloatVector:
+        """Return A x."""
+        product = self.problem.product(x / self.columns)
+        return product if self.problem.weights is None else self._root * product
+
+    def transposed(self, y: FloatVector) -> FloatVector:
+        """Return Aᵀy."""
+        return self.problem.transposed(y if self.problem.weights is None else self._root * y) / self.columns
+
+    def gram(self) -> Any:
+        """Return AᵀA: a CSR array where A is sparse and large, else an ndarray, NaN where time ended before."""
+        if self.problem.is_sparse and not self.problem.is_cheap_to_copy:
+            entries = self.entries()
+            return sp.csr_array(entries.T @ entries)
+        m, n = self.problem.shape
+        gram = np.zeros((n, n))
+        for begin in range(0, m, ROWS * n + 1):
+            block = self.dense(slice(begin, begin + ROWS * n + 1))
+            gram += block.T @ block if not is_over() else np.nan
+        return gram
+
+    def dense(self, rows: slice = slice(None)) -> FloatVector:
+        """Return those rows of A as a new ndarray."""
+        entries = self.entries(rows)
+        dense: FloatVector = entries.toarray() if sp.issparse(entries) else entries
+        return dense
+
+    def entries(self, rows: slice = slice(None)) -> Any:
+        """Return those rows of A, which must have entries: a new ndarray or CSR array."""
+        if self.problem.is_dense:
+            return self.problem.A[rows] * self._root[rows, None] / self.columns
+        scaled = self.problem.A[rows].copy()
+        scaled.data = scaled.data * np.repeat(self._root[rows], np.diff(scaled.indptr)) / self.columns[scaled.indices]
+        return scaled
+
+
+def _checked(A: Any) -> tuple[Any, bool]:
+    if not sp.issparse(A) and hasattr(A, "matvec") and hasattr(A, "shape"):
+        return _checked_operator(A), False
+    matrix = rectangular_matrix(A, "A", None, None, is_copied=False)
+    is_by_columns = isinstance(matrix, np.ndarray) and not matrix.flags.c_contiguous
+    is_kept = not is_by_columns or (matrix.flags.f_contiguous and matrix.size > COPIED_UP_TO)
+    return matrix if is_kept else read_only(np.array(matrix, order="C")), True
+
+
+def _checked_operator(A: Any) -> Any:
+    from scipy.sparse.linalg import aslinearoperator
+
+    need = "A must be a real matrix of shape (m, n), an array, a sparse array or a LinearOperator"
+    operator = aslinearoperator(A)
+    if operator.dtype is not None:
+        check_kind(np.dtype(operator.dtype), need)
+    try:
+        zeros = operator.rmatvec(np.zeros(operator.shape[0]))
+    except NotImplementedError as error:
+        raise InvalidProblem(f"{need}; a LinearOperator needs rmatvec, which gives Aᵀy, too") from error
+    if not np.isfinite(zeros).all():
+        raise InvalidProblem(f"{need}, but Aᵀ0 is not finite; repair rmatvec")
+    return operator
+
+
+def _vector(values: Any) -> FloatVector:
+    return np.asarray(values, dtype=np.float64).reshape(-1)
+
+
+def _raise_to_largest(largest: FloatVector, block: Any, root: FloatVector) -> None:
+    """Raise `largest` to the largest entries of the columns of √weights A."""
+    from .kernels.least_squares_sums import raise_to_largest
+
+    if sp.issparse(block):
+        np.maximum.at(largest, block.indices, np.abs(block.data) * np.repeat(root, np.diff(block.indptr)))
+    else:
+        raise_to_largest(largest, np.ascontiguousarray(block), root)
+
+
+def _add_squares(squares: FloatVector, block: Any, root: FloatVector, unit: FloatVector) -> None:
+    """Add the squares of the columns of √weights A, in units in which none overflows."""
+    from .kernels.least_squares_sums import add_squares
+
+    if sp.issparse(block):
+        entries = block.data * np.repeat(root, np.diff(block.indptr)) / unit[block.indices]
+        squares += np.bincount(block.indices, entries * entries, minlength=block.shape[1])
+    else:
+        add_squares(squares, np.ascontiguousarray(block), root, unit, np.empty_like(unit))

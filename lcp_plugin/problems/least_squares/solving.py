@@ -1,0 +1,248 @@
+"""bounded_least_squares(): small problems in one compiled call, others in a run; the answer, and what is said of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.checks import FloatVector, read_only, restored
+from ...core.deadline import Clock
+from ...core.settings import Settings, Status
+from ...core.solving.answer import Answer
+from .data import ALONE, BoundedLeastSquares
+
+SMALL = 20_000  # places of A up to which one compiled call is quicker than libraries called step by step
+EXCHANGES = 10  # of a column of a small A at its bound for a free one, ÷ their number
+
+
+def bounded_least_squares(
+    A: Any,
+    b: ArrayLike,
+    lower: ArrayLike = 0.0,
+    upper: ArrayLike = np.inf,
+    *,
+    x0: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    ridge: float = 0.0,
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+) -> LeastSquaresResult:
+    """Return the x that minimises ½ Σ weights (A x − b)² + ½ ridge ‖x‖² over lower ≤ x ≤ upper.
+
+    With the default bounds it is nonnegative least squares (NNLS).
+
+    Parameters
+    ----------
+    A : array, sparse array or scipy LinearOperator, shape (m, n)
+        Real, finite, of any shape and rank; not copied where it holds doubles, unless it has fewer than 10⁶ places.
+        AᵀA is formed for at most 3000 columns, or where A is sparse and AᵀA has at most three times as many entries. A
+        LinearOperator needs rmatvec.
+    b : array, shape (m,)
+    lower, upper : scalar or array, shape (n,)
+        Bounds of x; −∞ and ∞ are allowed, lower ≤ upper.
+    x0 : array, shape (n,), or a number for n = 1, optional
+        Where to begin, projected onto the bounds; by default the point of [lower, upper] nearest to 0.
+    weights : array, shape (m,), optional
+        ≥ 0, one a row: 0 leaves it out.
+    ridge : float
+        ≥ 0.
+    tolerance : float
+        SOLVED means that cost is above the least by at most this times cost, rounding of the data aside: see
+        `optimality` of :class:`LeastSquaresResult`, where a LinearOperator is spoken of, too.
+    max_iterations : int, default 100 000
+    max_seconds : float, optional
+        Wall-clock limit in seconds, obeyed at the end of the step under way.
+
+    Returns
+    -------
+    LeastSquaresResult
+        Always, whatever the status, with the best point, also after Ctrl-C.
+
+    Raises
+    ------
+    InvalidProblem, InvalidOption
+        Where the data do not state such a problem.
+
+    Notes
+    -----
+    Small dense problems: an active set that changes by one column at a time, compiled. Others: block pivots with a
+    Cholesky factor of the free columns' part of AᵀA, corrected by conjugate gradients with A, or by an orthogonal
+    factor where rounding leaves AᵀA too little; where they do not converge, interior points and active sets with the
+    same factor. Where rounding leaves those too little, as for rows of very different size, an active set whose faces
+    are refined to the last digit of each row, for at most 10⁶ places of A. Factors are for dense A of up to 3000
+    columns, and for sparse A where AᵀA is about as sparse. Large A come to them after projected gradient and conjugate
+    gradient steps, about a product with A and one with Aᵀ each, that have cost about as much. Where no factor can be
+    had, and for a LinearOperator, the steps go on; an ill-conditioned problem may end STALLED there.
+
+    Examples
+    --------
+    >>> result = bounded_least_squares([[1, 0], [1, 1], [0, 1]], [2, 1, -1])
+    >>> result.x, result.cost, result.active_mask, result.status.name
+    (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
+    """
+    problem = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge)
+    return solve_least_squares(
+        problem, x0=x0, tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds
+    )
+
+
+def solve_least_squares(
+    problem: BoundedLeastSquares, *, x0: ArrayLike | None = None, tolerance: float = 1e-8,
+    max_iterations: int | None = None, max_seconds: float | None = None,
+) -> LeastSquaresResult:
+    """Return the answer to a problem that is stated already; see :func:`bounded_least_squares`."""
+    clock = Clock(ALONE)
+    settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
+    start = None if x0 is None else problem.checked_start(x0)
+    is_hard = problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL
+    if is_hard:
+        result = _solved_at_once(problem, settings, clock)
+        if result.is_solved:
+            return result
+        start = result.x if start is None and np.isfinite(result.x).all() else start
+    from .run import run_stages
+
+    judged, status, steps = run_stages(problem, settings, start, clock, is_hard=is_hard)
+    return _result_of(problem, settings, judged.x, judged.residual, judged.dual, judged.value, status, steps, clock)
+
+
+def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult:
+    """Take the compiled way of small problems to its end, which may be no answer."""
+    from .kernels.least_squares import solve_small
+
+    most = min(settings.max_iterations, EXCHANGES * problem.shape[1])
+    weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights
+    A = problem.A if problem.is_dense else read_only(problem.A.toarray())
+    x, residual, optimality, faces = solve_small(
+        A, problem.b, weights, problem.ridge, problem.lower, problem.upper, most, settings.tolerance
+    )
+    is_solved = faces >= 0 and optimality <= settings.tolerance
+    status = Status.SOLVED if is_solved else Status.STALLED
+    return _result_of(problem, settings, x, residual, residual, optimality, status, abs(faces), clock)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LeastSquaresResult(Answer):
+    """The answer of a least squares run; names as in scipy, but for `status`.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        Within the bounds, exactly at a bound where `active_mask` says so.
+    cost : float
+        ½ Σ weights (A x − b)² + ½ ridge ‖x‖².
+    fun : ndarray, shape (m,)
+        The residual A x − b, without weights.
+    optimality : float
+        An upper bound of (cost − least cost)/cost, rounding aside: for entries of A and b that differ from those given
+        by no more than rounding relative to each. Units of rows and columns do not matter, and where each row's
+        residual is rounding of its own terms it is 0; 1 where nothing is proved. The formula, and what it cannot see:
+        help("lcp_plugin.problems.least_squares.certificate"). For a LinearOperator, an estimate of the larger of
+        ‖mid(x − upper, x − lower, g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), and the same in units
+        in which the columns of A have about unit length.
+    active_mask : ndarray of int, shape (n,)
+        −1 at the lower bound, 1 at the upper one, 0 between them.
+    status : Status
+        SOLVED exactly where optimality ≤ tolerance; for a LinearOperator, whose optimality may hide much, where also
+        the estimated gap is ≤ √tolerance times the cost at the point of the box nearest to 0. Where columns without
+        any bound forbid an estimate, further steps must not gain more than that.
+    nit : int
+        Steps, of about a product with A and one with Aᵀ each, or a face solved by a factor.
+    seconds : float
+        Wall-clock seconds of the run.
+    tolerance : float
+        As given.
+    is_proved : bool
+        Whether `optimality` and `gap` are upper bounds. For a LinearOperator, whose entries nobody knows, they are
+        estimates.
+    problem : BoundedLeastSquares
+        The data.
+    """
+
+    x: FloatVector
+    cost: float
+    fun: FloatVector = field(repr=False)
+    optimality: float
+    active_mask: NDArray[np.int_] = field(repr=False)
+    status: Status
+    nit: int
+    seconds: float
+    tolerance: float
+    is_proved: bool
+    problem: BoundedLeastSquares = field(repr=False)
+    _dual: FloatVector = field(repr=False)
+
+    __setstate__ = restored
+
+    @cached_property
+    def gap(self) -> float:
+        """An upper bound of cost − min cost for the data as they are, rounding of x included; computed at a first look.
+
+        It is at most cost but for rounding, and no less where A is not proved to have full rank and some column without
+        a bound on one side (or with none) allows no multiplier of the right sign;
+        help("lcp_plugin.problems.least_squares.certificate").
+        """
+        from .run import gap_of
+
+        return gap_of(self.problem, self.x, self._dual, self.nit)
+
+    @property
+    def objective(self) -> float:
+        """The cost."""
+        return self.cost
+
+    @property
+    def iterations(self) -> int:
+        """`nit`."""
+        return self.nit
+
+    @property
+    def algorithm(self) -> str:
+        """What ran."""
+        return "bounded least squares"
+
+    @property
+    def advice(self) -> str:
+        """What the status means, in a sentence."""
+        return ADVICE.get(self.status, self.status.value)
+
+    def _numbers(self) -> dict[str, float]:
+        return {**super()._numbers(), "optimality": self.optimality, "tolerance": self.tolerance}
+
+    def reached(self) -> str:
+        """Return the optimality beside what was asked for."""
+        return f"optimality {self.optimality:.1e} (tolerance {self.tolerance:.1e}), cost {self.cost:.9g}"
+
+
+ADVICE = {
+    Status.PRECISION_LIMIT: (
+        "the gradient is no larger than rounding in double precision explains, but no lower bound of the cost was "
+        "found near it, as for a large sparse A that fits b exactly; accept x, which result.gap bounds"
+    ),
+    Status.STALLED: (
+        "the gradient no longer falls: A is too ill-conditioned for steps, and its factor would fill in too much or "
+        "cannot be had; a ridge > 0 helps"
+    ),
+    Status.MAX_ITERATIONS: "the iteration limit came first: raise max_iterations, or go on from x0=result.x",
+    Status.MAX_SECONDS: "the time limit came first: raise max_seconds, or go on from x0=result.x",
+    Status.INTERRUPTED: "stopped by Ctrl-C; x is the best point so far",
+}
+
+
+def _result_of(
+    problem: BoundedLeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, dual: FloatVector,
+    optimality: float, status: Status, steps: int, clock: Clock,
+) -> LeastSquaresResult:
+    """Return the result that these make."""
+    mask = (x >= problem.upper).astype(np.int_)
+    mask[x <= problem.lower] = -1
+    return LeastSquaresResult(
+        x=read_only(x), cost=problem.cost(x, residual), fun=read_only(residual), optimality=optimality,
+        active_mask=read_only(mask), status=status, nit=steps, seconds=clock.read(), tolerance=settings.tolerance,
+        is_proved=problem.has_entries, problem=problem, _dual=dual,
+    )

@@ -1,0 +1,1 @@
+"""A problem a time step, each of which teaches the next: march, march_many, their derivatives."""

@@ -1,0 +1,281 @@
+"""The derivative of a march in time: that of each step, through the chain of steps, forwards or backwards.
+
+With q_k = f_k + C z_{k−1} each step hands on dq_k = df_k + dC z_{k−1} + C dz_{k−1}. Backwards, a function L of all z
+has g_k = ∂L/∂z_k + Cᵀ ∂L/∂q_{k+1}, from which the step's own derivative makes ∂L/∂q_k; what M, C and the bounds have is
+summed up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.checks import FloatVector, finite_vector, is_number, real_array, rectangular_matrix
+from ...core.errors import InvalidProblem, UnsuitableProblem
+from ...core.lcp import LCP
+from .march import BLOCK, March
+from .march_steps import Band, Change, Part, Sums
+
+if TYPE_CHECKING:
+    from ..sensitivity.derivative import Derivative
+
+
+class MarchGradient:
+    """What a function of the answers of a march has for gradients.
+
+    Parameters
+    ----------
+    z0, lower, upper : array, shape (n,)
+        By the state before the first step, also where that was left to its default, and by the bounds of all steps.
+    M, carry : csr_array, shape (n, n)
+        By the entries that M and the carry have, in their places. A carry that is a number has that of the diagonal's
+        sum.
+    by_forcing : callable
+        Gives forcing, shape (k, n).
+    """
+
+    def __init__(
+        self, z0: FloatVector, lower: FloatVector, upper: FloatVector, M: sp.csr_array, carry: sp.csr_array,
+        by_forcing: Callable[[], FloatVector],
+    ) -> None:
+        self.z0, self.lower, self.upper, self.M, self.carry, self._by_forcing = z0, lower, upper, M, carry, by_forcing
+
+    @cached_property
+    def forcing(self) -> FloatVector:
+        """The gradients by the forcing, shape (k, n); the steps are gone back once more when it is looked at."""
+        return self._by_forcing()
+
+
+class MarchDerivative:
+    """The derivative of the answers of a march by M, the forcing, the carry, z0 and the bounds.
+
+    ``found[k]`` is the :class:`~lcp_plugin.Derivative` of step k by its own q, which says what is proved of it.
+
+    Parameters
+    ----------
+    march : March
+    each : callable
+        Gives the Derivative of a problem at its z and w.
+
+    Raises
+    ------
+    UnsuitableProblem
+        Where the march was not solved to its end.
+
+    Notes
+    -----
+    Steps on a narrow band are gone through in one compiled loop. A step with rows that are about degenerate, or with a
+    free block that is about singular, is left to its Derivative, and so are all steps of other problems.
+
+    Answers that the march has not kept are computed once more, from the kept one before, and forgotten again.
+    """
+
+    def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
+        _require_all_steps(march)
+        self.march, self._derivative_at = march, each
+        self._before: Derivative | None = None  # its factor may serve the next one
+
+    def __len__(self) -> int:
+        return len(self.march)
+
+    def __getitem__(self, k: int) -> Derivative:
+        result = self.march[k]
+        return self._derivative_at(result.certificate.problem, result.z, result.w)
+
+    def _after(self, problem: LCP, z: FloatVector, w: FloatVector) -> Derivative:
+        """Return the derivative of the next step asked for; the factor of the last one serves again."""
+        self._before = self._derivative_at(problem, z, w, before=self._before)
+        return self._before
+
+    @cached_property
+    def degenerate(self) -> NDArray[np.intp]:
+        """Pairs of a step and a row at a bound with w = 0, as far as rounding can tell; shape (count, 2)."""
+        found = [np.empty((0, 2), np.intp)]
+        for part in self._parts():
+            for k in range(len(part)):
+                rows = part.degenerate(k)
+                found.append(np.column_stack([np.full(rows.size, part.first + k), rows]))
+        return np.concatenate(found)
+
+    @cached_property
+    def is_unique(self) -> bool | None:
+        """Whether each step's derivative exists, at the q that the step before gave it: see ``Derivative``.
+
+        True where that is proved of all steps, False where rows of one are degenerate, None where neither is known.
+        """
+        if self.degenerate.size:
+            return False
+        return True if all(self[k].is_unique for k in range(len(self))) else None
+
+    def jvp(
+        self, *, dM: Any = None, dforcing: ArrayLike | None = None, dcarry: Any = None, dz0: ArrayLike | None = None,
+        dlower: ArrayLike | None = None, dupper: ArrayLike | None = None, only_last: bool = False,
+    ) -> FloatVector:
+        """Return how the answers change with the data, dz; one-sided where rows are degenerate.
+
+        Parameters
+        ----------
+        dM : array or sparse array, shape (n, n), optional
+            The change of M, on any pattern.
+        dforcing : array, shape (k, n) or (n,), optional
+            Of each step, or the same for all.
+        dcarry : number or array or sparse array, shape (n, n), optional
+            The change of the carry, on any pattern; a number stands for a multiple of the identity.
+        dz0 : array, shape (n,), optional
+        dlower, dupper : number or array, shape (n,), optional
+            The change of the bounds; only those that hold matter.
+        only_last : bool
+            Return that of the last answer alone.
+
+        Returns
+        -------
+        array, shape (k, n), or (n,) for the last answer alone
+            That of z0 where there is no step.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            As that of a step's Derivative.
+
+        Examples
+        --------
+        >>> from lcp_plugin import LCP, derivative, march
+        >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)
+        >>> derivative(march(rod, [[-1, 0], [-1, 0]], z0=[1, 1])).jvp(dz0=[1, 0])
+        array([[0.375  , 0.125  ],
+               [0.15625, 0.09375]])
+        """
+        n, steps = self.march.problem.n, len(self)
+        change = Change(
+            _matrix(dM, "dM", n), _rows(dforcing, "dforcing", steps, n), _matrix(dcarry, "dcarry", n),
+            _vector(dlower, "dlower", n), _vector(dupper, "dupper", n),
+        )
+        before, dz = _vector(dz0, "dz0", n, may_be_number=False).copy(), np.empty((1 if only_last else steps, n))
+        for part in self._parts():
+            here = slice(part.first, part.first + len(part))
+            part.jvp(change, change.dforcing[here if len(change.dforcing) > 1 else slice(None)], before,
+                     dz if only_last else dz[here])
+        return dz if not only_last else dz[0] if steps else before
+
+    def vjp(self, g: ArrayLike) -> MarchGradient:
+        """Return the gradients of a function L of the answers by M, the forcing, the carry, z0 and the bounds.
+
+        Where rows are degenerate, this is the gradient of one of the pieces that meet there: see ``Derivative.vjp``.
+
+        Parameters
+        ----------
+        g : array, shape (k, n), or (n,) for the last answer alone
+            ∂L/∂z.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            Where the block of M on the free rows of a step is singular.
+
+        Examples
+        --------
+        >>> from lcp_plugin import LCP, derivative, march
+        >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)
+        >>> gradient = derivative(march(rod, [[-1, 0], [-1, 0]], z0=[1, 1])).vjp([1, 0])
+        >>> gradient.z0, gradient.carry.diagonal()
+        (array([0.15625, 0.09375]), array([-0.484375, -0.171875]))
+        >>> gradient.forcing
+        array([[-0.15625, -0.09375],
+               [-0.375  , -0.125  ]])
+        """
+        n, steps = self.march.problem.n, len(self)
+        need = f"g must be a finite array of shape ({steps}, {n}), or ({n},) for the last answer alone"
+        rows = np.array(real_array(g, need), order="C")
+        if rows.shape not in ((steps, n), (n,)):
+            raise InvalidProblem(f"{need}, got shape {rows.shape}")
+        if not np.isfinite(rows).all():
+            raise InvalidProblem(f"{need}, but g{np.argwhere(~np.isfinite(rows))[0].tolist()} is not")
+        found = self._back(rows, np.empty((0, n)))
+
+        def by_forcing() -> FloatVector:
+            by_q = np.empty((steps, n))
+            self._back(rows, by_q)
+            return by_q
+
+        M, carry = self.march.problem.matrix.csr, self.march.carry
+        return MarchGradient(
+            found.after, found.lower, found.upper, sp.csr_array((found.M, M.indices, M.indptr), shape=(n, n)),
+            sp.csr_array((found.carry, carry.indices, carry.indptr), shape=(n, n)), by_forcing,
+        )
+
+    def _back(self, g: FloatVector, by_q: FloatVector) -> Sums:
+        """Return the sums over all steps, and write the gradients by q where there is room for them."""
+        problem, n = self.march.problem, self.march.problem.n
+        is_last_alone = g.ndim == 1
+        sums = Sums(
+            g.copy() if is_last_alone else np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(problem.matrix.csr.nnz),
+            np.zeros(self.march.carry.nnz),
+        )
+        for part in self._parts(backwards=True):
+            here = slice(part.first, part.first + len(part))
+            part.vjp(g[:0].reshape(0, n) if is_last_alone else g[here], sums, by_q[here])
+        return sums
+
+    def _parts(self, *, backwards: bool = False) -> Iterator[Part]:
+        """Yield the steps, some at a time, with what has been found out about each."""
+        whole, every = self.march, BLOCK if self.march.keep_every == 1 else self.march.keep_every
+        starts = range(0, len(whole), every)
+        for first in reversed(starts) if backwards else starts:
+            begin, part = whole.part(first)
+            end = min(first + every, len(whole))
+            states = np.array([part.z0 if first == begin else part.z[first - begin - 1],
+                               *part.z[first - begin : end - begin]])
+            yield Part(whole, first, states, self._band, self._after)
+
+    @cached_property
+    def _band(self) -> Band | None:
+        return Band.of(self.march.problem.matrix, self.march.carry)
+
+
+def _matrix(given: Any, name: str, n: int) -> sp.csr_array:
+    if given is None:
+        return sp.csr_array((n, n))
+    if name == "dcarry" and is_number(given):
+        given = float(given) * sp.eye_array(n)
+    return sp.csr_array(rectangular_matrix(given, name, n, n))
+
+
+def _vector(given: ArrayLike | None, name: str, n: int, *, may_be_number: bool = True) -> FloatVector:
+    """Return a finite vector: zeros where nothing is given, and perhaps of one number."""
+    if given is None or (may_be_number and np.ndim(given) == 0):
+        given = np.full(n, 0.0 if given is None else given)
+    return finite_vector(given, name, n)
+
+
+def _rows(given: ArrayLike | None, name: str, steps: int, n: int) -> FloatVector:
+    """Return a row a step, or one for all."""
+    if given is None or np.ndim(given) == 1:
+        return _vector(given, name, n, may_be_number=False)[np.newaxis]
+    need = f"{name} must be a finite array of shape ({steps}, {n}), or ({n},) for all steps"
+    rows = real_array(given, need)
+    if rows.shape != (steps, n):
+        raise InvalidProblem(f"{need}, got shape {rows.shape}")
+    if not np.isfinite(rows).all():
+        raise InvalidProblem(f"{need}, but {name}{np.argwhere(~np.isfinite(rows))[0].tolist()} is not")
+    return np.ascontiguousarray(rows)
+
+
+def _require_all_steps(march: March) -> None:
+    """Refuse a march that ended before its last step, or where that is not solved."""
+    if march.all_solved and len(march) == len(march.forcing):
+        return
+    last = len(march) - 1
+    why = march.error or (f"ended {march[last].status.name}" if not march[last].is_solved else "was the last one taken")
+    raise UnsuitableProblem(
+        f"only a march solved to its end has a derivative; it took {len(march)} of {len(march.forcing)} steps, "
+        f"and step {last} {why}; take derivative(march[k]) of single steps, or march along fewer of them"
+    )

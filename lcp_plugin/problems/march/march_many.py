@@ -1,0 +1,230 @@
+"""Many marches in time with one matrix: the strikes of an option, the loads of a rod."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ...core.algorithms import Algorithm
+from ...core.certificates.residuals import Certificate
+from ...core.checks import FloatVector, length_of_all, real_array, rows_of_a_batch
+from ...core.deadline import Clock
+from ...core.errors import InvalidOption, InvalidProblem
+from ...core.kernels.threads import in_chunks
+from ...core.kinds import refusal
+from ...core.lcp import LCP
+from ...core.settings import Settings, Status, checked_threads
+from ...core.solving.driver import asked_of_solve, fused_result
+from ...core.solving.result import Result
+from ...methods.banded.banded import Banded
+from ...systems.factors import bands
+from .march import BLOCK, March, has_common_units, march
+from .marching import Lesson
+
+SIDE_BY_SIDE = 24  # marches in one compiled loop: more do not stay near the processor
+
+
+def march_many(
+    problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",
+    max_seconds: float | None = None, keep_every: int = 1, threads: int | None = None, **wishes: Any,
+) -> list[March]:
+    """Return the marches in time of several forcings, bounds or states, with one M and one carry.
+
+    Parameters
+    ----------
+    problem : LCP
+        Gives M, and the bounds where no others are given; its own q is not used.
+    forcing : array, shape (m, k, n), or (k, n) for all marches
+    carry
+        As for :func:`lcp_plugin.march`.
+    lower, upper : number or array, shape (m, n) or (n,), optional
+        The bounds of each march, or of all.
+    z0 : array, shape (m, n) or (n,), optional
+        The state of each march before the first step, or of all; by default the point within its bounds nearest to 0.
+    max_seconds : float, optional
+        In seconds, for all together.
+    threads : int, optional
+        How many threads there may be; by default all that the process may use. The bits do not depend on it.
+    algorithm, keep_every, **wishes
+        As for :func:`lcp_plugin.march`.
+
+    Returns
+    -------
+    list of March
+        One a march, in order. One that ends early is as that of :func:`lcp_plugin.march`, and stops the others only
+        after Ctrl-C, or where a callback ends it.
+
+    Raises
+    ------
+    InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
+        As :func:`lcp_plugin.march`, before the first step.
+
+    Notes
+    -----
+    Where M is tridiagonal, with no positive entry off the diagonal, and `auto` takes `banded`, the steps of all marches
+    are taken together: a row of M is read once for all of them. Others are taken one march after the other.
+
+    Examples
+    --------
+    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0])
+    >>> [done.z[-1].round(3) for done in march_many(rod, [[-1, 0], [-1, 0]], upper=[[1, 1], [0.5, 1]], z0=[1, 1])]
+    [array([0.781, 0.469]), array([0.5  , 0.333])]
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(refusal("march_many", problem))
+    n, clock, limit = problem.n, Clock(problem.communicator), Settings(max_seconds=max_seconds).max_seconds
+    offsets = _checked_forcing(forcing, n)
+    rows = {name: rows_of_a_batch(given, name, n)
+            for name, given in (("lower", lower), ("upper", upper), ("z0", z0)) if given is not None}
+    count = length_of_all({
+        **({"forcing": len(offsets)} if len(offsets) != 1 else {}),
+        **{name: len(given) for name, given in rows.items() if len(given) != 1},
+    })
+    wishes |= {"algorithm": algorithm}
+    marches: list[March] = []
+    for j in range(count):
+        own = {name: given[min(j, len(given) - 1)] for name, given in rows.items()}
+        start = own.pop("z0", None)
+        of_march = problem.with_q(problem.q, **own) if own else problem
+        begun = march(of_march, offsets[0][:0], carry, z0=start, keep_every=keep_every, **wishes)
+        begun.forcing = offsets[min(j, len(offsets) - 1)]
+        marches.append(begun)
+    steps = _Steps(marches, wishes, limit, clock)
+    try:
+        if marches and steps.are_together:
+            steps.take_together(checked_threads(threads))
+        else:
+            for j, one in enumerate(marches):
+                try:
+                    marches[j] = march(one.problem, one.forcing, one.carry, z0=one.z0, keep_every=keep_every,
+                                       max_seconds=steps.seconds_left, **wishes)
+                except InvalidProblem as error:
+                    one.error, one.all_solved = error, False
+                if steps.is_interrupted(marches[j]):
+                    raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        for one in marches:
+            one.all_solved = one.all_solved and len(one) == len(one.forcing)
+    return marches
+
+
+class _Steps:
+    """The steps of marches with one M: side by side in a compiled loop, or those of one after the other."""
+
+    def __init__(self, marches: list[March], wishes: dict[str, Any], limit: float, clock: Clock) -> None:
+        self.marches, self.wishes, self.limit, self.clock = marches, wishes, limit, clock
+        others = {name: wish for name, wish in wishes.items() if name != "algorithm"}
+        self.policy, self.settings = asked_of_solve(wishes["algorithm"], others)
+
+    @property
+    def are_together(self) -> bool:
+        """Whether the compiled loop is for these."""
+        problem = self.marches[0].problem
+        is_unobserved = self.settings.is_unobserved and self.wishes.get("callback") is None
+        if not (is_unobserved and problem.n and has_common_units(problem)):
+            return False
+        self.first = self.policy.first(problem)
+        band = bands(problem.matrix) if isinstance(self.first.algorithm, Banded) else None
+        return band is not None and band.is_tridiagonal_z and not (problem.is_dense and problem.n > 1)
+
+    def take_together(self, threads: int) -> None:
+        """Take all steps, a block of some marches at a time; what does not converge there is taken alone."""
+        count, total = len(self.marches), len(self.marches[0].forcing)
+        cuts = np.linspace(0, count, -(-count // SIDE_BY_SIDE) + 1).astype(int).tolist()
+        alone = {a: 1 for a in cuts[:-1]}  # steps to be taken so where a group does not converge
+        groups = {a: self.marches[a:b] for a, b in pairwise(cuts)}
+        while groups := {a: left for a, group in groups.items() if (left := _unfinished(group))}:
+            under_way = list(groups.items())
+
+            def take(k: int, last: int, some: list[tuple[int, list[March]]] = under_way) -> None:
+                for _, group in some[k:last]:
+                    self._take_block(group, min(len(group[0]) + BLOCK, total))
+
+            before = {a: len(group[0]) for a, group in under_way}
+            if self.clock.read() < self.limit:
+                in_chunks(take, len(under_way), threads)
+            for a, group in under_way:
+                if len(group[0]) == min(before[a] + BLOCK, total):
+                    alone[a] = 1
+                    continue
+                for one in group:
+                    self.take_alone(one, min(len(one) + alone[a], total))
+                alone[a] = min(2 * alone[a], BLOCK)
+
+    def _take_block(self, group: list[March], end: int) -> None:
+        """Take the steps up to that number of marches that have got equally far, as long as all of them converge."""
+        clock, leader, settings, first = Clock(group[0].problem.communicator), group[0], self.settings, len(group[0])
+        algorithm, policy, choice = self.first.algorithm, self.policy, self.first
+        assert isinstance(algorithm, Banded)
+        lower, upper, states = (np.stack(rows, axis=1) for rows in zip(
+            *((one.problem.lower, one.problem.upper, _state(one)) for one in group), strict=True
+        ))
+        is_shared = all(one.forcing is leader.forcing for one in group)
+        forcing = np.stack([one.forcing[first:end] for one in (group[:1] if is_shared else group)], axis=2)
+        answers, solve_of = algorithm.fused_marches(
+            leader.problem, forcing, leader.carry, lower, upper, states, settings.tolerance, settings.max_iterations
+        )
+        seconds = clock.read() / max(len(group) * answers.shape[1], 1)
+        for one in group:
+            one.seconds += seconds * answers.shape[1]
+
+        def result_of(one: March, j: int, k: int, before: FloatVector) -> Result:
+            q, fused = one.forcing[first + k] + one.carry @ before, solve_of(j, k)
+            certificate = Certificate.enclosed(one.problem.with_q(q), fused.z, fused.residual)
+            return fused_result(certificate, policy, choice, fused, settings, seconds)
+
+        for j, (one, rows) in enumerate(zip(group, answers, strict=True)):
+            before = _state(one)
+            for k, z in enumerate(rows):
+                one._take(z, partial(result_of, one, j, k, before), Lesson())
+                before = z
+
+    @property
+    def seconds_left(self) -> float | None:
+        """The seconds that all may still take, None for any number."""
+        return None if self.limit == np.inf else max(self.limit - self.clock.read(), 0.0)
+
+    def is_interrupted(self, one: March) -> bool:
+        """Return whether Ctrl-C has ended a march, which has kept that for itself."""
+        ended = one[-1].status if one else Status.SOLVED
+        return len(one) < len(one.forcing) and one.error is None and ended in (Status.SOLVED, Status.INTERRUPTED)
+
+    def take_alone(self, one: March, end: int) -> None:
+        """Take the steps up to that number of one march, after those that it has; at most one that is not solved."""
+        try:
+            rest = march(one.problem, one.forcing[len(one) : end], one.carry, z0=_state(one),
+                         max_seconds=self.seconds_left, **self.wishes)
+        except InvalidProblem as error:
+            one.error, one.all_solved = error, False
+            return
+        for k in range(len(rest)):
+            one._take(rest.z[k], partial(rest.at, k), rest._lessons[k])
+        one.error, one.all_solved, one.seconds = rest.error, rest.all_solved, one.seconds + rest.seconds
+        if self.is_interrupted(rest):
+            raise KeyboardInterrupt
+
+
+def _unfinished(group: list[March]) -> list[March]:
+    return [one for one in group if one.all_solved and len(one) < len(one.forcing)]
+
+
+def _state(one: March) -> FloatVector:
+    return one.z[-1] if len(one) else one.z0
+
+
+def _checked_forcing(forcing: Any, n: int) -> list[FloatVector]:
+    """Return the forcing of each march, or the one for all."""
+    need = f"forcing must be a finite array of shape (m, k, n), or (k, n) for all marches, n = {n}"
+    given = real_array(forcing.toarray() if sp.issparse(forcing) else forcing, need)
+    if given.ndim not in (2, 3) or given.shape[-1] != n:
+        raise InvalidProblem(f"{need}, got shape {given.shape}")
+    if not np.isfinite(given).all():
+        at = np.argwhere(~np.isfinite(given))[0]
+        raise InvalidProblem(f"{need}, but forcing{at.tolist()} = {given[tuple(at)]}; repair that entry")
+    return [given] if given.ndim == 2 else list(given)

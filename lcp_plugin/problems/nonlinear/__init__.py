@@ -1,0 +1,1 @@
+"""Nonlinear complementarity problems: F and its derivative, steps by linearisation, certificate and proof."""

@@ -1,0 +1,306 @@
+"""How wrong an x is for a nonlinear problem: the residuals of its linearisation at x, with F(x) for w.
+
+The scale d of the residual r_i(x) = x_i − mid(lower_i, upper_i, x_i − F_i(x)/d_i) comes from F′(x) as it does from M
+(the diagonal, or where that is negligible the row's largest entry), and so does that of the reference r(x°), F(x°) for
+w, x° the point of the bounds nearest to 0: both change alike with the units of F and of x. On an affine F these are
+the residuals of the LCP. A row with an infinite slope (√x at 0) counts with d = 1. The parts of the problem are those
+of F′(x), and each is judged by its own reference.
+
+No affine F with the derivative F′(x) has a larger ‖r_P(x°)‖∞ than
+
+    ‖r_P(x)‖∞ + max_i (|x − x°|_i + (|F′(x)| |x − x°|)_i / d_i),  i in P,
+
+and so none is taken for the reference. Where F(x°) is undefined or solves the part, it is ‖x − x°‖∞: x° is an answer,
+but not of a run that does not go there.
+
+A reference in the unit of x says little where F flattens as x runs away: d → 0, or is the noise of differences. So
+every row is judged in its own terms as well. With q = F(x) − F′(x) x, row i is made of T_i = |q_i| + Σ_j |F′_ij x_j| at
+x. A row that must vanish there has terms of its own unless all its unknowns are 0 beside the unit U of x, the largest
+T_i/d_i of those of its part that must vanish and nearly do, but no larger than ‖x_P‖∞: neither slack at a bound nor a
+row along which x ran away is a unit of x. The *term residual* of a row is the least s² for which
+
+- the wrong part v_i of F_i(x) is at most s^(3/2) T_i, 1e-6 T_i at a tolerance of 1e-8, or
+- x_i is no farther than s max(|x_i|, s U) from a bound where the sign of F_i is right, or
+- |x_j| ≤ s² U for all unknowns of the row, and |q_i| ≪ T_i: it vanishes near 0, as it does not beside a pole.
+
+The relative residual is the largest of all these.
+
+F(x) is taken as F returns it. What rounding does in there is estimated where progress stops: F is asked at a few points
+so near x that its curvature does not show, and what is left of F(x + δ) − F(x) − F′(x) δ is rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_parts
+from ...core.certificates.residuals import GAINED, Certificate
+from ...core.certificates.row_residuals import largest_ratio, residual_ends_of, scaled_residual
+from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.errors import InvalidProblem
+from ...core.kernels.floats import EPSILON
+from ...core.lcp import LCP
+from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.structure import parts
+from .data import Linearisation, NonlinearProblem
+
+NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wrong by a half explains no residual
+ASKED = 4  # points
+VANISHING = 1e-3  # of its terms: more is no row that vanishes
+NEARLY_THERE = 1e-4  # of the way from the start to x°
+ROUNDED = 1.0 + 2.0**-40  # of sums of nonnegative terms: below it an affine F may not come
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What residuals are compared with: x°, the point of the bounds nearest to 0, and F there.
+
+    Attributes
+    ----------
+    x, value : ndarray, shape (n,)
+        x° and F(x°), which need not be defined.
+    start : ndarray, shape (n,)
+        Where the run begins, within the bounds.
+    """
+
+    x: FloatVector
+    value: FloatVector
+    start: FloatVector
+
+    @classmethod
+    def of(cls, problem: NonlinearProblem, start: FloatVector) -> Reference:
+        """Return that of a problem.
+
+        Raises
+        ------
+        InvalidProblem
+            Where F is not defined at the start.
+        """
+        value = problem.value(start)
+        if not np.isfinite(value).all():
+            i = int(np.flatnonzero(~np.isfinite(value))[0])
+            raise InvalidProblem(
+                f"F must be finite at the start, but F(x0)[{i}] = {value[i]} with x0[{i}] = {start[i]} after "
+                "projection onto the bounds; start where F is defined, or tighten the bounds"
+            )
+        origin = read_only(np.clip(0.0, problem.lower, problem.upper))
+        return cls(origin, value if np.array_equal(origin, start) else problem.value(origin), start)
+
+    def ends(self, problem: LCP, x: FloatVector, value: FloatVector) -> VectorEnds:
+        """Return bounds of each part's reference, where `problem` is the linearisation at x and `value` is F(x)."""
+        least, most = self._ends_of_f(problem)
+        limit, distance = self._limit(problem, x, value), largest_of_parts(problem, np.abs(x - self.x))
+        is_none = (most == 0.0) | np.isinf(most)
+        least, most = (np.where(is_none, distance, np.minimum(end, limit)) for end in (least, most))
+        return least, most
+
+    def kinds(self, problem: LCP, x: FloatVector, value: FloatVector) -> list[str]:
+        """Return what each part's reference is, in words."""
+        most, where = self._ends_of_f(problem)[1], "the point of the bounds nearest to 0"
+        limited = most > self._limit(problem, x, value)
+        return [
+            f"the distance from {where}" if size in (0.0, np.inf)
+            else f"what an affine F with this derivative has at most at {where}" if is_limited
+            else f"F at {where}"
+            for size, is_limited in zip(most.tolist(), limited.tolist(), strict=True)
+        ]
+
+    def reached(self, problem: LCP, x: FloatVector) -> FloatVector:
+        """Return x with x° in the parts that x° solves, and that x has come near on its way from the start."""
+        most = self._ends_of_f(problem)[1]
+        left, way = (largest_of_parts(problem, np.abs(point - self.x)) for point in (x, self.start))
+        is_reached = (most == 0.0) & (left <= NEARLY_THERE * way)
+        return np.where(for_each_row(problem, is_reached), self.x, x)
+
+    def _ends_of_f(self, problem: LCP) -> VectorEnds:
+        """Return bounds of ‖r_P(x°)‖∞ of each part; ∞ where F is not defined there."""
+        ends = _ends(problem, self.x, self.value, problem.residual_scale)
+        smallest, largest = (largest_of_parts(problem, end) for end in ends)
+        return np.where(np.isinf(largest), np.inf, smallest), largest
+
+    def _limit(self, problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
+        """Return what ‖r_P(x°)‖∞ is at most for an affine F that has the value and the derivative of this one at x."""
+        with np.errstate(all="ignore"):
+            distance = np.abs(x - self.x)
+            reached = distance + abs(problem.M) @ distance / problem.residual_scale
+            here = np.abs(scaled_residual(problem, x, value))
+            return ROUNDED * (largest_of_parts(problem, here) + largest_of_parts(problem, reached))
+
+
+def term_residuals(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
+    """Return how wrong each row is in its own terms, shape (n,): 0 where it is right, 1 where it vanishes nowhere near.
+
+    Parameters
+    ----------
+    problem : LCP
+        The linearisation at x.
+    x, value : array, shape (n,)
+        The point, and F there.
+
+    Examples
+    --------
+    >>> flat = NonlinearProblem(lambda x: 10.0 / x - 1.0, lambda x: np.diag(-10.0 / x**2))
+    >>> for x in (1e9, 10.0 + 1e-9):
+    ...     at = Linearisation(flat, np.array([x]))
+    ...     print(f"{term_residuals(at.lcp, at.x, at.value)[0]:.0e}")
+    1e+00
+    2e-14
+    """
+    scale, is_above = problem.residual_scale, value > 0.0
+    with np.errstate(all="ignore"):
+        distance = np.where(is_above, x - problem.lower, problem.upper - x)  # to where this sign is right
+        wrong = np.where(distance > 0.0, np.abs(value), 0.0)
+        moved = abs(problem.M) @ np.abs(x)
+        terms = np.abs(problem.q) + moved
+        is_unit = (distance > 0.0) & (wrong <= VANISHING * terms)
+        unit = largest_of_parts(problem, np.where(is_unit, terms / scale, 0.0))
+        unit = for_each_row(problem, np.minimum(unit, largest_of_parts(problem, np.abs(x))))
+        on_bound = np.abs(value) - problem.M.diagonal() * distance  # as far as the diagonal entry tells
+        stays_right = ~(on_bound < 0.0)
+        ratios = np.stack([
+            (wrong / terms) ** (4.0 / 3.0),
+            np.where(stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf),
+            np.where(np.abs(problem.q) <= VANISHING * moved, _largest_unknowns(problem, x) / unit, np.inf),
+        ])
+        squares: FloatVector = np.fmin.reduce(ratios)
+    return np.where(wrong == 0.0, 0.0, np.where(np.isfinite(squares), squares, np.inf))
+
+
+def _largest_unknowns(problem: LCP, x: FloatVector) -> FloatVector:
+    """Return the largest |x_j| of the entries of each row, shape (n,)."""
+    rows = problem.matrix.csr_rows
+    return largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearCertificate(Certificate):
+    """Every measure of how far x is from solving a nonlinear problem.
+
+    Attributes
+    ----------
+    problem : LCP
+        The linearisation at x; ``derivative`` and ``explain`` look at it.
+    z : ndarray, shape (n,)
+        The point x.
+    nonlinear : NonlinearProblem
+        The problem.
+    value : ndarray, shape (n,)
+        F(x), which is w.
+    reference : Reference
+        F at z°.
+    relative_to : str
+        What the relative residual of the worst part is relative to: that, the limit, or the distance above.
+
+    Examples
+    --------
+    >>> problem = NonlinearProblem(lambda x: x**2 - 4.0, lambda x: np.diag(2.0 * x), lower=[0.0])
+    >>> reference = Reference.of(problem, np.array([1.0]))
+    >>> certificate = NonlinearCertificate.at(Linearisation(problem, np.array([2.001])), reference)
+    >>> certificate.w.round(4), float(round(certificate.relative_residual, 4)), certificate.relative_to
+    (array([0.004]), 0.001, 'F at the point of the bounds nearest to 0')
+    """
+
+    is_linearised: ClassVar[bool] = True
+    _units: ClassVar[None] = None  # F is judged in the units it is given in
+
+    nonlinear: NonlinearProblem = field(kw_only=True, repr=False)
+    value: FloatVector = field(kw_only=True, repr=False)
+    reference: Reference = field(kw_only=True, repr=False)
+
+    @classmethod
+    def at(cls, point: Linearisation, reference: Reference) -> NonlinearCertificate:
+        """Return the certificate of the x of a linearisation.
+
+        Raises
+        ------
+        InvalidProblem
+            Where F or its derivative is not finite there.
+        """
+        return cls(point.lcp, point.x, nonlinear=point.problem, value=point.value, reference=reference)
+
+    @property
+    def w(self) -> FloatVector:
+        """F(x), shape (n,), read-only."""
+        return self.value
+
+    @property
+    def references(self) -> VectorEnds:
+        """Bounds of the reference of each part, shape (parts,) each."""
+        return self.reference.ends(self.problem, self.z, self.value)
+
+    @cached_property
+    def _term_residuals(self) -> FloatVector:
+        return term_residuals(self.problem, self.z, self.value)
+
+    @cached_property
+    def term_residual(self) -> float:
+        """How wrong the worst row is in its own terms."""
+        return float(self._term_residuals.max(initial=0.0))
+
+    def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
+        """Return the relative residual with no part's reference, and no row's terms, taken for less than `least`."""
+        if not least:
+            return self.relative_residual
+        rows = np.fmin(self._term_residuals, np.abs(self._scaled_ends[1]) / least)
+        return max(super().relative_above(least, answered), float(rows.max(initial=0.0)))
+
+    @cached_property
+    def relative_residual(self) -> float:
+        """The largest ‖r_P(x)‖∞ beside the reference of a part, rounded upwards, or term residual of a row."""
+        return max(largest_ratio(*self.residuals_of_parts), self.term_residual)
+
+    @cached_property
+    def is_limited_by_rounding(self) -> bool:
+        """True where no row's residual exceeds four times its rounding floor, and the residual is small."""
+        return self.relative_residual <= GAINED and self.is_at_rounding_level
+
+    @property
+    def relative_to(self) -> str:
+        """What the relative residual of the worst part is relative to, in words."""
+        several, kinds = parts(self.problem.matrix), self.reference.kinds(self.problem, self.z, self.value)
+        return kinds[0 if several is None or self.worst_index < 0 else int(several.labels[self.worst_index])]
+
+    def _sharp_ends(self) -> FloatVector:
+        return self._scaled_ends[1]  # of the numbers that F returns, nothing is summed here
+
+    def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
+        return _ends(self.problem, self.z, self.value, scale)
+
+    @cached_property
+    def rounding_floor(self) -> FloatVector:
+        """What rounding alone can make of each residual, estimated, shape (n,).
+
+        k_i ε (|F′(x)||x| + |F(x)|)_i / d_i, k_i = entries of row i of F′ + 2, and what F adds to that on its way: the
+        largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, δ a few fractions of 1/64 of the step that the residual asks for.
+        """
+        problem, x = self.problem, self.z
+        scale = problem.residual_scale
+        terms = np.diff(problem.matrix.csr_rows.indptr) + 2
+        with np.errstate(all="ignore"):
+            size = abs(problem.matrix.rows) @ np.abs(x) + np.abs(self.value)
+            left = np.zeros(x.size)
+            step = np.clip(x - self.value / scale, problem.lower, problem.upper) - x
+            for k in range(ASKED):
+                near = x + NEARBY / (k + 1) * step
+                left = np.maximum(left, np.abs(self.nonlinear.value(near) - self.value - problem.M @ (near - x)))
+            floor: FloatVector = (terms * EPSILON * size + left) / scale
+        return floor
+
+    def __str__(self) -> str:
+        return (
+            f"{super().__str__()}\nrelative to         {self.relative_to}"
+            f"\nterm residual      {self.term_residual:.3e}"
+        )
+
+
+def _ends(problem: LCP, x: FloatVector, value: FloatVector, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of every |x_i − mid(lower_i, upper_i, x_i − value_i/scale_i)|."""
+    nothing = sp.csr_array((x.size, x.size))
+    return residual_ends_of(nothing, x, problem, x, scale, q=np.ascontiguousarray(value))
+
+

@@ -1,0 +1,337 @@
+"""The nonlinear complementarity problem: callables and bounds, checked where they are called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ...core.checks import (
+    BoolVector,
+    FloatVector,
+    check_order,
+    checked_bound,
+    checked_vector,
+    read_only,
+    real_array,
+    rectangular_matrix,
+)
+from ...core.errors import InvalidProblem
+from ...core.lcp import LCP
+from .differences import Differences
+
+Interval = tuple[FloatVector, FloatVector]
+
+
+class Enclosure(Protocol):
+    """What proofs need to know of F: intervals that its values and derivatives cannot leave, rounding included."""
+
+    def interval_F(self, low: FloatVector, high: FloatVector) -> Interval:
+        """Return a lower and an upper end of every F_i over the box low ≤ x ≤ high, shape (n,) each."""
+
+    def interval_jacobian(self, low: FloatVector, high: FloatVector) -> tuple[Any, Any]:
+        """Return CSR arrays of lower and upper ends of every ∂F_i/∂x_j over the box, shape (n, n), one pattern."""
+
+
+class UndefinedDerivativeError(InvalidProblem):
+    """F has no finite derivative at a point."""
+
+
+class NonlinearProblem:
+    """Find x with lower ≤ x ≤ upper and F(x) complementary to it.
+
+    For every row i: F_i(x) ≥ 0 where x_i = lower_i, F_i(x) = 0 where lower_i < x_i < upper_i, and F_i(x) ≤ 0 where
+    x_i = upper_i. A row with bounds (−∞, ∞) is an equation. Nothing is called before ``solve(problem, x0=…)`` needs
+    it.
+
+    Parameters
+    ----------
+    F : callable
+        ``F(x)`` returns shape (n,) for x of shape (n,), which is read-only. Smooth where the solution is. Where it is
+        not defined it may return NaN or infinities: steps that lead there are shortened. What it raises is passed on.
+    jacobian : callable, optional
+        ``jacobian(x)`` returns the derivative, a sparse array or an ndarray of shape (n, n). By default forward
+        differences on `pattern`, columns that share no row together; they leave about half of the digits, and take
+        every x_i for a number of size 1 at least: choose its unit so, or give a jacobian.
+    lower, upper : scalar or array, shape (n,)
+        Bounds of x in its unit; −∞ and ∞ are allowed, lower ≤ upper.
+    pattern : sparse array, shape (n, n), optional
+        Where the derivative may be other than 0: its stored entries, whatever their values. Only without `jacobian`;
+        without both every entry is taken, up to n = 1000.
+    enclosure : Enclosure, optional
+        An object with ``interval_F(low, high)`` and ``interval_jacobian(low, high)``, by which an error bound can be
+        proved; see :func:`lcp_plugin.problems.nonlinear.krawczyk.krawczyk_bound`.
+
+    Raises
+    ------
+    InvalidProblem
+        Where these state no such problem.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> problem = NonlinearProblem(lambda x: x**3 - np.array([8.0, -1.0]), lower=[0, 0])
+    >>> problem
+    NonlinearProblem(n=2, differences)
+    >>> problem.linearised([2.0, 0.0]).M.diagonal().round(5)
+    array([12.,  0.])
+    """
+
+    def __init__(
+        self, F: Callable[[FloatVector], ArrayLike], jacobian: Callable[[FloatVector], Any] | None = None,
+        lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, pattern: Any = None, *, enclosure: Enclosure | None = None,
+    ) -> None:
+        self.F, self.jacobian, self.enclosure = _callable(F, "F"), jacobian, enclosure
+        if jacobian is not None:
+            _callable(jacobian, "jacobian")
+            if pattern is not None:
+                raise InvalidProblem("pattern is for differences, and a jacobian was given as well; leave one out")
+        for name in ("interval_F", "interval_jacobian") if enclosure is not None else ():
+            _callable(getattr(enclosure, name, None), f"enclosure.{name}")
+        self.pattern = None if pattern is None else _pattern(pattern)
+        sizes = [np.shape(bound) for bound in (lower, upper) if np.ndim(bound)]
+        sizes += [] if self.pattern is None else [self.pattern.shape[:1]]
+        self.n: int | None = sizes[0][0] if sizes else None
+        self._bounds = lower, upper
+        if self.n is not None:
+            self._set_bounds(self.n)
+
+    def _set_bounds(self, n: int) -> None:
+        self.lower: FloatVector = checked_bound(self._bounds[0], "lower", n)
+        self.upper: FloatVector = checked_bound(self._bounds[1], "upper", n)
+        check_order(self.lower, self.upper)
+        self._differences: Differences | None = None
+
+    def sized(self, n: int) -> NonlinearProblem:
+        """Return the problem with n unknowns: this one, or where its bounds are numbers one with vectors of them.
+
+        Raises
+        ------
+        InvalidProblem
+            Where it has another number.
+        """
+        if self.n == n:
+            return self
+        if self.n is not None:
+            raise InvalidProblem(f"the problem has {self.n} unknowns by its bounds or pattern, and x has length {n}")
+        sized = object.__new__(NonlinearProblem)
+        sized.__dict__.update(self.__dict__, n=n)
+        sized._set_bounds(n)
+        return sized
+
+    def value(self, x: ArrayLike) -> FloatVector:
+        """Return F(x), shape (n,), a read-only copy; NaN and infinities say that it is not defined there.
+
+        Parameters
+        ----------
+        x : array, shape (n,)
+
+        Raises
+        ------
+        InvalidProblem
+            Where F returns no real vector of that length.
+        """
+        x = self._point(x)
+        with np.errstate(all="ignore"):  # where F is not defined its value says so
+            returned = self.F(x)
+        need = f"F(x) must be a real vector of length {x.size} for x of shape ({x.size},)"
+        value = real_array(returned, need)
+        if value.shape != x.shape:
+            raise InvalidProblem(f"{need}, got shape {value.shape}; return one number a row")
+        return read_only(value.copy())
+
+    def derivative(self, x: ArrayLike, value: FloatVector | None = None) -> Any:
+        """Return F′(x), a CSR array or an ndarray, shape (n, n).
+
+        Parameters
+        ----------
+        x : array, shape (n,)
+        value : array, shape (n,), optional
+            F(x), where it is known.
+
+        Raises
+        ------
+        InvalidProblem
+            Where it is not finite, or the callable returns something else.
+        """
+        returned, name = self._returned(self._point(x), value)
+        return _finite(returned, name, np.size(x))
+
+    def _returned(self, x: FloatVector, value: FloatVector | None) -> tuple[Any, str]:
+        """Return F′(x), unchecked, and what it is called."""
+        if self.jacobian is not None:
+            with np.errstate(all="ignore"):
+                returned = self.jacobian(x)
+            return (sp.csr_array(returned) if sp.issparse(returned) else returned), "jacobian(x)"
+        problem = self.sized(x.size)
+        if problem._differences is None:
+            problem._differences = Differences.on(self.pattern, x.size)
+        value = self.value(x) if value is None else value
+        derivative = problem._differences.at(self.value, x, value, problem.lower, problem.upper)
+        return derivative, "the derivative of F by differences"
+
+    def linearised(self, x: ArrayLike, value: FloatVector | None = None) -> LCP:
+        """Return the LCP with M = F′(x), q = F(x) − F′(x) x and the same bounds, which is the problem near x.
+
+        A row with an infinite slope, as √x has at 0, gets the slope 1 in x_i and no other: as far as its sign goes, F_i
+        is right there, and x_i stays at its bound or leaves it.
+
+        Parameters
+        ----------
+        x : array, shape (n,)
+        value : array, shape (n,), optional
+            F(x), where it is known.
+
+        Raises
+        ------
+        InvalidProblem
+            Where F is not finite there, or its derivative is not a number.
+        """
+        x = self._point(x)
+        value = self.value(x) if value is None else value
+        M = self.slopes(x, value)[0]
+        problem = self.sized(x.size)
+        with np.errstate(all="ignore"):
+            q = value - M @ x
+            if not np.isfinite(q).all():
+                raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0, or scale F and x")
+            return LCP(M, q, lower=problem.lower, upper=problem.upper)
+
+    def slopes(self, x: FloatVector, value: FloatVector) -> tuple[Any, BoolVector]:
+        """Return F′(x), rows with an infinite slope replaced by those of the identity, and which these are.
+
+        Parameters
+        ----------
+        x, value : array, shape (n,)
+            The point, and F there.
+
+        Raises
+        ------
+        InvalidProblem
+            Where an entry is not a number, or the callable returns something else.
+        """
+        returned, name = self._returned(x, value)
+        returned, is_steep = _levelled(returned, x.size)
+        return _finite(returned, name, x.size), is_steep
+
+    def _point(self, x: ArrayLike) -> FloatVector:
+        return checked_vector(x, "x", self.n, allow_plus_infinity=True, allow_nan=True)
+
+    def __repr__(self) -> str:
+        how = "differences" if self.jacobian is None else "jacobian given"
+        size = "any" if self.n is None else self.n
+        return f"NonlinearProblem(n={size}, {how}{', enclosure given' if self.enclosure is not None else ''})"
+
+
+def _finite(derivative: Any, name: str, n: int) -> Any:
+    """Return the checked derivative; UndefinedDerivativeError where only its numbers are wrong."""
+    try:
+        return rectangular_matrix(derivative, name, n, n)
+    except InvalidProblem as error:
+        entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
+        if np.shape(derivative) == (n, n) and entries.dtype.kind == "f" and not np.isfinite(entries).all():
+            raise UndefinedDerivativeError(str(error)) from error
+        raise
+
+
+def _levelled(derivative: Any, n: int) -> tuple[Any, BoolVector]:
+    """Return the derivative with the identity's rows where an entry is infinite, and which these are."""
+    is_steep = np.zeros(n, dtype=bool)
+    entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
+    if np.shape(derivative) != (n, n) or entries.dtype.kind != "f" or not np.isinf(entries).any():
+        return derivative, is_steep
+    M = sp.coo_array(derivative)
+    is_steep[M.row[np.isinf(M.data)]] = True
+    kept = ~is_steep[M.row]
+    rows = sp.coo_array((M.data[kept], (M.row[kept], M.col[kept])), shape=(n, n))
+    levelled = sp.csr_array(rows) + sp.diags_array(is_steep.astype(np.float64))
+    return (sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()), is_steep
+
+
+class Linearisation:
+    """The problem near one x: F(x), and the LCP that F′(x) makes of it, computed where it is looked at.
+
+    Parameters
+    ----------
+    problem : NonlinearProblem
+    x : array, shape (n,)
+        A copy is kept.
+    """
+
+    def __init__(self, problem: NonlinearProblem, x: FloatVector) -> None:
+        self.problem, self.x = problem, read_only(x.copy())
+        self.value = problem.value(self.x)
+
+    @cached_property
+    def lcp(self) -> LCP:
+        """The problem with M = F′(x), q = F(x) − F′(x) x; errors as of :meth:`NonlinearProblem.linearised`."""
+        return self.problem.linearised(self.x, self.value)
+
+    @cached_property
+    def is_steep(self) -> BoolVector:
+        """Which rows have an infinite slope, shape (n,)."""
+        return self.problem.slopes(self.x, self.value)[1]
+
+    @cached_property
+    def is_defined(self) -> bool:
+        """Whether F and its derivative are finite here."""
+        if not np.isfinite(self.value).all():
+            return False
+        try:
+            self.lcp  # noqa: B018
+        except UndefinedDerivativeError:
+            return False
+        return True
+
+
+class Linearisations:
+    """The latest linearisations of a problem, each of which is computed once.
+
+    Parameters
+    ----------
+    problem : NonlinearProblem
+    """
+
+    REMEMBERED = 3
+
+    def __init__(self, problem: NonlinearProblem) -> None:
+        self.problem = problem
+        self._latest: list[Linearisation] = []
+
+    def at(self, x: FloatVector) -> Linearisation:
+        """Return the linearisation at x, shape (n,)."""
+        for known in self._latest:
+            if np.array_equal(known.x, x):
+                return known
+        self.keep(found := Linearisation(self.problem, x))
+        return found
+
+    def keep(self, linearisation: Linearisation) -> None:
+        """Remember one that was made elsewhere."""
+        self._latest = [linearisation, *self._latest[: self.REMEMBERED - 1]]
+
+
+def _callable(given: Any, name: str) -> Any:
+    if not callable(given):
+        hint = "; for a matrix and a vector there is LCP(M, q)" if name == "F" else ""
+        raise InvalidProblem(f"{name} must be callable as {name}(x), got {type(given).__name__}{hint}")
+    return given
+
+
+def _pattern(pattern: Any) -> sp.csc_array:
+    """Return the stored entries by columns, each with the value 1."""
+    if not sp.issparse(pattern):
+        pattern = sp.coo_array(real_array(pattern, "pattern must be a sparse array of shape (n, n)"))
+    if pattern.ndim != 2 or pattern.shape[0] != pattern.shape[1]:
+        raise InvalidProblem(f"pattern must be a square sparse array (n×n), got shape {pattern.shape}")
+    places = sp.coo_array(pattern)
+    stored = sp.csc_array((np.ones(places.nnz), places.coords), shape=places.shape)
+    stored.sum_duplicates()
+    return stored
+
+
+

@@ -1,0 +1,21 @@
+"""Other problems as linear complementarity problems and back: pure functions, one kind of problem a file.
+
+Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` remembers where it came
+from: ``origin.recover(result)``, with a result of ``solve`` or any z, gives the answer in the terms of the problem that
+was asked, together with a measure of how wrong it is there. Who wants the answer alone need not convert:
+``solve(QuadraticProgram(…))`` and ``solve(BoundedLeastSquares(A, b))`` take these problems as they are.
+
+| problem | function |
+|---|---|
+| convex quadratic program | ``LCP.from_qp(P, c, G, h, A, b, lower, upper)``; back: ``problem.to_qp()`` |
+| many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
+| linear program | ``quadratic_program.lcp_from_lp`` |
+| least squares within bounds | ``least_squares.lcp_from_least_squares`` |
+| bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
+| absolute value equation | ``absolute_value.lcp_from_absolute_value`` |
+| model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
+
+Quadratic programs must be convex; others are refused (`UnsupportedModel`): up to n = 5000 where P has a negative
+eigenvalue beyond rounding, above where single entries show it. ``is_optimal`` of an answer asks whether P is shown, up
+to rounding, to be semidefinite, ``is_stationary`` does not.
+"""

@@ -1,0 +1,365 @@
+"""Rigorous lower bounds of the optimal value of a quadratic program, from any point and any multipliers.
+
+With weights μ for which P − diag(μ) is positive semidefinite, any x̂, multipliers λ ≥ 0 of G x ≤ h and any ν of A x = b,
+s = P x̂ + c + Gᵀλ + Aᵀν, every feasible x within a box [l, u] that holds all of them has
+
+    f(x) ≥ f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b) + Σ_i inf over l_i ≤ t ≤ u_i of s_i (t − x̂_i) + ½ μ_i (t − x̂_i)².
+
+Where the weights are those of P + ρ AᵀA, ½ ρ‖A x̂ − b‖² is to be taken off: f is then f + ½ ρ‖A x − b‖², with
+multipliers ν − ρ (A x̂ − b).
+
+Everything is evaluated downwards. Where a box is open on the side to which s_i falls and μ_i = 0, the sum is −∞: then
+(x̂, λ, ν) is repaired first, by least squares with some room, and where s_i must be exactly zero in rational arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...core.checks import BoolVector, FloatVector
+from ...core.deadline import is_over
+from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.structure import row_numbers
+from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end
+from ...proofs.bounds.curvature import Curvature
+from ...proofs.exact.linear_systems import independent_rows, solved_nearby
+from ...proofs.exact.rational import ZERO, Row, Vector, enclosures, products, rational, rational_rows
+from ...proofs.exact.upward import product_above, quotient_above, sum_above
+from .program import QuadraticProgram
+from .reductions import fold_simple_rows
+
+ROOMS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, beyond what least squares round
+NOISE = 2.0**-44  # of the largest multiplier
+ROUNDS = 4  # of least squares: components that were right may need room after those that were wrong
+NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
+DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
+ITERATIONS = 100  # of bounded least squares, each an unbounded one
+MOST_PASSES = 10_000  # a chain of equations needs one a link, and each looks only at rows beside new bounds
+EXACT_UP_TO = 100  # equations that depend on each other and are solved in rationals in .4 s; 1.7 s are needed for 200
+Box = tuple[FloatVector, FloatVector]
+
+
+class DualPoint(NamedTuple):
+    """A point x̂ and multipliers of G and of A, those of G not negative; x̂ need not be feasible."""
+
+    x: FloatVector
+    y: FloatVector
+
+
+@dataclass(frozen=True, eq=False)
+class DualBounds:
+    """A program with what bounds its optimal value from below.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+    curvature : Curvature
+    box : pair of ndarray, shape (n,)
+        Bounds that every feasible x keeps.
+    """
+
+    program: QuadraticProgram
+    curvature: Curvature
+    box: Box
+
+    def best(self, x: FloatVector, y: FloatVector, enough: float = np.inf) -> float:
+        """Return the largest lower bound that the point and the multipliers, or their repairs, prove; −∞ for none.
+
+        Nothing is repaired any more once a bound is enough.
+        """
+        if not np.isfinite(self.curvature.weights).all():
+            return -np.inf
+        given = self.admitted(x, y)
+        found, points = self.value(given), [given]
+        if found < enough and (clean := given._replace(y=_without_rounding(given.y))).y.any():
+            points.append(clean)
+            found = max(found, self.value(clean))
+        for room in ROOMS:
+            if found >= enough or is_over():
+                return found
+            points.append(self._with_room(given, room))
+            found = max(found, self.value(points[-1]))
+        for point in points:
+            if found >= enough or is_over():
+                break
+            found = max(found, self._exact_value(point))
+        return found
+
+    def admitted(self, x: FloatVector, y: FloatVector) -> DualPoint:
+        """Return the point with multipliers that are allowed: none negative, none where a box says the same."""
+        m = self.program.h.size
+        allowed = np.where(np.isfinite(y), y, 0.0)
+        allowed[:m] = np.where(np.isfinite(self.program.h), np.maximum(allowed[:m], 0.0), 0.0)
+        allowed[self._is_bound] = 0.0
+        return DualPoint(x, allowed)
+
+    def value(self, at: DualPoint) -> float:
+        """Return a double below the bound that is proved by this point as it is; −∞ where there is none."""
+        program, (x, y) = self.program, at
+        with np.errstate(all="ignore"):
+            high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
+            parts = [compensated_pair(matrix, x, offset) for matrix, offset in (
+                (sp.csr_array(program.P), None), (self._rows, -self._limit)
+            )]
+            # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
+            factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
+            values = np.concatenate([*parts[0][:2], x, *parts[1][:2]])
+            twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
+            blur = [product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))]
+            missed = np.max(np.abs(_ends(*parts[1])), axis=0)[program.h.size :]
+            blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
+            here = 0.5 * float(lower_end(twice, error)[0]) - _sum_above(np.concatenate(blur))
+            loss = self._loss(*_ends(high, low, radius), *self._distances(x, x))
+            found = math.nextafter(here, -np.inf) - loss
+        return math.nextafter(found, -np.inf) if not math.isnan(found) else -np.inf
+
+    def _distances(self, low: FloatVector, high: FloatVector) -> Box:
+        """Return x̂ − l and u − x̂, rounded up, of x̂ between two vectors."""
+        with np.errstate(invalid="ignore"):
+            return sum_above(high, -self.box[0]), sum_above(self.box[1], -low)
+
+    def _loss(self, s_low: FloatVector, s_high: FloatVector, below: FloatVector, above: FloatVector) -> float:
+        """Return Σ sup over −below ≤ t ≤ above of −s t − ½ μ t², rounded up."""
+        weights = self.curvature.weights
+        corners = np.max([
+            product_above(s_high, below), product_above(s_low, below),
+            product_above(-s_high, above), product_above(-s_low, above),
+        ], axis=0)
+        largest = np.maximum(np.abs(s_low), np.abs(s_high))
+        bent = np.where(weights > 0.0, weights, 1.0)
+        vertex = quotient_above(product_above(largest, largest), 2.0 * bent)
+        reach = np.maximum(np.abs(below), np.abs(above))
+        sagging = sum_above(corners, product_above(-0.5 * weights, product_above(reach, reach)))
+        return _sum_above(np.where(weights > 0.0, np.minimum(corners, vertex), sagging))
+
+    # --- Repairs ------------------------------------------------------------------------------------------------
+
+    def _with_room(self, at: DualPoint, room: float) -> DualPoint:
+        """Return a point beside this one whose s has the signs that the open sides ask for, with room if it can be."""
+        needs_rise, needs_fall = self._open_sides
+        is_free = needs_rise & needs_fall
+        sign = np.where(needs_rise, 1.0, -1.0)
+        largest = largest_in_rows(sp.csr_array(self._rows.T)) * np.abs(at.y).max(initial=0.0)
+        for _ in range(ROUNDS):
+            v = np.concatenate(at)
+            s = self._stacked @ v + self.program.c
+            size = np.maximum(abs(self._stacked) @ np.abs(v) + np.abs(self.program.c), largest)
+            target = np.where(is_free, 0.0, sign * np.maximum(sign * s, room * size))
+            asked = needs_rise | needs_fall
+            if not (asked & (np.abs(target - s) > 0.1 * room * size)).any():
+                break
+            # What is nearly zero must not become wrong by what is put right elsewhere.
+            near = np.flatnonzero(asked & (is_free | (sign * s <= NEAR * size)))
+            movable = np.flatnonzero(self._is_movable(at))
+            v[movable] += least_squares(self._stacked[near][:, movable], (target - s)[near])
+            at = self.admitted(v[: at.x.size], v[at.x.size :])
+        return at
+
+    def _is_movable(self, at: DualPoint) -> BoolVector:
+        """Which entries of x̂ and of the multipliers a repair may change."""
+        m = self.program.h.size
+        return np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]])
+
+    def _exact_value(self, at: DualPoint) -> float:
+        """Return the bound of a point beside this one whose s is exactly zero where it has to be; −∞ for none."""
+        needs_rise, needs_fall = self._open_sides
+        v = np.concatenate(at)
+        s = self._stacked @ v + self.program.c
+        rounding = ROOMS[0] * (abs(self._stacked) @ np.abs(v) + np.abs(self.program.c))
+        zero = np.flatnonzero((needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding)))
+        rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
+        target = [-Fraction(self.program.c[j]) for j in zero.tolist()]
+        guess, movable = rational(v), self._is_movable(at)
+        lots = independent_rows([{j: entry for j, entry in row.items() if movable[j]} for row in rows])
+        if max(map(len, lots), default=0) > EXACT_UP_TO:
+            return -np.inf
+        exact = solved_nearby(rows, target, guess, movable.tolist())
+        if exact is None or any(y < 0 for y in exact[n : n + m]):
+            left = [value - product for product, value in zip(products(rows, guess), target, strict=True)]
+            guess, movable = self._with_more_rows(zero, left, guess, movable)
+            exact = solved_nearby(rows, target, guess, movable.tolist())
+        if exact is None or any(y < 0 for y in exact[n : n + m]):
+            return -np.inf
+        return self._value_of(exact[:n], exact[n:])
+
+    def _with_more_rows(
+        self, zero: NDArray[np.intp], left: Vector, guess: Vector, movable: BoolVector
+    ) -> tuple[Vector, BoolVector]:
+        """Return a guess with multipliers of inactive rows too, of which tiny ones make up for what rounding left.
+
+        Rows that are active alone may not span what c and they were before they were rounded.
+        """
+        largest = max((abs(value) for value in left), default=ZERO)
+        matrix = self._stacked[zero]
+        if not largest or matrix.shape[0] * matrix.shape[1] > DENSE_UP_TO:
+            return guess, movable
+        n, m = self.program.n, self.program.h.size
+        is_row = np.isfinite(self._limit_of_rows) & ~self._is_bound
+        usable = movable | np.concatenate([np.zeros(n, bool), is_row])
+        low = np.where(movable | (np.arange(movable.size) >= n + m), -np.inf, 0.0)
+        found, right = np.zeros(movable.size), np.array([float(value / largest) for value in left])
+        found[usable] = least_squares_above(matrix[:, np.flatnonzero(usable)], right, low[usable])
+        found[~movable & (found < NEAR)] = 0.0
+        return [old + Fraction(more) * largest for old, more in zip(guess, found, strict=True)], movable | (found > 0.0)
+
+    def _value_of(self, x: Vector, y: Vector) -> float:
+        """Return `value` of rational numbers."""
+        c = rational(self.program.c)
+        curved = products(rational_rows(self.program.P), x)
+        here = sum((at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True)), Fraction(0))
+        missed = [
+            value - limit
+            for value, limit in zip(products(rational_rows(self._rows), x), rational(self._limit), strict=True)
+        ]
+        here += sum((weight * miss for weight, miss in zip(y, missed, strict=True) if weight), Fraction(0))
+        penalty = Fraction(self.curvature.penalty) / 2
+        here -= penalty * sum((miss * miss for miss in missed[self.program.h.size :]), Fraction(0))
+        s = [a + b for a, b in zip(products(self._exact_stacked, [*x, *y]), c, strict=True)]
+        with np.errstate(all="ignore"):
+            loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
+            found = float(enclosures([here])[0][0]) - loss
+        return math.nextafter(found, -np.inf) if not math.isnan(found) else -np.inf
+
+    @cached_property
+    def _open_sides(self) -> tuple[BoolVector, BoolVector]:
+        """Where s must not be negative, and where it must not be positive: open sides without curvature.
+
+        A side that only the rows together close may be far away.
+        """
+        is_flat, folded = self.curvature.weights <= 0.0, fold_simple_rows(self.program).folded
+        return is_flat & np.isinf(folded.upper), is_flat & np.isinf(folded.lower)
+
+    @property
+    def _rows(self) -> sp.csr_array:
+        return self.program.matrices.rows
+
+    @cached_property
+    def _limit(self) -> FloatVector:
+        return np.where(np.isfinite(self._limit_of_rows), self._limit_of_rows, 0.0)
+
+    @cached_property
+    def _limit_of_rows(self) -> FloatVector:
+        return np.concatenate([self.program.h, self.program.b])
+
+    @cached_property
+    def _is_bound(self) -> BoolVector:
+        """Rows of one entry: the box says what they say."""
+        return np.asarray(np.diff(self._rows.indptr) <= 1)
+
+    @property
+    def _stacked(self) -> sp.csr_array:
+        return self.program.matrices.gradient
+
+    @cached_property
+    def _exact_stacked(self) -> list[Row]:
+        return rational_rows(self._stacked)
+
+
+def _without_rounding(y: FloatVector) -> FloatVector:
+    """Return multipliers with 0 for those that are rounding beside the largest; degenerate ones have to be 0."""
+    return np.where(np.abs(y) <= NOISE * np.abs(y).max(initial=0.0), 0.0, y)
+
+
+def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
+    """Return doubles below and above every value that a compensated pair stands for."""
+    spread = sum_above(low, radius), sum_above(-low, radius)
+    return -sum_above(-high, spread[1]), sum_above(high, spread[0])
+
+
+def _sum_above(values: FloatVector) -> float:
+    """Return a double above the sum of the values."""
+    if not np.isfinite(values).all():
+        return float(np.inf)
+    try:
+        return math.nextafter(math.fsum(values), math.inf)
+    except OverflowError:
+        return math.inf
+
+
+@np.errstate(all="ignore")
+def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
+    """Return the shortest of the least squares solutions, to rounding where it is small; 0 where it overflows."""
+    if matrix.shape[0] * matrix.shape[1] <= DENSE_UP_TO:
+        try:
+            found = np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0]
+        except np.linalg.LinAlgError:
+            return np.zeros(matrix.shape[1])
+    else:
+        from scipy.sparse.linalg import lsmr
+
+        found = lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0]
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+@np.errstate(all="ignore")
+def least_squares_above(matrix: sp.csr_array, right: FloatVector, low: FloatVector) -> FloatVector:
+    """Return a least squares solution x ≥ low, of which −∞ is no bound; 0 where none is found.
+
+    By active sets: scipy's other method goes on for ever where entries differ by 1e36.
+    """
+    from scipy.optimize import lsq_linear
+
+    try:
+        found = lsq_linear(matrix.toarray(), right, (low, np.inf), method="bvls", tol=1e-14, max_iter=ITERATIONS).x
+    except np.linalg.LinAlgError:
+        return np.zeros(low.size)
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+def implied_box(program: QuadraticProgram) -> Box:
+    """Return (lower, upper) with lower ≤ x ≤ upper for every feasible x, shape (n,) each, rounded outwards.
+
+    A row a·x ≤ d bounds x_j where it bounds all other terms: a_j x_j ≤ d − Σ min a_k x_k. Every pass over the rows may
+    bound more variables, so passes go on as long as some do.
+
+    Examples
+    --------
+    >>> program = QuadraticProgram([[0, 0], [0, 0]], [1, 1], A=[[1, 2]], b=[4], lower=0)
+    >>> implied_box(program)
+    (array([0., 0.]), array([4., 2.]))
+    """
+    lower, upper = np.array(program.lower), np.array(program.upper)
+    A, G = sp.csr_array(program.A), sp.csr_array(program.G)
+    limited = np.flatnonzero(np.isfinite(program.h))
+    rows = sp.csr_array(sp.vstack([G[limited], A, -A], format="csr"))
+    limit = np.concatenate([program.h[limited], program.b, -program.b])
+    by_column = sp.csc_array(rows)
+    touched = np.arange(limit.size)
+    for _ in range(MOST_PASSES):
+        was_open = np.isinf(lower), np.isinf(upper)
+        _tighten(rows[touched], limit[touched], lower, upper)
+        closed = np.flatnonzero((was_open[0] & np.isfinite(lower)) | (was_open[1] & np.isfinite(upper)))
+        if not closed.size or is_over():
+            break
+        touched = np.unique(by_column[:, closed].indices)
+    return lower, upper
+
+
+@np.errstate(all="ignore")  # what is infinite or overflows bounds nothing
+def _tighten(rows: sp.csr_array, limit: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
+    """Replace bounds by tighter ones that single rows imply."""
+    entry, column, owner, m = rows.data, rows.indices, row_numbers(rows), limit.size
+    # The largest value of −a x, the least of a x with its sign turned.
+    most = np.where(entry > 0.0, product_above(-entry, lower[column]), product_above(-entry, upper[column]))
+    is_open = most == np.inf
+    held = np.where(is_open, 0.0, most)
+    total = np.bincount(owner, held, m).astype(np.float64)
+    size = np.bincount(owner, np.abs(held), m) * (1.0 + gamma(entry.size))
+    total = sum_above(total, product_above(size, gamma(int(np.diff(rows.indptr).max(initial=0)) + 2)))
+    open_terms = np.bincount(owner, is_open, m)
+    is_bounded = open_terms[owner] - is_open == 0
+    rest = sum_above(sum_above(limit, total)[owner], -held)
+    rest = np.where(np.diff(rows.indptr)[owner] == 1, limit[owner], rest)
+    most_of_x = quotient_above(rest, np.abs(entry))
+    usable = is_bounded & np.isfinite(most_of_x)
+    above, below = usable & (entry > 0.0), usable & (entry < 0.0)
+    np.minimum.at(upper, column[above], most_of_x[above])
+    np.maximum.at(lower, column[below], -most_of_x[below])

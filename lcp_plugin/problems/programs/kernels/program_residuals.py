@@ -1,0 +1,166 @@
+"""The compiled residuals of a quadratic program, with a proved bound of what rounding did to them; arrays only.
+
+`judge_row` and `judge_column` are the criterion, whoever has made the sums: `program_residuals` here, and
+:func:`~lcp_plugin.problems.programs.kernels.small_programs.measure` on dense arrays. Every sum here is one of rounded
+terms, beside it their rounding errors, beside these what that second sum loses, as in
+:mod:`lcp_plugin.core.kernels.enclosures`. Columns are summed while rows are read: no matrix is transposed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.kernels.compilation import compiled_into_others, interpreted_while_small
+from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, outward, split_sum
+from ....core.kernels.floats import EPSILON, TINY
+
+TOTAL, ERRORS, LOST, TERM = range(4)  # rows of `columns`, an entry a variable
+ROUNDED = 16.0 * EPSILON
+PRIMAL, DUAL, PRODUCT, ROW, GAP, PRODUCT_SIZE, OBJECTIVE = range(7)  # of `worst`; the last two are sizes
+MEASURES = 5
+
+
+@compiled_into_others
+def _larger(a, b):  # type: ignore[no-untyped-def]
+    """Return the larger one, NaN where one is NaN."""
+    return b if (b > a) | (b != b) else a
+
+
+@compiled_into_others
+def _added(total, errors, lost, a, b):  # type: ignore[no-untyped-def]
+    """Return the three sums with the product a b in them."""
+    h = a * b
+    total, f = split_sum(total, h)
+    s, t = split_sum(fused(a, b, -h), f)
+    errors, u = split_sum(errors, s)
+    may_underflow = (abs(h) < MAY_UNDERFLOW) & (a != 0.0) & (b != 0.0)
+    return total, errors, lost + (abs(t) + abs(u)) + (4.0 * TINY if may_underflow else 0.0)
+
+
+@compiled_into_others
+def _rounded(total, errors, lost, terms):  # type: ignore[no-untyped-def]
+    """Return the value of such sums and how far it may be off; NaN where it is not finite."""
+    value, low = split_sum(total, errors)
+    # `lost` was itself rounded at most three times a term.
+    error = outward(value, abs(low) + lost * (1.0 + (4.0 * terms + 8.0) * EPSILON))
+    is_finite = (abs(value) < np.inf) & (error < np.inf)
+    return value if is_finite else np.nan, error if is_finite else np.nan
+
+
+@compiled_into_others
+def judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type: ignore[no-untyped-def]
+    """Hold a row with Σ a_j x_j − limit within slack ± error, its largest term and its multiplier against the worst."""
+    if abs(limit) < np.inf:
+        over = abs(slack) if is_equation else slack
+        excess = over + error if over == over else np.inf
+        worst[PRIMAL] = _larger(worst[PRIMAL], excess / unit)
+        size = max(term, abs(limit))
+        violated = excess if not excess <= 0.0 else 0.0
+        worst[ROW] = _larger(worst[ROW], violated / (1.0 + (size if violated > 0.0 else 0.0)))
+        worst[GAP] += abs(y * slack)
+        if is_equation:
+            return
+        wrong = -y if not y >= 0.0 else 0.0
+        product = abs(y) * (abs(slack) + error)
+        worst[ROW] = _larger(_larger(worst[ROW], product / (1.0 + abs(y) * size)), wrong)
+        worst[PRODUCT] = _larger(worst[PRODUCT], product)
+        worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], _larger(abs(y * limit), abs(y * (slack + limit))))
+    elif y != 0.0:  # a multiplier of an infinite limit can never be right
+        worst[ROW], worst[PRODUCT] = _larger(worst[ROW], abs(y)), _larger(worst[PRODUCT], abs(y))
+        worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], abs(y * slack))
+
+
+@compiled_into_others
+def judge_column(  # type: ignore[no-untyped-def]
+    worst, left, error, x, c, product, curvature, lower, upper, term, unit
+):
+    """Hold what is `left` ± error of the gradient at x_j, its largest term and (P x)_j against the worst."""
+    worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / unit)
+    worst[ROW] = _larger(worst[ROW], (abs(left) + error) / (1.0 + term))
+    bound = lower if left > 0.0 else upper
+    worst[GAP] += max(abs(left * x), _far_gain(left, x, bound, curvature, term))
+    worst[OBJECTIVE] += (c + 0.5 * product) * x
+
+
+@compiled_into_others
+def beside_sizes(worst):  # type: ignore[no-untyped-def]
+    """Put the products and the gap beside their sizes; return the largest measure, NaN where one is NaN."""
+    worst[PRODUCT] /= 1.0 + worst[PRODUCT_SIZE]
+    worst[GAP] /= 1.0 + abs(worst[OBJECTIVE])
+    largest = 0.0
+    for k in range(MEASURES):
+        largest = _larger(largest, worst[k])
+    return largest
+
+
+@compiled_into_others
+def _far_gain(left, x, bound, curvature, largest):  # type: ignore[no-untyped-def]
+    """Return what the objective may gain on the way to a bound where `left` of the gradient has no multiplier.
+
+    0 where that is the rounding of the largest term; never more than the curvature allows.
+    """
+    if not abs(bound) < np.inf or abs(left) <= ROUNDED * largest:
+        return 0.0
+    gain = abs(left) * abs(x - bound)
+    return min(gain, 0.5 * left * left / curvature) if curvature > 0.0 else gain
+
+
+@interpreted_while_small
+def program_residuals(  # type: ignore[no-untyped-def]
+    of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, dual_units, x, y, columns, worst
+):
+    """Fill `worst` with the largest errors of any condition and the gap; NaN where one is not finite.
+
+    Parameters
+    ----------
+    of_P, indices_of_P, P, is_full
+        P as CSR; where it is full, the columns of one row stand for those of all.
+    indptr, indices, data, equations
+        [G; A] as CSR, and the place of the first row that is an equation.
+    limits, units, y
+        Of all constraints, the lower and upper bounds after the rows.
+    columns, worst
+        Zeros of shape (4, n), overwritten, and of shape (7,).
+    """
+    rows, n = indptr.size - 1, x.size
+    terms = rows + n + 3.0
+    for i in range(rows):
+        limit, of_row = limits[i], y[i]
+        total, errors, lost, largest = -limit if abs(limit) < np.inf else 0.0, 0.0, 0.0, 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            a, j = data[k], indices[k]
+            total, errors, lost = _added(total, errors, lost, a, x[j])
+            largest = max(largest, abs(a * x[j]))
+            if of_row != 0.0:
+                columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j] = _added(
+                    columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j], a, of_row
+                )
+                columns[TERM, j] = _larger(columns[TERM, j], abs(a * of_row))
+        slack, error = _rounded(total, errors, lost, terms)
+        judge_row(worst, slack, error, limit, largest, of_row, units[i], i >= equations)
+    for j in range(n):
+        total, errors, lost, largest = columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j], columns[TERM, j]
+        for side in range(2):
+            place, sign = rows + side * n + j, 2.0 * side - 1.0
+            limit, of_bound = limits[place], y[place]
+            value, low = split_sum(sign * x[j], -limit if abs(limit) < np.inf else 0.0)
+            slack, error = _rounded(value, low, 0.0, terms)
+            judge_row(worst, slack, error, limit, abs(x[j]), of_bound, units[place], False)
+            total, errors, lost = _added(total, errors, lost, sign, of_bound)
+            largest = _larger(largest, abs(of_bound))
+        total, errors, lost = _added(total, errors, lost, 1.0, c[j])
+        largest = _larger(largest, abs(c[j]))
+        begin, product, curvature = of_P[j], 0.0, 0.0
+        for k in range(begin, of_P[j + 1]):
+            of = indices_of_P[k - begin if is_full else k]
+            a, b = P[k], x[of]
+            curvature += a if of == j else 0.0
+            total, errors, lost = _added(total, errors, lost, a, b)
+            product += a * b
+            largest = max(largest, abs(a * b))
+        left, error = _rounded(total, errors, lost, terms)
+        judge_column(
+            worst, left, error, x[j], c[j], product, curvature, -limits[rows + j], limits[rows + n + j], largest,
+            dual_units[j],
+        )
+    beside_sizes(worst)

@@ -1,0 +1,26 @@
+"""The kind of quadratic and linear programs: what solves them, and which ways take them."""
+
+from ...core.kinds import LANGUAGES, Kind
+
+QUADRATIC_PROGRAM = Kind(
+    "quadratic program", "problems.programs.program:QuadraticProgram", "problems.programs.solving:judged_program",
+    "problems.programs.solving:QuadraticProgramResult",
+    ("solve", "solve_batch", "certify", "pickle", *LANGUAGES, "lcp-plugin solve", "lcp-plugin certify"),
+    "LCP.from_qp(program) makes an LCP of it",
+    {
+        "x0=": "z0=result.z goes on from an earlier result",
+        "derivative": "requires_grad=True in cvxpy; or derivative(result.lcp_result), by the data of its "
+                      "complementarity problem",
+        **{f"{name}=": "certify(program, result.x) bounds the objective and the distance"
+           for name in ("error_bound", "tolerance_on")},
+        "absolute_tolerance=": "a program is judged by its own residuals, leave it out",
+        "error_bound": "certify(program, x) bounds the objective and the distance",
+        "analyze": "program.is_convex says whether P is positive semidefinite, analyze(program.P) the rest",
+        "cross_validate": "certify(program, x) judges anybody's answer; lcp-plugin certify compares solvers",
+        "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and load_problem(path) reads them",
+        "lcp-plugin check": "lcp-plugin certify compares solvers on a program",
+        "lcp-plugin analyze": "lcp-plugin solve and certify take a program",
+        "lcp-plugin study": "lcp-plugin certify compares solvers on a program",
+        "lcp-plugin report": "lcp-plugin solve and certify take a program",
+    },
+)

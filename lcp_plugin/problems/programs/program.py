@@ -1,0 +1,397 @@
+"""Quadratic programs: checked data, the conditions under which a point is optimal, and whether they are convex."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ...core.checks import (
+    FloatVector,
+    assembled,
+    check_order,
+    checked_bound,
+    checked_vector,
+    read_only,
+    rectangular_matrix,
+    restored,
+)
+from ...core.errors import InvalidProblem, UnsupportedModel
+from ...core.kernels.floats import EPSILON
+from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.symmetry import is_its_mirror, mismatch
+from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
+from ...systems.definiteness import is_semidefinite_to_rounding
+from .constraints import Constraints, dual_unit
+from .program_matrices import ProgramMatrices, as_csr
+from .qp_certificates import proof_of_no_minimum
+from .qp_proofs import QPInfeasibility, QPUnboundedness
+
+SYMMETRIC_TO = 1e-12
+INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # the convention of file formats, which may hold 9.999999999999999e19
+LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question of convexity alone
+LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
+CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class QuadraticProgram:
+    """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
+
+    Parameters
+    ----------
+    P : array or sparse array, shape (n, n)
+        Real, finite, symmetric; None or zero for a linear program. Rounding errors in the symmetry are averaged away,
+        and ``asymmetry`` says how large they were. Sparse stays sparse. Whether P is positive semidefinite is not asked
+        here: see `is_convex`.
+    c : array, shape (n,)
+        Real, finite.
+    G, h : array or sparse array, shape (m, n), and array, shape (m,), optional
+        An h of ∞ says nothing about its row.
+    A, b : array or sparse array, shape (p, n), and array, shape (p,), optional
+    lower, upper : scalar or array, shape (n,)
+        In the unit of x; none by default.
+
+    Attributes
+    ----------
+    asymmetry : float
+        max |p_ij − p_ji| of the P that was given.
+    matrices : ProgramMatrices
+        P, G and A with what they alone say.
+    ranges : tuple or None
+        Of a program made by `from_ranges`: which given row each row of G and A is, with which sign, and how many these
+        are.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the data do not state such a program.
+
+    Examples
+    --------
+    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+    >>> program
+    QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])
+    >>> print(program)
+    QuadraticProgram(n=2, 1 inequality, 0 equalities)
+    >>> program.objective([0.5, 1.5])
+    -4.5
+    """
+
+    P: Any
+    c: FloatVector
+    G: Any
+    h: FloatVector
+    A: Any
+    b: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+    asymmetry: float = field(default=0.0)
+    ranges: Any = field(default=None, repr=False)
+    matrices: ProgramMatrices = field(init=False, repr=False)
+
+    def __init__(
+        self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
+        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+    ) -> None:
+        vector = checked_vector(c, "c", None)
+        n = vector.size
+        P, asymmetry = symmetric(rectangular_matrix(sp.csr_array((n, n)) if P is None else P, "P", n, n))
+        rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
+        equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
+        below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
+        check_order(below, above)
+        made = self.with_matrices(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
+        self.__dict__.update(made.__dict__, asymmetry=asymmetry)
+
+    @classmethod
+    def from_ranges(
+        cls, P: Any, c: ArrayLike, A: Any, lower_rows: ArrayLike, upper_rows: ArrayLike,
+        lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+    ) -> QuadraticProgram:
+        """Return the program min ½ xᵀP x + cᵀx over lower_rows ≤ A x ≤ upper_rows, lower ≤ x ≤ upper.
+
+        Parameters
+        ----------
+        P, c, lower, upper
+            As in the class.
+        A : array or sparse array, shape (m, n)
+        lower_rows, upper_rows : scalar or array, shape (m,)
+            Limits of the rows: an equation where they are equal. 1e20 and beyond means none, for the bounds too.
+
+        Raises
+        ------
+        InvalidProblem
+            As the class, and where a lower limit is above its upper one.
+
+        Examples
+        --------
+        >>> program = QuadraticProgram.from_ranges(np.eye(2), [0, 0], [[1, 1], [1, -1]], [2, -1], [2, 1])
+        >>> print(program)
+        QuadraticProgram(n=2, 2 inequalities, 1 equality)
+        """
+        vector = checked_vector(c, "c", None)
+        n = vector.size
+        rows = as_csr(rectangular_matrix(A, "A", None, n))
+        m = rows.shape[0]
+        low, high = (
+            _with_infinities(checked_bound(limit, name, m))
+            for limit, name in ((lower_rows, "lower_rows"), (upper_rows, "upper_rows"))
+        )
+        check_order(low, high)
+        is_equality = low == high
+        above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
+        equal, sides = np.flatnonzero(is_equality), above.size + below.size
+        order, signs = np.concatenate([above, below, equal]), np.ones(sides + equal.size)
+        signs[above.size : sides] = -1.0
+        picked = rows[order]
+        ends, data = picked.indptr, picked.data * np.repeat(signs, np.diff(picked.indptr))
+        G, equations = (
+            assembled(data[ends[first] : ends[last]], picked.indices[ends[first] : ends[last]],
+                      ends[first : last + 1] - ends[first], (last - first, n))
+            for first, last in ((0, sides), (sides, order.size))
+        )
+        bounds = [
+            read_only(_with_infinities(checked_bound(bound, name, n)))
+            for bound, name in ((lower, "lower"), (upper, "upper"))
+        ]
+        check_order(*bounds)
+        symmetric_P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
+        h, b = read_only(np.append(high[above], -low[below])), read_only(low[equal])
+        program = cls.with_matrices(ProgramMatrices(symmetric_P, G, equations), vector, h, b, *bounds)
+        program.__dict__.update(asymmetry=asymmetry, ranges=(order, signs, m))
+        return program
+
+    @property
+    def n(self) -> int:
+        """Number of variables."""
+        return int(self.c.size)
+
+    @property
+    def is_convex(self) -> bool | None:
+        """Whether P is positive semidefinite to rounding; None where n is too large to say. One factorisation."""
+        return self.matrices.is_semidefinite
+
+    @cached_property
+    def is_shown_convex(self) -> bool:
+        """Whether P is shown to be positive semidefinite up to the rounding of each of its rows.
+
+        By the rows themselves, or by one factorisation. What is semidefinite only beside its largest entries is not.
+        """
+        d = self.P.diagonal()
+        is_dominant = bool((d >= 0.0).all()) and bool((abs(self.P) @ np.ones(self.n) <= 2.0 * d).all())  # Gershgorin
+        return is_dominant or self.is_convex is True
+
+    @cached_property
+    def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
+        """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
+
+        It holds for the stored doubles, by however little: `margin` says by how much, `refutation` whether it counts.
+        """
+        return proof_of_no_minimum(self)
+
+    def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
+        """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none."""
+        proof = self.proof_of_no_minimum
+        return proof if proof is not None and proof.excludes(tolerance) else None
+
+    @cached_property
+    def constraints(self) -> Constraints:
+        """All constraints as rows of one matrix, with the units in which they are judged."""
+        return Constraints.of(self)
+
+    @cached_property
+    def dual_unit(self) -> FloatVector:
+        """What each component of the dual residual is relative to."""
+        return dual_unit(self)
+
+    @property
+    def primal_size(self) -> float:
+        """1 + the largest limit ÷ the largest coefficient of its row: a size of x that the data name."""
+        rows = self.constraints
+        return float((rows.unit / self.matrices.row_sizes).max(initial=1.0))
+
+    @property
+    def dual_size(self) -> float:
+        """The same of multipliers, and of x where there is a P."""
+        return float((self.dual_unit / self.matrices.column_sizes).max(initial=1.0))
+
+    def with_vectors(
+        self, c: ArrayLike | None = None, h: ArrayLike | None = None, b: ArrayLike | None = None,
+        lower: ArrayLike | None = None, upper: ArrayLike | None = None,
+    ) -> QuadraticProgram:
+        """Return the program with other vectors, which shares all that depends on its matrices alone.
+
+        Parameters
+        ----------
+        c, h, b, lower, upper : arrays, shapes (n,), (m,), (p,), (n,), (n,), optional
+            The present ones by default.
+
+        Raises
+        ------
+        InvalidProblem
+            As the class.
+
+        Examples
+        --------
+        >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+        >>> program.with_vectors(h=[9]).h
+        array([9.])
+        """
+        n = self.n
+        below, above = (
+            kept if given is None else checked_bound(given, name, n)
+            for given, kept, name in ((lower, self.lower, "lower"), (upper, self.upper, "upper"))
+        )
+        check_order(below, above)
+        made = self.with_matrices(
+            self.matrices, self.c if c is None else checked_vector(c, "c", n),
+            self.h if h is None else checked_vector(h, "h", self.h.size, allow_plus_infinity=True),
+            self.b if b is None else checked_vector(b, "b", self.b.size), below, above,
+        )
+        made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges)
+        return made
+
+    @classmethod
+    def with_matrices(
+        cls, matrices: ProgramMatrices, c: FloatVector, h: FloatVector, b: FloatVector, lower: FloatVector,
+        upper: FloatVector,
+    ) -> QuadraticProgram:
+        """Return the program of these data, which are not checked."""
+        made = object.__new__(cls)
+        made.__dict__.update(
+            P=matrices.P, c=c, G=matrices.G, h=h, A=matrices.A, b=b, lower=lower, upper=upper, matrices=matrices
+        )
+        return made
+
+    def objective(self, x: ArrayLike) -> float:
+        """Return ½ xᵀP x + cᵀx for x of shape (n,)."""
+        point = checked_vector(x, "x", self.n)
+        return float(0.5 * (point @ (self.P @ point)) + self.c @ point)
+
+    def __repr__(self) -> str:
+        """Return the call that makes a small program again, bit for bit; of a large one, what `str` says."""
+        if not max(self.n, self.h.size, self.b.size) <= WRITTEN_UP_TO:
+            return str(self)
+        given = [written_matrix(self.P), repr(self.c.tolist())]
+        for (A, b), (rows, limits) in (((self.G, self.h), "Gh"), ((self.A, self.b), "Ab")):
+            given += [f"{rows}={written_matrix(A)}", f"{limits}={b.tolist()}"] if b.size else []
+        bounds = written_bounds(self.lower, self.upper, least=-np.inf)
+        return f"QuadraticProgram({', '.join([*given, *bounds])})"
+
+    def __str__(self) -> str:
+        m, p = self.h.size, self.b.size
+        averaged = f", asymmetry {self.asymmetry:.1e} averaged away" if self.asymmetry else ""
+        rows = f"{m} inequalit{'y' if m == 1 else 'ies'}, {p} equalit{'y' if p == 1 else 'ies'}"
+        return f"QuadraticProgram(n={self.n}, {rows}{averaged})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what can be computed again."""
+        data = {one.name for one in fields(self)}
+        return {name: value for name, value in self.__dict__.items() if name in data}
+
+    __setstate__ = restored
+
+
+def refuse_nonconvex(program: QuadraticProgram) -> None:
+    """Raise where P has an eigenvalue that is negative beyond the rounding of its largest entries.
+
+    One factorisation up to n = 5000; beyond, a look at each entry beside its diagonal ones.
+
+    Raises
+    ------
+    UnsupportedModel
+        With the eigenvalue or the entries that show it.
+
+    Examples
+    --------
+    >>> refuse_nonconvex(QuadraticProgram([[1, 2], [2, 1]], [0, 0]))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    lcp_plugin.core.errors.UnsupportedModel: the program is not convex: the smallest eigenvalue of P is -1, ...
+    """
+    P = program.P
+    if program.n <= LARGEST_CHECKED:
+        if program.is_convex is not False or is_semidefinite_beside_its_largest(P):
+            return
+        dense = P.toarray() if sp.issparse(P) else P
+        what = f"the smallest eigenvalue of P is {np.linalg.eigvalsh(dense)[0]:.3g}" if program.n <= LARGEST_MEASURED \
+            else "P has a negative eigenvalue"
+    else:
+        place = clearly_indefinite_at(P)
+        if place is None:
+            return
+        i, j = place
+        entries = dict.fromkeys(((i, i), (j, j), (i, j)))
+        what = f"{', '.join(f'P[{k}, {m}] = {P[k, m]:.3g}' for k, m in entries)} shows it"
+    raise UnsupportedModel(
+        f"the program is not convex: {what}, so that a stationary point need not be a minimum; state a convex "
+        "objective, use a solver for nonconvex programs, or solve(LCP(P, c, lower=…, upper=…)) for a stationary point"
+    )
+
+
+def is_semidefinite_beside_its_largest(P: Any) -> bool:
+    """Return whether P is positive semidefinite up to the rounding of its largest entries.
+
+    A row that should be zero may hold rounding errors of the others, which a scale of its own would magnify.
+    """
+    n = P.shape[0]
+    shift = n * (n + 4) * EPSILON * float(abs(P).max())
+    return is_semidefinite_to_rounding(sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(n))) is not False
+
+
+def clearly_indefinite_at(P: Any) -> tuple[int, int] | None:
+    """Return i, j with |p_ij| clearly above √(p_ii p_jj), or i, i with a negative p_ii; None where there are none."""
+    listed, d = sp.coo_array(P), P.diagonal()
+    scale = float(abs(d).max(initial=0.0)) * CLEAR
+    if d.min(initial=0.0) < -scale:
+        return int(d.argmin()), int(d.argmin())
+    root = np.sqrt(np.maximum(d, 0.0))
+    excess = np.abs(listed.data) - (1.0 + CLEAR) * root[listed.row] * root[listed.col]
+    worst = int(excess.argmax()) if excess.size else 0
+    return (int(listed.row[worst]), int(listed.col[worst])) if excess.size and excess[worst] > scale else None
+
+
+def _with_infinities(limit: FloatVector) -> FloatVector:
+    """Return the limit with ±1e20 and beyond read as ±∞."""
+    return np.where(np.abs(limit) >= INFINITE_LIMIT, np.copysign(np.inf, limit), limit)
+
+
+def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
+    """Raise where there is a matrix without a right-hand side, or the other way round."""
+    if (matrix is None) != (right is None):
+        given, missing = (name, right_name) if right is None else (right_name, name)
+        raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
+
+
+def _checked_rows(
+    matrix: Any, right: ArrayLike | None, name: str, right_name: str, n: int, *, allow_plus_infinity: bool
+) -> tuple[Any, FloatVector]:
+    """Return the checked matrix and right-hand side; none of either is no rows."""
+    check_pair(matrix, right, name, right_name)
+    if matrix is None:
+        return sp.csr_array((0, n)), read_only(np.zeros(0))
+    checked = rectangular_matrix(matrix, name, None, n)
+    return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
+
+
+def symmetric(P: Any) -> tuple[Any, float]:
+    """Return P with rounding errors in its symmetry averaged away, and how large they were."""
+    asymmetry, where = asymmetry_of(P)
+    if where is not None:
+        i, j = where
+        raise InvalidProblem(
+            f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; the objective only sees "
+            "(P + P.T) / 2: give that, if it is what you mean"
+        )
+    return (P, 0.0) if asymmetry == 0.0 else (rectangular_matrix((P + P.T) * 0.5, "P", None, None), asymmetry)
+
+
+def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
+    """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
+    if sp.issparse(M) and is_its_mirror(M):
+        return 0.0, None
+    return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

@@ -1,0 +1,162 @@
+"""Quadratic programs of one shape, as stacked data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ...core.checks import BoolVector, length_of_all, read_only, real_array, rows_of_a_batch
+from ...core.errors import InvalidProblem
+from .program import SYMMETRIC_TO, QuadraticProgram, check_pair, refuse_nonconvex
+
+
+class QuadraticProgramBatch:
+    """Programs of one shape: minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper, one for each k.
+
+    ``programs[k]`` is the :class:`~lcp_plugin.QuadraticProgram` of number k, and raises what is wrong with it.
+
+    Parameters
+    ----------
+    P, G, A : arrays, shapes (B, n, n), (B, m, n) and (B, p, n), or without B: the same for all
+        G and A are optional. Stacks are read where they lie: leave their entries as they are while you use the batch.
+        Where all three are the same for all they may be sparse. Rounding errors in the symmetry of P are averaged away.
+    c, h, b : arrays, shapes (B, n), (B, m) and (B, p), or without B
+    lower, upper : scalar or array, shape (n,) or (B, n)
+
+    Raises
+    ------
+    InvalidProblem
+        Where shapes do not fit together, or what is the same for all states no program.
+
+    Examples
+    --------
+    The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
+
+    >>> programs = QuadraticProgramBatch(np.eye(2), [[-1, -2], [0, -1]], G=[[1, 1]], h=[2])
+    >>> programs, programs[1].c
+    (QuadraticProgramBatch(2 programs, n=2), array([ 0., -1.]))
+    """
+
+    def __init__(
+        self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
+        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+    ) -> None:
+        c = real_array(c, "c must have shape (B, n) or (n,)")
+        if not c.ndim:
+            raise InvalidProblem(f"c must have shape (B, n) or (n,), got the number {c}; write [{c}]")
+        n = c.shape[-1]
+        check_pair(G, h, "G", "h")
+        check_pair(A, b, "A", "b")
+        given = {"P": P, "G": np.zeros((0, n)) if G is None else G, "A": np.zeros((0, n)) if A is None else A}
+        matrices = {name: _checked_matrices(values, name, n) for name, values in given.items()}
+        m, p = (matrices[name].shape[-2] for name in "GA")
+        right: dict[str, Any] = {"c": (c, n), "h": ([] if h is None else h, m), "b": ([] if b is None else b, p)}
+        right |= {"lower": (lower, n), "upper": (upper, n)}
+        self.vectors = {name: rows_of_a_batch(values, name, size) for name, (values, size) in right.items()}
+        stacks = {name: values for name, values in matrices.items() if values.ndim == 3}
+        stacks |= {name: rows for name, rows in self.vectors.items() if np.ndim(right[name][0]) == 2}
+        self.count = length_of_all({name: len(rows) for name, rows in stacks.items()})
+        self.sizes: tuple[int, int, int, int] = m, p, n, n
+        self._shared = None
+        if not stacks.keys() & matrices.keys():
+            self._shared = QuadraticProgram(
+                matrices["P"], np.zeros(n), matrices["G"], np.zeros(m), matrices["A"], np.zeros(p)
+            )
+            matrices = {name: getattr(self._shared, name) for name in matrices}
+        self.P, self.G, self.A = matrices.values() if self._shared is not None else map(_stack, matrices.values())
+        self._is_symmetric: Any = True
+        if self._shared is None:
+            self.P, self._is_symmetric = _symmetric(self.P)
+
+    @property
+    def n(self) -> int:
+        """Number of variables of each."""
+        return self.sizes[2]
+
+    @property
+    def arrays(self) -> tuple[Any, ...]:
+        """P, c, C, d, which rows of C are equations, lower and upper: C and d hold G and A, h and b.
+
+        Matrices are of shape (B or 1, …), vectors (B, …), C-contiguous and read-only.
+        """
+        c, h, b, lower, upper = (np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values())
+        is_equality = np.repeat([False, True], self.sizes[:2])
+        P, G, A = map(_stack, (self.P, self.G, self.A))
+        data = P, c, _beside(G, A), _beside(h, b), is_equality, lower, upper
+        return tuple(read_only(np.ascontiguousarray(array)) for array in data)
+
+    @property
+    def may_be_stated(self) -> BoolVector:
+        """Which of them are programs, shape (B,), as far as vectors and the symmetry of P say."""
+        c, h, b, lower, upper = self.vectors.values()
+        with np.errstate(invalid="ignore"):
+            has_room = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
+            is_finite = np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1) & (h > -np.inf).all(axis=1)
+        return np.broadcast_to(has_room & is_finite & self._is_symmetric, self.count)
+
+    def refuse_nonconvex(self) -> None:
+        """Raise where one P for all is not convex.
+
+        As :func:`~lcp_plugin.problems.programs.program.refuse_nonconvex`.
+        """
+        if self._shared is not None:
+            refuse_nonconvex(self._shared)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, k: int) -> QuadraticProgram:
+        if not -len(self) <= k < len(self):
+            raise IndexError(f"there are {len(self)} programs, and none has the number {k}")
+        c, h, b, lower, upper = (_of(rows, k % len(self)) for rows in self.vectors.values())
+        if self._shared is not None:
+            return self._shared.with_vectors(c, h, b, lower, upper)
+        P, G, A = (_of(stack, k % len(self)) for stack in (self.P, self.G, self.A))
+        return QuadraticProgram(P, c, G, h, A, b, lower, upper)
+
+    def __repr__(self) -> str:
+        return f"QuadraticProgramBatch({len(self)} program{'' if len(self) == 1 else 's'}, n={self.n})"
+
+
+def _of(rows: Any, k: int) -> Any:
+    """Return what belongs to program k; one row stands for all."""
+    return rows[k if len(rows) > 1 else 0]
+
+
+def _checked_matrices(values: Any, name: str, n: int) -> Any:
+    rows = n if name == "P" else "rows"
+    need = f"{name} must have shape (B, {rows}, {n}), or ({rows}, {n}) for all, as c has {n} entries"
+    matrices = values if sp.issparse(values) else real_array(values, need)
+    if matrices.ndim not in (2, 3) or matrices.shape[-1] != n or (name == "P" and matrices.shape[-2] != n):
+        raise InvalidProblem(f"{need}; got shape {matrices.shape}")
+    return matrices
+
+
+def _stack(matrices: Any) -> Any:
+    dense = np.ascontiguousarray(matrices.toarray() if sp.issparse(matrices) else matrices)
+    return dense if dense.ndim == 3 else dense[np.newaxis]
+
+
+def _beside(first: Any, second: Any) -> Any:
+    """Return two stacks as one; no copy where one of them has no rows."""
+    if not first.shape[1] or not second.shape[1]:
+        return first if first.shape[1] else second
+    count = max(len(first), len(second))
+    return np.concatenate([np.broadcast_to(one, (count, *one.shape[1:])) for one in (first, second)], axis=1)
+
+
+def _symmetric(P: Any) -> tuple[Any, BoolVector]:
+    """Return P with rounding errors in its symmetry averaged away, and where there are no others, shape (B or 1,)."""
+    is_symmetric = (P.transpose(0, 2, 1) == P).all(axis=(1, 2))
+    some = np.flatnonzero(~is_symmetric)
+    if some.size:
+        one, mirror = P[some], P[some].transpose(0, 2, 1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            size = np.sqrt(np.abs(one).max(axis=2))
+            is_rounding = np.abs(one - mirror) <= SYMMETRIC_TO * size[:, :, np.newaxis] * size[:, np.newaxis]
+            is_symmetric[some], P = is_rounding.all(axis=(1, 2)), P.copy()
+            P[some[is_symmetric[some]]] = ((one + mirror) * 0.5)[is_symmetric[some]]
+    return P, is_symmetric

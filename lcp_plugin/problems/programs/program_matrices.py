@@ -1,0 +1,292 @@
+"""The matrices of a quadratic program, and what they alone say: shared by programs that differ in vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, read_only
+from ...core.communicator import ALONE
+from ...core.matrix.matrix import Matrix, largest_in_rows
+from ...systems.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
+
+Indices = NDArray[np.intp]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramMatrices:
+    """P, G and A of a program, checked and read-only; each fact about them is computed once.
+
+    Attributes
+    ----------
+    P, G, A : ndarray or canonical CSR array, shapes (n, n), (m, n), (p, n)
+    """
+
+    P: Any
+    G: Any
+    A: Any
+    _kept: dict[str, tuple[tuple[bytes, ...], Any]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """m, p, n, n: how many rows are of G, of A, and of each kind of bound."""
+        n = self.P.shape[0]
+        return self.G.shape[0], self.A.shape[0], n, n
+
+    @cached_property
+    def is_equality(self) -> NDArray[np.bool_]:
+        """Which of the constraints are equations."""
+        return np.repeat([False, True, False, False], self.sizes)
+
+    @cached_property
+    def rows(self) -> sp.csr_array:
+        """[G; A]."""
+        return vertically(as_csr(self.G), as_csr(self.A))
+
+    @cached_property
+    def constraints(self) -> sp.csr_array:
+        """[G; A; −I; I]."""
+        n = self.P.shape[0]
+        return vertically(self.rows, diagonal_array(-1.0, n), diagonal_array(1.0, n))
+
+    @cached_property
+    def gradient(self) -> sp.csr_array:
+        """[P Gᵀ Aᵀ]: the part of the Lagrangian's gradient that depends on x and the multipliers."""
+        return sp.csr_array(sp.hstack([as_csr(self.P), self.rows.T], format="csr"))
+
+    @cached_property
+    def rows_of_hessian(self) -> tuple[Any, Any, FloatVector, bool]:
+        """Where rows of P begin, their columns, their entries; of an ndarray the columns of one row stand for all."""
+        if sp.issparse(self.P):
+            return self.P.indptr, self.P.indices, self.P.data, False
+        n = self.P.shape[0]
+        return n * np.arange(n + 1, dtype=np.int32), np.arange(n, dtype=np.int32), self.P.ravel(), True
+
+    @cached_property
+    def magnitudes(self) -> Any:
+        """|P|."""
+        return abs(self.P)
+
+    @cached_property
+    def row_sizes(self) -> FloatVector:
+        """The largest |entry| of each constraint, 1 where there is none."""
+        return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
+
+    @cached_property
+    def column_sizes(self) -> FloatVector:
+        """The largest |entry| of each column of P, G and A, 1 where there is none."""
+        largest = largest_in_rows(self.P)
+        np.maximum.at(largest, self.rows.indices, np.abs(self.rows.data))
+        return or_one(largest)
+
+    @cached_property
+    def entries(self) -> tuple[int, int]:
+        """How many nonzeros P and [G; A] have."""
+        return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(self.rows.nnz)
+
+    @cached_property
+    def singletons(self) -> tuple[Indices, Indices, FloatVector]:
+        """The rows of [G; A] that have one entry, their columns, and of all rows that entry, or 1."""
+        stacked = self.rows
+        rows, coefficient = np.flatnonzero(np.diff(stacked.indptr) == 1), np.ones(stacked.shape[0])
+        places = stacked.indptr[rows]
+        coefficient[rows] = stacked.data[places]
+        return rows, stacked.indices[places].astype(np.intp), coefficient
+
+    @cached_property
+    def is_definable(self) -> NDArray[np.bool_]:
+        """Which variables stand in one row of A, in no row of G, and have a quadratic term of their own.
+
+        One without a quadratic term defines nothing that would become strictly convex.
+        """
+        of_A, of_G = (np.bincount(as_csr(part).indices, minlength=self.P.shape[0]) for part in (self.A, self.G))
+        is_definable: NDArray[np.bool_] = (of_A == 1) & (of_G == 0) & (self.P.diagonal() > 0.0)
+        return is_definable
+
+    @cached_property
+    def is_semidefinite(self) -> bool | None:
+        """Whether P is positive semidefinite to rounding; None where it is too large to say."""
+        return is_semidefinite_to_rounding(self.P)
+
+    @cached_property
+    def solver(self) -> Solver | None:
+        """The function right ↦ P⁻¹ right where P is proven positive definite."""
+        return positive_definite_solver(self.P)
+
+    @cached_property
+    def condition(self) -> float:
+        """An estimate of the condition number of P at unit diagonal, which has a solver."""
+        return np.inf if self.solver is None else condition_estimate(self.P, self.solver)
+
+    @cached_property
+    def hessian(self) -> Matrix:
+        """P, as the matrix of a complementarity problem."""
+        return Matrix(self.P)
+
+    @cached_property
+    def kkt(self) -> Matrix:
+        """[[P, Cᵀ], [−C, 0]] with C = [G; A], an ndarray where it is small and full."""
+        C, n, size = self.rows, self.P.shape[0], self.P.shape[0] + self.rows.shape[0]
+        of_P, of_C = self.entries
+        if is_kept_dense(size, of_P + 2 * of_C):
+            M = np.zeros((size, size))
+            M[:n, :n] = self.P.toarray() if sp.issparse(self.P) else self.P
+            M[:n, n:] = C.toarray().T
+            M[n:, :n] = 0.0 - M[:n, n:].T  # no negative zeros
+            return Matrix(M)
+        minus = assembled(-C.data, C.indices, C.indptr, (size - n, size))
+        M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
+        return Matrix.of_own_rows(M, ALONE)  # canonical, as its blocks are
+
+    def of_rows(self, left: Indices) -> ProgramMatrices:
+        """Return the matrices with these rows of [G; A] only."""
+        m, p = self.sizes[:2]
+        if left.size == m + p:
+            return self
+        first, columns = np.searchsorted(left, m), np.arange(self.P.shape[0])
+        return self.kept("rows", (left,), lambda: ProgramMatrices(
+            self.P, block(self.G, left[:first], columns) if first < m else self.G,
+            block(self.A, left[first:] - m, columns) if left.size - first < p else self.A,
+        ))
+
+    def kept(self, name: str, keys: tuple[Any, ...], make: Callable[[], T]) -> T:
+        """Return what was made for the same arrays the last time, or make it."""
+        key = tuple(array.tobytes() for array in keys)
+        known = self._kept.get(name)
+        if known is None or known[0] != key:
+            known = self._kept[name] = (key, make())
+        value: T = known[1]
+        return value
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what can be computed again."""
+        return {"P": self.P, "G": self.G, "A": self.A, "_kept": {}}
+
+
+def is_full(entries: int, shape: tuple[int, int]) -> bool:
+    """Return whether products with a matrix of so many entries are quicker as an ndarray."""
+    return entries > DENSE_ABOVE_DENSITY * shape[0] * shape[1]
+
+
+def is_kept_dense(n: int, entries: int) -> bool:
+    """Return whether a matrix of that size is small and full."""
+    return n <= DENSE_UP_TO_SIZE and is_full(entries, (n, n))
+
+
+def or_one(sizes: FloatVector) -> FloatVector:
+    """Return the sizes, 1 in the place of 0."""
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def sums_and_terms(rows: sp.csr_array, y: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return yᵀM and |y|ᵀ|M| of a CSR array, which is not transposed.
+
+    Examples
+    --------
+    >>> sums_and_terms(sp.csr_array([[1.0, -2.0], [0.0, 3.0]]), np.array([1.0, 1.0]))
+    (array([1., 1.]), array([1., 5.]))
+    """
+    terms: FloatVector = np.repeat(y, np.diff(rows.indptr)) * rows.data
+    sums, sizes = np.zeros(rows.shape[1]), np.zeros(rows.shape[1])
+    sums += np.bincount(rows.indices, terms, rows.shape[1])
+    sizes += np.bincount(rows.indices, np.abs(terms), rows.shape[1])
+    return sums, sizes
+
+
+# Blocks of sparse matrices, cut out and put together without triplets: these would take longer than a small program.
+
+
+def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
+    """Return some rows and columns, each in order, of an ndarray or a canonical CSR array; read-only, of the same kind.
+
+    Examples
+    --------
+    >>> block(sp.csr_array([[1.0, 2.0, 0.0], [0.0, 0.0, 3.0], [0.0, 4.0, 5.0]]), [0, 2], [1, 2]).toarray()
+    array([[2., 0.],
+           [4., 5.]])
+    """
+    if not sp.issparse(matrix):
+        return read_only(matrix[np.ix_(rows, columns)])
+    stays, place = np.zeros(matrix.shape[0], dtype=bool), np.full(matrix.shape[1], -1, dtype=matrix.indices.dtype)
+    stays[rows], place[columns] = True, np.arange(len(columns))
+    moved = place[matrix.indices]
+    is_inside = np.repeat(stays, np.diff(matrix.indptr)) & (moved >= 0)
+    before = np.zeros(matrix.nnz + 1, dtype=matrix.indptr.dtype)
+    np.cumsum(is_inside, out=before[1:])
+    starts = np.append(before[matrix.indptr[:-1][stays]], before[-1:])
+    return assembled(matrix.data[is_inside], moved[is_inside], starts, (len(rows), len(columns)))
+
+
+def as_csr(matrix: Any) -> sp.csr_array:
+    """Return an ndarray as CSR, and a CSR array as it is.
+
+    Examples
+    --------
+    >>> as_csr(np.array([[1.0, 0.0], [3.0, 4.0]])).indices
+    array([0, 0, 1], dtype=int32)
+    """
+    if sp.issparse(matrix):
+        return matrix if isinstance(matrix, sp.csr_array) else sp.csr_array(matrix)
+    index_type = np.int32 if matrix.size < 2**31 else np.int64
+    (m, n), is_entry = matrix.shape, matrix != 0.0
+    if is_entry.all():
+        starts, columns = n * np.arange(m + 1), np.tile(np.arange(n, dtype=index_type), m)
+        return assembled(matrix.reshape(-1), columns, starts.astype(index_type), matrix.shape)
+    starts = np.concatenate([[0], np.cumsum(is_entry.sum(axis=1))]).astype(index_type)
+    columns = np.nonzero(is_entry)[1].astype(index_type)
+    return assembled(matrix[is_entry], columns, starts, matrix.shape)
+
+
+def vertically(*blocks: sp.csr_array) -> sp.csr_array:
+    """Return CSR arrays one above the other, as wide as the first; a narrower one has zeros on its right.
+
+    Examples
+    --------
+    >>> vertically(sp.csr_array([[1.0, 2.0]]), sp.csr_array([[0.0, 3.0]])).toarray()
+    array([[1., 2.],
+           [0., 3.]])
+    """
+    filled = [block for block in blocks if block.shape[0]] or list(blocks[:1])
+    if len(filled) == 1 and filled[0].shape[1] == blocks[0].shape[1]:
+        return filled[0]
+    ends = np.cumsum([0, *(block.nnz for block in filled)])
+    starts = np.concatenate([block.indptr[:-1] + end for block, end in zip(filled, ends, strict=False)] + [ends[-1:]])
+    indices, data = (np.concatenate([getattr(block, part) for block in filled]) for part in ("indices", "data"))
+    return assembled(data, indices, starts, (starts.size - 1, blocks[0].shape[1]))
+
+
+def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
+    """Return two CSR arrays of the same height, one beside the other.
+
+    Examples
+    --------
+    >>> horizontally(sp.csr_array([[1.0], [0.0]]), sp.csr_array([[2.0], [3.0]])).toarray()
+    array([[1., 2.],
+           [0., 3.]])
+    """
+    starts = left.indptr.astype(np.int64) + right.indptr
+    indices, data = np.empty(starts[-1], dtype=np.int64), np.empty(starts[-1])
+    shifts = ((left, right.indptr[:-1], 0), (right, left.indptr[1:], left.shape[1]))
+    for block, shift, first in shifts:
+        places = np.arange(block.nnz) + np.repeat(shift, np.diff(block.indptr))
+        indices[places], data[places] = block.indices + first, block.data
+    return assembled(data, indices, starts, (left.shape[0], left.shape[1] + right.shape[1]))
+
+
+def diagonal_array(entries: float | FloatVector, n: int) -> sp.csr_array:
+    """Return the diagonal matrix of the entries, or of one number for all, as CSR, shape (n, n).
+
+    Examples
+    --------
+    >>> diagonal_array(-1.0, 2).toarray()
+    array([[-1.,  0.],
+           [ 0., -1.]])
+    """
+    return assembled(np.full(n, entries), np.arange(n), np.arange(n + 1), (n, n))

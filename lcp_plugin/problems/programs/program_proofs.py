@@ -1,0 +1,344 @@
+"""What is proved about the optimal value of a program, and the verdict on a point that is claimed to be optimal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector
+from ...core.deadline import is_over, seconds_left, time_limit
+from ...core.errors import LCPError
+from ...core.kernels.floats import EPSILON
+from ...core.rounding import compensated_product, gamma
+from ...proofs.bounds.curvature import constrained_curvature
+from ...proofs.bounds.solution_bounds import norm_above
+from ...proofs.exact.rational import enclosures
+from ...proofs.exact.upward import quotient_above, sum_above
+from .dual_bounds import DualBounds, implied_box
+from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
+from .given_multipliers import LOOSE, multiplier_error
+from .program import QuadraticProgram
+from .qp_certificates import proof_of_no_minimum
+from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .qp_solution import QPSolution
+from .solving import program_runs
+
+OWN_TOLERANCE = 1e-12  # residuals of a program that multipliers are sharp at, and of its complementarity problem
+SHARE = 0.5  # of a time limit: what multipliers may take, so that what they prove is left as much
+ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
+SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
+OUTWARD = 1.0 + 2.0**-30
+NOTHING = "nothing can be proved"
+
+
+@dataclass(frozen=True, eq=False)
+class Certification:
+    """What is proved about an answer to a program.
+
+    Attributes
+    ----------
+    verdict : str
+        "proved": the claim holds to the tolerance. "refuted": it is proved to be false. "unproved": neither.
+    claim : str
+        "optimal", "infeasible" or "unbounded".
+    violation : float or None
+        The largest violation of a constraint, in its own unit; None where there is no x.
+    lower, upper : float or None
+        Proved bounds of the optimal value, None where nothing is proved.
+    gap : float or None
+        A bound of the distance of f(x) from `lower`; None without an x or a lower bound.
+    distance : float or None
+        A proved bound of ‖x − x*‖₂, where the optimal x* is proved to be the only one.
+    reason : str
+        Why this is the verdict.
+    """
+
+    verdict: str
+    claim: str
+    violation: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+    gap: float | None = None
+    distance: float | None = None
+    reason: str = ""
+
+    def __str__(self) -> str:
+        numbers = (f"{name} {value:.3g}" for name in ("violation", "gap", "distance")
+                   if (value := getattr(self, name)) is not None)
+        return f"{self.claim}: {self.verdict} ({', '.join([*numbers, self.reason])})"
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramProofs:
+    """A convex program with all that is proved about its optimal value."""
+
+    program: QuadraticProgram
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> ProgramProofs:
+        """Return the proofs that are kept with a program: the answers of several solvers need them once."""
+        kept: ProgramProofs = program.__dict__.setdefault("_proofs", cls(program))
+        return kept
+
+    @cached_property
+    def bounds(self) -> DualBounds:
+        """What lower bounds are made of."""
+        form = constrained_curvature(self.program.P, self.program.A)
+        return DualBounds(self.program, form, implied_box(self.program))
+
+    @cached_property
+    def points(self) -> FeasiblePoints:
+        """Where feasible points come from."""
+        return FeasiblePoints(self.program)
+
+    @cached_property
+    def own_solution(self) -> QPSolution | None:
+        """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
+        found: list[QPSolution] = []
+        # What it is to prove takes time as well; a form may overflow.
+        with suppress(LCPError), time_limit(SHARE * seconds_left()):
+            # A tolerance beside what acts in the complementarity problem may be far below the program's own.
+            for run in program_runs(self.program, "auto", *[(ALMOST, OWN_TOLERANCE)] * 2):
+                found.append(run.solution)
+        return min(found, key=_residual, default=None)
+
+    @cached_property
+    def own_lower(self) -> float:
+        """The lower bound by the multipliers of our own solution."""
+        own = self.own_solution
+        return -np.inf if own is None else self.lower(own.x, own.inequality, own.equality, own.objective)
+
+    def lower(
+        self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float, tolerance: float = ALMOST
+    ) -> float:
+        """Return the lower bound by some multipliers, repaired where they prove less than the value to a tolerance."""
+        enough = value - tolerance * (1.0 + abs(value))
+        return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
+
+    def upper(self, *near: FloatVector) -> list[FeasiblePoint]:
+        """Return points that are proved to be feasible, near those given and our own solution, or else any."""
+        found = [point for x in near if (point := self.points.near(x)) is not None]
+        if self.is_small or "own_solution" in self.__dict__:
+            found += self._own_point
+        return found or self._inside
+
+    @cached_property
+    def _own_point(self) -> list[FeasiblePoint]:
+        own = None if self.own_solution is None else self.points.near(self.own_solution.x)
+        return [] if own is None else [own]
+
+    @cached_property
+    def _inside(self) -> list[FeasiblePoint]:
+        inside = self.points.inside
+        return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
+
+    @cached_property
+    def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
+        """An exact proof that the program has no minimum; None where none was found."""
+        # What a time limit may cut short is not kept with the program.
+        is_limited = math.isfinite(seconds_left())
+        proof = proof_of_no_minimum(self.program) if is_limited else self.program.proof_of_no_minimum
+        return proof if proof is not None and proof.is_exact and proof.verify() else None
+
+    @property
+    def is_small(self) -> bool:
+        """Whether a solution of our own is worth its time where nothing depends on it."""
+        return self.program.n + self.program.h.size + self.program.b.size <= SMALL
+
+    # --- Claims -------------------------------------------------------------------------------------------------
+
+    def of_claim(self, claim: str, tolerance: float) -> Certification:
+        """Return what is proved about "infeasible" or "unbounded"."""
+        if (proof := self.no_minimum) is not None:
+            if proof.verdict != claim:
+                return Certification("refuted", claim, reason=f"the program is {proof}")
+            if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
+                return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")
+            return Certification("proved", claim, reason=str(proof))
+        points = self.upper()
+        upper = min((point.value for point in points), default=math.inf)
+        lower = self.own_lower
+        numbers = {"lower": _if_finite(lower), "upper": _if_finite(upper)}
+        if claim == "infeasible" and points:
+            return Certification("refuted", claim, **numbers, reason="a feasible point is proved")
+        if claim == "unbounded" and lower > -np.inf:
+            return Certification("refuted", claim, **numbers, reason=f"no feasible x is below {lower:.9g}")
+        return Certification("unproved", claim, **numbers, reason=NOTHING)
+
+    def of_answer(
+        self, x: FloatVector, given: list[FloatVector] | None, tolerance: float
+    ) -> Certification:
+        """Return what is proved about a point, and the multipliers that came with it."""
+        value = objective_bounds(self.program, x)
+        violation = _violation(self.program, x)
+        lower, complaint = -math.inf, ""
+        if given is not None:
+            lower = self.lower(x, given[0], given[1], value[0], tolerance)
+            complaint = multiplier_error(self.program, x, given, tolerance)
+        found = Proved(value, violation, lower, self.upper(x), tolerance)
+        if self.is_small or not found.is_proved() or found.may_have_bought():
+            found = replace(found, lower=max(lower, self.own_lower), points=self.upper(x))
+            if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
+                complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
+        return found.certification(self, x, complaint)
+
+
+@dataclass(frozen=True, eq=False)
+class Proved:
+    """The numbers that a verdict on an answer is made of.
+
+    Attributes
+    ----------
+    value : pair of float
+        Doubles below and above f(x).
+    violation : pair of float
+        Likewise of the largest violation.
+    lower : float
+        Of the optimal value; −∞ where there is none.
+    points : list of FeasiblePoint
+    tolerance : float
+    """
+
+    value: tuple[float, float]
+    violation: tuple[float, float]
+    lower: float
+    points: list[FeasiblePoint] = field(repr=False)
+    tolerance: float
+
+    @property
+    def upper(self) -> float:
+        """Of the optimal value; ∞ where there is none."""
+        return min((point.value for point in self.points), default=math.inf)
+
+    @property
+    def gap(self) -> float:
+        """A bound of |f(x) − lower|."""
+        return math.nextafter(max(self.value[1] - self.lower, self.lower - self.value[0], 0.0), math.inf)
+
+    def refutation(self) -> str:
+        """Return what refutes the answer, or nothing."""
+        below, above = self.value
+        allowed = self.tolerance * (1.0 + max(abs(below), abs(above))) * OUTWARD
+        if self.violation[0] > self.tolerance:
+            return f"a constraint is violated by {self.violation[0]:.3g}"
+        if self.upper < below - allowed:
+            return f"a feasible point has the objective {self.upper:.9g}, below {below:.9g}"
+        if self.lower > above + allowed:
+            return f"no feasible x is below {self.lower:.9g}, and this one has {above:.9g}"
+        return ""
+
+    def is_proved(self) -> bool:
+        """Return whether the answer is optimal to the tolerance, by its value."""
+        size = 1.0 + max(self.value[0], -self.value[1], 0.0)
+        return self.violation[1] <= self.tolerance and self.gap <= self.tolerance * size / OUTWARD
+
+    def may_have_bought(self) -> bool:
+        """Return whether no feasible point shows that the violation, however small, buys less than the tolerance.
+
+        Then a bound by multipliers that came with x may be as far below the optimal value as f(x) is.
+        """
+        return self.violation[1] > 0.0 and self.upper > self.value[1] + self.tolerance * (1.0 + abs(self.value[0]))
+
+    def certification(
+        self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
+    ) -> Certification:
+        """Return the verdict and its numbers; distances in some of the columns."""
+        near, far = distances(proofs, x, self.points, self.lower, columns)
+        refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
+        verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
+        reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
+        if verdict == "proved" and (complaint := self._error_of_x(x, far) or complaint):
+            verdict, reason = "unproved", f"{complaint}, though the objective is proved to be optimal"
+        return Certification(
+            verdict, "optimal", self.violation[1], _if_finite(self.lower), _if_finite(self.upper),
+            _if_finite(self.gap), _if_finite(near), reason,
+        )
+
+    def _no_minimum(self, proofs: ProgramProofs) -> str:
+        """Return what refutes every answer, whatever its numbers are; looked for where there is no lower bound."""
+        proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
+        is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
+        return f"the program is {proof}" if is_endless else ""
+
+    def _error_of_x(self, x: FloatVector, far: float) -> str:
+        """Return what proves that x is not optimal although its value is, or nothing."""
+        is_far = far > LOOSE * self.tolerance * (1.0 + float(np.abs(x).max(initial=0.0)))
+        return f"x is proved to be at least {far:.3g} from every optimal one" if is_far else ""
+
+    def _reason(self, evidence: str, is_proved: bool) -> str:
+        if is_proved:
+            return f"{evidence}; weak duality"
+        if not math.isfinite(self.lower):
+            return f"{NOTHING}: {evidence}, and no multipliers give a finite bound"
+        if self.violation[1] > self.tolerance:
+            return f"a constraint is violated by up to {self.violation[1]:.3g}"
+        return f"the objective is only proved to be within {self.gap:.3g} of the optimum"
+
+
+@np.errstate(all="ignore")  # what overflows bounds nothing
+def distances(
+    proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
+) -> tuple[float, float]:
+    """Return bounds, from above and from below, of ‖x − x*‖₂ for every optimal x*; ∞ where that is not the only one.
+
+    The bound from above is that of some columns.
+
+    Notes
+    -----
+    Let y be feasible and g = 2 (f(y) − lower). Then Σ μ_i (y_i − x*_i)² ≤ g: a value that is optimal to t leaves x an
+    error of √t. With Q = P + ρ AᵀA, the form of the curvature, u = x − y and e = x − x*, also where some μ_i are 0,
+
+        ‖Q u‖‖e‖ ≥ uᵀQ e = uᵀQ u + uᵀQ (y − x*) ≥ uᵀQ u − √(uᵀQ u · g).
+    """
+    curvature, near, far = proofs.bounds.curvature, math.inf, 0.0
+    if lower == -math.inf or not curvature.is_semidefinite:
+        return near, far
+    least = float(curvature.weights[columns].min(initial=math.inf))
+    for point in points:
+        u, gap = x - point.near, 2.0 * max(float(sum_above(point.value, -lower)), 0.0)
+        blur = float(norm_above(point.radius + EPSILON * np.abs(u)))
+        far = max(far, _length_below(proofs, u, gap) / OUTWARD - blur * OUTWARD)
+        if 0.0 < least < math.inf:
+            blur += math.sqrt(float(quotient_above(gap, least))) * OUTWARD
+            length = float(norm_above(np.abs(u[columns])))
+            near = min(near, (length + blur) * OUTWARD)
+            far = max(far, length / OUTWARD**2 - blur * OUTWARD)
+    return near, far
+
+
+def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
+    """Return (uᵀQ u − √(uᵀQ u · gap)) / ‖Q u‖, rounded down; 0 where rounding hides it."""
+    P, A, penalty = sp.csr_array(proofs.program.P), sp.csr_array(proofs.program.A), proofs.bounds.curvature.penalty
+    bent = P @ u + penalty * (A.T @ (A @ u))
+    terms = abs(P) @ np.abs(u) + penalty * (abs(A).T @ (abs(A) @ np.abs(u)))
+    share = gamma(2 * u.size + A.shape[0] + 8)
+    square, rounding = float(u @ bent), share * float(np.abs(u) @ terms)
+    length = float(np.linalg.norm(bent) + share * np.linalg.norm(terms))
+    if not (square > rounding and 0.0 < length < math.inf):
+        return 0.0
+    return (square - rounding - math.sqrt((square + rounding) * gap)) / length
+
+
+def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
+    """Return doubles below and above the largest violation of a constraint by x."""
+    rows = program.constraints
+    finite = rows.finite
+    with np.errstate(all="ignore"):
+        value, radius = compensated_product(rows.matrix[finite], x, -rows.limit[finite])
+        value = np.where(rows.is_equality[finite], np.abs(value), value)
+    return float((value - radius).max(initial=0.0)) / OUTWARD, float(rows.excess(x).max(initial=0.0))
+
+
+def _residual(solution: QPSolution) -> float:
+    return float(np.nan_to_num(max(solution.residual, solution.row_residual), nan=np.inf))
+
+
+def _if_finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,383 @@
+"""The three shapes in which the optimality conditions of a quadratic program are a complementarity problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import DENSE_UP_TO_SIZE, BoolVector, FloatVector, checked_answer
+from ...core.errors import UnsuitableMatrix, UnsuitableProblem
+from ...core.lcp import LCP
+from ...proofs.no_solution.farkas import linear_program
+from ...systems.definiteness import is_diagonal
+from ...systems.factors import factor_fits
+from .program_matrices import Indices, as_csr, is_kept_dense, sums_and_terms
+from .qp_solution import QPSolution
+from .reductions import FoldedRows, Substitution
+
+if TYPE_CHECKING:
+    from .program import QuadraticProgram
+
+WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
+PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
+WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
+ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
+CANCELS = 100.0  # times the gradient: terms that may be small, as they cancel
+ACTIVE = 1e-7  # of the unit of a row
+LARGEST = 5000  # variables and rows of a program that is worth a linear program
+LARGEST_IN_PASSING = 1500  # the same, where the residuals are small as it is
+LARGEST_DENSE = 1_000_000  # entries of a least squares problem; .1 s
+RANK = 1e-12  # beside the largest singular value: what should depend on each other is independent by rounding
+
+
+@dataclass(frozen=True, eq=False)
+class QPOrigin:
+    """Where a problem came from: a quadratic program, and the way back to its primal and dual values.
+
+    Attributes
+    ----------
+    rows : FoldedRows
+        The program with its simple rows folded into bounds, ``rows.folded``, whose conditions the problem states.
+    substitution : Substitution or None
+        What was put in before that.
+    form : str
+        "direct", "dual" or "kkt".
+    """
+
+    rows: FoldedRows
+    substitution: Substitution | None = None
+    form: ClassVar[str]
+    is_of_convex_program: ClassVar[bool] = True
+    _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
+
+    @property
+    def program(self) -> QuadraticProgram:
+        """The program that was given."""
+        return self.rows.program if self.substitution is None else self.substitution.program
+
+    def problem(self) -> LCP:
+        """Return the complementarity problem of this form."""
+        raise NotImplementedError
+
+    def recover(self, answer: Any) -> QPSolution:
+        """Return the program's solution that an answer of the complementarity problem stands for.
+
+        Parameters
+        ----------
+        answer : Result or array, shape (rows of the problem,)
+            Right or wrong: the solution's residuals say which. Multipliers of inequalities lose a wrong sign here. A
+            result with a proof that there is no solution has no multipliers, NaN, where the program is refuted too:
+            what is a contradiction beside the problem's data may be none beside the program's.
+
+        Raises
+        ------
+        InvalidProblem
+            Where it is no finite vector of that length.
+        """
+        x, y = self._split(answer)
+        rows = self.program.constraints
+        if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
+            x = x if self.substitution is None else self.substitution.expanded(x)
+            return QPSolution(self.program, x, *rows.split(np.full(rows.limit.size, np.nan)))
+        key = x.tobytes() + y.tobytes()
+        solution = self._latest.get(key)  # a run's judge may have asked for it
+        if solution is None:
+            solution = self._solution(x, y)
+            self._latest.clear()
+            self._latest[key] = solution
+        return solution
+
+    def is_answered(self, z: FloatVector, tolerance: float) -> bool:
+        """Return whether the program's own criteria hold at what z stands for, where a run has this tolerance."""
+        return bool(np.isfinite(z).all()) and self.recover(z).is_stationary(program_goal(tolerance))
+
+    def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
+        """Return the solution of x and multipliers y, or of smaller ones that are as good."""
+        folded = self.rows.folded
+        y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
+        found = self._with_bounds(x, y)
+        is_worth_it = folded.n + y.size <= LARGEST_IN_PASSING or _error(found) > WORTH
+        smaller = least_multipliers(folded, x, y) if is_worth_it else None
+        if smaller is None:
+            return found
+        other = self._with_bounds(x, smaller)
+        return other if _error(other) <= max(_error(found), WORTH) else found
+
+    def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
+        """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
+        folded = self.rows.folded
+        if not (np.isfinite(folded.lower) | np.isfinite(folded.upper)).any():
+            return self._whole(x, np.append(y, np.zeros(2 * x.size)))
+        # What the bounds have to balance, μ_lower − μ_upper.
+        of_rows, sizes = sums_and_terms(folded.matrices.rows, y)
+        reduced_cost = folded.P @ x + folded.c + of_rows
+        terms = folded.matrices.magnitudes @ np.abs(x) + np.abs(folded.c) + sizes
+        reduced_cost[_is_better_left(folded, x, reduced_cost, terms)] = 0.0
+        at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
+        at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
+        return self._whole(x, np.concatenate([y, at_lower, at_upper]))
+
+    def _whole(self, x: FloatVector, multipliers: FloatVector) -> QPSolution:
+        """Return the program's solution from x and the multipliers of the rows that are left, and of all bounds."""
+        every = self.rows.unfold(multipliers)
+        if self.substitution is not None:
+            x, every = self.substitution.restored(x, every)
+        return QPSolution(self.program, x, *self.program.constraints.split(every))
+
+    def is_refuted(self, tolerance: float) -> bool:
+        """Return whether the program is proved to have no minimum, in units of its own data.
+
+        A contradiction of the problem alone may be one of rounding: an equation 1e-16 = 0 may be all that acts there.
+        A tolerance of the problem below 1e-6 is none of the program.
+        """
+        return self.program.refutation(max(tolerance, PROGRAM_TOLERANCE)) is not None
+
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
+        """Return x and the multipliers of the rows of G and A that are left."""
+        raise NotImplementedError
+
+
+class DirectForm(QPOrigin):
+    """M = P, q = c, lower ≤ z ≤ upper; z is x, and w balances the bounds."""
+
+    form = "direct"
+
+    def problem(self) -> LCP:
+        """Return the problem of n rows."""
+        program, left = self.rows.folded, self.rows.left.size
+        if left:
+            raise UnsuitableProblem(
+                f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
+                'nonzero (or contradict one another); use form="kkt", or form="dual" where P is positive definite'
+            )
+        return LCP(program.matrices.hessian, program.c, lower=program.lower, upper=program.upper)
+
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
+        return checked_answer(answer, self.rows.program.n), np.zeros(0)
+
+
+class KKTForm(QPOrigin):
+    """z = (x, λ, ν) with w = (P x + c + Gᵀλ + Aᵀν, h − G x, b − A x)."""
+
+    form = "kkt"
+
+    def problem(self) -> LCP:
+        """Return the problem of n + m + p rows; its symmetric part is P beside zeros."""
+        program, rows = self.rows.folded, self.rows.left.size
+        multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
+        return LCP(
+            program.matrices.kkt, np.concatenate([program.c, program.constraints.limit[:rows]]),
+            lower=np.concatenate([program.lower, multiplier]), upper=np.append(program.upper, np.full(rows, np.inf)),
+        )
+
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
+        n = self.rows.program.n
+        z = checked_answer(answer, n + self.rows.left.size)
+        return z[:n], z[n:].copy()
+
+
+class DualForm(QPOrigin):
+    """z holds the multipliers of C x ≤ d, C = [G; A; I_fixed; −I_lower; I_upper]; w = d − C x, x = −P⁻¹(c + Cᵀz)."""
+
+    form = "dual"
+
+    def is_worthwhile(self) -> bool:
+        """Whether it is well conditioned, not clearly insoluble, and easier to solve than the KKT form.
+
+        That is: no more entries even where M is full; or P diagonal and M a graph's Laplacian; or P diagonal, fewer
+        rows, and no factor of the KKT form that fits.
+        """
+        left = self.rows.left.size
+        size = left + sum(part.size for part in _bound_rows(self.rows.folded))
+        if not left or not (self.rows.program.P.diagonal() > 0.0).all():
+            return False
+        if not (self._is_smaller(size) or self._is_laplacian() or self._is_all_that_fits(size)):
+            return False
+        return not self.rows.contradict() and self.rows.program.matrices.condition <= WELL_CONDITIONED
+
+    def _is_smaller(self, size: int) -> bool:
+        of_P, of_rows = self.rows.folded.matrices.entries
+        return size**2 <= of_P + 2 * of_rows
+
+    def _is_laplacian(self) -> bool:
+        """Whether each variable stands in one constraint, or in two with opposite signs: M is an M-matrix then."""
+        if not is_diagonal(self.rows.program.P):
+            return False
+        C = self._constraints[0]
+        counts = np.bincount(C.indices, minlength=self.rows.program.n)
+        signs = np.bincount(C.indices, np.sign(C.data), minlength=self.rows.program.n)
+        return bool(np.all((counts <= 1) | ((counts == 2) & (signs == 0.0))))
+
+    def _is_all_that_fits(self, size: int) -> bool:
+        left, n = self.rows.left.size, self.rows.program.n
+        if size > left + n or not is_diagonal(self.rows.program.P) or left + n <= DENSE_UP_TO_SIZE:
+            return False
+        return not factor_fits(self.rows.folded.matrices.kkt.csr)
+
+    def problem(self) -> LCP:
+        """Return the problem with one row a constraint."""
+        C, d = self._constraints
+        m, free = self.rows.folded.h.size, self.rows.folded.b.size + _bound_rows(self.rows.folded)[0].size
+        lower = np.zeros(d.size)
+        lower[m : m + free] = -np.inf
+        q = d + C @ self._solve(self.rows.program.c)
+        return LCP(self._delassus(), q, lower=lower)
+
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
+        C, d = self._constraints
+        z = checked_answer(answer, d.size)
+        return -self._solve(self.rows.program.c + C.T @ z), z[: self.rows.left.size].copy()
+
+    def _delassus(self) -> Any:
+        """Return C P⁻¹Cᵀ, exactly symmetric: sparse where it is sparse."""
+        C, d = self._constraints
+        P = self.rows.program.P
+        if is_diagonal(P):
+            half = C @ sp.diags_array(1.0 / np.sqrt(P.diagonal()))
+            return _kept_as_suits(half @ half.T)
+        width = max(1, ENTRIES_AT_ONCE // max(self.rows.program.n, 1))
+        parts = []
+        for start in range(0, d.size, width):
+            # A column of P⁻¹Cᵀ is exactly zero on the blocks of P that the constraint does not touch.
+            columns = self._solve(C[start : start + width].T.toarray())
+            parts.append(sp.csc_array(C @ columns))
+        M = sp.hstack(parts, format="csr") if parts else sp.csr_array((0, 0))
+        return _kept_as_suits((M + M.T) * 0.5)
+
+    @cached_property
+    def _constraints(self) -> tuple[sp.csr_array, FloatVector]:
+        every = self.rows.folded.constraints
+        listed = np.concatenate([np.arange(self.rows.left.size), *_bound_rows(self.rows.folded)])
+        return every.matrix[listed], every.limit[listed]
+
+    def _solve(self, right: Any) -> Any:
+        solver = self.rows.program.matrices.solver
+        if solver is None:
+            raise UnsuitableMatrix(
+                'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
+            )
+        return solver(right)
+
+
+FORMS: dict[str, type[QPOrigin]] = {"direct": DirectForm, "dual": DualForm, "kkt": KKTForm}
+
+
+def program_goal(tolerance: float) -> float:
+    """Return the size of a program's own residuals that is called optimal at this tolerance of a run.
+
+    Examples
+    --------
+    >>> program_goal(1e-8), program_goal(1e-4)
+    (1e-06, 0.001)
+    """
+    return max(PROGRAM_TOLERANCE, 10.0 * tolerance)
+
+
+def _error(solution: QPSolution) -> float:
+    return max(solution.residual, solution.row_residual)
+
+
+def _is_better_left(
+    program: QuadraticProgram, x: FloatVector, reduced_cost: FloatVector, terms: FloatVector
+) -> BoolVector:
+    """Return where a reduced cost is a smaller error as a dual residual than as a multiplier of a bound not reached.
+
+    As a residual it is relative to its terms; as a multiplier, times the distance from the bound, to those of that row.
+    """
+    size, bound = np.abs(reduced_cost), np.where(reduced_cost > 0.0, program.lower, program.upper)
+    with np.errstate(invalid="ignore", over="ignore"):  # an infinite bound has no multiplier anyway
+        as_multiplier = size * np.abs(x - bound) / (1.0 + size * np.maximum(np.abs(x), np.abs(bound)))
+        as_residual = size / np.minimum(1.0 + terms, program.dual_unit)
+        return (program.lower < x) & (x < program.upper) & (as_residual < as_multiplier)
+
+
+def _bound_rows(program: QuadraticProgram) -> list[Indices]:
+    """Return the rows of all constraints that fix a variable, bound one below, and above."""
+    is_fixed, rows, n = program.lower == program.upper, program.constraints.rows, program.n
+    below, above = (np.isfinite(bound) & ~is_fixed for bound in (program.lower, program.upper))
+    return [first + np.flatnonzero(kind) for first, kind in ((rows + n, is_fixed), (rows, below), (rows + n, above))]
+
+
+def _kept_as_suits(M: sp.csr_array) -> Any:
+    """Return a small, full matrix as an ndarray."""
+    return M.toarray() if is_kept_dense(M.shape[0], M.nnz) else M
+
+
+def least_multipliers(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> FloatVector | None:
+    """Return multipliers of G and A of the least Σ|y_i| + Σ|μ_j|, μ those of bounds; None where these cancel nothing.
+
+    Only those of active constraints differ from 0. Nothing is judged here: look at the residuals.
+
+    Parameters
+    ----------
+    x : array, shape (n,)
+    y : array, shape (rows of G + rows of A,)
+        Some multipliers; None is returned where their terms are at most 100 times as large as the gradient.
+
+    Notes
+    -----
+    Where active rows depend on each other, or variables are fixed, multipliers are not unique, and a method ends with
+    any: those of 5e12 cancel to what some of 1e3 say at once, less their rounding.
+
+    One linear program, then least squares on the multipliers that it leaves: their error is that of rounding, where
+    the linear program's is 1e-9. Σ|·| is at most the number of nonzeros times the largest of any others.
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> twice = QuadraticProgram(np.eye(1), [0.0], A=[[1.0], [2.0]], b=[1.0, 2.0])
+    >>> least_multipliers(twice, np.ones(1), np.array([-1e9 - 1.0, 5e8]))
+    array([ 0. , -0.5])
+    """
+    rows, count = program.matrices.rows, y.size
+    gradient = np.asarray(program.P @ x + program.c)
+    size = float(np.abs(gradient).max(initial=0.0))
+    terms = program.matrices.row_sizes[:count] * np.abs(y)
+    if not terms.max(initial=0.0) > CANCELS * size or not 0.0 < size < np.inf or program.n + count > LARGEST:
+        return None
+    limits, is_equality = program.constraints.limit[:count], program.constraints.is_equality[:count]
+    unit = program.constraints.unit[:count]
+    with np.errstate(invalid="ignore"):
+        active = is_equality | (limits - rows @ x <= ACTIVE * unit)
+        at_lower = x - program.lower <= ACTIVE * (1.0 + np.abs(x))
+        at_upper = program.upper - x <= ACTIVE * (1.0 + np.abs(x))
+    listed, found = np.flatnonzero(active), np.zeros(count)
+    columns = sp.csc_array(as_csr(rows)[listed].T)
+    identity = sp.eye_array(program.n, format="csc")
+    free = is_equality[listed]
+    parts = [columns, -columns[:, np.flatnonzero(free)],
+             -identity[:, np.flatnonzero(at_lower)], identity[:, np.flatnonzero(at_upper)]]
+    matrix = sp.csc_array(sp.hstack(parts, format="csc"))
+    answer = linear_program(np.ones(matrix.shape[1]), matrix, -gradient / size, (0.0, None), (None, None))
+    if answer is None:
+        return None
+    found[listed] = answer.x[: listed.size]
+    found[listed[free]] -= answer.x[listed.size : listed.size + int(free.sum())]
+    _, _, below, above = np.split(answer.x, np.cumsum([part.shape[1] for part in parts[:3]]))
+    is_balanced = np.zeros(program.n, dtype=bool)
+    is_balanced[np.flatnonzero(at_lower)[below > 0.0]] = is_balanced[np.flatnonzero(at_upper)[above > 0.0]] = True
+    return _polished(program, gradient, size * found, is_balanced)
+
+
+def _polished(
+    program: QuadraticProgram, gradient: FloatVector, y: FloatVector, is_balanced: BoolVector
+) -> FloatVector:
+    """Return the multipliers near y, 0 where they are 0, that leave least of the gradient where no bound takes it."""
+    from scipy.linalg import solve_triangular
+
+    used, left = np.flatnonzero(y), np.flatnonzero(~is_balanced)
+    if used.size and used.size * left.size <= LARGEST_DENSE:
+        block = as_csr(program.matrices.rows)[used][:, left].toarray().T
+        y, (Q, R) = y.copy(), np.linalg.qr(block)
+        sizes = np.abs(R.diagonal())
+        # Rows of a vertex of that linear program are independent as a rule.
+        has_rank = used.size <= left.size and sizes.min() > RANK * sizes.max()
+        for _ in range(2):  # the second takes off what the first has rounded
+            rest = gradient[left] + block @ y[used]
+            y[used] -= solve_triangular(R, Q.T @ rest) if has_rank else np.linalg.lstsq(block, rest, rcond=RANK)[0]
+    is_inequality = ~program.constraints.is_equality[: y.size]
+    return np.where(is_inequality, np.maximum(y, 0.0), y)

@@ -1,0 +1,230 @@
+"""The answer to a quadratic program: primal and dual values, judged by the conditions of Karush, Kuhn and Tucker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ...core.checks import FloatVector, checked_vector
+from ...core.errors import InvalidOption, InvalidProblem
+from .constraints import constraint_tolerance
+
+if TYPE_CHECKING:
+    from .program import QuadraticProgram
+    from .qp_proofs import QPInfeasibility, QPUnboundedness
+
+OBJECTIVE = 1e-6  # what the duality gap may be at any smaller tolerance: rounding of large terms stays in it
+
+
+class Errors(NamedTuple):
+    """The largest error of each kind of condition, rounding included; NaN where a number is not finite."""
+
+    primal: float
+    dual: float
+    complementarity: float
+    rows: float
+    gap: float
+
+    @classmethod
+    def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
+        """Return the errors of x and of the multipliers of all constraints, in units of the program's data."""
+        is_equality = program.constraints.is_equality
+        signed = np.where(is_equality, multipliers, np.maximum(multipliers, 0.0))
+        wrong = float((signed - multipliers).max(initial=0.0))
+        errors = _measured(program, x, multipliers)
+        if wrong <= 0.0:
+            return errors
+        dual = _measured(program, x, signed).dual + wrong / (1.0 + np.abs(program.c).max(initial=0.0))
+        return errors._replace(dual=float(dual))
+
+
+def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
+    from .kernels.program_residuals import program_residuals  # numba, which not every run needs
+
+    matrices, rows = program.matrices, program.constraints
+    worst, columns = np.zeros(7), np.zeros((4, program.n))
+    program_residuals(
+        *matrices.rows_of_hessian, matrices.rows.indptr, matrices.rows.indices, matrices.rows.data, program.h.size,
+        program.c, rows.limit, rows.unit, program.dual_unit, x, multipliers, columns, worst,
+    )
+    return Errors(*worst[: len(Errors._fields)].tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class QPSolution:
+    """A point x and multipliers of a quadratic program, with the three residuals that judge them.
+
+    The multipliers have the signs of cvxpy's ``dual_value``: at a solution
+
+        P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0,   inequality, lower, upper ≥ 0.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+        The data on which everything is measured.
+    x : ndarray, shape (n,)
+    inequality : ndarray, shape (rows of G,)
+        Of G x ≤ h; 0 where h is ∞.
+    equality : ndarray, shape (rows of A,)
+        Of A x − b = 0, of either sign.
+    lower, upper : ndarray, shape (n,)
+        Of lower ≤ x and of x ≤ upper; 0 where the bound is infinite. All multipliers are NaN where the answer came
+        with a proof that there are none.
+
+    Notes
+    -----
+    The primal and the dual residual are in units of the data (``unit`` and ``dual_unit`` in
+    :mod:`lcp_plugin.problems.programs.constraints`), never relative to x: what is optimal in them cannot be refuted.
+    Complementarity is relative to 1 + its largest term. ``row_residual`` compares each row with its own terms only, so
+    that a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing in another.
+
+    Raises
+    ------
+    InvalidProblem
+        Where one of them is no vector of its length, or has an infinite entry; x must have no NaN either.
+    """
+
+    program: QuadraticProgram = field(repr=False)
+    x: FloatVector
+    inequality: FloatVector
+    equality: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies: the residuals are computed once."""
+        n, program = self.program.n, self.program
+        sizes = {"x": n, "inequality": program.h.size, "equality": program.b.size, "lower": n, "upper": n}
+        for name, size in sizes.items():
+            vector = checked_vector(getattr(self, name), name, size, allow_nan=name != "x")
+            object.__setattr__(self, name, vector)
+
+    @cached_property
+    def objective(self) -> float:
+        """½ xᵀP x + cᵀx."""
+        return self.program.objective(self.x)
+
+    @property
+    def primal_residual(self) -> float:
+        """By how much x violates G x ≤ h, A x = b and its bounds, rounding included; each row in units of the data."""
+        return self._errors.primal
+
+    @property
+    def dual_residual(self) -> float:
+        """What is left of P x + c + Gᵀ inequality + Aᵀ equality − lower + upper, or a multiplier's wrong sign.
+
+        Each component in units of the data; multipliers of a wrong sign count as 0 in the sum.
+        """
+        return self._errors.dual
+
+    @property
+    def complementarity(self) -> float:
+        """The largest product of a multiplier and the distance from its limit."""
+        return self._errors.complementarity
+
+    @cached_property
+    def multipliers(self) -> FloatVector:
+        """All multipliers, one a row of ``program.constraints``."""
+        return np.concatenate([self.inequality, self.equality, self.lower, self.upper])
+
+    @property
+    def residual(self) -> float:
+        """The largest of the primal residual, the dual residual and complementarity."""
+        return float(np.max([self.primal_residual, self.dual_residual, self.complementarity]))
+
+    @property
+    def row_residual(self) -> float:
+        """The largest error of any condition, each relative to 1 + the largest term of its own row."""
+        return self._errors.rows
+
+    @property
+    def row_multipliers(self) -> FloatVector:
+        """Multipliers y of the rows that `QuadraticProgram.from_ranges` was given, P x + c + Aᵀy − lower + upper = 0.
+
+        Positive at a row's upper limit, negative at its lower one.
+
+        Raises
+        ------
+        InvalidProblem
+            Where the program was not made by `from_ranges`.
+        """
+        if self.program.ranges is None:
+            raise InvalidProblem("the program has no ranges; use inequality and equality, or from_ranges to make it")
+        order, signs, count = self.program.ranges
+        y: FloatVector = np.zeros(count)
+        np.add.at(y, order, signs * np.concatenate([self.inequality, self.equality]))
+        return y
+
+    def is_optimal(self, tolerance: float = 1e-6) -> bool:
+        """Return whether x is stationary and P is shown to be positive semidefinite, up to rounding.
+
+        Only then the conditions are sufficient. Where it takes a factorisation to show that, it is made once; where
+        that would be too large (n above some 67 000, much fill) and no row shows it, this is False: `is_stationary` is
+        enough if you know the program to be convex.
+
+        Raises
+        ------
+        InvalidOption
+            Where the tolerance is no number ≥ 0.
+        """
+        return self.is_stationary(tolerance) and self.program.is_shown_convex
+
+    def is_stationary(self, tolerance: float = 1e-6) -> bool:
+        """Return whether all three residuals and every row's own are at most the tolerance, and `duality_gap` small.
+
+        Constraints are asked for a tenth of the tolerance, but no less than 1e-7 where the tolerance is no less.
+        For a convex program the conditions are sufficient.
+
+        Raises
+        ------
+        InvalidOption
+            Where the tolerance is no number ≥ 0.
+        """
+        if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
+            raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
+        if not self.primal_residual <= constraint_tolerance(float(tolerance)):
+            return False
+        is_small = self.residual <= tolerance and self.row_residual <= tolerance
+        return bool(is_small and self.duality_gap <= max(OBJECTIVE, tolerance))
+
+    @property
+    def duality_gap(self) -> float:
+        """By how much the errors of all conditions together may change the objective, beside 1 + its size.
+
+        Σ |x_j left_j| + Σ |y_i (d_i − c_i x)|, of what is left of the gradient and of all constraints c_i x ≤ d_i: far
+        out along a direction in which the objective hardly changes each error is small beside its own terms, and not
+        all of them beside the objective.
+        """
+        return self._errors.gap
+
+    @cached_property
+    def _errors(self) -> Errors:
+        return Errors.of(self.program, self.x, self.multipliers)
+
+    @cached_property
+    def proof(self) -> QPInfeasibility | QPUnboundedness | None:
+        """A proof that no x is optimal (to 1e-6): looked for, by linear programs, where x is not stationary."""
+        return None if self.is_stationary() else self.program.refutation()
+
+    @property
+    def status(self) -> str:
+        """Return "optimal" by the residuals, "infeasible" or "unbounded" by a proof, otherwise "unknown".
+
+        "stationary" instead of "optimal" where P is not shown to be positive semidefinite.
+        """
+        if self.is_stationary():
+            return "optimal" if self.is_optimal() else "stationary"
+        return "unknown" if self.proof is None else self.proof.verdict
+
+    def __str__(self) -> str:
+        lines = [
+            ("objective", f"{self.objective:.9g}"),
+            ("primal residual", f"{self.primal_residual:.3e}"),
+            ("dual residual", f"{self.dual_residual:.3e}"),
+            ("complementarity", f"{self.complementarity:.3e}"),
+            ("row residual", f"{self.row_residual:.3e}"),
+        ]
+        return "\n".join(f"{name:<16} {value}" for name, value in lines)

@@ -1,0 +1,389 @@
+"""Solves convex quadratic programs by `solve`: form after form, until the program's own residuals are small."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...core.certificates.residuals import Certificate
+from ...core.checks import FloatVector, checked_vector, read_only, restored
+from ...core.communicator import ALONE
+from ...core.deadline import Clock, is_over, seconds_left
+from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ...core.settings import Status, checked_callback
+from ...core.solving.answer import Answer
+from ...core.solving.driver import asked_of_solve, solve
+from ...core.solving.result import BoundOrReason, Result, Sample, StageRecord
+from ...methods.search.stages import FeasibilityCheck
+from .conversion import attempts
+from .program import QuadraticProgram, refuse_nonconvex
+from .qp_forms import PROGRAM_TOLERANCE, KKTForm, QPOrigin, program_goal
+from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .qp_solution import QPSolution
+from .reductions import fold_simple_rows, substitute_definitions
+from .small_programs import MOST_STEPS, SmallPrograms, may_be_small, work_of, work_of_search
+
+TAKE_SMALL_PROGRAMS = ("auto", "interior_point")
+ACTIVE_SET = "dual active set"
+AT_ONCE = "small: all steps in one compiled call"
+SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
+NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
+REACHED = 1e-9  # the tolerance that the compiled call is asked for at the least
+SHORTEST = 0.1  # a limit of seconds that no small program reaches
+ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
+
+
+class ProgramRun(NamedTuple):
+    """A run on one form of a program, what it says of the program, and why it was made."""
+
+    result: Result
+    solution: QPSolution
+    because: str
+
+    @property
+    def error(self) -> float:
+        """The largest residual of the program, ∞ where there is none."""
+        error = max(self.solution.residual, self.solution.row_residual)
+        return math.inf if math.isnan(error) else error
+
+
+ADVICE = {
+    Status.SOLVED: "optimal: the program's own residuals are within the tolerance",
+    Status.PRECISION_LIMIT: "the program's own residuals are small, but not within the tolerance: rescale the data",
+    Status.INFEASIBLE: "the constraints contradict one another, and result.proof proves it: check the data",
+    Status.STALLED: (
+        "the program's own residuals no longer fall, and no proof was found that it has no minimum: check the data "
+        "and their units"
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class QuadraticProgramResult(Answer):
+    """The answer to a quadratic program, judged by the program's own residuals.
+
+    Attributes
+    ----------
+    status : Status
+        SOLVED (optimal) by the program's own residuals, INFEASIBLE or UNBOUNDED with a proof, PRECISION_LIMIT where
+        they are small, but above the goal; otherwise why the run ended.
+    solution : QPSolution
+        x, the multipliers and their residuals.
+    goal : float
+        The size of the residuals that is called optimal.
+    algorithm, iterations, seconds
+        Of the whole run, seconds in wall-clock time.
+    proof : QPInfeasibility or QPUnboundedness or None
+        Of INFEASIBLE or UNBOUNDED.
+    """
+
+    status: Status
+    solution: QPSolution
+    goal: float
+    algorithm: str
+    iterations: int
+    seconds: float
+    _lcp_result: Result | Callable[[], Result]
+    proof: QPInfeasibility | QPUnboundedness | None = None
+
+    __setstate__ = restored
+
+    @cached_property
+    def lcp_result(self) -> Result:
+        """The run on the complementarity problem that was made of the program; of a batch made when looked at."""
+        return self._lcp_result if isinstance(self._lcp_result, Result) else self._lcp_result()
+
+    @property
+    def program(self) -> QuadraticProgram:
+        """The program."""
+        return self.solution.program
+
+    @property
+    def x(self) -> FloatVector:
+        """The minimiser, or the best point that was found, shape (n,)."""
+        return self.solution.x
+
+    @property
+    def objective(self) -> float | None:
+        """½ xᵀP x + cᵀx; None where a proof says that there is no minimum."""
+        return None if self.is_refuted else self.solution.objective
+
+    @property
+    def duals(self) -> dict[str, FloatVector]:
+        """The multipliers ``inequality``, ``equality``, ``lower``, ``upper``, with cvxpy's signs."""
+        return {name: getattr(self.solution, name) for name in ("inequality", "equality", "lower", "upper")}
+
+    @property
+    def z(self) -> FloatVector:
+        """The answer to the complementarity problem."""
+        return self.lcp_result.z
+
+    @property
+    def w(self) -> FloatVector:
+        """Its slack M z + q."""
+        return self.lcp_result.w
+
+    @property
+    def certificate(self) -> Certificate:
+        """What is known of z in the complementarity problem."""
+        return self.lcp_result.certificate
+
+    @property
+    def setup_seconds(self) -> float:
+        """Seconds until the first iterate."""
+        return self.lcp_result.setup_seconds
+
+    @property
+    def stages(self) -> tuple[StageRecord, ...]:
+        """What ran, in order."""
+        return self.lcp_result.stages
+
+    @property
+    def history(self) -> tuple[Sample, ...]:
+        """Of the complementarity problem; empty unless asked for with ``record=True``."""
+        return self.lcp_result.history
+
+    @property
+    def advice(self) -> str:
+        """What the status means for this program, in a sentence."""
+        return ADVICE.get(self.status, self.status.value)
+
+    def _numbers(self) -> dict[str, float]:
+        names = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
+        residuals = {} if self.is_refuted else {name: float(getattr(self.solution, name)) for name in names}
+        return {**super()._numbers(), **residuals, "goal": self.goal, "setup_seconds": self.setup_seconds}
+
+    def reached(self) -> str:
+        """Return the residuals, or what proves that there are none."""
+        return str(self.solution) if self.proof is None else str(self.proof)
+
+
+def judged_program(
+    program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
+) -> QuadraticProgramResult:
+    """Return what `solve_quadratic_program` finds, with a status that its own data prove; the same arguments.
+
+    A `z0` is a guess: programs are solved in several forms, and it is the start of those that have as many unknowns.
+    """
+    if (start := options.pop("z0", None)) is not None:
+        try:
+            options["guess"] = checked_vector(start, "z0", None)
+        except InvalidProblem as error:
+            raise InvalidOption(str(error)) from error
+    result, solution = solve_quadratic_program(program, algorithm, tolerance=tolerance, **options)
+    goal, proof = program_goal(tolerance), None
+    is_optimal = solution.is_stationary(goal)
+    is_proven = program.__dict__.get("proof_of_no_minimum") is not None
+    if options.get("refute", True) and not is_optimal and (is_proven or not ended_by_caller(result, options)):
+        proof = program.refutation(goal)
+    status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
+    if proof is not None:
+        result = replace(result, status=status, infeasibility=proof)
+    return QuadraticProgramResult(
+        status, solution, goal, result.algorithm, result.iterations, result.seconds, result, proof
+    )
+
+
+def _status(
+    result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
+) -> Status:
+    if proof is not None:
+        return Status.UNBOUNDED if isinstance(proof, QPUnboundedness) else Status.INFEASIBLE
+    if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
+        return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
+    if result.status is Status.STALLED or result.is_refuted:  # in the run's units, not the program's
+        return Status.SOLVED if is_optimal else Status.STALLED
+    return result.status
+
+
+def solve_quadratic_program(
+    program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, guess: FloatVector | None = None,
+    **options: Any,
+) -> tuple[Result, QPSolution]:
+    """Return the run and the answer with the smallest residuals in the program's own terms.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+        Convex; merely convex and linear programs included.
+    algorithm, tolerance, **options
+        Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
+        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on, and where
+        it ends so, the KKT form without substitutions is tried. A limit of the caller holds for each trial and ends
+        them all. As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
+        one, it ends them too, and the run is INTERRUPTED; not so with ``refute=False``.
+
+    guess : array, optional
+        An earlier run's z: the start where it has the right length.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
+    UnknownAlgorithm, InvalidOption
+        As `solve`.
+    """
+    options = {name: wish for name, wish in options.items() if wish is not None}
+    asked_of_solve(algorithm, {"tolerance": tolerance, **options})  # what is wrong is refused whichever way is taken
+    checked_callback(options.get("callback"))
+    refuse_nonconvex(program)
+    try:
+        if (found := solved_at_once(program, algorithm, tolerance, options)) is not None:
+            return found
+    except KeyboardInterrupt:  # a run that ends at its start hands back what there is
+        options["callback"] = lambda *_: True
+    goal, refutes = program_goal(tolerance), options.get("refute", True)
+    runs = list(program_runs(
+        program, algorithm, (tolerance,), (goal, goal), guess=guess,
+        is_refuted=(lambda: program.refutation(goal) is not None) if refutes else None, **options,
+    ))
+    best = min(runs, key=lambda run: run.error)
+    return replace(best.result, stages=_stages(runs, best)), best.solution
+
+
+def solved_at_once(
+    program: QuadraticProgram, algorithm: Any, tolerance: float, options: Mapping[str, Any]
+) -> tuple[Result, QPSolution] | None:
+    """Return the answer to a small program by one compiled call; None where it finds none, or somebody watches."""
+    is_seen = any(name in options and options[name] is not False for name in SEEN)
+    if not isinstance(algorithm, str) or algorithm not in TAKE_SMALL_PROGRAMS or is_seen or not 0.0 < tolerance < 1.0:
+        return None
+    is_limited = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
+    matrices = program.matrices
+    defined = min(int(np.count_nonzero(matrices.is_definable)), program.b.size)
+    simple = defined + matrices.singletons[0].size
+    if is_limited or not may_be_small(program.n - defined, max(program.constraints.rows - simple, 0)):  # at the least
+        return None
+    clock, substitution = Clock(ALONE), substitute_definitions(program)
+    origin = KKTForm(fold_simple_rows(program if substitution is None else substitution.reduced), substitution)
+    rows = origin.rows.folded
+    limits, is_equality = np.append(rows.h, rows.b), rows.matrices.is_equality[: origin.rows.left.size]
+    small = SmallPrograms.of_one(rows.P, rows.c, rows.matrices.rows, limits, is_equality, rows.lower, rows.upper)
+    if small is None:
+        return None
+    sharp = min(max(tolerance, REACHED), PROGRAM_TOLERANCE)
+    name, work_of_steps = ACTIVE_SET, work_of_search
+    answers = small.searched(sharp) if algorithm == "auto" else None
+    if answers is None:
+        answers, name, work_of_steps = small.solved(sharp), "interior_point", work_of
+    if not answers.has_converged[0]:
+        return None
+    z = small.point(answers, 0)
+    solution = origin.recover(z)
+    if not solution.is_stationary(program_goal(tolerance)):
+        return None
+    steps = int(answers.steps[0])
+    work = work_of_steps(rows.n, limits.size, steps) / max(sum(rows.matrices.entries), 1)
+    stage = StageRecord(name, AT_ONCE, steps, work)
+    result = ProgramResult.of(origin, z, stage, clock.read(), tolerance, algorithm)
+    if tolerance < REACHED and not result.residual <= tolerance:  # that is asked of the complementarity problem, too
+        return None
+    return result, solution
+
+
+class ProgramResult(Result):
+    """The result of a program that was solved as it is: its complementarity problem is made once somebody asks for it.
+
+    SOLVED means that the program's own residuals are within the tolerance.
+
+    Attributes
+    ----------
+    origin : QPOrigin
+        Of that problem.
+    z : ndarray, shape (n,)
+    """
+
+    origin: QPOrigin
+
+    @classmethod
+    def of(
+        cls, origin: QPOrigin, z: FloatVector, stage: StageRecord, seconds: float, tolerance: float, algorithm: str
+    ) -> ProgramResult:
+        """Return the result of z, found in one stage."""
+        made = object.__new__(cls)
+        made.__dict__.update(
+            origin=origin, z=read_only(z), status=Status.SOLVED, iterations=stage.iterations, work=stage.work,
+            algorithm=stage.name if algorithm == stage.name else f"{algorithm}: {stage.name}", seconds=seconds,
+            setup_seconds=0.0, tolerance=tolerance, history=(), stages=(stage,),
+            infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm,
+            _bound=BoundOrReason(), _advice={},
+        )
+        return made
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The certificate of z in the KKT form of the program."""
+        problem = self.origin.problem()
+        problem.origin = problem.criterion = self.origin
+        return Certificate.of(problem, self.z)
+
+    @cached_property
+    def w(self) -> FloatVector:
+        """The certificate's w."""
+        return self.certificate.w
+
+
+def program_runs(
+    program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, ...], goals: tuple[float, float], *,
+    guess: FloatVector | None = None, is_refuted: Callable[[], bool] | None = None, callback: Any = None,
+    **options: Any,
+) -> Iterator[ProgramRun]:
+    """Yield runs on the forms of a program until one is stationary to the first goal, or something ends them all.
+
+    Each form is solved at the first tolerance, and at a second, if there is one, where that leaves more than the second
+    goal.
+    """
+    has_run, refusal = False, None
+
+    def ends(sample: Sample, z: FloatVector) -> bool:
+        wants_end = callback is not None and bool(callback(sample, z))
+        return wants_end or (is_refuted is not None and sample.label == FeasibilityCheck.name and is_refuted())
+
+    for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
+        for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):
+            start = {"z0": guess} if guess is not None and guess.size == attempt.problem.n else {}
+            if (left := seconds_left()) < math.inf:
+                options["max_seconds"] = min(left, options.get("max_seconds", math.inf))
+            try:
+                result = solve(
+                    attempt.problem, algorithm, tolerance=tolerance,
+                    callback=ends if callback or is_refuted else None, **{**start, **options},
+                )
+            except (UnsuitableMatrix, UnsuitableProblem) as error:
+                refusal = refusal or error
+                break
+            solution, has_run, guess = attempt.problem.origin.recover(result), True, result.z
+            yield ProgramRun(result, solution, because)
+            options.pop("z0", None)
+            if ended_by_caller(result, options) or is_over():
+                return
+            # Where it is not solved, a smaller tolerance would change nothing.
+            if solution.is_stationary(goals[1]) or not result.is_solved:
+                break
+        if has_run and (solution.is_stationary(goals[0]) or (is_refuted is not None and is_refuted())):
+            return
+    if not has_run:
+        raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal
+
+
+def _stages(runs: list[ProgramRun], best: ProgramRun) -> tuple[StageRecord, ...]:
+    """Return the stages of all runs, as of one: why another run was made, its first stage says."""
+    stages: list[StageRecord] = []
+    for run in runs:
+        first = len(stages)
+        stages += [stage if run is best else stage._replace(remark="") for stage in run.result.stages]
+        if 0 < first < len(stages):
+            reasons = [reason for reason in (run.because, stages[first].because) if reason]
+            stages[first] = stages[first]._replace(because="; ".join(reasons))
+    return tuple(stages)
+
+
+def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
+    """Return whether a limit that the caller set, or the caller, ended the run."""
+    limits = {Status.MAX_ITERATIONS: "max_iterations", Status.MAX_SECONDS: "max_seconds"}
+    return result.status is Status.INTERRUPTED or limits.get(result.status) in options

@@ -1,0 +1,1 @@
+"""Games and absolute value equations as linear complementarity problems, and back."""

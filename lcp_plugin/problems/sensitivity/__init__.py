@@ -1,0 +1,1 @@
+"""Derivatives of solutions by the data, of one problem and of batches."""

@@ -1,0 +1,390 @@
+"""The derivatives of a batch: a compiled loop over what is small and plain, one by one what needs more digits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix, rows_of_a_batch
+from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
+from ...core.kernels.threads import in_chunks
+from ...core.settings import Status
+from ...core.solving.result import Result
+from ..batches.batch_groups import Group
+from ..batches.batch_items import put
+from ..batches.batch_run import BatchResult
+
+if TYPE_CHECKING:
+    from .derivative import Derivative
+
+
+class BatchGradient:
+    """What functions of the solutions of a batch have for gradients.
+
+    Parameters
+    ----------
+    q, lower, upper : array, shape (B, n), or a list of arrays where the sizes differ
+        As those of :class:`~lcp_plugin.Gradient`, one row a problem. NaN where `errors` of the derivative says why
+        there is none; 0 where the function does not look at z and w.
+    by_M : callable
+        Gives M.
+    """
+
+    def __init__(self, q: Any, lower: Any, upper: Any, by_M: Callable[[], Any]) -> None:
+        self.q, self.lower, self.upper, self._by_M = q, lower, upper, by_M
+
+    @cached_property
+    def M(self) -> Any:
+        """The gradients by the entries of M, in the form in which M was given; computed when it is looked at.
+
+        Shape (B, n, n), by all entries, for an M each. Where one M stands for all, their sum: shape (n, n), or a
+        csr_array with the pattern of a sparse M. For a list of LCPs a list with a csr_array on each one's pattern.
+        """
+        return self._by_M()
+
+
+class BatchDerivative:
+    """The derivatives of z by the data, one of each problem of a batch.
+
+    ``found[k]`` is the :class:`~lcp_plugin.Derivative` of problem k, which says what is proved of it. What the arrays
+    say of all problems equals what it says, to rounding.
+
+    Parameters
+    ----------
+    batch : BatchResult
+    each : callable
+        Gives the Derivative of a Result.
+
+    Attributes
+    ----------
+    errors : dict
+        Why problem k has no derivative: an UnsuitableProblem where it is not solved, an InvalidProblem where it is
+        none. What `vjp` and `jvp` meet is added: an UnsuitableProblem where the block of M on the free rows is
+        singular. The rows of these problems are NaN, and cost the others nothing.
+
+    Notes
+    -----
+    Small problems share one compiled loop, on as many threads as the batch had: the bits are the same for any number.
+    Those near a kink, with free blocks that lose half of the digits in elimination, or in need of a one-sided
+    derivative are left to their Derivative, which takes a hundred times as long.
+    """
+
+    def __init__(self, batch: BatchResult, each: Callable[[Result], Derivative]) -> None:
+        self.batch, self._derivative_of = batch, each
+        self._each: dict[int, Derivative] = {}
+        self.errors: dict[int, LCPError] = {**batch.errors}
+        self._is_solved = np.array([status is Status.SOLVED for status in batch.status], np.bool_)
+        for k in np.flatnonzero(~self._is_solved).tolist():
+            if k not in self.errors:
+                self.errors[k] = UnsuitableProblem(
+                    f"only a solution has a derivative, and problem {k} ended {batch.status[k].name}: "
+                    f"{batch.status[k].value}"
+                )
+
+    def __len__(self) -> int:
+        return len(self.batch)
+
+    def __getitem__(self, k: int) -> Derivative:
+        k = range(len(self))[k]
+        if k not in self._each:
+            self._each[k] = self._derivative_of(self.batch[k])
+        return self._each[k]
+
+    def __iter__(self) -> Iterator[Derivative]:
+        return (self[k] for k in range(len(self)))
+
+    # --- at the solutions -------------------------------------------------------------------------------
+
+    @cached_property
+    def z(self) -> Any:
+        """The solutions at which the derivatives are taken, shape (B, n) or a list; NaN where there is none."""
+        z = self._gathered(np.nan, lambda part: part.z, lambda one: one.z)
+        return read_only(z) if self._is_even else z
+
+    @cached_property
+    def free(self) -> Any:
+        """The rows that `vjp` takes as free, shape (B, n) or a list, of bool."""
+        from ...core.kernels.workspace import BETWEEN
+
+        free = self._gathered(False, lambda part: part.side == BETWEEN, lambda one: one.free)
+        kinks = [k for k, is_degenerate in enumerate(self.degenerate) if is_degenerate.any()]
+        for k, own in self._one_by_one(kinks, lambda k: self[k].free):
+            free[k] = own  # degenerate rows are free where nothing else leaves a regular block
+        return free
+
+    @cached_property
+    def degenerate(self) -> Any:
+        """The rows that are at a bound and have w = 0, shape (B, n) or a list, of bool."""
+        from .kernels.small_derivatives import KINK
+
+        def told(one: Derivative) -> Any:
+            is_degenerate = np.zeros(one.z.size, np.bool_)
+            is_degenerate[one.degenerate] = True
+            return is_degenerate
+
+        return self._gathered(False, lambda part: part.side >= KINK, told)
+
+    def _gathered(
+        self, otherwise: Any, of_part: Callable[[BatchPart], Any], of_one: Callable[[Derivative], Any]
+    ) -> Any:
+        table = self._table(otherwise)
+        for part in self._parts:
+            put(table, part.plain, of_part(part)[part.is_plain])
+        for k, answer in self._one_by_one(self._left_by_the_loop, lambda k: of_one(self[k])):
+            table[k] = answer
+        return table
+
+    # --- changes and gradients --------------------------------------------------------------------------
+
+    def jvp(self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None) -> Any:
+        """Return how each z changes with its data, dz; one-sided where rows are degenerate.
+
+        Parameters
+        ----------
+        dM : array, shape (B, n, n) or (n, n), or a sparse array for all, or a list, optional
+            The change of M, on any pattern.
+        dq : array, shape (B, n) or (n,), or a list, optional
+        dlower, dupper : number or array, shape (B, n) or (n,), or a list, optional
+            The change of the bounds; only those that hold matter.
+
+        Returns
+        -------
+        array, shape (B, n), or a list of arrays where the sizes differ
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+
+        Examples
+        --------
+        >>> from lcp_plugin import derivative, solve_batch
+        >>> found = derivative(solve_batch([[2, 1], [1, 2]], [[-5, 1], [1, -4]]))
+        >>> found.jvp(dq=[1, 0], dlower=0.5)
+        array([[-0.75,  0.5 ],
+               [ 0.5 , -0.25]])
+        """
+        from .kernels.small_derivatives import tangents
+
+        h, low, high = (rows for rows, _ in map(self._given, (dq, dlower, dupper), ("dq", "dlower", "dupper")))
+        if dM is not None:
+            h = _sum(h, self._product(dM))
+        (dz,), left = self._derived(tangents, (h, low, high), 1)
+        for k, answer in self._one_by_one(
+            left, lambda k: self[k].jvp(dq=_row(h, k), dlower=_row(low, k), dupper=_row(high, k))
+        ):
+            dz[k] = answer
+        return dz
+
+    def vjp(self, g: Any, gw: Any = None) -> BatchGradient:
+        """Return the gradients of functions L_k(z_k, w_k) of each solution by q, the bounds and the entries of M.
+
+        Parameters
+        ----------
+        g : array, shape (B, n) or (n,), or a list
+            ∂L/∂z.
+        gw : array, shape (B, n) or (n,), or a list, optional
+            ∂L/∂w.
+
+        Returns
+        -------
+        BatchGradient
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+
+        Examples
+        --------
+        >>> from lcp_plugin import derivative, solve_batch
+        >>> gradient = derivative(solve_batch([[2, 1], [1, 2]], [[-5, 1], [1, -4]])).vjp([1, 1])
+        >>> gradient.q, gradient.M
+        (array([[-0.5,  0. ],
+               [ 0. , -0.5]]), array([[-1.25,  0.  ],
+               [ 0.  , -1.  ]]))
+        """
+        from .kernels.small_derivatives import adjoints
+
+        (rows, is_asked), (by_w, is_asked_too) = self._given(g, "g"), self._given(gw, "gw")
+        tables, left = self._derived(adjoints, (rows, by_w), 3)
+        for k, gradient in self._one_by_one(left, lambda k: self[k].vjp(_row(rows, k), _row(by_w, k))):
+            for table, answer in zip(tables, gradient, strict=False):  # its M comes later
+                table[k] = answer
+        for k in self.errors:
+            if not (is_asked[k] or is_asked_too[k]):
+                for table in tables:
+                    table[k] = np.zeros_like(table[k])
+        by_q, by_lower, by_upper = tables
+        return BatchGradient(by_q, by_lower, by_upper, lambda: self._by_M(by_q, left))
+
+    def _by_M(self, by_q: Any, left: Sequence[int]) -> Any:
+        z = self.z.copy() if self._is_even else [*self.z]
+        for k in left:
+            z[k] = self[k].z
+        for k in self.errors:
+            if not np.any(by_q[k]):  # nothing was asked of a problem without z
+                z[k] = np.zeros_like(z[k])
+        return self.batch.items.outer(by_q, z)
+
+    # --- the two roads ----------------------------------------------------------------------------------
+
+    @cached_property
+    def _parts(self) -> list[BatchPart]:
+        """The groups of small problems, settled."""
+        parts = []
+        for group in self.batch.items.groups(every=True):
+            z = np.array([self.batch.z[k] for k in group.items]) if not self._is_even else self.batch.z[group.items]
+            parts.append(BatchPart(group, z, self._is_solved[group.items], self.batch.threads))
+        return parts
+
+    @cached_property
+    def _left_by_the_loop(self) -> list[int]:
+        """The solved problems that the compiled loop has left."""
+        is_left = self._is_solved.copy()
+        for part in self._parts:
+            is_left[part.plain] = False
+        return np.flatnonzero(is_left).tolist()
+
+    def _derived(self, kernel: Any, given: Sequence[Any], count: int) -> tuple[list[Any], list[int]]:
+        """Return so many tables that the kernel writes of all problems, and the problems that it leaves."""
+        tables, left = [self._table(np.nan) for _ in range(count)], [*self._left_by_the_loop]
+        for part in self._parts:
+            answers, is_plain = part.derived(kernel, [chosen(rows, part.group.items) for rows in given], count)
+            for table, answer in zip(tables, answers, strict=True):
+                put(table, part.group.items[is_plain], answer[is_plain])
+            left += part.group.items[part.is_plain & ~is_plain].tolist()
+        return tables, left
+
+    def _one_by_one(self, items: Sequence[int], ask: Callable[[int], Any]) -> Iterator[tuple[int, Any]]:
+        """Yield what is asked of each problem, and note what is wrong with it."""
+        for k in items:
+            try:
+                answer = ask(k)
+            except LCPError as error:
+                self.errors[k] = error
+            else:
+                yield k, answer
+
+    # --- tables, a row a problem ------------------------------------------------------------------------
+
+    @property
+    def _is_even(self) -> bool:
+        return isinstance(self.batch.z, np.ndarray)
+
+    def _table(self, value: Any) -> Any:
+        return np.full(self.batch.z.shape, value) if self._is_even else [np.full(z.size, value) for z in self.batch.z]
+
+    def _given(self, values: Any, name: str) -> tuple[Any, Any]:
+        """Return the rows that are given (0 for None), one in front for all, and which of them are not 0.
+
+        Rows of problems that are not solved may hold anything.
+        """
+        return self._even_rows(values, name) if self._is_even else self._uneven_rows(values, name)
+
+    def _even_rows(self, values: Any, name: str) -> tuple[Any, Any]:
+        n, count = self.batch.z.shape[1], len(self)
+        rows = rows_of_a_batch(np.zeros(n) if values is None else values, name, n)
+        if rows.shape[0] not in (1, count):
+            raise InvalidProblem(f"{name} must have a row for each of the {count} problems, got shape {rows.shape}")
+        is_asked = (rows != 0.0).any(1)
+        if rows.shape[0] == count:
+            rows[~self._is_solved] = 0.0
+        if not np.isfinite(rows).all():
+            k, i = np.argwhere(~np.isfinite(rows))[0].tolist()
+            raise InvalidProblem(f"{name} must be finite, but {name}[{k}, {i}] = {rows[k, i]}; repair that entry")
+        return rows, np.broadcast_to(is_asked, count)
+
+    def _uneven_rows(self, values: Any, name: str) -> tuple[Any, Any]:
+        if values is None or (is_number(values) and name in ("dlower", "dupper")):
+            values = self._table(float(values or 0.0))
+        self._require_one_each(values, name, "vectors")
+        is_asked = np.array([bool(np.any(np.asarray(row) != 0.0)) for row in values], np.bool_)
+        zeros = self._table(0.0)
+        return [
+            finite_vector(row, f"{name}[{k}]", zeros[k].size) if self._is_solved[k] else zeros[k]
+            for k, row in enumerate(values)
+        ], is_asked
+
+    def _require_one_each(self, values: Any, name: str, things: str) -> None:
+        if not isinstance(values, Sequence) or len(values) != len(self):
+            got = len(values) if isinstance(values, Sequence) else type(values).__name__
+            raise InvalidProblem(f"{name} must be a list of {len(self)} {things}, one a problem, got {got}")
+
+    def _product(self, dM: Any) -> Any:
+        """Return dM z of each problem."""
+        if not self._is_even:
+            self._require_one_each(dM, "dM", "matrices")
+            return [
+                rectangular_matrix(dM[k], f"dM[{k}]", z.size, z.size) @ z if self._is_solved[k] else np.zeros(z.size)
+                for k, z in enumerate(self.z)
+            ]
+        n, z = self.batch.z.shape[1], self.z.copy()
+        z[~self._is_solved] = 0.0
+        if sp.issparse(dM) or np.ndim(dM) == 2:
+            return (rectangular_matrix(dM, "dM", n, n) @ z.T).T
+        need = f"dM must have shape (B, n, n) or (n, n), B = {len(self)}, n = {n}"
+        dM = real_array(dM, need)
+        if dM.shape != (len(self), n, n):
+            raise InvalidProblem(f"{need}, got shape {dM.shape}")
+        if not np.isfinite(dM).all():
+            raise InvalidProblem(f"dM must be finite, but dM{np.argwhere(~np.isfinite(dM))[0].tolist()} is not")
+        return np.matmul(dM, z[:, :, np.newaxis])[:, :, 0]
+
+
+def _sum(rows: Any, others: Any) -> Any:
+    return rows + others if isinstance(rows, np.ndarray) else [a + b for a, b in zip(rows, others, strict=True)]
+
+
+def _row(rows: Any, k: int) -> Any:
+    return rows[k if len(rows) > 1 else 0]
+
+
+class BatchPart:
+    """Problems of a batch that share a compiled loop.
+
+    Attributes
+    ----------
+    z, side : arrays, shape (k, n)
+        Their solutions, solved for once more, and where each row is: a side of `core.kernels.workspace`.
+    is_plain : array of bool, shape (k,)
+        Where the compiled loop has settled these.
+    """
+
+    def __init__(self, group: Group, z: Any, is_solved: Any, threads: int) -> None:
+        from .kernels.small_derivatives import settle_all
+
+        self.group, self.threads = group, threads
+        self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
+        data = group.M, group.q, group.lower, group.upper
+
+        def settle(first: int, end: int) -> None:
+            settle_all(*data, first, end, self.z, self.side, self.is_plain)
+
+        in_chunks(settle, group.items.size, threads)
+
+    @property
+    def plain(self) -> Any:
+        """Which of the batch the loop has settled."""
+        return self.group.items[self.is_plain]
+
+    def derived(self, kernel: Any, given: Sequence[Any], count: int) -> tuple[list[Any], Any]:
+        """Return so many arrays that the kernel writes of the rows given, and for which problems it has succeeded."""
+        answers, is_plain = [np.empty(self.z.shape) for _ in range(count)], self.is_plain.copy()
+
+        def derive(first: int, end: int) -> None:
+            kernel(self.group.M, self.side, *given, first, end, *answers, is_plain)
+
+        in_chunks(derive, self.group.items.size, self.threads)
+        return answers, is_plain
+
+
+def chosen(rows: Any, items: Any) -> Any:
+    """Return those rows as an array, read-only; one row in front stays for all."""
+    if len(rows) == 1 and isinstance(rows, np.ndarray):
+        return read_only(rows)
+    return read_only(rows[items] if isinstance(rows, np.ndarray) else np.array([rows[k] for k in items]))

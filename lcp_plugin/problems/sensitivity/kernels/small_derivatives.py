@@ -1,0 +1,178 @@
+"""The derivatives of many small solutions in one compiled loop; arrays as in :mod:`~lcp_plugin.core.kernels.workspace`.
+
+First each z is solved for once more on its free rows, unless that would change it by rounding alone, and its rows are
+told apart. A tangent and an adjoint are one linear solve each on the same rows. An adjoint at a kink holds its row, if
+that leaves a regular block; a tangent there is left to others, and so is what is near one, or loses half of its digits
+in the elimination: they calculate in twice the precision.
+
+An array with one row in front stands for all problems.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.kernels.compilation import compiled, compiled_in_any_order, compiled_in_place, compiled_into_others
+from ....core.kernels.floats import EPSILON
+from ....core.kernels.workspace import (
+    AT_LOWER,
+    AT_UPPER,
+    BETWEEN,
+    FOUND,
+    FREE,
+    KEPT,
+    LOWER,
+    SCALE,
+    SIDE,
+    UPPER,
+    Q,
+    W,
+    Z,
+    sizes,
+)
+from ....methods.small.kernels.small_problems import classify, look_at, slack, take
+from ....methods.small.kernels.small_systems import solve_free
+
+STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
+NOT_SMALL = 2.0**-10  # of a diagonal entry beside its row
+HALF = 2.0**-26  # of the digits of a double
+KINK = 4  # added to the side of a row that is at this bound, with w = 0
+
+
+@compiled
+def settle_all(M, q, lower, upper, first, end, z, side, is_plain):  # type: ignore[no-untyped-def]
+    """Make z exact to rounding and find the sides of its rows, first ≤ k < end; `is_plain` says where that succeeded.
+
+    Only rows of z with `is_plain` are looked at.
+    """
+    n = M.shape[1]
+    of_real, of_whole, of_room = sizes(n)
+    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    for k in range(first, end):
+        if not is_plain[k]:
+            continue
+        take(q, lower, upper, k, real, n)
+        for i in range(n):
+            real[Z, i] = z[k, i]
+        is_plain[k] = _settled(M, k if M.shape[0] > 1 else 0, real, whole, room)
+        if is_plain[k]:
+            for i in range(n):
+                z[k, i], side[k, i] = real[FOUND, i], whole[SIDE, i]
+
+
+@compiled_in_place
+def _settled(M, k, real, whole, room):  # type: ignore[no-untyped-def]
+    """Write FOUND and SIDE, from Z; return whether every row is clearly on one."""
+    n = M.shape[1]
+    _, is_usual, _, is_symmetric = look_at(M, k, real)
+    if not is_usual:
+        return False
+    for i in range(n):
+        real[FOUND, i] = real[Z, i]
+    for _step in range(STEPS):
+        slack(M, k, real, FOUND)
+        classify(real, whole, n, FOUND)
+        is_exact, is_clear = _judged(M, k, real, whole)
+        if is_exact:
+            return is_clear
+        if solve_free(M, k, real, whole, room, is_symmetric) < 0:
+            return False
+    return False
+
+
+@compiled_in_any_order
+def _judged(M, k, real, whole):  # type: ignore[no-untyped-def]
+    """Return whether another solve would change FOUND by rounding alone, and whether each row is clear; mark kinks.
+
+    A row is at a kink where both its slack and its distance from the bounds are rounding, and clear where one of them
+    has half of its digits. What lies between takes more digits to judge, and so do rows that hardly depend on their own
+    variable: a slack of rounding may stand for a large one. With equal bounds the side is that which the sign of w
+    asks for.
+    """
+    n = M.shape[1]
+    is_exact = is_clear = True
+    for i in range(n):
+        size, terms, largest = abs(real[Q, i]), 2, 0.0
+        for j in range(n):
+            largest = max(largest, abs(M[k, i, j]))
+            size += abs(M[k, i, j] * real[FOUND, j])
+            terms += M[k, i, j] != 0.0
+        z, w, lower, upper, side = real[FOUND, i], abs(real[W, i]), real[LOWER, i], real[UPPER, i], whole[SIDE, i]
+        distance, floor = min(z - lower, upper - z) * real[SCALE, i], terms * EPSILON * size
+        if side == BETWEEN:
+            is_exact &= w <= floor
+        else:
+            is_exact &= z == (upper if side == AT_UPPER else lower)
+        if lower == upper:
+            whole[SIDE, i] = AT_UPPER if real[W, i] < 0.0 else AT_LOWER
+        elif w <= floor and distance <= floor and M[k, i, i] >= NOT_SMALL * largest:
+            whole[SIDE, i] = (AT_UPPER if upper - z < z - lower else AT_LOWER) + KINK
+        else:
+            is_clear &= (distance if side == BETWEEN else w) > HALF * size
+    return is_exact, is_clear
+
+
+@compiled_into_others
+def _solved(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
+    """Write FOUND by one linear solve; return whether no pivot is half rounding.
+
+    Pivots of a block that is not symmetric are in units of their rows.
+    """
+    free = solve_free(M, k, real, whole, room, is_symmetric)
+    keeps_digits = free >= 0
+    for p in range(free):
+        unit = real[SCALE, whole[FREE, p]] if is_symmetric else 1.0
+        keeps_digits &= abs(room[p, p]) > HALF * unit
+    return keeps_digits
+
+
+@compiled
+def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignore[no-untyped-def]
+    """Write how z changes with h = dM z + dq and with the bounds, first ≤ k < end; `is_plain` as above."""
+    n = M.shape[1]
+    of_real, of_whole, of_room = sizes(n)
+    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    for k in range(first, end):
+        if not is_plain[k]:
+            continue
+        take(h, lower, upper, k, real, n)
+        for i in range(n):
+            whole[SIDE, i] = side[k, i]
+            is_plain[k] &= side[k, i] < KINK  # others solve a small LCP
+        of = k if M.shape[0] > 1 else 0
+        is_symmetric = look_at(M, of, real)[3]
+        is_plain[k] = is_plain[k] and _solved(M, of, real, whole, room, is_symmetric)
+        for i in range(n):
+            dz[k, i] = real[FOUND, i]
+
+
+@compiled
+def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain):  # type: ignore[no-untyped-def]
+    """Write the gradients by q and the bounds of functions with ∂L/∂z = g, ∂L/∂w = by_w; the rest as in `tangents`."""
+    n = M.shape[1]
+    of_real, of_whole, of_room = sizes(n)
+    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    turned = np.empty((1, n, n))
+    for k in range(first, end):
+        if not is_plain[k]:
+            continue
+        own = k if g.shape[0] > 1 else 0, k if by_w.shape[0] > 1 else 0
+        for i in range(n):
+            for j in range(n):
+                turned[0, j, i] = M[k if M.shape[0] > 1 else 0, i, j]
+            real[Q, i], whole[SIDE, i] = g[own[0], i], side[k, i] % KINK
+            real[KEPT, i] = 0.0 if side[k, i] == BETWEEN else by_w[own[1], i]  # w stays 0 there
+            real[LOWER, i] = real[UPPER, i] = 0.0
+        is_symmetric = look_at(turned, 0, real)[3]
+        slack(turned, 0, real, KEPT)  # g + Mᵀ ∂L/∂w
+        for i in range(n):
+            real[Q, i] = -real[W, i]
+        is_plain[k] = _solved(turned, 0, real, whole, room, is_symmetric)
+        slack(turned, 0, real, FOUND)
+        for i in range(n):
+            by_q[k, i] = real[KEPT, i] - real[FOUND, i]
+            by_lower[k, i] = by_upper[k, i] = 0.0
+            if whole[SIDE, i] == AT_UPPER:
+                by_upper[k, i] = -real[W, i]
+            elif whole[SIDE, i] != BETWEEN:
+                by_lower[k, i] = -real[W, i]

@@ -1,0 +1,65 @@
+"""What can be proved about a matrix, a method and an answer, from the data of the caller alone.
+
+>>> from lcp_plugin import LCP, analyze, convergence_guarantee, error_bound, solve
+>>> problem = LCP([[4, -1, 0], [-1, 4, -1], [0, -1, 4]], [-3, 5, -1])
+>>> print(analyze(problem).is_h_plus)  # print(analyze(problem)) shows every verdict with its evidence
+True
+>>> convergence_guarantee(problem, "npsor").verdict  # also the theorem, and the rate that it proves
+'guaranteed'
+>>> result = solve(problem, tolerance_on="error", tolerance=1e-10)
+>>> result.status.name, result.error_bound.infinity <= 1e-10
+('SOLVED', True)
+>>> bound = error_bound(problem, [0.8, 0.0, 0.2])  # of any z; row by row in bound.componentwise
+>>> bound.kind, bound.proven_active.tolist()
+('rigorous', [False, True, False])
+
+**Verdicts.** `analyze` says True, False or None (undecided). True and False are proved for the stored doubles, rounding
+included. M is an H₊-matrix where its diagonal is positive and ⟨M⟩v > 0 for some v > 0, with ⟨M⟩ the comparison matrix;
+the report keeps such a v. P-matrices are decided up to n = 20, or by a sufficient class. Positive semidefinite is exact
+up to n = 10; beyond that a singular matrix stays undecided, and the evidence says λ_min ≥ −δ, with δ.
+
+**Error bounds** exist for H₊-matrices and where the symmetric part is positive definite. ``kind`` says "rigorous" where
+the bound holds with all rounding; for large definite matrices that are not H₊ it says "estimate", which proves no
+tolerance. On other matrices there is no bound, and the message says what is missing. Where a factorisation would fill
+in too much (3-D grids above some 40³, random graphs above some thousand unknowns) and nothing cheaper decides, a
+verdict stays undecided and a bound may be an estimate.
+
+**During a run.** With ``error_bound=True`` the bound is part of the result, computed when you look at it
+(``result.error_bound.seconds`` says in what time); with ``record=True`` also part of every sample, where a sharp one is
+tried as often as the run can afford it. ``tolerance_on="error"``: SOLVED means that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is
+proved; a matrix that allows no rigorous bound is refused before the first step.
+
+**Units.** SOLVED speaks of the residual in the units in which M is balanced, exact powers of two for rows and unknowns:
+multiply rows or unknowns by any powers of two, and status and ``certificate.relative_residual`` stay bit for bit. M
+keeps the units it is given in where its rows and columns are of one size (within 2¹⁰), or where its rows are diagonally
+dominant, as those of grids are however stiff; formula, theorem and what the criterion cannot see:
+``help("lcp_plugin.core.certificates.criterion")``.
+
+**Without a bound.** SOLVED speaks of the residual; on stiff data a small one can go with a larger error in z.
+``explain()`` says so where the diagonal spans more than six decades, where M is so nearly singular on the free rows
+that the error may exceed 1 % of z, and where a product (z_i − bound) w_i is large beside the residual.
+
+**Guarantees** are "guaranteed" or "not covered". ``scaling="auto"``, the default of the np* methods, is a row scaling
+with which every H₊-matrix is covered: S = θ_i/d_i with θ_i = 1, or up to 2 where the row sums of M prove that too.
+`solve` analyses nothing that you did not ask for: ``result.guarantee`` (or `convergence_guarantee`) looks whether a
+theorem covers what you named, and so does ``explain()`` after a run that failed. Once it is known that none does,
+`solve` warns of it once a matrix (`ConvergenceWarning`).
+
+**Programs.** `certify` says what is proved about anybody's answer to a convex quadratic or linear program: of a cvxpy
+problem that some solver has filled, or of an x for a `QuadraticProgram`. "proved" is a violation and a distance from a
+proved lower bound of at most the tolerance, unless x is proved to be wrong although its objective is not;
+``certify(problem).reason`` tells. ``lcp-plugin certify FILE --solver CLARABEL,OSQP`` judges several solvers.
+
+>>> import lcp_plugin
+>>> program = lcp_plugin.QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+>>> said = lcp_plugin.certify(program, [0.5, 1.5])
+>>> said.verdict, round(said.lower, 9), said.distance < 1e-6
+('proved', -4.5, True)
+
+**No solution.** ``result.infeasibility`` proves it for the stored doubles, and ``verify()`` checks it again. Its
+``margin`` is the smallest relative residual that it leaves to any z, in the units of SOLVED; with
+``tolerance_on="error"`` any proof counts, however small that is. Where it is within the tolerance the methods go on; if
+none converges, ``result.advice`` says "infeasible, but only by 9e-16 relative", and the proof stays in the result.
+"auto" looks for a proof where its methods find no solution, and so does a run with newton, interior_point or lemke;
+sweeps alone end STALLED or DIVERGED.
+"""

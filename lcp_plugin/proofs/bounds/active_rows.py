@@ -1,0 +1,224 @@
+"""Which rows of a solution are held at a bound, free, or both at a bound and without slack; what errors may hide there.
+
+To first order z − z* = (S M_FF)⁻¹ r_F on the rows F strictly between their bounds, S = D⁻¹: an error as large as
+‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. The norm is estimated from a few solves with one factorisation; this
+proves nothing (see `error_bounds` for what does) and costs a factorisation, so that it is asked for, and only where
+that is cheap.
+
+References
+----------
+N. J. Higham, F. Tisseur, *A block algorithm for matrix 1-norm estimation*, SIAM J. Matrix Anal. Appl. 21 (2000),
+doi:10.1137/S0895479899356080.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.certificates.residuals import Certificate
+from ...core.checks import BoolVector, FloatVector
+from ...core.kernels.floats import EPSILON
+from ...core.lcp import LCP
+from ...systems.factors import factor_fits, sparse_lu
+from ...systems.free_systems import FreeSystem
+from .error_bounds import ErrorBound
+from .row_inequality import ActiveSetSteps, RowInequality
+
+DENSE_UP_TO = 500  # free rows: a few milliseconds
+SPARSE_UP_TO = 20_000
+STEPS = 8  # of the active-set method; from a solved problem one settles all rows, or two
+GOAL = 1e-6  # of a linear solve in such a step, where it is iterative
+EXACT = 1e-14  # relative: what a step may leave of the error
+ROUNDING = 4.0  # times the rounding floor: what PRECISION_LIMIT grants a residual
+
+
+class ActiveRows(NamedTuple):
+    """What each row of a solution does; every row is in one of the first four sets.
+
+    Attributes
+    ----------
+    free, at_lower, at_upper, degenerate : ndarray of bool, shape (n,)
+        Strictly between its bounds; at a bound with w ≠ 0, or where both are equal; at a bound with w = 0, as far as
+        rounding of the data can tell.
+    is_upper : ndarray of bool, shape (n,)
+        Of the rows that are not free, those at their upper bound.
+    z : ndarray, shape (n,)
+        The solution, solved for once more on its free rows.
+    system : FreeSystem or None
+        That which was solved, its rows those of `free` and perhaps of `degenerate`.
+    """
+
+    free: BoolVector
+    at_lower: BoolVector
+    at_upper: BoolVector
+    degenerate: BoolVector
+    is_upper: BoolVector
+    z: FloatVector
+    system: FreeSystem | None
+
+
+def settled_rows(
+    problem: LCP, z: FloatVector, w: FloatVector, system: FreeSystem | None = None
+) -> ActiveRows:
+    """Return what each row of a solution does, after steps of the active-set method in twice the working precision.
+
+    Where those settle nothing (the block of the free rows is singular, the rows are spread over ranks) the rows are
+    judged by z and w as they are.
+
+    Parameters
+    ----------
+    z, w : array, shape (n,)
+        A solution within some tolerance, and its slack.
+    system : FreeSystem, optional
+        Of a problem with the same M: it serves again where the free rows are the same.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> rows = settled_rows(problem, np.array([2.5 + 1e-9, 0.0]), np.array([2e-9, 3.5 + 1e-9]))
+    >>> rows.free, rows.at_lower, rows.z
+    (array([ True, False]), array([False,  True]), array([2.5, 0. ]))
+    """
+    settled = _settled(problem, z, system) if problem.communicator.is_alone else None
+    if settled is None:
+        return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
+    at, system, left = settled
+    return _judged(problem, at.high, 0.5 * (at.slack - at.negative_slack), at.above, at.below, system, left)
+
+
+@np.errstate(all="ignore")
+def proven_rows(problem: LCP, bound: ErrorBound) -> tuple[BoolVector, BoolVector]:
+    """Return which rows a rigorous bound proves to be held (at a bound with w ≠ 0, or with equal bounds), and free.
+
+    Parameters
+    ----------
+    bound : ErrorBound
+        Of a point near the solution.
+    """
+    if bound.near is None:
+        return bound.proven_active & False, bound.proven_inactive
+    at = RowInequality.at(problem, bound.near.high, bound.near.low)
+    return at.held(bound.near.y), at.classified(bound.near.y)[1]
+
+
+@np.errstate(all="ignore")
+def _settled(
+    problem: LCP, z: FloatVector, system: FreeSystem | None
+) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
+    """Return a point whose rows solve their own equations, with that system and about how far the solution may be.
+
+    None where steps do not get there. Rows that are exactly degenerate may change sides for ever, by the rounding of
+    others; the point stands still then, whichever side they are on.
+    """
+    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL, system=system)
+    at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
+    for _ in range(STEPS):
+        following = steps.next_point(at)
+        if following is None:
+            return None
+        change, at = np.abs((following.high - at.high) + (following.low - at.low)), following
+        allowed = EXACT * np.abs(at.high).max(initial=0.0)
+        if steps.is_settled(at) and GOAL * change.max(initial=0.0) <= allowed:
+            return at, steps.system, GOAL * change
+    return (at, steps.system, GOAL * change) if change.max(initial=0.0) <= allowed else None
+
+
+@np.errstate(all="ignore")
+def _judged(
+    problem: LCP, z: FloatVector, w: FloatVector, above: FloatVector, below: FloatVector, system: FreeSystem | None,
+    left: FloatVector | None = None,
+) -> ActiveRows:
+    """Return what each row does by z and w, where z may be as far from the solution as `left` says."""
+    scale, floor = problem.residual_scale, Certificate.of(problem, z).rounding_floor
+    near, slight = floor, floor
+    if left is not None:
+        size = abs(problem.matrix.array)
+        floor = _with_neighbours(size, floor, scale)
+        near, slight = floor + left, floor + size @ left / scale
+    is_fixed = problem.lower == problem.upper
+    step = w / scale
+    is_small = (np.minimum(above, below) <= ROUNDING * near) & (np.abs(step) <= ROUNDING * slight)
+    degenerate = is_small & ~is_fixed
+    is_upper = np.where(is_fixed, w < 0.0, below < above)
+    reaches = np.where(is_upper, below <= -step, above <= step)
+    held = is_fixed | (reaches & ~degenerate)
+    return ActiveRows(
+        ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate, is_upper, z, system
+    )
+
+
+def _with_neighbours(size: Any, floor: FloatVector, scale: FloatVector) -> FloatVector:
+    """Return the rounding floor, where a row has no data of its own that of its neighbours; size is |M|.
+
+    A row with q_i = 0, whose unknown and whose neighbours' are 0, has the floor 0. But what rounding makes of the data
+    of a row next door moves its unknown, too.
+    """
+    for _ in range(STEPS):
+        spread = size @ floor / scale
+        is_bare = floor < EPSILON * spread
+        if not is_bare.any():
+            break
+        floor = np.where(is_bare, spread, floor)
+    return floor
+
+
+def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: float) -> float | None:
+    """Return an estimate of the largest ‖z − z*‖∞ that goes with a scaled residual, or None where it is too costly.
+
+    Parameters
+    ----------
+    problem : LCP
+    z, w : arrays, shape (n,)
+        A point and its slack.
+    residual : float
+        ‖r(z)‖∞, in the unit of z.
+
+    Examples
+    --------
+    >>> problem = LCP([[1, -1 + 2**-30], [-1 + 2**-30, 1]], [-1, -1])
+    >>> z = np.full(2, 2.0**30)
+    >>> round(estimated_error(problem, z, problem.slack(z), 1e-8), 6)
+    10.737418
+    """
+    scale = problem.residual_scale
+    with np.errstate(all="ignore"):
+        target = z - w / scale
+        free = np.flatnonzero((target > problem.lower) & (target < problem.upper))
+    if not free.size or not residual > 0.0 or not np.isfinite(residual):
+        return 0.0 if residual == 0.0 or not free.size else None
+    with np.errstate(all="ignore"):
+        norm = _norm_of_inverse(problem, free)
+    return None if norm is None else residual * norm
+
+
+def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
+    """Return LAPACK's or Hager's estimate of ‖(S M_FF)⁻¹‖∞, ∞ where that is singular, None where it costs too much."""
+    scale = problem.residual_scale[free]
+    if free.size <= DENSE_UP_TO:
+        from scipy.linalg import lapack
+
+        block = problem.M[free][:, free]
+        block = (block.toarray() if sp.issparse(block) else block) / scale[:, None]
+        if not np.isfinite(block).all():
+            return None
+        norm = float(np.abs(block).sum(axis=1).max())
+        reciprocal = norm * lapack.dgecon(lapack.dgetrf(block)[0], norm, norm="I")[0]
+        return 1.0 / reciprocal if reciprocal > 0.0 else np.inf
+    if free.size > SPARSE_UP_TO or problem.is_dense:
+        return None
+    sparse = sp.diags_array(1.0 / scale) @ problem.csr[free][:, free]
+    if not np.isfinite(sparse.data).all() or not factor_fits(sparse):
+        return None
+    from scipy.sparse.linalg import LinearOperator, onenormest
+
+    try:
+        factor = sparse_lu(sparse)
+    except RuntimeError:
+        return np.inf
+    transpose = LinearOperator(
+        sparse.shape, dtype=np.float64, matvec=lambda x: factor.solve(x, "T"), rmatvec=factor.solve
+    )
+    return float(onenormest(transpose, t=1))  # more columns at once would be drawn from numpy's global generator

@@ -1,0 +1,360 @@
+"""How far z is from the solution, as a number that cannot be too small.
+
+The stages stand in `row_inequality` (v-certificate, two-stage bound, reference point) and `solution_bounds`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.certificates.criterion import largest_of_parts
+from ...core.certificates.row_residuals import scaled_residual
+from ...core.checks import BoolVector, FloatVector
+from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ...core.kinds import refusal
+from ...core.lcp import LCP
+from ...core.rounding import comparison_product, lower_end
+from ..exact.upward import quotient_above, sum_above
+from ..verdicts import comparison_solve, h_verdict
+from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
+from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of
+
+SMALL = 1000  # up to here every stage is cheap
+REFINEMENTS = 5
+STEPS = 12  # each takes two digits off the bound, at the cost of a third of a linear solve
+LOOSE = 1e3  # times the residual: from here on a sharper bound is worth a linear solve
+SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = 0.05, 0.5  # what is left to gain, relative to a lower bound of the error
+TOLERANCE = 1e-2
+LEAST_GAP = 0.2  # of the contraction of a sweep from 1: 35 sweeps are then enough, a third of a linear solve
+NEARER = 1e-2  # what sweeps shall leave of the error, as far as the certificate knows
+
+NO_PROOF_ON_RANKS = (
+    "on several ranks an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal), and M was not "
+    "proven to be one; use the residuals, or solve on one machine, where a positive definite M is bounded as well"
+)
+
+Judge = Callable[[RowInequality], FloatVector]
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBound:
+    """What is known of |z − z*|.
+
+    Attributes
+    ----------
+    componentwise : ndarray, shape (n,)
+        |z_i − z*_i| ≤ componentwise_i, in the unit of z. On several ranks arrays are the own parts, and numbers speak
+        of all rows.
+    infinity : float
+        Their maximum, ‖z − z*‖∞ ≤ infinity.
+    relative : float
+        ‖z − z*‖∞ ≤ relative · ‖z‖∞, in every part of the problem by itself; ∞ where z = 0 there and nothing says that
+        z* = 0.
+    kind : str
+        "rigorous": holds for the stored doubles M, q and bounds, all rounding counted. "estimate": rests on an
+        eigenvalue that is not proven.
+    method : str
+        "v-certificate", "two-stage", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
+    proven_active, proven_inactive : ndarray of bool, shape (n,)
+        z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0. Nothing is proven by an estimate.
+    n, active, inactive : int
+        How many rows there are, and how many of them are proven to be what.
+    residual : float
+        ‖r(z)‖∞, the numerator of the relative residual: in the unit of z, as `infinity` is.
+    near : NearPoint or None
+        The point near z* at which most is known; None where nothing is.
+    seconds : float
+        Seconds that it took to compute.
+    """
+
+    componentwise: FloatVector = field(repr=False)
+    infinity: float
+    relative: float
+    kind: str
+    method: str
+    proven_active: BoolVector = field(repr=False)
+    proven_inactive: BoolVector = field(repr=False)
+    n: int
+    active: int
+    inactive: int
+    residual: float = np.nan
+    near: NearPoint | None = field(default=None, repr=False)
+    seconds: float = field(default=0.0, repr=False)
+
+    @property
+    def is_loose(self) -> bool:
+        """True where the bound exceeds a thousand times the residual: linear solves may make it much smaller."""
+        return self.infinity > LOOSE * self.residual
+
+    def carried_to(self, z: FloatVector) -> FloatVector:
+        """Return a bound of |z − z*|, componentwise, for any z of shape (n,): by its distance to `near`, in O(n).
+
+        Examples
+        --------
+        >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+        >>> bound = error_bound(problem, [2.5 + 1e-6, 0])
+        >>> bool(0.999e-3 <= bound.carried_to(np.array([2.5 + 1e-3, 0.0])).max() <= 1.001e-3)
+        True
+        """
+        return np.full(z.shape, np.inf) if self.near is None else self.near.bound(z)
+
+    @property
+    def is_active_set_proven(self) -> bool:
+        """True where every row is proven active or inactive: z* solves one known linear system."""
+        return self.active + self.inactive == self.n
+
+    def proves(self, tolerance: float) -> bool:
+        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven of every part; an estimate proves nothing."""
+        return self.kind == "rigorous" and self.relative <= tolerance
+
+    def __str__(self) -> str:
+        word, undecided = "≤" if self.kind == "rigorous" else "≲", self.n - self.active - self.inactive
+        return (
+            f"‖z − z*‖∞ {word} {self.infinity:.3e}, relative {self.relative:.3e} ({self.kind}, {self.method})\n"
+            f"proven: {self.active} active, {self.inactive} inactive, {undecided} of {self.n} undecided"
+        )
+
+
+def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound:
+    """Return a bound of |z − z*|, componentwise, for the one solution z*.
+
+    Parameters
+    ----------
+    problem : LCP
+        M an H₊-matrix, or with a positive definite symmetric part: then z* exists and is unique. On several ranks, all
+        of which call, it must be an H₊-matrix, and the bound is that of the v-certificate.
+    z : array, shape (n,)
+        Any point, also outside the bounds. With NaN or infinite entries the bound is ∞.
+    sharp : bool
+        False: only the v-certificate (or the 2-norm bound), one pass over M once the matrix is known. True: also the
+        stages that solve linear systems; the least of all counts.
+
+    Raises
+    ------
+    InvalidProblem
+        Where `problem` is no LCP or z no real vector of length n.
+    InvalidOption
+        Where `sharp` is neither True nor False.
+    UnsuitableMatrix
+        Where M is neither proven H₊ nor found positive definite.
+
+    Notes
+    -----
+    Rigorous in floating point: the only assumption is that M, q and the bounds are the stored doubles.
+
+    References
+    ----------
+    X. Chen, S. Xiang, *Computation of error bounds for P-matrix linear complementarity problems*, Math. Program. 106
+    (2006), doi:10.1007/s10107-005-0645-9 (the classical bounds that these sharpen).
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> bound = error_bound(problem, [2.5 + 1e-6, 0])
+    >>> 1e-6 <= bound.infinity < 1.001e-6, bound.kind, bound.is_active_set_proven
+    (True, 'rigorous', True)
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidProblem(refusal("error_bound", problem))
+    if not isinstance(sharp, bool | np.bool_):
+        raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
+    z, began = problem.own_part(z), time.perf_counter()
+    with np.errstate(all="ignore"):  # what overflows bounds nothing
+        family = bounds_of(problem.matrix)
+        if family is None:
+            raise UnsuitableMatrix(_why_not(problem) if problem.communicator.is_alone else NO_PROOF_ON_RANKS)
+        found = _bound(problem, z, family, sharp=sharp and problem.communicator.is_alone)
+    return replace(found, seconds=time.perf_counter() - began)
+
+
+def _two_stage(at: RowInequality, family: HPlusBounds, y: FloatVector) -> FloatVector:
+    """Return the bound that solving the active pieces of Φ makes of the bound y, as long as that gains."""
+    problem = at.problem
+    for _ in range(REFINEMENTS):
+        branches = at.branches(y)
+        candidate = np.where(branches.linear, 0.0, branches.gap)
+        if branches.linear.any():
+            # On the other rows y is known, and its part of ⟨M⟩y goes to the right-hand side.
+            rhs = branches.gap - comparison_product(problem.csr, candidate)[0]
+            solution = comparison_solve(problem.matrix, rhs, rows=branches.linear, tolerance=TOLERANCE)
+            if solution is None:
+                return y
+            candidate = np.maximum(candidate, solution)
+        better = np.minimum(y, family.of_error(at, candidate))
+        better = np.minimum(better, at.image(better))
+        if not (better < 0.9 * y).any():
+            return better
+        y = better
+    return y
+
+
+def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool) -> ErrorBound:
+    if not problem.communicator.everywhere(bool(np.isfinite(z).all())):
+        return _nothing_known(problem, family.kind, family.method)
+    at = RowInequality.at(problem, z)
+    found = Enclosure(z, at, family.of_error(at), family.method)
+    if not sharp:
+        return found.result(family.kind)
+    if isinstance(family, DefiniteBounds):
+        _sharpen(found, family.of_error)
+    elif problem.n <= SMALL:
+        found.lower_to(_two_stage(at, family, found.y), "two-stage")
+        _sharpen(found, lambda point: _two_stage(point, family, family.of_error(point)))
+    else:
+        _sweep_nearer(found, family)
+        if not found.is_sharp:
+            _sharpen(found, family.of_error)
+        if not found.is_sharp:
+            found.lower_to(_two_stage(at, family, found.y), "two-stage")
+    return found.result(family.kind)
+
+
+class Enclosure:
+    """The best bound so far, and the point near z at which most is known of z*."""
+
+    def __init__(self, z: FloatVector, at: RowInequality, y: FloatVector, method: str) -> None:
+        self.z, self.at, self.y, self.method = z, at, y, method
+        self.near, self.near_y = at, y
+
+    def lower_to(self, y: FloatVector, method: str) -> None:
+        """Take the least of both bounds."""
+        if y.max(initial=0.0) < self.y.max(initial=0.0):
+            self.method = method
+        self.y = np.minimum(self.y, y)
+
+    def go_to(self, near: RowInequality, y: FloatVector) -> None:
+        """Take a point with the bound y of its own error for the one at which most is known."""
+        self.near, self.near_y = near, y
+        self.lower_to(sum_above(near.distance(self.z), y), "reference point")
+
+    @property
+    def is_sharp(self) -> bool:
+        """Whether the error is known to be nearly as large as its bound."""
+        enough = SHARP_ENOUGH_SMALL if self.z.size <= SMALL else SHARP_ENOUGH_LARGE
+        error = float((self.near.distance(self.z) - self.near_y).max(initial=0.0))
+        return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
+
+    def result(self, kind: str) -> ErrorBound:
+        """Return what is known."""
+        problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
+        active, inactive = self.near.classified(self.near_y)
+        if self.near is not self.at and not (active | inactive).all():
+            more_active, more_inactive = self.at.classified(y)
+            active, inactive = active | more_active, inactive | more_inactive
+        is_proof = kind == "rigorous"
+        sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
+        infinity, residual = problem.communicator.all_largest(*sizes)
+        of_parts = (largest_of_parts(problem, np.abs(one)).tolist() for one in (y, self.z))
+        relative = problem.communicator.largest(max(map(relative_to, *of_parts), default=0.0))
+        return _counted(
+            problem, y, active & is_proof | (problem.lower == problem.upper), inactive & is_proof, infinity=infinity,
+            relative=relative, kind=kind, method=self.method, residual=residual,
+            near=NearPoint(self.near.high, self.near.low, self.near_y),
+        )
+
+
+def _sweep_nearer(found: Enclosure, family: HPlusBounds) -> None:
+    """Go nearer to the solution by projected Gauss–Seidel sweeps where a few are sure to be enough."""
+    problem = found.at.problem
+    gap = float((family.weights.margin / (problem.diagonal * family.weights.high)).min(initial=1.0))
+    if not gap > LEAST_GAP:
+        return
+    from ...core.kernels import splitting_sweeps as kernels
+
+    M, point = problem.csr, found.z.copy()
+    rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
+    splits = kernels.row_splits(M, backward=False)
+    for _ in range(1 + int(np.log(NEARER * gap) / np.log1p(-gap)) if gap < 1.0 else 2):
+        kernels.relaxation_sweep(M.indptr, splits, M.indices, M.data, rows, 1.0, False, point)
+    if np.isfinite(point).all():
+        near = RowInequality.at(problem, point)
+        y = family.of_error(near)
+        if y.max() < found.near_y.max():
+            found.go_to(near, y)
+
+
+def _sharpen(found: Enclosure, judge: Judge) -> None:
+    """Go to points nearer to the solution as long as that lowers the bound."""
+    problem = found.at.problem
+    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale)
+    point = found.at
+    for _ in range(STEPS):
+        following = steps.next_point(point)
+        if following is None:
+            return
+        point, y = following, judge(following)
+        before = float(found.near_y.max(initial=0.0))
+        if not float(y.max(initial=0.0)) < 0.5 * before:
+            # A step of the active-set method may lead astray before it leads home.
+            if problem.n > SMALL or before == 0.0 or (found.is_sharp and not _is_worth_more(found)):
+                return
+            continue
+        found.go_to(point, y)
+        if found.is_sharp and not (problem.n <= SMALL and _is_worth_more(found)):
+            return
+
+
+def _is_worth_more(found: Enclosure) -> bool:
+    """Whether a component's bound is far above what its error is known to be, or a row is undecided."""
+    error = found.near.distance(found.z) - found.near_y
+    active, inactive = found.near.classified(found.near_y)
+    return bool((found.y > 1.1 * error).any()) or not bool((active | inactive).all())
+
+
+def _residuals(at: RowInequality) -> FloatVector:
+    """Return r(z), to rounding."""
+    return scaled_residual(at.problem, at.high, 0.5 * (at.slack - at.negative_slack))
+
+
+def relative_to(infinity: float, size: float) -> float:
+    """Return infinity/size, rounded up: 0 for 0/0, else ∞ where the size is 0."""
+    if infinity == 0.0:
+        return 0.0
+    return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf
+
+
+def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
+    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+    return _counted(
+        problem, np.full(problem.own, np.inf), problem.lower == problem.upper, is_free, infinity=np.inf,
+        relative=np.inf, kind=kind, method=method,
+    )
+
+
+def _counted(
+    problem: LCP, componentwise: FloatVector, active: BoolVector, inactive: BoolVector, **known: Any
+) -> ErrorBound:
+    counts = [int(problem.communicator.total(float(np.count_nonzero(rows)))) for rows in (active, inactive)]
+    return ErrorBound(
+        componentwise=componentwise, proven_active=active, proven_inactive=inactive, n=problem.n, active=counts[0],
+        inactive=counts[1], **known,
+    )
+
+
+def _why_not(problem: LCP) -> str:
+    needs = (
+        "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite "
+        "symmetric part"
+    )
+    row = int(np.argmin(problem.diagonal))
+    if problem.diagonal[row] <= 0.0:
+        return f"{needs}, but M[{row}, {row}] = {problem.diagonal[row]}; Certificate.of(problem, z) has the residuals"
+    if h_verdict(problem.matrix).is_h:
+        return (
+            f"{needs}; M is an H₊-matrix ({h_verdict(problem.matrix).evidence}), but no such v was found in doubles; "
+            "scale its columns, or use the residuals of Certificate.of(problem, z)"
+        )
+    margin = lower_end(*comparison_product(problem.csr, np.ones(problem.n)))
+    worst = int(np.argmin(margin / problem.diagonal))
+    share = 1.0 - float(margin[worst] / problem.diagonal[worst])
+    return (
+        f"{needs}; M was not proven to be either (row {worst} has {share:.3g} times its diagonal beside it, and the "
+        f"symmetric part is not positive definite to rounding, or too large to tell); scale or regularise M, or use "
+        f"the residuals of Certificate.of(problem, z)"
+    )

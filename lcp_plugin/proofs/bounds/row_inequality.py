@@ -1,0 +1,252 @@
+"""What each row says about the error of a point, without rounding up to anything but the safe side.
+
+Let e = z − z*. If e_i > 0, then either z*_i is the upper bound and e_i = z_i − upper_i, or w*_i ≥ 0, so that
+(M e)_i ≤ w_i; and e_i ≤ z_i − lower_i in any case. With m_ii = d_i > 0 and B the rest of M,
+
+    e_i ≤ max(z_i − upper_i, min(z_i − lower_i, (w_i + (|B||e|)_i)/d_i)),
+
+and the mirror image holds where e_i < 0. Together |e| ≤ Φ(|e|) with an isotone Φ. Two things follow.
+
+1. |e| ≤ y gives |e| ≤ Φ(y), whatever B is.
+2. If ⟨M⟩v > 0 for some v > 0, every y ≥ 0 with Φ(y) ≤ y bounds |e|: Φ(y + σv) < y + σv for σ > 0, so the smallest σ
+   with |e| ≤ y + σv cannot be positive. And y + t v is such a y for any y ≥ 0 once t is large enough, which is read
+   off row by row.
+
+The second with y = 0 is the v-certificate; with y from a linear system it is the two-stage bound.
+
+A point ẑ so near the solution that its own bound is small makes |z − ẑ| + bound(ẑ) sharp. A bound by ⟨M⟩⁻¹|r| forgets
+all signs, and where ρ(D⁻¹|B|) is near 1 it exceeds |M⁻¹r| a thousand times. One step of the active-set method keeps
+them: ẑ = z + δ with δ to the bound on the rows that seem active, and M_FF δ_F = −(w + M δ)_F on the rest. Nothing has
+to be known about ẑ; a poor solve or a wrong guess only makes the bound larger. ẑ is kept as a sum of two doubles, so
+that it can be nearer to z* than any double is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...core.certificates.criterion import for_each_row, largest_of_parts
+from ...core.checks import BoolVector, FloatVector
+from ...core.lcp import LCP
+from ...core.rounding import comparison_product, compensated_pair, compensated_product
+from ...systems.free_systems import KRYLOV_GOAL, FreeSystem
+from ..exact.upward import product_above, quotient_above, sum_above
+from ..verdicts import Weights
+
+
+class Branches(NamedTuple):
+    """The pieces of Φ that are active at some y: on `linear` rows (gap + |B|y)/d, elsewhere the constant `gap`."""
+
+    linear: BoolVector
+    gap: FloatVector
+
+
+@dataclass(frozen=True, eq=False)
+class RowInequality:
+    """Φ of one point, the sum `high` + `low`; every number is an upper bound of what it stands for.
+
+    On several ranks all vectors are the own parts, and whatever multiplies by M or compares all rows is called by all.
+
+    Attributes
+    ----------
+    above, below : ndarray, shape (n,)
+        z − lower and upper − z.
+    over, under : ndarray, shape (n,)
+        z − upper and lower − z.
+    slack, negative_slack : ndarray, shape (n,)
+        w and −w.
+    """
+
+    problem: LCP
+    high: FloatVector
+    low: FloatVector
+    above: FloatVector
+    below: FloatVector
+    over: FloatVector
+    under: FloatVector
+    slack: FloatVector
+    negative_slack: FloatVector
+
+    @classmethod
+    def at(cls, problem: LCP, high: FloatVector, low: FloatVector | None = None) -> RowInequality:
+        """Return the inequality at the finite point high + low, each of shape (n,)."""
+        if low is None:
+            matrix = problem.matrix
+            value, radius = compensated_product(matrix.csr_rows, matrix.whole(high), problem.q)
+            slack, negative = sum_above(value, radius), sum_above(-value, radius)
+            low = np.zeros(problem.own)
+        else:
+            slack, negative = _slack_of_pair(problem, high, low)
+        return cls(
+            problem, high, low,
+            above=_pair_above(high, low, -problem.lower), below=_pair_above(-high, -low, problem.upper),
+            over=_pair_above(high, low, -problem.upper), under=_pair_above(-high, -low, problem.lower),
+            slack=slack, negative_slack=negative,
+        )
+
+    def inflation(self, weights: Weights, y: FloatVector | None = None) -> FloatVector:
+        """Return t ≥ 0, a number a part, with Φ(y + t v) ≤ y + t v; y = 0 by default.
+
+        Returned is that of each row's part, shape (own,), or (1,) for all of one part.
+        """
+        minus_product = None if y is None else _minus_comparison(self.problem, y)
+
+        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
+            if y is not None:
+                outside, direct, w = sum_above(outside, -y), sum_above(direct, -y), sum_above(w, minus_product)
+            within = np.minimum(quotient_above(direct, weights.low), quotient_above(w, weights.margin))
+            largest: FloatVector = np.maximum(quotient_above(outside, weights.low), within)
+            return largest
+
+        sides = side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)
+        largest = largest_of_parts(self.problem, np.maximum(np.maximum(*sides), 0.0))
+        inflated: FloatVector = for_each_row(self.problem, np.where(np.isnan(largest), np.inf, largest))
+        return inflated
+
+    def image(self, y: FloatVector) -> FloatVector:
+        """Return Φ(y), shape (n,)."""
+        above, below = self._linear(y)
+        image = np.maximum(
+            np.maximum(self.over, np.minimum(self.above, above)),
+            np.maximum(self.under, np.minimum(self.below, below)),
+        )
+        return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
+
+    def branches(self, y: FloatVector) -> Branches:
+        """Return which piece of Φ is active in each row at y."""
+        above, below = self._linear(y)
+        positive = np.maximum(self.over, np.minimum(self.above, above))
+        negative = np.maximum(self.under, np.minimum(self.below, below))
+        is_positive = positive >= negative
+        value = np.maximum(positive, negative)
+        linear = np.where(is_positive, positive == above, negative == below) & (value > 0.0)
+        slack = np.where(is_positive, self.slack, self.negative_slack)
+        return Branches(linear, np.where(linear, slack, np.maximum(value, 0.0)))
+
+    def classified(self, y: FloatVector) -> tuple[BoolVector, BoolVector]:
+        """Return (active, inactive) as far as |e| ≤ y proves it: z*_i equals a bound; it lies strictly between them.
+
+        Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
+        """
+        inactive = (sum_above(self.under, y) < 0.0) & (sum_above(self.over, y) < 0.0)
+        is_exact = (y == 0.0) & (self.low == 0.0)
+        at_bound = is_exact & ((self.high == self.problem.lower) | (self.high == self.problem.upper))
+        return self.held(y) | at_bound, inactive
+
+    def held(self, y: FloatVector) -> BoolVector:
+        """Return the rows at a bound as far as |e| ≤ y proves that w*_i ≠ 0 holds them there, or both are equal."""
+        problem = self.problem
+        coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
+
+        def forced(direct: FloatVector, negative_slack: FloatVector) -> BoolVector:
+            direct_part = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
+            return sum_above(negative_slack, sum_above(direct_part, coupling)) < 0.0
+
+        is_forced = forced(self.above, self.negative_slack) | forced(self.below, self.slack)
+        held: BoolVector = is_forced | (problem.lower == problem.upper)
+        return held
+
+    def distance(self, z: FloatVector) -> FloatVector:
+        """Return an upper bound of |z − (high + low)|, shape (n,)."""
+        return distance_above(self.high, self.low, z)
+
+    def _linear(self, y: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return (±w + |B|y)/d as y + (±w − ⟨M⟩y)/d."""
+        minus_product, diagonal = _minus_comparison(self.problem, y), self.problem.diagonal
+
+        def solved(w: FloatVector) -> FloatVector:
+            return sum_above(y, quotient_above(sum_above(w, minus_product), diagonal))
+
+        return solved(self.slack), solved(self.negative_slack)
+
+
+def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> FloatVector:
+    """Return an upper bound of |z − (high + low)|, shape (n,)."""
+    forward = sum_above(sum_above(z, -high), -low)
+    return np.maximum(forward, sum_above(sum_above(-z, high), low))
+
+
+def _minus_comparison(problem: LCP, y: FloatVector) -> FloatVector:
+    """Return an upper bound of −⟨M⟩y."""
+    value, radius = comparison_product(problem.matrix.csr_rows, problem.matrix.whole(y))
+    return sum_above(-value, radius)
+
+
+def _pair_above(high: FloatVector, low: FloatVector, bound: FloatVector) -> FloatVector:
+    return sum_above(sum_above(high, bound), low)
+
+
+def _slack_of_pair(problem: LCP, high: FloatVector, low: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return upper bounds of w and −w at high + low; w is small beside its parts."""
+    matrix = problem.matrix
+    first, rest, radius = compensated_pair(matrix.csr_rows, matrix.whole(high), problem.q)
+    second, second_radius = compensated_product(matrix.csr_rows, matrix.whole(low))
+    total_radius = sum_above(radius, second_radius)
+
+    def end(sign: float) -> FloatVector:
+        return sum_above(sum_above(sum_above(sign * first, sign * second), sign * rest), total_radius)
+
+    return end(1.0), end(-1.0)
+
+
+class NearPoint(NamedTuple):
+    """A point ẑ = high + low near the solution, and a bound y of its own error; each of shape (n,)."""
+
+    high: FloatVector
+    low: FloatVector
+    y: FloatVector
+
+    def bound(self, z: FloatVector) -> FloatVector:
+        """Return |z − ẑ| + y ≥ |z − z*|; ∞ where z is not finite."""
+        with np.errstate(all="ignore"):
+            bound = sum_above(distance_above(self.high, self.low, z), self.y)
+        return np.where(np.isnan(bound), np.inf, bound)
+
+
+class ActiveSetSteps:
+    """Steps of the active-set method on one problem; a factorisation serves as long as the free set stays.
+
+    Attributes
+    ----------
+    system : FreeSystem
+        That of the last step; at first that of another problem with the same M, if one is given.
+    """
+
+    def __init__(
+        self, problem: LCP, scale: FloatVector, *, goal: float = KRYLOV_GOAL, system: FreeSystem | None = None
+    ) -> None:
+        self.problem, self.scale, self.goal = problem, scale, goal
+        self.system = system or FreeSystem(problem.matrix, np.zeros(problem.n, np.bool_))
+
+    def next_point(self, at: RowInequality) -> RowInequality | None:
+        """Return the inequality at the next point, or None where the step is not finite."""
+        problem = self.problem
+        w, on_lower, free = self._sides(at)
+        bound = np.where(on_lower, problem.lower, problem.upper)
+        delta = np.where(free, 0.0, (bound - at.high) - at.low)
+        if not np.array_equal(free, self.system.free):
+            self.system = FreeSystem(problem.matrix, free)
+        solution = self.system.solve(-(w + problem.csr @ delta), goal=self.goal)
+        if solution is None:
+            return None
+        delta += solution
+        if not np.isfinite(delta).all():
+            return None
+        high = at.high + delta
+        part = high - at.high
+        low = (at.high - (high - part)) + (delta - part) + at.low
+        return RowInequality.at(problem, np.where(free, high, bound), np.where(free, low, 0.0))
+
+    def is_settled(self, at: RowInequality) -> bool:
+        """Return whether the point, that of the last step, has the free rows of that step."""
+        return np.array_equal(self._sides(at)[2], self.system.free)
+
+    def _sides(self, at: RowInequality) -> tuple[FloatVector, BoolVector, BoolVector]:
+        """Return w, the rows that it holds at their lower bounds, and those that are free."""
+        w = 0.5 * (at.slack - at.negative_slack)
+        step = self.scale * w  # beside a large z its own digits would be lost
+        on_lower = (at.above <= step) | (self.problem.lower == self.problem.upper)
+        return w, on_lower, ~(on_lower | (at.below <= -step))

@@ -1,0 +1,346 @@
+"""How far a point is from the solution, by what M has: a v > 0 with ⟨M⟩v > 0, or a bound of its smallest eigenvalue.
+
+**A linear system** with a block of M. Let |M_FF x| ≤ s. With ⟨M_FF⟩v ≥ u > 0 and t = max s_i/u_i, ⟨M_FF⟩|x| ≤ s ≤
+t ⟨M_FF⟩v, so that |x| ≤ t v; a v of M serves each of its principal blocks. With λ ≤ the eigenvalues of
+C (M_FF + M_FFᵀ)/2 C, C = diag(c) > 0, λ‖C⁻¹x‖₂² ≤ xᵀM_FF x ≤ ‖C⁻¹x‖₂‖C s‖₂, so that ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ.
+
+**A complementarity problem**: by v row by row (:mod:`.row_inequality`). By λ: with e = z − z*, any S = diag(s) > 0 and
+r_i = mid(z_i − upper_i, z_i − lower_i, s_i w_i), the point z − r is the projection of z − S w to the bounds. Its
+variational inequality at z*, and that of z* at z − r, add up row by row to
+
+    (M e)_i e_i ≤ (M e)_i r_i + e_i r_i/s_i − r_i²/s_i,   hence   eᵀM e ≤ eᵀ(Mᵀ + S⁻¹) r,
+
+and in the unit of C that is ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ: never more than (1 + ‖M‖)‖r‖/λ where S = C = I, and much
+less where r is smooth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector
+from ...core.kernels.floats import TINY, UNIT
+from ...core.lcp import LCP
+from ...core.matrix.equilibration import Exponents, scaled, unit_diagonal
+from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.structure import Parts, parts
+from ...core.rounding import compensated_product, gamma
+from ...systems.factors import PositiveFactor, factor_fits, positive_factor
+from ...systems.free_systems import FreeSystem
+from ..exact.upward import product_above, quotient_above, sum_above
+from ..verdicts import Weights, comparison_weights
+from ..verdicts.verdicts import eigenvalue_proven
+from .row_inequality import NearPoint, RowInequality
+
+DENSE_UP_TO = 3000
+SPARSE_UP_TO = 30_000
+INVERSE_ITERATIONS = 30
+SHARES = (0.95, 0.5, 0.1)
+OUTWARD = 1.0 + 2.0**-36  # more than what rounds in sums of 2 · SPARSE_UP_TO terms of one sign
+UNDERFLOW = 1e-290  # far more than all that underflows in a factorisation of a matrix of unit size
+
+
+class EigenvalueBound(NamedTuple):
+    """λ ≤ the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(scale), powers of two; an estimate if not rigorous."""
+
+    value: float
+    scale: FloatVector
+    is_rigorous: bool
+
+
+@dataclass(frozen=True, eq=False)
+class HPlusBounds:
+    """What ⟨M⟩v > 0 says, v > 0 and M with a positive diagonal; on ranks the weights are the own parts."""
+
+    matrix: Matrix
+    weights: Weights
+
+    method: ClassVar[str] = "v-certificate"
+    kind: ClassVar[str] = "rigorous"
+
+    def of_solution(self, size: FloatVector) -> FloatVector:
+        """Return a bound of |x| for every x with |M x| ≤ size, shape (own,)."""
+        share = quotient_above(size, self.weights.margin).max(initial=0.0)
+        return product_above(np.float64(self.matrix.communicator.largest(float(share))), self.weights.high)
+
+    def of_error(self, at: RowInequality, y: FloatVector | None = None) -> FloatVector:
+        """Return a bound of |z − z*|, shape (own,); the least y + t v that is one."""
+        inflated = product_above(at.inflation(self.weights, y), self.weights.high)
+        return inflated if y is None else sum_above(y, inflated)
+
+
+@dataclass(frozen=True, eq=False)
+class DefiniteBounds:
+    """What λ ≤ the eigenvalues of C (M + Mᵀ)/2 C says; nothing is proved where λ is an estimate."""
+
+    eigenvalue: EigenvalueBound
+
+    method: ClassVar[str] = "2-norm, λ_min"
+
+    @property
+    def kind(self) -> str:
+        """Whether it is a proof: "rigorous" or "estimate"."""
+        return "rigorous" if self.eigenvalue.is_rigorous else "estimate"
+
+    def of_solution(self, size: FloatVector) -> FloatVector:
+        """Return a bound of |x| for every x with |M x| ≤ size, shape (n,)."""
+        return norm_bound(size, self.eigenvalue)
+
+    def of_error(self, at: RowInequality) -> FloatVector:
+        """Return a bound of |z − z*|, shape (n,)."""
+        y = two_norm_bound(at.problem, at, self.eigenvalue)
+        return np.minimum(y, at.image(y))
+
+
+def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
+    """Return what bounds errors by this M; None where it is neither proven H₊ nor found to be positive definite.
+
+    On ranks only H₊-matrices are looked for.
+    """
+    is_positive = matrix.communicator.everywhere(bool((matrix.diagonal > 0.0).all()))
+    found = comparison_weights(matrix) if is_positive else None
+    if found is not None:
+        return HPlusBounds(matrix, found)
+    eigenvalue = smallest_eigenvalue_bound(matrix) if matrix.communicator.is_alone else None
+    return None if eigenvalue is None else DefiniteBounds(eigenvalue)
+
+
+def _of_solution(matrix: Matrix, size: FloatVector) -> FloatVector:
+    bounds = bounds_of(matrix)
+    is_proved = bounds is not None and bounds.kind == "rigorous"
+    return bounds.of_solution(size) if bounds is not None and is_proved else np.full(size.size, np.inf)
+
+
+@fact
+def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
+    """Return a lower bound of the smallest eigenvalue of M's symmetric part in equilibrated units, kept with M.
+
+    Returns
+    -------
+    EigenvalueBound or None
+        None where no positive bound can be proven and no positive estimate be had.
+
+    Notes
+    -----
+    C (M + Mᵀ)/2 C less a share of its smallest eigenvalue is factorised; that the factorisation succeeds proves a
+    bound, less the margin for its rounding. Dense: LAPACK's Cholesky, n ≤ 3000. Sparse: LU with diagonal pivots,
+    n ≤ 30 000, where its fill is bounded. Larger: Lanczos, an estimate. Where none of them finds one, what the verdict
+    on M rests on bounds it.
+
+    References
+    ----------
+    S. M. Rump, *Verification of positive definiteness*, BIT 46 (2006), doi:10.1007/s10543-006-0056-1.
+
+    Examples
+    --------
+    >>> bound = smallest_eigenvalue_bound(Matrix([[4.0, 2.0], [2.0, 4.0]]))
+    >>> 0.45 < bound.value <= 0.5 and bound.is_rigorous
+    True
+    """
+    diagonal = matrix.diagonal
+    if not (diagonal > 0.0).all() or matrix.n == 0:
+        return None
+    exponents = unit_diagonal(diagonal)
+    scale = np.ldexp(1.0, exponents.row)
+    is_dense = matrix.is_dense or matrix.n <= 200
+    is_dense = is_dense and matrix.n <= DENSE_UP_TO
+    part, blur = _symmetric_part(matrix.csr.toarray() if is_dense else matrix.csr, exponents)
+    if not np.isfinite(blur):
+        return None
+    is_rigorous = is_dense or (matrix.n <= SPARSE_UP_TO and factor_fits(part))
+    value = _proven_bound(part, blur) if is_rigorous else _lanczos_estimate(part)
+    if value is None:
+        value, is_rigorous = eigenvalue_proven(matrix, exponents.row), True
+    return None if value is None else EigenvalueBound(value, scale, is_rigorous)
+
+
+def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
+    """Return y with |z − z*| ≤ y, shape (n,), where `eigenvalue` holds."""
+    inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
+    # Two ends of each r_i; where z_i sits on a bound that w_i keeps it at, they are the same whatever rounds in w_i.
+    residual = np.minimum(np.maximum(quotient_above(at.slack, inverse_step), at.over), at.above)
+    negative = np.maximum(np.minimum(quotient_above(at.negative_slack, inverse_step), at.below), at.under)
+    blur = np.maximum(sum_above(residual, negative), 0.0)
+    if not (residual.any() or blur.any()):
+        return np.zeros(problem.n)
+    transpose = problem.matrix.transpose
+    value, radius = compensated_product(transpose, residual, residual * inverse_step)
+    absolute = absolute_transpose(problem.matrix)
+    blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
+    size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
+    return norm_bound(sum_above(size, 4.0 * TINY), eigenvalue, parts(problem.matrix))  # products may have underflowed
+
+
+def norm_bound(size: FloatVector, eigenvalue: EigenvalueBound, several: Parts | None = None) -> FloatVector:
+    """Return c_i ‖C s‖₂/λ, rounded up, shape (n,), of each part: |x| is no larger where ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ there."""
+    scale = eigenvalue.scale
+    scaled = product_above(scale, size)
+    norm = np.asarray(norm_above(scaled) if several is None else _norms_above(scaled, several)[several.labels])
+    bound = product_above(scale, quotient_above(norm, np.float64(eigenvalue.value)))
+    return np.where(np.isnan(bound), np.inf, bound)
+
+
+def norm_above(x: FloatVector) -> np.float64:
+    """Return a double above ‖x‖₂ for x ≥ 0, whatever underflows."""
+    largest = np.float64(x.max(initial=0.0))
+    if largest == 0.0 or not np.isfinite(largest):
+        return largest
+    unit = np.exp2(np.floor(np.log2(largest)))
+    squares = float(np.sum((x / unit) ** 2)) * OUTWARD + x.size * UNDERFLOW
+    return np.float64(unit * np.sqrt(squares) * OUTWARD)
+
+
+def _norms_above(x: FloatVector, several: Parts) -> FloatVector:
+    """Return the same of each part, shape (parts,)."""
+    largest = several.largest(x)
+    is_usual = (largest > 0.0) & np.isfinite(largest)
+    unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))
+    squares = np.bincount(several.labels, (x / unit[several.labels]) ** 2, several.count) * OUTWARD + x.size * UNDERFLOW
+    norms: FloatVector = np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
+    return norms
+
+
+@fact
+def absolute_transpose(matrix: Matrix) -> sp.csr_array:
+    """Return |Mᵀ|, shape (n, n)."""
+    return abs(matrix.transpose)
+
+
+def _symmetric_part(M: Any, exponents: Exponents) -> tuple[Any, float]:
+    """Return C (M + Mᵀ)/2 C and how far rounding moved its eigenvalues at most, ∞ where it overflows."""
+    even = scaled(M, exponents)
+    part = 0.5 * (even + even.T)
+    size = float(abs(part).sum(axis=1).max())
+    return part, 2.0 * UNIT * size + part.shape[0] * UNDERFLOW
+
+
+def _proven_bound(part: Any, blur: float) -> float | None:
+    """Return a share of the smallest eigenvalue that is proven to be below it, the largest of some, or None."""
+    factor = positive_factor(part)
+    if factor is None:
+        return None
+    estimate = _inverse_iteration(factor.solve, part)
+    identity = (sp.eye_array if sp.issparse(part) else np.eye)(part.shape[0])
+    for share in SHARES:
+        shift = share * estimate
+        shifted = part - shift * identity
+        factor = positive_factor(shifted)
+        if factor is not None:
+            rounding = _rounding(shifted, factor) + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
+            value = (shift - rounding - blur) / OUTWARD
+            if value > 0.0:
+                return float(value)
+    return None
+
+
+def _rounding(matrix: Any, factor: PositiveFactor) -> float:
+    """Return how far from a semidefinite matrix one is that was factorised: Cholesky's bound, or what is measured."""
+    if factor.superlu is not None:
+        return _factor_error(factor.superlu)
+    n = matrix.shape[0]
+    trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
+    return float(1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW)
+
+
+def _factor_error(factor: Any) -> float:
+    """Return a bound of ‖A − L D Lᵀ‖₂, D = diag(U) > 0: A is that near to a semidefinite matrix.
+
+    |A − L U| ≤ γ_k |L||U| for k terms a row, and U − D Lᵀ, rounding only, is measured.
+    """
+    L, U = abs(factor.L), abs(factor.U)
+    n = L.shape[0]
+    terms = int(max(np.diff(L.tocsr().indptr).max(), np.diff(U.tocsc().indptr).max())) + 2
+    product = factor.L @ sp.diags_array(factor.U.diagonal())
+    asymmetry = abs(factor.U - product.T) + 2.0 * UNIT * (U + abs(product.T))
+    ones = np.ones(n)
+    by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
+    return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
+
+
+def _inverse_iteration(solve: Any, part: Any) -> float:
+    """Return the Rayleigh quotient of a vector near the lowest eigenvector; an upper bound but for rounding."""
+    x = np.random.default_rng(0).standard_normal(part.shape[0])
+    for _ in range(INVERSE_ITERATIONS):
+        x /= np.linalg.norm(x)
+        x = solve(x)
+    return float(x @ (part @ x) / (x @ x))
+
+
+def _lanczos_estimate(part: Any) -> float | None:
+    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+
+    start = np.random.default_rng(0).standard_normal(part.shape[0])
+    try:
+        value = float(eigsh(part, k=1, which="SA", tol=0.05, maxiter=300, v0=start, return_eigenvectors=False)[0])
+    except ArpackNoConvergence:
+        return None
+    return 0.9 * value if value > 0.0 else None
+
+
+@np.errstate(all="ignore")
+def block_solution_bound(system: FreeSystem, size: FloatVector) -> FloatVector:
+    """Return a bound on the free rows of |x| for every x with |M_FF x| ≤ size_F, shape (n,).
+
+    ∞ where M_FF is neither proven an H₊-matrix nor proven to have a positive definite symmetric part; on ranks the
+    whole of M must be an H₊-matrix.
+
+    Parameters
+    ----------
+    size : array, shape (n,)
+        Not negative; on ranks the own part.
+
+    Examples
+    --------
+    >>> system = FreeSystem(Matrix([[2.0, 1.0], [1.0, 2.0]]), np.array([True, True]))
+    >>> block_solution_bound(system, np.array([1.0, 0.0])) >= [2 / 3, 1 / 3]
+    array([ True,  True])
+    """
+    if not system.matrix.communicator.is_alone:
+        return _of_solution(system.matrix, np.where(system.free, size, 0.0))
+    bound = np.zeros(size.size)
+    if system.rows.size:
+        bound[system.free] = _of_solution(system.principal, size[system.free])
+    return bound
+
+
+@np.errstate(all="ignore")
+def block_error_bound(
+    system: FreeSystem, x: FloatVector, b: FloatVector, A: Any | None, z: NearPoint
+) -> FloatVector:
+    """Return a bound of |x − x*|, shape (n,), where (M x* + A z* + b)_F = 0 and x* = x elsewhere.
+
+    Parameters
+    ----------
+    x, b : array, shape (n,)
+        On ranks the own parts.
+    A : array or CSR array, shape (n, n), or None
+    z : NearPoint
+        z* is no farther from it than its own bound.
+
+    Examples
+    --------
+    >>> system = FreeSystem(Matrix([[2.0, 1.0], [1.0, 2.0]]), np.array([True, False]))
+    >>> z = NearPoint(np.ones(2), np.zeros(2), np.zeros(2))
+    >>> block_error_bound(system, np.array([1.5, 0.0]), np.zeros(2), -4.0 * np.eye(2), z) >= [0.5, 0.0]
+    array([ True,  True])
+    """
+    matrix, blur = system.matrix, np.zeros(x.size)
+    terms = [(matrix.csr_rows, matrix.whole(x), b)]
+    if A is not None:
+        blur = _sum_bound([(sp.csr_array(abs(A)), z.y, blur)], blur)
+        terms += [(sp.csr_array(A), part, np.zeros(x.size)) for part in (z.high, z.low)]
+    return np.where(system.free, block_solution_bound(system, _sum_bound(terms, blur)), 0.0)
+
+
+def _sum_bound(terms: list[tuple[Any, FloatVector, FloatVector]], blur: FloatVector) -> FloatVector:
+    """Return an upper bound of |Σ (A x + b)| + blur, shape (n,), for terms (A, x, b), A as CSR."""
+    high = low = np.zeros(blur.size)
+    for A, x, b in terms:
+        value, radius = compensated_product(A, x, b)
+        high, low, blur = sum_above(high, value), sum_above(low, -value), sum_above(blur, radius)
+    bound = sum_above(np.maximum(high, low), blur)
+    return np.where(np.isnan(bound), np.inf, bound)

@@ -1,0 +1,359 @@
+"""Exact linear algebra: signs of minors by elimination without fractions, solutions by p-adic lifting.
+
+Doubles are dyadic numbers: a power of two makes a row integers and changes no sign of a principal minor. Elimination
+without fractions (Bareiss) keeps them integers, each a minor of the matrix it began with.
+
+References
+----------
+E. H. Bareiss, *Sylvester's identity and multistep integer-preserving Gaussian elimination*, Math. Comp. 22 (1968),
+doi:10.1090/S0025-5718-1968-0226829-0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.deadline import is_over
+from .rational import ZERO, Row, Vector, integers, products
+
+EXACT_SIZE = 10  # rows; minors of doubles are long numbers
+MOST_UNKNOWNS = 600
+MOST_ENTRIES = 4_000_000
+MOST_BITS = 24_000  # digits of a block's determinant, about: some seconds
+# Below 2^25, so that 2^13 products add up in 64 bits; a matrix singular modulo all three is taken for singular.
+PRIMES = (33554393, 33554383, 33554371)
+LIMB = 22
+
+Integers = NDArray[np.int64]
+IntegerRows = Sequence[Sequence[int]]
+Rows = list[list[int]]
+
+
+# --- Signs of minors ----------------------------------------------------------------------
+
+
+def exact_rows(M: Any) -> Rows:
+    """Return the entries of a CSR array as integers, each row times a power of two."""
+    return [_shortened(row) for row in _whole(M)]
+
+
+def exact_comparison(M: Any) -> Rows:
+    """Return ⟨M⟩ as integers, each row times a power of two."""
+    rows = exact_rows(M)
+    return [[abs(entry) if i == j else -abs(entry) for j, entry in enumerate(row)] for i, row in enumerate(rows)]
+
+
+def exact_symmetric_part(M: Any) -> Rows:
+    """Return M + Mᵀ as integers, each row times a power of two."""
+    rows = _whole(M)
+    return [_shortened([entry + rows[j][i] for j, entry in enumerate(row)]) for i, row in enumerate(rows)]
+
+
+def _whole(M: Any) -> Rows:
+    """Return the entries of a CSR array as integers, all of them times one power of two."""
+    entries, _ = integers(M.toarray().ravel())
+    width = max(M.shape[1], 1)
+    return [entries[first : first + width] for first in range(0, len(entries), width)]
+
+
+def _shortened(row: list[int]) -> list[int]:
+    zeros = min(((entry & -entry).bit_length() - 1 for entry in row if entry), default=0)
+    return [entry >> zeros for entry in row]
+
+
+def has_positive_pivots(matrix: Rows) -> bool:
+    """Return whether elimination without exchanges meets positive pivots only.
+
+    For a symmetric matrix that means positive definite, for a Z-matrix a nonsingular M-matrix.
+    """
+    before = 1
+    while matrix:
+        pivot = matrix[0][0]
+        if pivot <= 0:
+            return False
+        matrix, before = eliminated(matrix, before), pivot
+    return True
+
+
+def has_nonnegative_pivots(matrix: Rows) -> bool:
+    """Return whether a symmetric matrix is positive semidefinite: a pivot of zero has nothing beside it."""
+    before = 1
+    while matrix:
+        pivot = matrix[0][0]
+        if pivot < 0 or (pivot == 0 and any(matrix[0])):
+            return False
+        matrix, before = (eliminated(matrix, before), pivot) if pivot else (_without_first(matrix), before)
+    return True
+
+
+def has_positive_minors(matrix: Rows, before: int = 1) -> bool:
+    """Return whether all principal minors are positive; `before` is the pivot eliminated last."""
+    if not matrix:
+        return True
+    pivot = matrix[0][0]
+    if pivot <= 0:
+        return False
+    return has_positive_minors(_without_first(matrix), before) and has_positive_minors(
+        eliminated(matrix, before), pivot
+    )
+
+
+def eliminated(matrix: Rows, before: int) -> Rows:
+    """Return the Schur complement of the first pivot times that pivot, all of it divided by the pivot before."""
+    top = matrix[0]
+    return [
+        [(top[0] * entry - row[0] * above) // before for entry, above in zip(row[1:], top[1:], strict=True)]
+        for row in matrix[1:]
+    ]
+
+
+def _without_first(matrix: Rows) -> Rows:
+    return [row[1:] for row in matrix[1:]]
+
+
+# --- Solutions ----------------------------------------------------------------------------
+
+
+def modulo(A: IntegerRows, prime: int) -> Integers:
+    """Return A modulo the prime, shape (m, k)."""
+    return np.array([[a % prime for a in row] for row in A], dtype=np.int64).reshape(len(A), -1)
+
+
+def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
+    """Return row and column indices of a largest nonsingular square block, first rows first (modulo a prime).
+
+    The block is nonsingular for certain; that no larger one exists is only as good as the prime.
+
+    Examples
+    --------
+    >>> rank_profile([[0, 0, 2], [0, 0, 4], [1, 0, 0]])
+    ([0, 2], [2, 0])
+    """
+    prime = PRIMES[0]
+    work = modulo(A, prime)
+    rows, columns = [], []
+    for i in range(work.shape[0]):
+        nonzero = np.flatnonzero(work[i])
+        if not nonzero.size:
+            continue
+        j = int(nonzero[0])
+        rows.append(i)
+        columns.append(j)
+        factors = work[i + 1 :, j] * pow(int(work[i, j]), -1, prime) % prime
+        touched = np.flatnonzero(factors)
+        below = work[i + 1 :]
+        below[touched] = (below[touched] - factors[touched, None] * work[i]) % prime
+    return rows, columns
+
+
+def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
+    """Return the solution of A x = b in fractions, or None where A is singular (modulo three primes).
+
+    None too where the time limit of a run passes meanwhile.
+
+    Parameters
+    ----------
+    A : sequence of rows of integers, shape (k, k)
+    b : sequence of integers, shape (k,)
+
+    Notes
+    -----
+    One inverse modulo a prime p, then one digit of x in base p for two products with k × k matrices; what comes out is
+    checked by A x = b before it is returned.
+
+    References
+    ----------
+    J. D. Dixon, *Exact solution of linear equations using p-adic expansions*, Numer. Math. 40 (1982),
+    doi:10.1007/BF01459082.
+
+    Examples
+    --------
+    >>> solve_exactly([[2, 1], [1, 3]], [1, 0])
+    [Fraction(3, 5), Fraction(-1, 5)]
+    """
+    if not A:
+        return []
+    for prime in PRIMES:
+        inverse = _inverse(modulo(A, prime), prime)
+        if inverse is not None:
+            return _lifted(A, b, inverse, prime)
+    return None
+
+
+def _inverse(matrix: Integers, prime: int) -> Integers | None:
+    k = len(matrix)
+    work = np.hstack([matrix, np.eye(k, dtype=np.int64)])
+    for i in range(k):
+        nonzero = np.flatnonzero(work[i:, i])
+        if not nonzero.size or is_over():
+            return None
+        work[[i, i + nonzero[0]]] = work[[i + nonzero[0], i]]
+        work[i] = work[i] * pow(int(work[i, i]), -1, prime) % prime
+        factors = work[:, i].copy()
+        factors[i] = 0
+        touched = np.flatnonzero(factors)
+        work[touched] = (work[touched] - factors[touched, None] * work[i]) % prime
+    return work[:, k:]
+
+
+def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> list[Fraction] | None:
+    limbs = _limbs(A)
+    residual = np.array([int(value) for value in b], dtype=object)
+    x = np.zeros(len(A), dtype=object)
+    modulus, digits, next_try = 1, 0, 4
+    while not is_over():
+        digit = inverse @ (residual % prime).astype(np.int64) % prime
+        residual = (residual - _product(limbs, digit)) // prime
+        x += digit.astype(object) * modulus
+        modulus *= prime
+        digits += 1
+        if digits == next_try:
+            answer = _reconstructed(x, modulus)
+            if answer is not None and _satisfies(A, b, *answer):
+                numerators, denominator = answer
+                return [Fraction(value, denominator) for value in numerators]
+            next_try = digits + max(4, digits // 2)
+    return None
+
+
+def _limbs(A: IntegerRows) -> list[Integers]:
+    """Return A in base 2^22, lowest first, so that products with digits below 2^25 add up in 64 bits."""
+    longest = max((abs(a).bit_length() for row in A for a in row), default=0)
+    mask = (1 << LIMB) - 1
+    return [
+        np.array([[(abs(a) >> shift & mask) * (1 if a >= 0 else -1) for a in row] for row in A], dtype=np.int64)
+        for shift in range(0, max(longest, 1), LIMB)
+    ]
+
+
+def _product(limbs: list[Integers], digit: Integers) -> Any:
+    total = (limbs[-1] @ digit).astype(object)
+    for limb in reversed(limbs[:-1]):
+        total = total * (1 << LIMB) + (limb @ digit)
+    return total
+
+
+def _reconstructed(x: Any, modulus: int) -> tuple[list[int], int] | None:
+    """Return small numerators and one denominator that equal x modulo the modulus, if there are any."""
+    bound = math.isqrt(modulus // 2)
+    numerators: list[int] = []
+    denominator = 1
+    for value in x:
+        rest = value * denominator % modulus
+        rest = rest - modulus if 2 * rest > modulus else rest
+        if abs(rest) > bound:
+            rest, factor = _small_fraction(rest % modulus, modulus, bound)
+            denominator *= factor
+            if denominator > bound:
+                return None
+            numerators = [numerator * factor for numerator in numerators]
+        numerators.append(rest)
+    return numerators, denominator
+
+
+def _small_fraction(value: int, modulus: int, bound: int) -> tuple[int, int]:
+    """Return r, s with r ≡ s · value and |r| ≤ bound, by Euclid's algorithm stopped half-way."""
+    r0, r1, s0, s1 = modulus, value, 0, 1
+    while r1 > bound:
+        quotient = r0 // r1
+        r0, r1, s0, s1 = r1, r0 - quotient * r1, s1, s0 - quotient * s1
+    return (r1, s1) if s1 > 0 else (-r1, -s1)
+
+
+def _satisfies(A: IntegerRows, b: Sequence[int], numerators: list[int], denominator: int) -> bool:
+    return all(
+        sum(a * x for a, x in zip(row, numerators, strict=True) if a) == denominator * value
+        for row, value in zip(A, b, strict=True)
+    )
+
+
+def solved_nearby(rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]) -> Vector | None:
+    """Return an exact solution y of rows · y = right near the guess, changed only where it may and has to be.
+
+    Parameters
+    ----------
+    rows, right
+        The equations; redundant ones are welcome.
+    guess : list of Fraction
+        Near a solution.
+    is_movable : sequence of bool
+        Which entries may change at all.
+
+    Returns
+    -------
+    list of Fraction or None
+        None where the equations contradict one another, or are too many for exact arithmetic.
+
+    Notes
+    -----
+    Equations that share no such entry are solved apart, each lot by p-adic lifting on a largest nonsingular block of
+    the entries that may change, largest ones first.
+    """
+    rest = [value - product for product, value in zip(products(rows, guess), right, strict=True)]
+    if not any(rest):
+        return list(guess)
+    movable = [{j: entry for j, entry in row.items() if is_movable[j]} for row in rows]
+    if any(value and not row for row, value in zip(movable, rest, strict=True)):
+        return None
+    solution = list(guess)
+    for lot in independent_rows(movable):
+        if any(rest[i] for i in lot):
+            change = _by_largest_block([movable[i] for i in lot], [rest[i] for i in lot], guess)
+            if change is None:
+                return None
+            for j, value in change.items():
+                solution[j] += value
+    return solution
+
+
+def independent_rows(rows: list[Row]) -> list[list[int]]:
+    """Return the numbers of the rows in lots that share no column with another; empty rows are in none.
+
+    Examples
+    --------
+    >>> independent_rows([{0: 1}, {1: 1, 2: 1}, {}, {0: 2}])
+    [[0, 3], [1]]
+    """
+    lot: dict[int, list[int]] = {}
+    for i, row in enumerate(rows):
+        met = {id(lot[j]): lot[j] for j in row if j in lot}.values()
+        # The rows of smaller lots go to the largest: each moves a few times only.
+        whole = max(met, key=len, default=[])
+        whole += [k for other in met if other is not whole for k in other]
+        whole.append(i)
+        for j in {j for other in met if other is not whole for k in other for j in rows[k]} | set(row):
+            lot[j] = whole
+    return sorted(sorted(one) for one in {id(one): one for one in lot.values()}.values())
+
+
+def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | None:
+    """Return the entries of a solution that are not 0: the unknowns of one nonsingular block."""
+    columns = sorted({j for row in rows for j in row}, key=lambda j: (-abs(guess[j]), j))
+    if min(len(rows), len(columns)) > MOST_UNKNOWNS or len(rows) * len(columns) > MOST_ENTRIES:
+        return None
+    place = {j: k for k, j in enumerate(columns)}
+    whole, common = [], math.lcm(*(value.denominator for value in right))
+    scales = [math.lcm(*(entry.denominator for entry in row.values())) for row in rows]
+    for row, scale in zip(rows, scales, strict=True):
+        whole.append([0] * len(columns))
+        for j, entry in row.items():
+            whole[-1][place[j]] = int(entry * scale)
+    if is_over():
+        return None
+    at, chosen = rank_profile(whole)
+    longest = max((abs(whole[i][k]).bit_length() for i in at for k in chosen), default=0)
+    if len(at) * longest > MOST_BITS:
+        return None
+    block = [[whole[i][k] for k in chosen] for i in at]
+    values = solve_exactly(block, [int(right[i] * scales[i] * common) for i in at])
+    if values is None:
+        return None
+    solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
+    placed = [{place[j]: entry for j, entry in row.items()} for row in rows]
+    return solution if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right else None

@@ -1,0 +1,1 @@
+"""What is proved about the convergence of a method on a matrix."""

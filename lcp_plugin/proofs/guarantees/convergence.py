@@ -1,0 +1,291 @@
+"""Which theorem makes an iteration converge, and how fast: plain facts in, a statement out.
+
+Every rate here is that of a contraction in ‖x‖_v = max |x_i|/v_i, between any two points, so that it proves existence
+and uniqueness of the solution as well. What rows do is covered by one argument for all bounds: the residual
+z − mid(lower, upper, z − S w) changes, row by row, by (1 − τ)e + τ S M e with some τ in [0, 1] (τ = 1 on a free row),
+and the projection of a component onto its bounds, which hold z*, never takes it further from z*. A bound that is
+convex in τ holds if it holds for τ = 0 and τ = 1. So boxes, free rows and the projection within a sweep cost nothing.
+
+θ = s_i m_ii, ℓ = |L|v/(d v), u = |U|v/(d v), g = β/α; L is what the sweep has already updated (a backward sweep
+exchanges L and U; a symmetric one is the product of both). The pivots p and the two cases:
+
+| family | p | τ = 0 | τ = 1 |
+|---|---|---|---|
+| projected type | θ/α + θ + 2 | g θ ℓ < 1 | θ(ℓ + u) < min(θ, θ/α + 2), 0 ≤ g ≤ 2 |
+| projected splitting, 𝓜 a part of M | 2θ + 2 | θ t < 1, t the sum of what 𝓜 takes | ℓ + u < 1 |
+| projected relaxation | 1 | – | for 0 ≤ β ≤ ω: ω(ℓ + u) < min(ω, 2 − ω) |
+| modulus (of x, z = lower + max(x, 0)) | αΩ/d + 1 | – | α(ℓ + u) < min(α, 2 − α)/2 + α min(1, 2Ω/d − 1)/2 |
+
+The last line too is for 0 ≤ β ≤ α; where α ≤ 1 it says that min(Ω, D) − |B| is an M-matrix.
+
+A sweep that updates row after row multiplies the error e = z − z* by something nonnegative, row by row:
+
+    p_i |e⁺_i|  ≤  A_i |e_i| + b_i (|L||e|)_i + u_i (|U||e|)_i + f_i (|L||e⁺|)_i
+
+with L what the sweep has already updated. Where this holds with |e| ≤ v and the right-hand side, f_i (|L|v)_i counted
+in full, is below p_i v_i, the sweep contracts in ‖x‖_v = max |x_i|/v_i, by
+
+    c = max_i (A v + b |L|v + u |U|v)_i / (p v − f |L|v)_i  <  1:
+
+if |e⁺_j| ≤ c v_j for all rows j before i, then |e⁺_i| ≤ c v_i. All |L|v and |U|v here are rows of M divided by the
+scale of the residual, so that no unit of a row can overflow them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ...core.checks import FloatVector
+from ...core.kernels.floats import EPSILON, TINY
+from ...core.lcp import LCP
+from ...core.matrix.iteration_facts import PROJECTED_RELAXATION, PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
+from ...core.matrix.row_sums import inverse_residual_scale, longest_row, row_blocks, triangle_sums
+
+ALL = slice(None)
+NEGLIGIBLE = 1e-280  # below, products may have underflowed
+Weights = FloatVector | float
+
+Sums = tuple[FloatVector, FloatVector]
+
+
+class Case(NamedTuple):
+    """One row bound: free = p − A, and the weights b + f of |L|v and u of |U|v."""
+
+    free: Weights
+    lower: Weights
+    upper: Weights
+
+
+@dataclass(frozen=True)
+class RowBound:
+    """What one sweep does to an error; every case must hold, since a row may be in any of them.
+
+    Attributes
+    ----------
+    pivot, feedback : array, shape (n,), or float
+        p and f.
+    cases : tuple of Case
+    """
+
+    pivot: Weights
+    feedback: Weights
+    cases: tuple[Case, ...]
+
+
+# --- row bounds ------------------------------------------------------------------------------------------
+
+
+def row_bound(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> RowBound:
+    """Return the bound of one sweep for these rows; L is what it has already updated (of 𝓜: what it takes)."""
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        if facts.family == PROJECTED_TYPE:
+            return _projected_type(facts, problem, rows)
+        if facts.family == PROJECTED_SPLITTING:
+            theta, weight = scaled(facts, problem, rows)
+            zero_case = Case(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
+            return RowBound(2.0 * theta + 2.0, weight, (zero_case, Case(2.0 * theta, 2.0 * weight, 2.0 * weight)))
+        alpha, beta = numbers(facts)
+        diagonal = problem.diagonal[rows]
+        per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix)[rows])
+        if facts.family == PROJECTED_RELAXATION:
+            free = min(alpha, 2.0 - alpha)
+            lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
+            return RowBound(1.0, abs(beta) * per_diagonal, (Case(free, lower, alpha * per_diagonal),))
+        omega = np.ones(diagonal.size) if facts.omega is None else facts.omega[rows] / diagonal
+        kept = min(alpha, 2.0 - alpha) + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
+        lower = (abs(alpha - beta) + alpha + abs(beta)) * per_diagonal
+        case = Case(kept, lower, 2.0 * alpha * per_diagonal)
+        return RowBound(alpha * omega + 1.0, abs(beta) * per_diagonal, (case,))
+
+
+def _projected_type(facts: IterationFacts, problem: LCP, rows: slice) -> RowBound:
+    alpha, beta = numbers(facts)
+    g = beta / alpha
+    theta, weight = scaled(facts, problem, rows)
+    zero = Case(np.minimum(2.0, 2.0 * theta / alpha + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0)
+    one = Case(
+        np.minimum(2.0 * theta, 2.0 * theta / alpha + 4.0), (abs(2.0 - g) + abs(g)) * weight, 2.0 * weight
+    )
+    return RowBound(theta / alpha + theta + 2.0, abs(g) * weight, (zero, one))
+
+
+def scaled(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> tuple[FloatVector, FloatVector]:
+    """Return (θ, s divided by what the rows of the triangle sums are scaled with), one entry a row."""
+    diagonal = problem.diagonal[rows]
+    scaling = np.ones(diagonal.size) if facts.scaling is None else facts.scaling[rows]
+    with np.errstate(all="ignore"):
+        return scaling * diagonal, scaling / inverse_residual_scale(problem.matrix)[rows]
+
+
+def numbers(facts: IterationFacts) -> tuple[float, float]:
+    """Return (α, β); (1, 1) where they are found during the run, whose theorem is that of Gauss–Seidel."""
+    return (
+        1.0 if facts.relaxation is None else float(facts.relaxation),
+        1.0 if facts.acceleration is None else float(facts.acceleration),
+    )
+
+
+def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
+    """Return the triangle sums of v that the row bound of a forward sweep asks for."""
+    if facts.family != PROJECTED_SPLITTING:
+        return triangle_sums(problem.matrix, v)
+    all_of_m = np.add(*triangle_sums(problem.matrix, v))
+    taken = np.add(*triangle_sums(problem.matrix, v, facts.splitting))
+    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (longest_row(problem.matrix) * EPSILON)
+
+
+def _directed(facts: IterationFacts, sums: Sums) -> list[Sums]:
+    """Return the sums in the order of each pass of one iteration."""
+    exchanged = sums[1], sums[0]
+    passes = {"forward": [sums], "backward": [exchanged], "symmetric": [sums, exchanged]}
+    return passes["forward" if facts.family == PROJECTED_SPLITTING else facts.sweep]
+
+
+@dataclass(frozen=True, eq=False)
+class Contraction:
+    """A proof that one iteration contracts in ‖·‖_v; `rate` is None where it rounds to 1."""
+
+    rate: float | None
+    v: FloatVector = field(repr=False)
+    is_unified: bool
+
+    @property
+    def sortable(self) -> float:
+        """The rate, or 1."""
+        return 1.0 if self.rate is None else self.rate
+
+
+def contraction(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None) -> Contraction | None:
+    """Return the proof with these weights, or None where they prove nothing.
+
+    Parameters
+    ----------
+    facts : IterationFacts
+    problem : LCP
+    v : array, shape (n,)
+        Positive.
+    sums : pair of arrays, shape (n,), optional
+        :func:`sums_for` of v, where the caller has them.
+    """
+    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+        return None  # (𝓜 + 2I + D)⁻¹ may be of any signs
+    sums = sums_for(facts, problem, v) if sums is None else sums
+    found = [_smallest_gap(facts, problem, v, order) for order in _directed(facts, sums)]
+    if not min(found) > 0.0:
+        return None
+    rates = [rate_of(gap) for gap in found]
+    rate = None if None in rates else math.prod(rate for rate in rates if rate is not None)
+    if rate is not None and len(rates) > 1:
+        rate = float(np.nextafter(rate, 2.0))
+    return Contraction(rate, v, is_unified(facts, problem, v, sums))
+
+
+def _smallest_gap(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) -> float:
+    smallest, terms = 1.0, longest_row(problem.matrix)
+    lost = underflow(v, terms)
+    for rows in row_blocks(problem.n):
+        bound = row_bound(facts, problem, rows)
+        smallest = min(smallest, float(gaps(bound, v[rows], (sums[0][rows] + lost, sums[1][rows] + lost), terms).min()))
+        if not smallest > 0.0:
+            break
+    return smallest
+
+
+def is_unified(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) -> bool:
+    """Return whether min(I, SD) − |SB| is proven an M-matrix by v, and 0 ≤ β ≤ α."""
+    if facts.family not in (PROJECTED_TYPE, PROJECTED_SPLITTING):
+        return False
+    alpha, beta = numbers(facts)
+    slop = (longest_row(problem.matrix) + 32) * EPSILON
+    lost = underflow(v, longest_row(problem.matrix))
+    for rows in row_blocks(problem.n) if 0.0 <= beta <= alpha else ():
+        theta, weight = scaled(facts, problem, rows)
+        with np.errstate(all="ignore"):
+            load = weight * (sums[0][rows] + sums[1][rows] + 2.0 * lost)
+            surplus = np.minimum(1.0, theta) * v[rows] - load - slop * (v[rows] + load)
+        if not bool(np.all(surplus > 0.0)):
+            return False
+    return 0.0 <= beta <= alpha
+
+
+def next_weights(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None) -> FloatVector:
+    """Return what |e| ≤ v may become in one sweep, shape (n,): weights with a better rate, or a refutation.
+
+    Where it is ≥ v in every row, no weights at all give a contraction.
+    """
+    sums = sums_for(facts, problem, v) if sums is None else sums
+    bound = row_bound(facts, problem)
+    grown = [growth(bound, v, order) for order in _directed(facts, sums)]
+    largest: FloatVector = np.maximum.reduce(grown)
+    return largest
+
+
+# --- gaps of a row bound, evaluated so that rounding cannot flatter them ----------------------------------
+
+
+def underflow(v: FloatVector, terms: int) -> float:
+    """Return what a difference of two triangle sums of v may have lost by underflow, `terms` entries a row."""
+    return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
+
+
+def gaps(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int) -> FloatVector:
+    """Return lower bounds of 1 − c_i, shape (n,), −∞ where nothing can be said.
+
+    Parameters
+    ----------
+    bound : RowBound
+    v : array, shape (n,)
+        Positive.
+    sums : pair of arrays, shape (n,)
+        Upper bounds of |L|v of what is already updated and |U|v of the rest but for the rounding of `terms`
+        additions; see :func:`underflow`.
+
+    Notes
+    -----
+    free = p − A is a difference of numbers no larger than p, and the sweep divides by a pivot that is rounded itself:
+    what rounding may take from it is counted relative to p.
+    """
+    updated, rest = sums
+    slop = (terms + 32) * EPSILON
+    smallest = np.full(v.size, np.inf)
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        size = bound.pivot * v
+        scale = (size - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
+        for case in bound.cases:
+            load = case.lower * updated + case.upper * rest
+            surplus = (case.free * v - load) - slop * (size + load) - NEGLIGIBLE
+            np.minimum(smallest, surplus / scale, out=smallest)
+        usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
+        smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
+    return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
+
+
+def growth(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector]) -> FloatVector:
+    """Return the bound of |e⁺| for |e| ≤ v with |e⁺| ≤ v counted in full, shape (n,): monotone and homogeneous in v.
+
+    Where it is at least v in every row, no other v gives a contraction.
+    """
+    updated, rest = sums
+    with np.errstate(all="ignore"):
+        worst = np.full(v.size, np.inf)
+        for case in bound.cases:
+            np.minimum(worst, case.free * v - case.lower * updated - case.upper * rest, out=worst)
+        grown: FloatVector = v - worst / bound.pivot
+    return grown
+
+
+def rate_of(smallest: float) -> float | None:
+    """Return an upper bound c < 1 of the contraction from the smallest gap, or None where that rounds to 1.
+
+    Examples
+    --------
+    >>> rate_of(0.5)
+    0.5000000000000001
+    """
+    rate = 1.0 - smallest
+    rate = float(np.nextafter(rate, 2.0)) if smallest < 1.0 else 0.0
+    return rate if rate < 1.0 else None

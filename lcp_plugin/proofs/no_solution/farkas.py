@@ -1,0 +1,347 @@
+"""Multipliers with which linear constraints contradict (Farkas): a linear program finds them, then they are repaired.
+
+What HiGHS returns proves nothing. It is put into the signs it must have, rounded to few digits, solved for in
+fractions; the caller says of which of these vectors there is a proof, and how large its margin is.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector
+from ...core.deadline import is_over, seconds_left
+from ...core.matrix.equilibration import evened, power_of_two, scaled
+from ..exact.linear_systems import MOST_UNKNOWNS, solved_nearby
+from ..exact.rational import ZERO, Rational, rational_rows, short
+from .linear_constraints import LinearConstraints, without_rounding
+
+AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
+NEGLIGIBLE = 1e-12
+VIOLATED = 1e-6  # of the terms of its row
+LARGEST_DENOMINATORS = (1, 100, 100_000)
+TIGHT = (1e-9, 1e-7)
+LP_TOLERANCE = 1e-9
+NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
+POLISHES = 2  # the second takes off what the first has rounded
+MOST_DENSE = 1_000_000  # entries; .1 s
+MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
+MOST = 1e5  # times the unit: what a linear program in double precision can tell from the rest
+CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
+ALIKE = 1.0 - 2.0**-40  # margins that differ by less are rounded differently
+NEAR_ENOUGH = 0.5  # of the margin that the linear program promises
+KEPT = 0.55  # of the optimum, where room is looked for: near enough in spite of rounding
+ROOM = 0.1  # of the norm of v, for all of its entries together
+
+
+
+class HasRadius(Protocol):
+    """A proof of all x up to some size."""
+
+    @property
+    def radius(self) -> float:
+        """The size."""
+
+
+Proof = TypeVar("Proof", bound=HasRadius)
+Multipliers = FloatVector | Sequence[Rational]
+
+
+@dataclass(frozen=True)
+class FarkasAnswer:
+    """Optimum and multipliers in the scale of the program, the point in the scale of the constraints."""
+
+    optimum: float
+    multipliers: FloatVector
+    point: FloatVector
+
+    @property
+    def is_contradiction(self) -> bool:
+        """Whether the constraints seem to contradict one another."""
+        return self.optimum <= -CONTRADICTION
+
+
+@dataclass(frozen=True, eq=False)
+class FarkasProgram:
+    """min qᵀy + Σ sup over the bounds of (Mᵀy)_j x_j, y of the signs that a Farkas vector needs, Σ|y_i| weight_i ≤ 1.
+
+    This is the dual of min t over lower ≤ x ≤ upper with every w_i of its sign up to weight_i t: minus the optimum is
+    the smallest miss that the signs allow, and y proves it. y = 0 is always allowed; where the constraints can be
+    satisfied the optimum is 0, and its multipliers are such an x. Rows and columns are scaled by powers of two first,
+    and so is what y is made of: v, its nonnegative parts and the multipliers of finite bounds.
+
+    Attributes
+    ----------
+    unit : float or None
+        What q and the bounds are divided by, in the scale of the program; their largest entry by default. With a
+        smaller one, what is huge beside it is cut off: the answer must be checked, as every answer here is.
+    pivots : int or None
+        A linear program that takes more has no answer.
+    """
+
+    constraints: LinearConstraints
+    unit: float | None = None
+    pivots: int | None = None
+    rows: FloatVector = field(init=False)
+    columns: FloatVector = field(init=False)
+    matrix: sp.csr_array = field(init=False)
+
+    def __post_init__(self) -> None:
+        matrix = self.constraints.matrix
+        exponents = evened(without_rounding(matrix), AIMS, 500)
+        rows, columns = (np.ldexp(1.0, side) for side in exponents)
+        for name, value in (("rows", rows), ("columns", columns), ("matrix", scaled(matrix, exponents))):
+            object.__setattr__(self, name, value)
+
+    @cached_property
+    def _scaled_unit(self) -> float:
+        asked = self.constraints
+        q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
+        sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
+        largest = float(sizes[np.isfinite(sizes)].max(initial=0.0)) if self.unit is None else self.unit
+        return float(0.5 * power_of_two(max(largest, 2.0**-900)))
+
+    def margin_of(self, optimum: float) -> float:
+        """Return the margin beside their reference, as far as an optimum of the program can be trusted."""
+        with np.errstate(all="ignore"):
+            margin = float(-optimum * self._scaled_unit / np.float64(self.constraints.reference))
+        return margin if np.isfinite(margin) else 0.0
+
+    def solve(self) -> FarkasAnswer | None:
+        """Return the optimum, or None where it took more pivots or time than there is."""
+        form = self._form
+        result = linear_program(form.cost, form.equations, 0.0, (0.0, None), (form.norm[None, :], [1.0]), self.pivots)
+        if result is None:
+            return None
+        return FarkasAnswer(float(result.fun), result.x, -result.eqlin.marginals * self._scaled_unit * self.columns)
+
+    def proof(
+        self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None],
+        margin: Callable[[Proof], float] = operator.attrgetter("margin"),
+    ) -> Proof | None:
+        """Return the first proof with half the margin that the answer promises, else the one with the largest.
+
+        One within a radius only where no other has been found.
+
+        Parameters
+        ----------
+        proven : callable
+            Gives the proof by a y in the scale of the constraints, or None where that is none.
+        margin : callable
+            Of a proof, which has a radius as well.
+        """
+        wanted, plain, within = NEAR_ENOUGH * self.margin_of(answer.optimum), list[Proof](), list[Proof]()
+        for y in self._tried(answer):
+            proof = proven(y)
+            if proof is not None:
+                (plain if proof.radius == math.inf else within).append(proof)
+            if is_over() or (plain and margin(plain[-1]) >= wanted):
+                break
+        if plain or not within:
+            return max(plain, key=margin, default=None)
+        most = max(map(margin, within))
+        return max((proof for proof in within if margin(proof) >= ALIKE * most), key=operator.attrgetter("radius"))
+
+    def _tried(self, answer: FarkasAnswer) -> Iterator[Multipliers]:
+        """Yield vectors near the answer, then near others that leave room."""
+        yield from self.candidates(self._form.vector(answer.multipliers))
+        for rooms in self._rooms:
+            roomy = self._with_room(answer, rooms)
+            if roomy is not None:
+                yield from self.candidates(self._form.vector(roomy))
+
+    def _with_room(self, answer: FarkasAnswer, rooms: sp.csr_array) -> FloatVector | None:
+        """Return v ≥ rooms · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
+
+        A vertex has as few positive multipliers as it can: where the coefficients carry rounding errors, those may
+        vanish together only, and what is proven with rounding margins wants all its inequalities to hold with room.
+        """
+        form = self._form
+        size, count = rooms.shape
+        both = sp.hstack([sp.eye_array(size), rooms], format="csc")  # v = the rest + rooms · t
+        largest = ROOM * size / (count * form.norm.sum())
+        result = linear_program(
+            np.repeat([0.0, -1.0], [size, count]), form.equations @ both, 0.0,
+            np.repeat([[0.0, np.inf], [0.0, largest]], [size, count], axis=0),
+            (np.stack([form.norm, form.cost]) @ both, [1.0, KEPT * answer.optimum]), self.pivots,
+        )
+        return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
+
+    @cached_property
+    def _rooms(self) -> list[sp.csr_array]:
+        """Which multipliers share a room: those of bounds without another opposite one room, then each its own."""
+        form = self._form
+        is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
+        shares = np.append(np.zeros(form.m), is_open)[form.place]
+        own = sp.eye_array(form.cost.size, format="csr")
+        return [sp.csr_array(shares[:, None]), own] if shares.any() else [own]
+
+    @cached_property
+    def _form(self) -> _StandardForm:
+        """The program in nonnegative parts of y and multipliers of finite bounds."""
+        asked, unit, (m, n) = self.constraints, self._scaled_unit, self.matrix.shape
+        kinds = [np.flatnonzero(kind) for kind in (
+            asked.needs_rise, asked.needs_fall, np.isfinite(asked.upper), np.isfinite(asked.lower)
+        )]
+        with np.errstate(over="ignore"):
+            q, weights = self.rows * asked.q, self.rows * asked.weights
+            values = q, q, asked.upper / self.columns, asked.lower / self.columns
+            units = weights, weights, *(weight / self.columns for weight in reversed(asked.bound_weights))
+        cost, norm = (np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)]) for side in (values, units))
+        place = np.concatenate([*kinds[:2], m + kinds[2], m + kinds[3]])
+        scale = 2.0 / power_of_two(np.clip(norm, 1.0, MOST_SHRUNK))
+        signed = np.repeat([1.0, -1.0, 1.0, -1.0], [kind.size for kind in kinds]) * scale
+        equations = sp.csc_array(sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place])
+        equations.data *= np.repeat(signed, np.diff(equations.indptr))
+        norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
+        return _StandardForm(m, place, signed, _cut_off(signed * cost, unit), equations, norm)
+
+    def unit_of_violation(self, x: FloatVector) -> float | None:
+        """Return the largest size, in the scale of the program, of a row that x leaves violated; None if none is."""
+        asked = self.constraints
+        with np.errstate(all="ignore"):
+            w = asked.matrix @ x + asked.q
+            size = abs(asked.matrix) @ np.abs(x) + np.abs(asked.q)
+            missing = np.maximum(np.where(asked.needs_rise, -w, -np.inf), np.where(asked.needs_fall, w, -np.inf))
+            violated = missing > VIOLATED * size
+            size *= self.rows
+        if not np.isfinite(size).all():  # a sum that overflows has no sign: nothing can be called feasible
+            return float(np.finfo(np.float64).max)
+        return float(size[violated].max()) if violated.any() else None
+
+    def candidates(self, y: FloatVector) -> Iterator[Multipliers]:
+        """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
+
+        With signs and negligible entries put right; then rounded to few digits; then solved for.
+        """
+        y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(initial=0.0), 0.0, y)
+        asked = self.constraints
+        y = np.clip(y, np.where(asked.needs_fall, -np.inf, 0.0), np.where(asked.needs_rise, np.inf, 0.0))
+        if not y.any():
+            return
+        y = y / np.abs(y).max()
+        unscaled = y * self.rows
+        yield unscaled / np.abs(unscaled).max()
+        kept = np.flatnonzero(np.abs(y) > NEGLIGIBLE).tolist()
+        for base in dict.fromkeys((1.0, float(np.abs(y[kept]).min()))):
+            for denominator in LARGEST_DENOMINATORS:
+                near = {i: Fraction(float(y[i]) / base).limit_denominator(denominator) for i in kept}
+                if any(near.values()):
+                    yield self._unscaled(near)
+        for tight in TIGHT:
+            repaired = self._repaired(y, tight)
+            if repaired is not None:
+                yield self._unscaled(repaired)
+        yield self._polished(y)
+
+    def _polished(self, y: FloatVector) -> FloatVector:
+        """Return the vector beside y that satisfies to rounding the equalities which y satisfies without room.
+
+        What should depend on each other is independent by rounding: singular values below that count as none.
+        """
+        support, tight = self._tight(y, TIGHT[-1])
+        if min(support.size, tight.size) <= MOST_UNKNOWNS and support.size * tight.size <= MOST_DENSE:
+            rows = self.matrix.T.tocsr()[tight][:, support].toarray()
+            for _ in range(POLISHES):
+                y = y.copy()
+                y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NEGLIGIBLE)[0]
+        unscaled: FloatVector = y * self.rows
+        return unscaled
+
+    def _unscaled(self, entries: dict[int, Fraction]) -> list[Fraction]:
+        y = [ZERO] * self.rows.size
+        for i, value in entries.items():
+            y[i] = value * Fraction(float(self.rows[i]))
+        return y
+
+    def _repaired(self, y: FloatVector, tight: float) -> dict[int, Fraction] | None:
+        """Return the vector beside y that satisfies exactly the (in)equalities which y satisfies without room."""
+        support, equalities = self._tight(y, tight)
+        if min(support.size, equalities.size) > MOST_UNKNOWNS:
+            return None
+        columns = rational_rows(self.matrix.T.tocsr()[equalities][:, support])
+        # Any nearby value will do: short ones keep the exact solve short.
+        exact = solved_nearby(columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * support.size)
+        return None if exact is None else dict(zip(support.tolist(), exact, strict=True))
+
+    def _tight(self, y: FloatVector, tight: float) -> tuple[Any, Any]:
+        """Return which entries of y are not 0, and at which open columns Mᵀy has no room."""
+        size = abs(self.matrix).T @ np.abs(y)
+        is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
+        is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
+        return np.flatnonzero(np.abs(y) > tight), np.flatnonzero(is_tight)
+
+
+@dataclass(frozen=True)
+class _StandardForm:
+    """min costᵀv, equations · v = 0, norm · v ≤ 1, v ≥ 0.
+
+    Attributes
+    ----------
+    m : int
+        Number of rows of the asked.
+    place : array of int
+        The row that each entry of v is a part of the multiplier of, or m + the unknown with that bound.
+    signed : array
+        What v is times as such a part.
+    """
+
+    m: int
+    place: Any
+    signed: FloatVector
+    cost: FloatVector
+    equations: Any
+    norm: FloatVector
+
+    def vector(self, v: FloatVector) -> FloatVector:
+        """Return y, shape (m,)."""
+        y: FloatVector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(np.float64)
+        return y
+
+
+def _cut_off(values: FloatVector, unit: float) -> FloatVector:
+    """Return values / unit, finite ones at most MOST in size."""
+    with np.errstate(over="ignore"):
+        cut: FloatVector = np.where(np.isinf(values), values, np.clip(values / unit, -MOST, MOST))
+    return cut
+
+
+def linear_program(
+    cost: FloatVector, equations: Any, right: FloatVector | float, bounds: Any, at_most: tuple[Any, Any],
+    pivots: int | None = None,
+) -> Any:
+    """Return what HiGHS makes of min costᵀv, equations · v = right, rows · v ≤ limits; None where it has no optimum.
+
+    Parameters
+    ----------
+    bounds : one pair, or a sequence of pairs
+        Of v.
+    at_most : pair
+        Rows and limits.
+    pivots : int, optional
+        The most there may be; a time limit of the run holds too.
+    """
+    from scipy.optimize import linprog
+
+    if not cost.size or not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
+        return None
+    options: dict[str, Any] = {
+        "presolve": True, "primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE,
+    }
+    if pivots is not None:
+        options["maxiter"] = pivots
+    if math.isfinite(left := seconds_left()):
+        options["time_limit"] = left
+    result = linprog(
+        cost, A_ub=at_most[0], b_ub=at_most[1], A_eq=equations, b_eq=np.broadcast_to(right, equations.shape[0]),
+        bounds=bounds, method="highs", options=options,
+    )
+    return result if result.status == 0 else None

@@ -1,0 +1,372 @@
+"""How it is found out that a problem has no solution: by its linear constraints, chains of forced rows, trees of cases.
+
+The linear constraints: whether some z within the bounds has a w of the signs that they permit; a look at each row, then
+a linear program. A chain: rows whose slack has one sign force their z to a bound; followed to the end, that may
+contradict. A tree: every case of the complementarity conditions, each closed by a Farkas vector of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Any, Literal
+
+import numpy as np
+
+from ...core.certificates.criterion import CommonUnits, RowUnits, reference_residual
+from ...core.checks import FloatVector
+from ...core.errors import InvalidOption
+from ...core.kernels.floats import EPSILON, TINY
+from ...core.lcp import LCP
+from ...core.matrix.structure import IntVector, row_numbers
+from ...systems.graph import compressed_rows
+from ..exact.rational import Rational
+from .linear_constraints import DECISIVE, LinearConstraints, activity
+from .refutation import (
+    LOWER,
+    SLACKLESS,
+    UPPER,
+    Choices,
+    Closing,
+    Infeasibility,
+    Refutation,
+    in_other_units,
+    row_choices,
+)
+
+Verdict = Literal["infeasible", "feasible", "undecided"]
+
+DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
+UNITS_TRIED = 3
+MOST_PASSES = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Feasibility:
+    """What is known about the linear constraints of a problem.
+
+    Attributes
+    ----------
+    verdict : str
+        "infeasible" (proven), "feasible" (up to the rounding of the linear program: `point`) or "undecided".
+    proof : Infeasibility or None
+    point : ndarray or None, shape (n,)
+        Within the bounds, with w of the permitted signs up to rounding.
+    reason : str
+        A clause for the story of a run.
+    """
+
+    verdict: Verdict
+    proof: Infeasibility | None = None
+    point: FloatVector | None = field(default=None, repr=False)
+    reason: str = ""
+
+
+@np.errstate(all="ignore")
+def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feasibility:
+    """Return whether the linear constraints can be satisfied, with the proof that they cannot or a point that does.
+
+    Without a solution of its linear constraints a problem has none; a monotone one (M positive semidefinite) that can
+    satisfy them has one. Of the proofs, one with nearly the largest margin is looked for.
+
+    Parameters
+    ----------
+    effort_limit : int, optional
+        Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
+
+    Raises
+    ------
+    InvalidOption
+        Where the limit is no whole number ≥ 0.
+
+    Examples
+    --------
+    >>> decide_feasibility(LCP([[0, 1], [-1, 0]], [-1, 2])).verdict
+    'feasible'
+    >>> proof = decide_feasibility(LCP([[-1, 0], [0, 1]], [-1, 2])).proof
+    >>> print(proof)
+    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
+    >>> proof.verify(), round(proof.margin, 9)
+    (True, 1.0)
+    """
+    if effort_limit is None:
+        effort_limit = DEFAULT_EFFORT // max(problem.n, 400)
+    if isinstance(effort_limit, bool) or not isinstance(effort_limit, (int, np.integer)) or effort_limit < 0:
+        raise InvalidOption(f"effort_limit must be a whole number of pivots, at least 0, got {effort_limit!r}")
+    if problem.n == 0:
+        return Feasibility("feasible", point=np.zeros(0), reason="nothing to satisfy")
+    units = CommonUnits(problem, problem) if RowUnits.of(problem) is None else CommonUnits.of(problem)
+    if units.row_exponents is not None:
+        known = decide_feasibility(units.problem, effort_limit=effort_limit)
+        proof = None if known.proof is None else known.proof.in_units(problem, -units.row_exponents)
+        return replace(known, proof=proof, point=None if known.point is None else units.outward(known.point))
+    row = contradictory_row(problem)
+    if row is not None and (row.margin >= DECISIVE or not effort_limit):
+        return Feasibility("infeasible", row, reason="one row contradicts its bounds")
+    if not effort_limit:
+        return Feasibility("undecided", reason="no linear program was tried")
+    known = _decided_by_program(problem, int(effort_limit))
+    if row is None or (known.proof is not None and known.proof.margin >= row.margin):
+        return known
+    return Feasibility("infeasible", row, reason="one row contradicts its bounds")
+
+
+def _decided_by_program(problem: LCP, effort: int) -> Feasibility:
+    from .farkas import FarkasProgram
+
+    reference = reference_residual(problem)
+    constraints = replace(_linear_constraints(problem), reference=reference)
+    unit = reference if 0.0 < reference < np.inf else None  # then the optimum is minus the largest margin
+    contradiction: Feasibility | None = None
+    for _ in range(UNITS_TRIED):
+        program = FarkasProgram(constraints, unit, effort)
+        answer = program.solve()
+        if answer is None:
+            return contradiction or Feasibility(
+                "undecided", reason=f"the linear program did not end within {effort} pivots"
+            )
+        if answer.is_contradiction:
+            proof = program.proof(
+                answer, lambda y: _proven(problem, {i: value for i, value in enumerate(y) if value}),
+                lambda proof: proof.margin,
+            )
+            if proof is not None:
+                return Feasibility("infeasible", proof, reason="linear constraints contradict")
+            contradiction = Feasibility(
+                "undecided", reason="the linear constraints seem to contradict, which could not be proven"
+            )
+            if unit is None:
+                return contradiction
+            unit = None  # what this unit cuts off may matter
+            continue
+        point = np.clip(answer.point, problem.lower, problem.upper)
+        unit = program.unit_of_violation(point)
+        if unit is None:
+            return Feasibility("feasible", point=point, reason="the linear constraints can be satisfied")
+    return contradiction or Feasibility(
+        "undecided", reason="the linear program is too badly scaled for double precision"
+    )
+
+
+def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstraints:
+    """Return what z has to satisfy in these rows but for complementarity; what misses it has a residual as large."""
+    kept = np.zeros(problem.n)
+    return LinearConstraints(
+        problem.csr[rows], problem.q[rows], problem.upper[rows] == np.inf, problem.lower[rows] == -np.inf,
+        problem.lower, problem.upper, problem.residual_scale[rows], (kept, kept),
+    )
+
+
+def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
+    """Return the proof by y itself, by row."""
+    proof = Infeasibility.of(problem, y) if y else None
+    return proof if proof is not None and proof.verify() else None
+
+
+def _may_miss(problem: LCP, rows: Any) -> bool:
+    """Return whether z within the bounds miss one of the rows, to rounding; one pass."""
+    from .kernels.missed_rows import is_missed
+
+    M = compressed_rows(problem.M)
+    return bool(is_missed(*M, problem.q, problem.lower, problem.upper, rows))
+
+
+def contradictory_row(problem: LCP) -> Infeasibility | None:
+    """Return the proof of the row that z within the bounds miss by most, or None where no single row is enough.
+
+    Cost: one look at each entry of the rows without a positive diagonal; in the others, their own unknown lets w grow.
+
+    Examples
+    --------
+    >>> print(contradictory_row(LCP([[-1, 0], [0, 1]], [-1, 2])))
+    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
+    """
+    rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
+    if not rows.size or not _may_miss(problem, rows):
+        return None
+    for k, sign in _linear_constraints(problem, rows).contradictory_rows():
+        proof = _proven(problem, {int(rows[k]): sign})
+        if proof is not None:
+            return proof
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class ForcedContradiction(Refutation):
+    """A chain of rows, each forcing z_i to a bound for all z still possible, that ends in a row with no z left.
+
+    Attributes
+    ----------
+    steps : tuple of (row, sign)
+        sign +1: w_i > 0, so that z_i = lower_i; −1: w_i < 0, so that z_i = upper_i. The last one cannot be met: the
+        bound is infinite, or z_i stands at the other one. No problem with such a chain has a solution.
+    """
+
+    problem: LCP = field(repr=False)
+    steps: tuple[tuple[int, int], ...]
+
+    def in_units(self, problem: LCP, exponents: IntVector) -> ForcedContradiction:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
+        return ForcedContradiction(problem, self.steps)
+
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield, for each step, what excludes every other choice of its row.
+
+        A z_i that is forced to a bound stands within |r_i| of it.
+        """
+        path: dict[int, str] = {}
+        for k, (i, sign) in enumerate(self.steps):
+            bound, forced = (self.problem.lower[i], LOWER) if sign > 0 else (self.problem.upper[i], UPPER)
+            before = path.setdefault(i, SLACKLESS)
+            yield Choices(self.problem, path).closed_by({i: Fraction(-sign)})
+            if np.isinf(bound) or before not in (SLACKLESS, forced):
+                if k < len(self.steps) - 1:
+                    yield None
+                return
+            path[i] = forced
+        yield None
+
+    def __str__(self) -> str:
+        row, sign = self.steps[-1]
+        before = f" (given {len(self.steps) - 1} forced before)" * (len(self.steps) > 1)
+        relation = "> 0" if sign > 0 else "< 0"
+        return f"no solution: w[{row}] {relation} for every z still possible{before}, and no z[{row}] goes with that"
+
+
+def find_forced_contradiction(problem: LCP) -> ForcedContradiction | None:
+    """Return a chain of forced bounds that contradicts itself, or None; a few passes over M.
+
+    Examples
+    --------
+    >>> proof = find_forced_contradiction(LCP([[1, 0], [-3, 1]], [2, -1], upper=[1, np.inf]))
+    >>> proof is None
+    True
+    >>> proof = find_forced_contradiction(LCP([[0, 0], [1, 0]], [1, -1]))
+    >>> print(proof)
+    no solution: w[1] < 0 for every z still possible (given 1 forced before), and no z[1] goes with that
+    >>> proof.verify()
+    True
+    """
+    lower, upper = problem.lower.copy(), problem.upper.copy()
+    is_forced = lower == upper
+    steps: list[tuple[int, int]] = []
+    for _ in range(MOST_PASSES):
+        low, high = slack_range(problem, lower, upper)
+        signs = (low > 0.0).astype(int) - (high < 0.0)
+        bound = np.where(signs > 0, problem.lower, problem.upper)
+        refuted = (signs != 0) & (np.isinf(bound) | (bound < lower) | (bound > upper))
+        if refuted.any():
+            i = int(np.flatnonzero(refuted)[0])
+            proof = ForcedContradiction(problem, (*_needed(problem, steps, i), (i, int(signs[i]))))
+            return proof if proof.verify() else None
+        new = np.flatnonzero((signs != 0) & ~is_forced)
+        if not new.size:
+            return None
+        lower[new] = upper[new] = bound[new]
+        is_forced[new] = True
+        steps.extend((int(i), int(signs[i])) for i in new)
+    return None
+
+
+def slack_range(problem: LCP, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds of w = M z + q over lower ≤ z ≤ upper that hold in spite of rounding, each of shape (n,)."""
+    csr = problem.csr
+    with np.errstate(all="ignore"):
+        least, most = activity(csr, lower, upper)
+        # A product that overflows is no infinite bound: its size is infinite, and nothing is known of its row.
+        farthest = np.max([np.where(np.isinf(bound), 0.0, np.abs(bound)) for bound in (lower, upper)], axis=0)
+        size = np.bincount(row_numbers(csr), np.abs(csr.data) * farthest[csr.indices], problem.n) + np.abs(problem.q)
+        terms = np.diff(csr.indptr) + 8
+        error = np.where(terms > 8, 2.0 * terms * (EPSILON * size + TINY), 0.0)
+        low, high = least + problem.q - error, most + problem.q + error
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+
+
+def _needed(problem: LCP, steps: list[tuple[int, int]], last: int) -> Iterator[tuple[int, int]]:
+    """Yield the steps that the last row rests on, directly or through others."""
+    csr = problem.csr
+    sought, kept = {last, *csr.indices[csr.indptr[last] : csr.indptr[last + 1]].tolist()}, set()
+    for i, _ in reversed(steps):
+        if i in sought:
+            kept.add(i)
+            sought.update(csr.indices[csr.indptr[i] : csr.indptr[i + 1]].tolist())
+    return (step for step in steps if step[0] in kept)
+
+
+@dataclass(slots=True)
+class Case:
+    """One case of the tree: split by the choices of a row, or closed by a Farkas vector y."""
+
+    row: int = -1
+    branches: dict[str, Case] = field(default_factory=dict)
+    y: list[Fraction] | None = None
+
+    def in_units(self, exponents: IntVector) -> Case:
+        """Return the case of a problem in other units of z."""
+        branches = {choice: branch.in_units(exponents) for choice, branch in self.branches.items()}
+        return Case(self.row, branches, None if self.y is None else in_other_units(self.y, exponents))
+
+
+@dataclass(frozen=True, eq=False)
+class NoSolution(Refutation):
+    """No z solves the problem: every case of a complete tree contradicts, exactly; `margin` says by how much.
+
+    Attributes
+    ----------
+    tree : Case
+        Each split names a row and covers all its choices; each leaf holds a Farkas vector of its linear constraints.
+    nodes : int
+        How many cases the search looked at.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.3
+    (complementary cones: one a choice of every row).
+    """
+
+    problem: LCP = field(repr=False)
+    tree: Case = field(repr=False)
+    nodes: int = 0
+
+    @property
+    def leaves(self) -> int:
+        """Number of closed cases."""
+        return sum(case.row < 0 for case, _ in self._cases())
+
+    @property
+    def infeasibility(self) -> Infeasibility | None:
+        """The Farkas vector of the whole problem, where its linear constraints contradict without any split."""
+        if self.tree.y is None or not any(self.tree.y):
+            return None
+        return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
+
+    def in_units(self, problem: LCP, exponents: IntVector) -> NoSolution:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
+        return NoSolution(problem, self.tree.in_units(exponents), self.nodes)
+
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""
+        for case, path in self._cases():
+            if case.row >= 0:
+                if case.row in path or set(case.branches) != set(self._choices(case.row)):
+                    yield None
+            elif case.y is None or case.branches:
+                yield None
+            else:
+                yield Choices(self.problem, path).closed_by(dict(enumerate(case.y)))
+
+    def __str__(self) -> str:
+        leaves = self.leaves
+        cases = "the only case" if leaves == 1 else f"each of the {leaves} cases"
+        return f"no solution: {cases} of an exhaustive search contradicts, exactly"
+
+    def _cases(self) -> Iterator[tuple[Case, dict[int, str]]]:
+        stack: list[tuple[Case, dict[int, str]]] = [(self.tree, {})]
+        while stack:
+            case, path = stack.pop()
+            yield case, path
+            stack.extend((branch, path | {case.row: choice}) for choice, branch in case.branches.items())
+
+    def _choices(self, row: int) -> tuple[str, ...]:
+        return row_choices(float(self.problem.lower[row]), float(self.problem.upper[row]))

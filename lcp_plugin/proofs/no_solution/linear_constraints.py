@@ -1,0 +1,236 @@
+"""Linear constraints by themselves, and how they contradict.
+
+Rows with a sign, unknowns with bounds, what each row is measured in; a Farkas vector and what it proves.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import InitVar, dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...core.checks import FloatVector
+from ...core.kernels.floats import DATA_ROUNDING
+from ...core.matrix.structure import row_numbers
+from ..exact.rational import ZERO, IntegerMatrix, common_denominator, integers, power_of_two, rounded_down
+
+BoolVector = NDArray[np.bool_]
+
+DECISIVE = 1e-3  # a margin that no tolerance in use reaches: where one row has a larger one, no other is looked for
+WIDE = 1e8  # times the size of the data: a proof within a smaller radius refutes nothing
+MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
+
+
+@dataclass(frozen=True, eq=False)
+class LinearConstraints:
+    """The x within their bounds for which w = M x + q has the signs that its rows ask for.
+
+    Attributes
+    ----------
+    matrix : CSR array, shape (m, n)
+    q : array, shape (m,)
+        Finite where a row asks for a sign.
+    needs_rise, needs_fall : arrays of bool, shape (m,)
+        Whether w_i ≥ 0 and w_i ≤ 0 is asked for; both make an equation, neither leaves the row out.
+    lower, upper : arrays, shape (n,)
+    weights : array, shape (m,)
+        Positive: the unit in which w_i misses its sign.
+    bound_weights : pair of arrays, shape (n,)
+        The units in which x may miss its lower and its upper bounds too; 0 where bounds are kept.
+    reference : float
+        What the largest miss is relative to.
+    """
+
+    matrix: sp.csr_array
+    q: FloatVector
+    needs_rise: BoolVector
+    needs_fall: BoolVector
+    lower: FloatVector
+    upper: FloatVector
+    weights: FloatVector
+    bound_weights: tuple[FloatVector, FloatVector]
+    reference: float = 1.0
+
+    def signs(self, row: int) -> tuple[bool, bool]:
+        """Return whether w_i ≥ 0 and w_i ≤ 0 is asked for."""
+        return bool(self.needs_rise[row]), bool(self.needs_fall[row])
+
+    def bounds(self, column: int) -> tuple[float, float]:
+        """Return the bounds of an unknown."""
+        return float(self.lower[column]), float(self.upper[column])
+
+    @property
+    def missing(self) -> FloatVector:
+        """By how much all x within the bounds miss w_i ≥ 0 and w_i ≤ 0 at least, to rounding; shape (2, m).
+
+        Positive where no such x gives the row the sign it asks for.
+        """
+        lowest, highest = activity(self.matrix, self.lower, self.upper)
+        with np.errstate(invalid="ignore"):
+            below = np.where(self.needs_rise, -(highest + self.q), -np.inf)
+            return np.stack([below, np.where(self.needs_fall, lowest + self.q, -np.inf)])
+
+    def contradictory_rows(self) -> Iterator[tuple[int, int]]:
+        """Yield the rows that x within the bounds miss by most, and +1 where w_i is too small, −1 where too large."""
+        missing = self.missing
+        most = missing.max(axis=0)
+        suspects = np.flatnonzero(most > 0.0)
+        with np.errstate(all="ignore"):
+            order = np.argsort(-most[suspects] / self.weights[suspects], kind="stable")
+        for i in suspects[order][:MOST_SUSPECTS].tolist():
+            yield i, 1 if missing[0, i] > 0.0 else -1
+
+
+def activity(matrix: sp.csr_array, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return the least and the largest value of each row of matrix · x within the bounds, to rounding."""
+    rows, m = row_numbers(matrix), matrix.shape[0]
+    with np.errstate(all="ignore"):
+        ends = [matrix.data * bound[matrix.indices] for bound in (lower, upper)]
+        lowest, highest = (np.bincount(rows, weights=side(*ends), minlength=m) for side in (np.minimum, np.maximum))
+    return lowest.astype(np.float64), highest.astype(np.float64)
+
+
+def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
+    """Return the matrix without entries that are rounding beside the largest ones of their row and of their column.
+
+    What is left of a sum of decimals that should cancel has no size that a scale might be made of.
+    """
+    size = abs(matrix)
+    if 0 in matrix.shape or not matrix.nnz:
+        return matrix
+    across, down = (np.asarray(size.max(axis=axis).toarray()).ravel() for axis in (1, 0))
+    rows = row_numbers(matrix)
+    kept = size.data > DATA_ROUNDING * np.minimum(across[rows], down[matrix.indices])
+    if kept.all():
+        return matrix
+    return sp.csr_array((matrix.data[kept], (rows[kept], matrix.indices[kept])), shape=matrix.shape)
+
+
+def within(radius: float, what: str) -> str:
+    """Return the words for the radius of a proof; none where it is ∞.
+
+    Examples
+    --------
+    >>> within(2.5e12, "x"), within(np.inf, "x")
+    ('; of all x up to 2e+12', '')
+    """
+    digits, exponent = f"{radius:.15e}".split("e") if radius < np.inf else ("", "")
+    return f"; of all {what} up to {digits[0]}e{exponent}" if digits else ""
+
+
+class Sides(Protocol):
+    """What a contradiction asks of constraints; cases of other conditions have signs and bounds of their own."""
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """M."""
+    @property
+    def q(self) -> FloatVector:
+        """The offset of w = M x + q."""
+    def signs(self, row: int) -> tuple[bool, bool]:
+        """Return whether w_i ≥ 0 and w_i ≤ 0 is asked for."""
+    def bounds(self, column: int) -> tuple[float, float]:
+        """Return the bounds of an unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contradiction:
+    """What a Farkas vector y proves of linear constraints, in exact arithmetic.
+
+    y_i > 0 takes w_i ≥ 0 for granted, y_i < 0 takes w_i ≤ 0, and yᵀw = qᵀy + (Mᵀy)ᵀx for every x. Where its supremum
+    over the bounds is −c < 0, no x within the bounds gives all rows their signs: each misses some of them, and of
+    bounds that may be missed too, by t in units u with t (Σ|y_i| u_i + Σ|(Mᵀy)_j| u_j) ≥ c. Where Mᵀy should be 0 on an
+    open side and is rounding beside its terms, this is said of all x with |x_j| ≤ `radius` there.
+
+    Attributes
+    ----------
+    sides : Sides
+    y : mapping of int to Fraction
+        By row; none is 0.
+    rows : IntegerMatrix, optional
+        M, where it is known in integers.
+    product, left : dict of int to Fraction
+        Mᵀy where it is not 0, and what of it is on open sides.
+    plain : Fraction
+        c but for what is left.
+    """
+
+    sides: Sides
+    y: Mapping[int, Fraction]
+    rows: InitVar[IntegerMatrix | None] = None
+    product: dict[int, Fraction] = field(init=False)
+    plain: Fraction = field(init=False)
+    left: dict[int, Fraction] = field(init=False)
+
+    def __post_init__(self, rows: IntegerMatrix | None) -> None:
+        found = self._combined(rows) if self.has_signs else ({}, ZERO, {})
+        for name, value in zip(("product", "plain", "left"), found, strict=True):
+            object.__setattr__(self, name, value)
+
+    def _combined(self, rows: IntegerMatrix | None) -> tuple[dict[int, Fraction], Fraction, dict[int, Fraction]]:
+        numbers, (whole, denominator) = list(self.y), common_denominator(list(self.y.values()))
+        matrix = rows or IntegerMatrix.of(self.sides.matrix, numbers)
+        unit = power_of_two(matrix.exponent) / denominator
+        product = matrix.combination(dict(zip(numbers, whole, strict=True)))
+        bounds = {j: self.sides.bounds(j)[value > 0] for j, value in product.items()}
+        closed = [j for j, bound in bounds.items() if math.isfinite(bound)]
+        highest = unit * exact_dot([product[j] for j in closed], [bounds[j] for j in closed])
+        exact = {j: unit * value for j, value in product.items()}
+        plain = -exact_dot(whole, self.sides.q[numbers].tolist()) / denominator - highest
+        return exact, plain, {j: value for j, value in exact.items() if math.isinf(bounds[j])}
+
+    @cached_property
+    def radius(self) -> float:
+        """Of the |x_j| without bounds that it speaks of: ∞, or the one that leaves half the contradiction."""
+        left = sum(map(abs, self.left.values()), ZERO)
+        return rounded_down(max(self.plain, ZERO) / (2 * left) if left else None)
+
+    @property
+    def size(self) -> Fraction:
+        """A lower bound of c, within the radius."""
+        return self.plain / 2 if self.left else self.plain
+
+    @property
+    def has_signs(self) -> bool:
+        """Whether each y_i has a sign that its row asks for."""
+        return all(self.sides.signs(i)[value < 0] for i, value in self.y.items())
+
+    def holds(self, data: float, first: int = 0) -> bool:
+        """Return whether it is a proof, for all x that data of a size may mean; of the unknowns from the first on."""
+        return self.has_signs and self.size > 0 and self.is_wide(data) and self.is_rounding(first)
+
+    def is_wide(self, data: float) -> bool:
+        """Return whether the radius is as large as no solution of such data is."""
+        return self.radius >= WIDE * data
+
+    def is_rounding(self, first: int = 0) -> bool:
+        """Return whether what is left of sums that should be 0 is rounding beside their terms; data are none."""
+        left = {j: value for j, value in self.left.items() if j >= first}
+        if not left:
+            return True
+        largest = max(map(abs, self.y.values()))
+        sizes = np.array([float(abs(value) / largest) for value in self.y.values()])
+        terms = abs(self.sides.matrix[list(self.y)]).T @ sizes
+        return all(abs(value) <= largest * Fraction(DATA_ROUNDING * float(terms[j])) for j, value in left.items())
+
+    def miss(self, weights: FloatVector) -> float:
+        """Return by how much, in such units, every x misses some row, rounded down; 0 where a unit has overflowed."""
+        used = [(abs(value), float(weights[i])) for i, value in self.y.items()]
+        if not all(math.isfinite(weight) for _, weight in used):
+            return 0.0
+        return rounded_down(self.size / sum((size * Fraction(weight) for size, weight in used), ZERO))
+
+
+def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
+    """Return Σ factor · value without rounding; the values are finite."""
+    whole, exponent = integers(np.array(values, dtype=np.float64))
+    total: Fraction = power_of_two(exponent) * sum(map(operator.mul, factors, whole))
+    return total

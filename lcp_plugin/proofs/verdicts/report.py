@@ -1,0 +1,246 @@
+"""What is known about a matrix: verdicts on demand, each with its evidence."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InvalidProblem
+from ...core.kinds import kind_of, refusal
+from ...core.matrix import structure
+from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.symmetry import asymmetry
+from ...systems import graph
+from . import verdicts
+from .h_matrix import h_verdict
+from .verdicts import Verdict
+
+LINE = 100
+WORDS = {True: "yes", False: "no", None: "undecided"}
+
+
+class View:
+    """An attribute of a report that is a fact about its matrix, computed when first asked."""
+
+    def __init__(self, tell: Callable[[Matrix], Any]) -> None:
+        self.tell = tell
+        self.__doc__ = tell.__doc__
+
+    def __get__(self, report: MatrixReport | None, owner: type | None = None) -> Any:
+        if report is None:
+            return self
+        with np.errstate(all="ignore"):  # what overflows fails its check
+            return self.tell(report.matrix)
+
+
+class Claim:
+    """A property of a report: True, False or None (undecided); decided once, when first asked."""
+
+    def __init__(self, title: str, decide: Callable[[Matrix], Verdict]) -> None:
+        self.title = title
+        self.decide = decide
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+        self.__doc__ = self.decide.__doc__
+
+    def __get__(self, report: MatrixReport | None, owner: type | None = None) -> Any:
+        return self if report is None else report.verdict(self.name).value
+
+
+class MatrixReport:
+    """Classes a matrix belongs to, each True, False or None (undecided), never a guess.
+
+    A verdict is computed when it is first asked for, from cheap to costly, and kept. ``evidence[name]`` says in words
+    what it stands on.
+
+    Parameters
+    ----------
+    matrix : LCP, array or sparse array, shape (n, n)
+        The one examined; :func:`analyze` makes the report, once a matrix.
+
+    Attributes
+    ----------
+    v, margin : arrays, shape (n,), or None
+        Proof that M is an H-matrix: ⟨M⟩v ≥ margin > 0, rigorous.
+    not_h_vector : array, shape (n,), or None
+        Proof that it is none: y ≥ 0, y ≠ 0, ⟨M⟩y ≤ 0.
+    asymmetry : float
+        Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|).
+    triangular_form : str or None
+        "diagonal", "lower", "upper".
+    components, blocks : int
+        Numbers of connected components and of strongly connected blocks of the graph of M.
+    zero_diagonal, negative_diagonal : arrays
+        Row numbers.
+    scale_spread : mapping
+        log10 of largest over smallest nonzero magnitude of entries, rows, columns, diagonal.
+    row_excess_signs : array, shape (n,)
+        Exact signs of |m_ii| − Σ_j≠i |m_ij|.
+    block_labels : array, shape (n,)
+        The strongly connected block of each row.
+    semidefinite_delta : float or None
+        δ ≥ 0 of what is known of `is_positive_semidefinite`, λ_min ≥ −δ in the unit of M: 0 where the verdict is True,
+        positive where it is undecided because an eigenvalue vanishes up to rounding, None where no δ is known.
+
+    Examples
+    --------
+    >>> report = analyze([[2, -1], [-1, 2]])
+    >>> report.is_m_matrix, report.is_positive_definite, report.is_p_matrix
+    (True, True, True)
+    >>> report.evidence["is_strictly_dominant"]
+    '|m_ii| > Σ|m_ij| on every row, exactly'
+    """
+
+    is_symmetric = Claim("symmetric", verdicts.symmetric)
+    is_z_matrix = Claim("Z-matrix", verdicts.z_matrix)
+    is_m_matrix = Claim("M-matrix (nonsingular)", verdicts.m_matrix)
+    is_strictly_dominant = Claim("strictly diagonally dominant", verdicts.strictly_dominant)
+    is_irreducibly_dominant = Claim("irreducibly dominant", verdicts.irreducibly_dominant)
+    is_h_matrix = Claim("H-matrix", verdicts.h_matrix)
+    is_h_plus = Claim("H₊-matrix", verdicts.h_plus)
+    is_positive_definite = Claim("positive definite", verdicts.positive_definite)
+    is_positive_semidefinite = Claim("positive semidefinite", verdicts.positive_semidefinite)
+    is_p_matrix = Claim("P-matrix", verdicts.p_matrix)
+    is_triangular = Claim("triangular", verdicts.triangular)
+    is_irreducible = Claim("irreducible", verdicts.irreducible)
+
+    csr = View(lambda matrix: matrix.csr)
+    diagonal = View(lambda matrix: matrix.diagonal)
+    v = View(lambda matrix: getattr(h_verdict(matrix).certificate, "v", None))
+    margin = View(lambda matrix: getattr(h_verdict(matrix).certificate, "margin", None))
+    not_h_vector = View(lambda matrix: h_verdict(matrix).not_h_vector)
+    asymmetry = View(asymmetry)
+    triangular_form = View(structure.triangular_form)
+    row_excess_signs = View(graph.row_excess_signs)
+    components = View(structure.components)
+    blocks = View(lambda matrix: graph.diagonal_blocks(matrix)[0])
+    block_labels = View(lambda matrix: graph.diagonal_blocks(matrix)[1])
+    zero_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))
+    negative_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
+    scale_spread = View(graph.scale_spread)
+    semidefinite_delta = View(lambda matrix: verdicts.positive_semidefinite(matrix).delta)
+
+    def __init__(self, matrix: Any) -> None:
+        self.matrix = matrix_of(matrix)
+        self.n = self.matrix.n
+        self.evidence: Mapping[str, str] = _Evidence(self)
+
+    def verdict(self, name: str) -> Verdict:
+        """Return (value, evidence) of a claim, for instance ``"is_h_plus"``.
+
+        Raises
+        ------
+        KeyError
+            Where no claim has that name; ``list(report.evidence)`` tells the names.
+        MemoryError
+            Where memory ends, also while a library is loaded.
+        """
+        if name not in CLAIMS:
+            raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
+        try:
+            with np.errstate(all="ignore"):  # what overflows fails its check
+                return CLAIMS[name].decide(self.matrix)
+        except ImportError as error:  # a library that is installed, but finds no room
+            raise MemoryError(f"memory ended where {name} was to be decided: {error}") from error
+
+    def to_content(self) -> dict[str, Any]:
+        """Return all verdicts and facts as a dict that JSON can hold."""
+        return {
+            "n": self.n,
+            "nonzeros": self.matrix.nonzeros,
+            "verdicts": {name: {"value": v.value, "evidence": v.evidence} for name, v in self._all()},
+            "triangular_form": self.triangular_form,
+            "components": self.components,
+            "blocks": self.blocks,
+            "zero_diagonal": [int(row) for row in self.zero_diagonal],
+            "negative_diagonal": [int(row) for row in self.negative_diagonal],
+            "scale_spread": dict(self.scale_spread),
+        }
+
+    def _all(self) -> Iterator[tuple[str, Verdict]]:
+        return ((name, self.verdict(name)) for name in CLAIMS)
+
+    def __str__(self) -> str:
+        lines = [f"matrix of size {self.n}, {self.matrix.nonzeros} nonzeros"]
+        for name, v in self._all():
+            lines += wrapped(f"{CLAIMS[name].title:<29} {WORDS[v.value]:<10} ", v.evidence)
+        lines.append(f"{'connected components':<29} {self.components}, strongly connected blocks {self.blocks}")
+        rows = f"{self.zero_diagonal.size} zero, {self.negative_diagonal.size} negative"
+        lines.append(f"{'diagonal':<29} {rows}")
+        spread = ", ".join(f"{name} {decades:.1f}" for name, decades in self.scale_spread.items())
+        lines.append(f"{'decades of magnitude':<29} {spread}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"MatrixReport(n={self.n}, nonzeros={self.matrix.nonzeros})"
+
+
+class _Evidence(Mapping[str, str]):
+    """Claim → why, computed when asked."""
+
+    def __init__(self, report: MatrixReport) -> None:
+        self._report = report
+
+    def __getitem__(self, name: str) -> str:
+        return self._report.verdict(name).evidence
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(CLAIMS)
+
+    def __len__(self) -> int:
+        return len(CLAIMS)
+
+
+CLAIMS = {name: claim for name, claim in vars(MatrixReport).items() if isinstance(claim, Claim)}
+
+
+def analyze(M: Any) -> MatrixReport:
+    """Return the report on a matrix, or on the matrix of a problem.
+
+    Parameters
+    ----------
+    M : array, sparse array or LCP, shape (n, n)
+        Real, finite. For an LCP the report is shared by all problems with this matrix.
+
+    Raises
+    ------
+    InvalidProblem
+        Where M is no real, finite, square matrix.
+
+    Notes
+    -----
+    Nothing is computed here; each verdict is when it is first asked for, ``print(report)`` asks for all.
+
+    Examples
+    --------
+    >>> report = analyze([[2.0, -3.0], [1.0, 2.0]])
+    >>> report.is_h_plus, report.is_positive_definite
+    (True, True)
+    >>> analyze([[1, 2], [2, 1]]).evidence["is_p_matrix"]
+    'symmetric: the principal minor of rows 0, 1 is not positive'
+    """
+    return _report(matrix_of(M))
+
+
+def matrix_of(M: Any) -> Matrix:
+    """Return a problem's matrix, a matrix as it is, or what an array states."""
+    if not hasattr(M, "matrix") and kind_of(M) is not None:
+        raise InvalidProblem(refusal("analyze", M))
+    matrix = getattr(M, "matrix", M)
+    return matrix if isinstance(matrix, Matrix) else Matrix(M)
+
+
+def wrapped(title: str, text: str) -> list[str]:
+    """Return the text beside its title, in lines of at most 100 columns."""
+    return textwrap.wrap(text, LINE, initial_indent=title, subsequent_indent=" " * len(title)) or [title.rstrip()]
+
+
+@fact
+def _report(matrix: Matrix) -> MatrixReport:
+    """Return the one report on the matrix."""
+    matrix.require_all_rows()
+    return MatrixReport(matrix)

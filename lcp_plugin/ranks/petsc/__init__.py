@@ -1,0 +1,14 @@
+"""The ranks of an MPI job, on mpi4py and petsc4py; the extra ``lcp_plugin[petsc]``."""
+
+from __future__ import annotations
+
+from ...core.errors import InvalidOption
+
+try:
+    import petsc4py  # noqa: F401
+    from mpi4py import MPI  # noqa: F401
+except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library raises the latter
+    raise InvalidOption(
+        f"several ranks need mpi4py and petsc4py ({error}); install them with pip install 'lcp_plugin[petsc]' as the "
+        "README's section on several machines describes"
+    ) from None

@@ -1,0 +1,273 @@
+"""What all ranks do together: agree on a number, on a failure, on an end.
+
+Every sum is taken in the order of the ranks, so that a run on a given number of ranks repeats bit for bit. No rank
+waits for ever for one that has failed: all ranks go on, all raise the same, or the job ends.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any, TypeVar
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ...core.checks import FloatVector
+from ...core.communicator import Communicator
+from ...core.errors import InvalidProblem, LCPError, UnreadableFile
+
+ABORTED = 1
+PATIENCE = 5.0
+PAUSE = 0.001
+COURTESY = 0.5  # seconds that other ranks wait before they speak: where all fail alike, one message is enough
+T = TypeVar("T")
+
+
+class Ranks(Communicator):
+    """The processes of a communicator of mpi4py or petsc4py, and what they agree on; None means the whole job."""
+
+    is_alone = False
+
+    def __init__(self, comm: Any) -> None:
+        if hasattr(comm, "tompi4py"):
+            comm = comm.tompi4py()
+        self.comm = MPI.COMM_WORLD if comm is None else comm
+        if not isinstance(self.comm, MPI.Comm):
+            raise InvalidProblem(f"comm must be a communicator of mpi4py or petsc4py, got {type(comm).__name__}")
+        self.size, self.rank = self.comm.size, self.comm.rank
+
+    def table(self, *numbers: float) -> FloatVector:
+        """Return the numbers of all ranks, shape (ranks, how many)."""
+        own = np.array(numbers, dtype=np.float64)
+        of_all = np.empty((self.size, own.size))
+        self.comm.Allgather(own, of_all)
+        return of_all
+
+    def everybodys(self, own: NDArray[Any]) -> NDArray[Any]:
+        """Return the rows of all ranks' tables one after the other, shape (all, columns), on every rank."""
+        return np.concatenate(self.comm.allgather(own))
+
+    def places(self, count: int) -> tuple[int, int]:
+        """Return how many things the ranks before this one have, which has `count`, and how many all have."""
+        counts = self.comm.allgather(count)
+        return sum(counts[: self.rank]), sum(counts)
+
+    def largest(self, value: float) -> float:
+        """Return the largest of all ranks' values; a NaN stays."""
+        return self.all_largest(value)[0]
+
+    def all_largest(self, *values: float) -> tuple[float, ...]:
+        """Return the largest of each of them."""
+        return tuple(self.table(*values).max(axis=0).tolist())
+
+    def total(self, value: float) -> float:
+        """Return the sum of all ranks' values, in the order of the ranks."""
+        if self.size == 1:
+            return value
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(self.table(value).sum(axis=0)[0])
+
+    def everywhere(self, is_so: bool) -> bool:
+        """Return whether it is so on every rank."""
+        return self.largest(float(not is_so)) == 0.0
+
+    def worst(self, value: float, row: int) -> tuple[float, int]:
+        """Return the largest value ≥ 0, NaN before any other, and its row of the whole matrix; 0 and −1 of no row."""
+        table = self.table(value, float(self.first + row if row >= 0 else -1))
+        has_rows = table[table[:, 1] >= 0.0]
+        if not has_rows.size:
+            return 0.0, -1
+        k = int(np.argmax(has_rows[:, 0]))  # argmax stops at the first NaN
+        return float(has_rows[k, 0]), int(has_rows[k, 1])
+
+    def together(self, attempt: Callable[[], T], *, names_rank: bool = True) -> T:
+        """Return what `attempt` gives on each rank; where it fails on one, no rank goes on.
+
+        Parameters
+        ----------
+        attempt : callable
+            Without arguments; must not wait for other ranks.
+        names_rank : bool
+            Whether an error begins with the rank that failed.
+
+        Raises
+        ------
+        LCPError
+            On every rank the error of the lowest rank that failed, which it names. What is no LCPError, as a caller's
+            function or too little memory may raise, is passed on as it is where it was raised, and is named by an
+            LCPError on the other ranks.
+        """
+        raised: Exception | None = None
+        value: Any = None
+        try:
+            value = attempt()
+        except Exception as error:  # whatever it is, the other ranks must not wait for ever
+            raised = error
+        failures = self.comm.allgather(None if raised is None else _described(raised))
+        if not any(failures):
+            result: T = value
+            return result
+        if raised is not None and not isinstance(raised, LCPError | OSError):
+            raise raised
+        rank, (kind, message) = next((rank, one) for rank, one in enumerate(failures) if one is not None)
+        raise kind(f"rank {rank}: {message}" if names_rank and self.size > 1 else message) from raised
+
+    def from_first(self, attempt: Callable[[], T]) -> T:
+        """Return on every rank what `attempt` gives on rank 0; where it fails there, raise its error on every rank."""
+        value = self.together(lambda: attempt() if self.rank == 0 else None, names_rank=False)
+        result: T = self.comm.bcast(value, root=0)
+        return result
+
+    def require_same(self, what: str, value: Any, remedy: str, error: Any = InvalidProblem) -> None:
+        """Raise that error on every rank unless all of them hold the same value, as its `repr` tells."""
+        values = self.comm.allgather(repr(value))
+        for rank, other in enumerate(values):
+            if other != values[0]:
+                raise error(f"{what} differs: {values[0]} on rank 0, {other} on rank {rank}; {remedy}")
+
+    def interruptions(self) -> AbstractContextManager[Callable[[], bool]]:
+        """Return a context in which the first Ctrl-C on a rank is a wish, and whether this rank has it."""
+        return Interruptions()
+
+
+def _described(error: Exception) -> tuple[type[LCPError], str]:
+    if isinstance(error, LCPError):
+        return type(error), str(error)
+    return UnreadableFile if isinstance(error, OSError) else LCPError, message_of(error).removesuffix(": ")
+
+
+def message_of(error: BaseException) -> str:
+    """Return what an exception means, in words for the person at the terminal."""
+    if isinstance(error, LCPError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({error}); use more machines, or choose a smaller problem"
+    if isinstance(error, OSError):
+        return f"cannot read or write {error.filename or 'a file'}: {error.strerror or error}"
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    if isinstance(error, SystemExit):
+        return f"left alone, by sys.exit({error.code!r})"
+    return f"{type(error).__name__}: {error}"
+
+
+@contextmanager
+def ends_together(comm: Any = None, *, patience: float = PATIENCE, speaker: str = "lcp_plugin") -> Iterator[None]:
+    """Let a block of code end alike on all ranks, or end the whole job.
+
+    Put what calls MPI, directly or through this package, into ``with ends_together(comm):``. Without it an exception
+    on one rank leaves the others waiting in their next common call, for ever.
+
+    - The block ends on every rank: nothing happens.
+    - Every rank raises an :class:`lcp_plugin.core.errors.LCPError`, as this package does on purpose, or leaves by
+      ``sys.exit``: each goes on to raise its own, so that you can catch it around the block.
+    - One rank alone raises anything, or all raise something else: the first such rank writes one message with its
+      number to stderr, with the traceback where nobody expects such an exception, and ends all ranks by
+      ``comm.Abort``.
+
+    Parameters
+    ----------
+    comm : communicator of mpi4py or petsc4py; None for the whole job
+        All of its ranks enter the block together.
+    patience : float
+        Seconds that a rank with an LCPError waits for the others to have one too.
+    speaker : str
+        The first word of the message.
+
+    Notes
+    -----
+    On one rank exceptions are passed on unchanged. A rank that is killed from outside says nothing: then mpiexec ends
+    the others.
+
+    Examples
+    --------
+    >>> with ends_together(MPI.COMM_WORLD):
+    ...     largest = MPI.COMM_WORLD.allreduce(1.0, MPI.MAX)
+    >>> largest
+    1.0
+    """
+    mpi = Ranks(comm).comm
+    if mpi.size == 1:
+        yield
+        return
+    ballot = mpi.Dup()  # no call of the block can take a vote for its own message
+    try:
+        try:
+            yield
+        except (LCPError, SystemExit) as error:
+            if not _all_failed(ballot, patience):
+                _abort(mpi, speaker, error)
+            raise
+        if not _none_failed(ballot):
+            ballot.Barrier()  # for ever: the rank that failed speaks, then ends this one too
+    except (LCPError, SystemExit):
+        raise
+    except BaseException as error:
+        _abort(mpi, speaker, error)
+        raise
+    ballot.Free()
+
+
+def _is_bug(error: BaseException) -> bool:
+    return not isinstance(error, LCPError | MemoryError | OSError | KeyboardInterrupt | SystemExit)
+
+
+def _abort(comm: MPI.Comm, speaker: str, error: BaseException) -> None:
+    if comm.rank > 0:
+        time.sleep(COURTESY)
+    stream = sys.__stderr__ or sys.stderr  # a command may have silenced the other one on this rank
+    story = "".join(traceback.format_exception(error)) if _is_bug(error) else ""
+    stream.write(f"{story}{speaker}: rank {comm.rank} of {comm.size}: {message_of(error)}; all ranks end\n")
+    stream.flush()
+    comm.Abort(ABORTED)
+
+
+def _all_failed(ballot: MPI.Comm, patience: float) -> bool:
+    votes = _voted(ballot, True, patience)
+    return votes is not None and bool(votes.all())
+
+
+def _none_failed(ballot: MPI.Comm) -> bool:
+    votes = _voted(ballot, False, np.inf)
+    return votes is not None and not votes.any()
+
+
+def _voted(ballot: MPI.Comm, has_failed: bool, patience: float) -> Any:
+    """Return who has failed, shape (ranks,), or None where somebody does not come to vote in time."""
+    votes = np.zeros(ballot.size, dtype=np.uint8)
+    request = ballot.Iallgather(np.array([has_failed], dtype=np.uint8), votes)
+    until = time.monotonic() + patience
+    while not request.Test():
+        if time.monotonic() > until:
+            return None
+        time.sleep(PAUSE)  # leaves the processor to the ranks that still work, and hears Ctrl-C
+    return votes.astype(np.bool_)
+
+
+class Interruptions:
+    """Ctrl-C on any rank becomes a wish that all ranks hear of at the next step; a second one ends this rank."""
+
+    def __init__(self) -> None:
+        self._is_asked = False
+        self._before: Any = None
+
+    def __enter__(self) -> Callable[[], bool]:
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._hear)
+        return lambda: self._is_asked
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _hear(self, *_: object) -> None:
+        if self._is_asked:
+            raise KeyboardInterrupt
+        self._is_asked = True

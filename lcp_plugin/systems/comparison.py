@@ -1,0 +1,307 @@
+"""The comparison matrix ⟨M⟩, equilibrated, and approximate solutions of systems with it.
+
+No solution is rigorous: those who ask verify it (:mod:`.h_matrix`). The two bounds of the spectral radius of a
+nonnegative matrix are, rounding included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import BoolVector, FloatVector
+from ..core.errors import InvalidProblem
+from ..core.matrix.equilibration import Exponents, scaled, scaling_exponents, times_power
+from ..core.matrix.matrix import Matrix, fact
+from ..core.matrix.structure import row_numbers
+from ..core.matrix.symmetry import is_symmetric_entrywise
+from ..core.rounding import compensated_product, lower_end, upper_end
+from .factors import diagonal_pivot_factor, factor_fits, solver_of
+from .graph import strong_blocks, within_blocks
+
+if TYPE_CHECKING:
+    from .hierarchy.grids import Hierarchy
+
+Solver = Callable[[FloatVector], FloatVector]
+
+DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
+KRYLOV_STEPS = 60
+
+
+def comparison_of(M: Any) -> sp.csr_array:
+    """Return ⟨M⟩ for a CSR array, or for rows of one that begin with their own columns."""
+    magnitudes = np.abs(M.data)
+    signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
+    return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
+
+
+class LinearSystem:
+    """A system that is solved approximately: by Krylov steps on its grids where it is large, else by a factor.
+
+    Parameters
+    ----------
+    matrix : CSR array, shape (n, n)
+        Canonical, with a positive diagonal.
+    is_symmetric : bool
+    """
+
+    def __init__(self, matrix: Any, is_symmetric: bool) -> None:
+        self.matrix, self.is_symmetric = matrix, is_symmetric
+        self._multigrid_failed = False
+
+    @cached_property
+    def hierarchy(self) -> Hierarchy:
+        """The grids of the matrix."""
+        from .hierarchy.levels import build_hierarchy
+
+        return build_hierarchy(self.matrix)
+
+    @cached_property
+    def direct_solver(self) -> Solver | None:
+        """Rhs ↦ matrix⁻¹ rhs by a factor, or None where the matrix is singular or too large for one."""
+        return solver_of(self.matrix) if factor_fits(self.matrix) else None
+
+    def solve(self, rhs: FloatVector, tolerance: float = 0.1) -> FloatVector | None:
+        """Return an approximate solution, shape (n,), or None where no method applies.
+
+        The matrix is then singular, or too large for a factorisation where multigrid fails. `tolerance` bounds
+        ‖residual‖₂/‖rhs‖₂ where the solution is iterative.
+        """
+        if rhs.size > DIRECT_LIMIT and not self._multigrid_failed:
+            x = self.iterated(rhs, tolerance)
+            if x is not None:
+                return x
+            self._multigrid_failed = True
+        return None if self.direct_solver is None else _finite(np.asarray(self.direct_solver(rhs)))
+
+    @np.errstate(all="ignore")
+    def iterated(self, rhs: FloatVector, tolerance: float) -> FloatVector | None:
+        """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
+        from .hierarchy.truncation import KrylovCorrection, Truncation
+
+        correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
+        goal = tolerance * np.linalg.norm(correction.residual)
+        for _ in range(KRYLOV_STEPS):
+            if not np.linalg.norm(correction.residual) > goal or not correction.step():
+                break
+        if not np.linalg.norm(correction.residual) <= goal:
+            return None
+        x = np.empty(rhs.size)
+        correction.apply_to(np.zeros(rhs.size), x)
+        return _finite(x)
+
+
+class ComparisonMatrix(LinearSystem):
+    """⟨M⟩ scaled by powers of two to a diagonal near 1 where M needs it.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+        Its diagonal has no zero.
+
+    Attributes
+    ----------
+    matrix : CSR array, shape (n, n)
+        ⟨M⟩ with entries scaled by 2^(row_i + column_j).
+    exponents : Exponents or None
+        None where nothing was scaled.
+    diagonal : array, shape (n,)
+        Of `matrix`; positive.
+    """
+
+    def __init__(self, M: Any) -> None:
+        is_symmetric = is_symmetric_entrywise(M)
+        self.exponents: Exponents | None = scaling_exponents(M, is_symmetric)
+        super().__init__(scaled(comparison_of(M), self.exponents), is_symmetric)
+        self.diagonal: FloatVector = self.matrix.diagonal()
+
+    def to_caller(self, x: FloatVector) -> FloatVector:
+        """Return the vector in the caller's unit that belongs to x of the scaled matrix, shape (n,)."""
+        return times_power(x, None if self.exponents is None else self.exponents.column)
+
+    def from_caller(self, rhs: FloatVector) -> FloatVector:
+        """Return the right-hand side of the scaled matrix that belongs to the caller's, shape (n,)."""
+        return times_power(rhs, None if self.exponents is None else self.exponents.row)
+
+    def solve_part(self, rhs: FloatVector, rows: BoolVector, tolerance: float) -> FloatVector | None:
+        """Return an approximate solution of the system of these rows and columns, zero elsewhere, shape (n,), or None.
+
+        The hierarchy of the whole matrix would need 5 to 50 times the steps that one of the block needs.
+        """
+        part = np.flatnonzero(rows)
+        x = np.zeros(rhs.size)
+        if part.size:
+            block = LinearSystem(self.matrix[part][:, part], self.is_symmetric)
+            solution = block.solve(rhs[part], tolerance)
+            if solution is None:
+                return None
+            x[part] = solution
+        return x
+
+
+@fact
+def shared_comparison(matrix: Matrix) -> ComparisonMatrix:
+    """Return the comparison matrix ⟨M⟩; the diagonal has no zero."""
+    return ComparisonMatrix(matrix.csr)
+
+
+@np.errstate(all="ignore")  # what overflows is seen by those who verify
+def comparison_solve(
+    matrix: Matrix, rhs: FloatVector, rows: BoolVector | None = None, tolerance: float = 0.1
+) -> FloatVector | None:
+    """Return an approximate solution x of ⟨M⟩_FF x_F = rhs_F, zero outside F, shape (n,).
+
+    Parameters
+    ----------
+    matrix : Matrix
+        M, whose diagonal has no zero.
+    rhs : array, shape (n,)
+        Entries outside F are not read.
+    rows : bool array, shape (n,), optional
+        The set F; all rows by default.
+    tolerance : float
+        Bound of ‖residual‖₂/‖rhs‖₂ after equilibration where the solution is iterative (n above some thousands).
+
+    Returns
+    -------
+    array or None
+        None where ⟨M⟩_FF is numerically singular, or so large that only multigrid applies and it fails. The
+        solution is not verified.
+
+    Raises
+    ------
+    InvalidProblem
+        Where a diagonal entry is zero.
+
+    Examples
+    --------
+    >>> comparison_solve(Matrix([[2, 1], [-1, 2]]), np.ones(2))
+    array([1., 1.])
+    """
+    if not matrix.diagonal.all():
+        row = int(np.flatnonzero(matrix.diagonal == 0.0)[0])
+        raise InvalidProblem(f"M[{row}, {row}] = 0; a system with ⟨M⟩ needs a diagonal without zeros")
+    comparison = shared_comparison(matrix)
+    scaled_rhs = comparison.from_caller(rhs)
+    if rows is None or rows.all():
+        x = comparison.solve(scaled_rhs, tolerance)
+    else:
+        x = comparison.solve_part(scaled_rhs, rows, tolerance)
+    return None if x is None else comparison.to_caller(x)
+
+
+def _finite(x: FloatVector) -> FloatVector | None:
+    return x if np.isfinite(x).all() else None
+
+
+POWER_STEPS = 30
+NODA_STEPS = 40
+ENOUGH = 1e-9  # relative width at which nobody asks for better
+FACTOR_LIMIT = 2_000
+
+
+def nonnegative_radius(matrix: Any) -> tuple[float, float]:
+    """Return (lower, upper) around the spectral radius of a nonnegative matrix, rigorous (Collatz–Wielandt).
+
+    Parameters
+    ----------
+    matrix : sparse array, shape (n, n)
+        Entries ≥ 0.
+
+    Notes
+    -----
+    On each strongly connected block, min (Bx)_i/x_i ≤ ρ ≤ max (Bx)_i/x_i for every x > 0; the radius of the whole is
+    the largest of the blocks'. x comes from some power steps and, up to n = 2000, from Noda's iteration
+    (σI − B)x⁺ = x with σ = max (Bx)_i/x_i: σI − B is an M-matrix, so that small entries of x come out right too.
+
+    References
+    ----------
+    Berman, Plemmons, *Nonnegative Matrices in the Mathematical Sciences*, SIAM 1994, doi:10.1137/1.9781611971262.
+    Noda, *Note on the computation of the maximal eigenvalue of a non-negative irreducible matrix*, Numer. Math. 17
+    (1971), doi:10.1007/BF01436087.
+
+    Examples
+    --------
+    >>> lower, upper = nonnegative_radius(sp.csr_array(np.array([[0.0, 4.0], [1.0, 0.0]])))
+    >>> lower <= 2.0 <= upper <= lower + 1e-6
+    True
+    """
+    B = sp.csr_array(matrix, copy=True)
+    B.eliminate_zeros()
+    n = B.shape[0]
+    _, labels = strong_blocks(B)
+    B = within_blocks(B, labels)  # what leads from block to block is not felt by the radius
+    B.eliminate_zeros()
+    if B.nnz == 0:
+        return 0.0, 0.0
+    blocks = _Blocks(B, labels)
+    x = blocks.power_steps(np.ones(n))
+    best = blocks.bounds(x)
+    for better in blocks.noda_steps(x) if n <= FACTOR_LIMIT and factor_fits(B) else ():
+        now = blocks.bounds(better)
+        best = max(best[0], now[0]), min(best[1], now[1])
+        if best[1] - best[0] <= ENOUGH * best[1]:
+            break
+    return best
+
+
+class _Blocks:
+    """A block diagonal nonnegative matrix with irreducible blocks."""
+
+    def __init__(self, B: Any, labels: Any) -> None:
+        self.B = B
+        self.order = np.argsort(labels, kind="stable")
+        self.starts = np.flatnonzero(np.diff(labels[self.order], prepend=-1))
+        self.sizes = np.diff(self.starts, append=labels.size)
+
+    def power_steps(self, x: FloatVector) -> FloatVector:
+        """Return x after some steps of B plus a shift, which keeps bipartite graphs from swinging."""
+        with np.errstate(all="ignore"):
+            for _ in range(POWER_STEPS):
+                product = self.B @ x
+                shift = 0.5 * float(np.max(product / x))
+                new = product + shift * x
+                new = new / new.max()
+                if not (np.isfinite(new).all() and new.min() > 1e-200):
+                    break
+                x = new
+        return x
+
+    def noda_steps(self, x: FloatVector) -> Iterator[FloatVector]:
+        """Yield x after each step of Noda's iteration, all blocks at once, until a factor is singular."""
+        for _ in range(NODA_STEPS):
+            with np.errstate(all="ignore"):
+                ratio = (self.B @ x) / x
+                largest = np.maximum.reduceat(ratio[self.order], self.starts) * (1.0 + 1e-12)
+            shift = np.empty_like(x)
+            shift[self.order] = np.repeat(np.maximum(largest, 1e-300), self.sizes)
+            factor = diagonal_pivot_factor(sp.diags_array(shift) - self.B)
+            if factor is None:  # σ is ρ up to rounding
+                return
+            x = factor.solve(x)
+            highest = np.maximum.reduceat(x[self.order], self.starts)
+            with np.errstate(all="ignore"):
+                x[self.order] /= np.repeat(highest, self.sizes)
+            if not (np.isfinite(x).all() and x.min() > 0.0):
+                return
+            yield x
+
+    def bounds(self, x: FloatVector) -> tuple[float, float]:
+        """Return the two bounds for x > 0, over all blocks."""
+        value, radius = compensated_product(self.B, x)
+        with np.errstate(all="ignore"):
+            low = np.nextafter(lower_end(value, radius) / x, -np.inf)
+            high = np.nextafter(upper_end(value, radius) / x, np.inf)
+        lowest = np.minimum.reduceat(low[self.order], self.starts)
+        highest = np.maximum.reduceat(high[self.order], self.starts)
+        return max(0.0, float(np.nanmax(lowest))), float(np.max(highest))
+
+
+@fact
+def jacobi_radius(matrix: Matrix) -> tuple[float, float]:
+    """Return bounds of the spectral radius of |L + U|."""
+    return nonnegative_radius(abs(matrix.csr - sp.diags_array(matrix.diagonal)))

@@ -1,0 +1,391 @@
+"""The one door to factors of square matrices: Cholesky and LU, dense and banded by LAPACK, sparse by SuperLU.
+
+Callers say what they need: any factor (:func:`factorise`), pivots from the diagonal, as an M-matrix has them
+(:func:`diagonal_pivot_factor`), or positive pivots, which prove a symmetric matrix definite (:func:`positive_factor`).
+:func:`factor_fits` says beforehand whether a factorisation has its end in sight; one that may take long is left behind
+where time is over or Ctrl-C comes (:func:`made`). :func:`bands` has the diagonals of a matrix, where a factor within
+them is small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector, read_only
+from ..core.deadline import interruptible
+from ..core.matrix.equilibration import power_of_two
+from ..core.matrix.matrix import Matrix, fact, largest_in_rows
+from ..core.matrix.structure import row_numbers
+
+T = TypeVar("T")
+
+DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
+DENSE_UP_TO_ON_DIAGONAL = 300  # the same where pivots are to come from the diagonal
+DENSE_ABOVE_DENSITY = 0.25
+LARGEST_DENSE = 3000
+BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
+SYMMETRIC_SHARE = 0.8  # of the entries that have one across the diagonal, from which on A is ordered as A + Aᵀ
+SYMMETRIC_PIVOT = 0.01  # SuperLU keeps the diagonal pivot where it is at least this share of the column's largest
+
+ALWAYS = 1_000  # rows; up to here any fill is cheap
+LARGEST_OPERATIONS = 4e10  # about ten seconds, a 3-D grid of 37³; a random graph's n³ exceeds it at some thousands
+LARGEST_FILL = 2e8  # entries
+FULL = 10.0  # √n entries a row
+
+LONG = 1e8  # operations, from .05 s with SuperLU, beside which it costs nothing to wait for another thread
+
+IN_ONE_ORDER = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """A factorised matrix A.
+
+    Attributes
+    ----------
+    kind : str
+        "Cholesky", "LU", "banded LU" or "sparse LU".
+    solve, solve_transposed : callable
+        right ↦ x with A x = right, or Aᵀx = right, shape (n,); not finite where A is singular.
+    work : float
+        Multiplications that the factorisation took.
+    solve_work : float
+        Multiplications that one solve takes.
+    """
+
+    kind: str
+    solve: Callable[[Any], Any]
+    solve_transposed: Callable[[Any], Any]
+    work: float
+    solve_work: float
+
+
+@dataclass(frozen=True, eq=False)
+class PositiveFactor:
+    """A factor with positive pivots: `terms` is the longest sum of products in it.
+
+    `superlu` holds L and U where the matrix is sparse, and is None where it is dense.
+    """
+
+    solve: Callable[[Any], Any]
+    terms: int
+    superlu: Any = None
+
+
+def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, int] | None = None) -> Factor | None:
+    """Return a factor of a square matrix, or None where a pivot is exactly zero or the entries overflow.
+
+    Parameters
+    ----------
+    matrix : ndarray or CSR array, shape (n, n)
+        Not modified.
+    is_symmetric : bool
+        The matrix is symmetric up to rounding: Cholesky is tried first where it is dense, and a sparse one is
+        ordered by the pattern of A + Aᵀ, as others are where most of their pattern is symmetric.
+    bandwidth : (int, int), optional
+        Numbers of sub- and superdiagonals of a sparse matrix, where they are known.
+    """
+    if not sp.issparse(matrix):
+        return _dense(matrix, is_symmetric)
+    n = matrix.shape[0]
+    is_dense = matrix.nnz > DENSE_ABOVE_DENSITY * n * n and n <= LARGEST_DENSE
+    if n <= DENSE_UP_TO or is_dense:
+        return _dense(matrix.toarray(), is_symmetric)
+    if bandwidth is not None and sum(bandwidth) <= BANDED_UP_TO:
+        return _banded_lu(matrix, *bandwidth)
+    return _sparse_lu(matrix, is_symmetric)
+
+
+def made(factorisation: Callable[[], T], operations: float) -> T:
+    """Return a factorisation; where it may take so many operations that it is long, a limit and Ctrl-C are obeyed.
+
+    Raises
+    ------
+    OutOfTimeError
+        Where an enforced limit passed first (:func:`lcp_plugin.core.deadline.interruptible`).
+    """
+    return factorisation() if operations <= LONG else interruptible(factorisation)
+
+
+def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
+    factor = None
+    if is_symmetric and matrix.shape[0] and matrix.diagonal().min() > 0.0:
+        factor = cholesky(matrix)
+    return factor or dense_lu(matrix)
+
+
+def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
+    """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None where A is not positive definite."""
+    from scipy.linalg import lapack
+
+    from .lapack import dpotrf
+
+    n = matrix.shape[0]
+    # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
+    factor, info = made(lambda: dpotrf(matrix.T, overwrite=overwrite), n**3 / 3.0)
+    if info != 0:
+        return None
+
+    def solve(right: Any) -> Any:
+        return lapack.dpotrs(factor, right, lower=1)[0]
+
+    return Factor("Cholesky", solve, solve, n**3 / 6.0, float(n * n))
+
+
+def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False) -> Factor | None:
+    """Return the LU factor of a dense matrix with partial pivoting, or None where a pivot is zero.
+
+    It is that of Aᵀ, which LAPACK takes without a copy; with `by_columns` that of A. No rows are regular too, as on the
+    coarsest grid of a rank that has none left; LAPACK calls them an illegal value.
+    """
+    from scipy.linalg import lapack
+
+    n = matrix.shape[0]
+    if n == 0:
+        return Factor("LU", np.copy, np.copy, 0.0, 0.0)
+    array = matrix if by_columns else matrix.T
+    factor, pivots, info = made(lambda: lapack.dgetrf(array, overwrite_a=overwrite), n**3 / 1.5)
+    if info != 0:
+        return None
+
+    def solver(trans: int) -> Callable[[Any], Any]:
+        return lambda right: lapack.dgetrs(factor, pivots, right, trans=trans)[0]
+
+    return Factor("LU", solver(not by_columns), solver(by_columns), n**3 / 3.0, float(n * n))
+
+
+def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
+    from scipy.linalg import lapack
+
+    from .lapack import dgbtrf
+
+    n = matrix.shape[0]
+    band = np.zeros((2 * below + above + 1, n), order="F")
+    band[below + above + row_numbers(matrix) - matrix.indices, matrix.indices] = matrix.data
+    factor, pivots, info = made(lambda: dgbtrf(band, below, above), 2.0 * n * below * (below + above + 1))
+    if info != 0:
+        return None
+
+    def solver(trans: int) -> Callable[[Any], Any]:
+        return lambda right: lapack.dgbtrs(factor, below, above, right, pivots, trans=trans)[0]
+
+    return Factor(
+        "banded LU", solver(0), solver(1),
+        float(n * below * (below + above + 1)), float(n * (2 * below + above + 1)),
+    )
+
+
+def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
+    if not np.isfinite(matrix.data).all():
+        return None
+    in_one_order = is_symmetric or _suits_one_order(matrix)
+    options = {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER if in_one_order else {"permc_spec": "COLAMD"}
+    try:
+        factor = sparse_lu(matrix.T, **options)  # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose
+    except RuntimeError:
+        return None
+
+    def solver(trans: str) -> Callable[[Any], Any]:
+        return lambda right: factor.solve(right, trans=trans)
+
+    return Factor("sparse LU", solver("T"), solver("N"), sparse_work(factor), float(factor.nnz))
+
+
+def _suits_one_order(matrix: sp.csr_array) -> bool:
+    """Return whether rows and columns do best in one order, as those of grids with a wind: half the fill, or less.
+
+    The diagonal is large enough to be kept as pivots, and most entries have one on the other side of it.
+    """
+    if not bool((np.abs(matrix.diagonal()) >= SYMMETRIC_PIVOT * largest_in_rows(matrix)).all()):
+        return False
+    pattern = sp.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
+    return bool(pattern.multiply(pattern.T).nnz >= SYMMETRIC_SHARE * matrix.nnz)
+
+
+def sparse_work(factor: Any) -> float:
+    """Return the multiplications that a factorisation by SuperLU took."""
+    columns_of_lower = np.diff(factor.L.indptr).astype(np.float64)
+    rows_of_upper = np.bincount(factor.U.indices, minlength=factor.shape[0])
+    return float(columns_of_lower @ rows_of_upper)
+
+
+def sparse_lu(matrix: Any, **options: Any) -> Any:
+    """Return SuperLU's factor of a square sparse matrix; the options are those of scipy's `splu`.
+
+    Raises
+    ------
+    RuntimeError
+        Where a pivot is exactly zero (SuperLU's own), or no order of the rows avoids one: SuperLU reads and writes
+        outside its arrays there.
+
+    Examples
+    --------
+    >>> sparse_lu(sp.csc_array([[0.0, 1.0], [2.0, 0.0]])).solve(np.array([3.0, 4.0]))
+    array([2., 3.])
+    >>> sparse_lu(sp.csc_array([[0.0, 1.0], [0.0, 2.0]]))
+    Traceback (most recent call last):
+    RuntimeError: no order of the rows puts a nonzero on each place of the diagonal
+    """
+    from scipy.sparse.linalg import splu
+
+    matrix = sp.csc_array(matrix)
+    if not (matrix.diagonal() != 0.0).all() and not _is_structurally_regular(matrix):
+        raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
+    return made(lambda: splu(matrix, **options), most_operations(matrix))
+
+
+def most_operations(matrix: sp.csc_array) -> float:
+    """Return what a factor within the envelope of the present order takes: others have less fill as a rule."""
+    n = matrix.shape[0]
+    if n**3 <= LONG:
+        return float(n**3)
+    width = _envelope(row_numbers(matrix), matrix.indices, n)
+    return 2.0 * float(width @ width)
+
+
+def _is_structurally_regular(matrix: Any) -> bool:
+    from scipy.sparse.csgraph import structural_rank
+
+    pattern = sp.csr_array(matrix, copy=True)  # zeros are taken out in place
+    pattern.eliminate_zeros()
+    row_lengths = np.diff(pattern.indptr)
+    return bool(row_lengths.all() and structural_rank(pattern) == row_lengths.size)
+
+
+def diagonal_pivot_factor(matrix: Any) -> Any | None:
+    """Return SuperLU's factor with pivots from the diagonal, in one order for rows and columns, or None if singular.
+
+    That order is a preference: a pivot of 0 is exchanged; those who need it compare `perm_r` with `perm_c`.
+    """
+    try:
+        return sparse_lu(matrix, diag_pivot_thresh=0.0, **IN_ONE_ORDER)
+    except RuntimeError:
+        return None
+
+
+def solver_of(matrix: Any, *, dense_up_to: int = DENSE_UP_TO_ON_DIAGONAL) -> Callable[[Any], Any] | None:
+    """Return rhs ↦ matrix⁻¹ rhs, pivots from the diagonal where it is large, or None where it is singular.
+
+    Parameters
+    ----------
+    matrix : ndarray or CSR array, shape (n, n)
+    dense_up_to : int
+        Rows up to which a sparse matrix is factorised as a dense one, with partial pivoting.
+    """
+    if not sp.issparse(matrix) or matrix.shape[0] <= dense_up_to:
+        factor: Any = dense_lu(matrix.toarray() if sp.issparse(matrix) else matrix, by_columns=True)
+    else:
+        factor = diagonal_pivot_factor(matrix)
+    return None if factor is None else factor.solve
+
+
+def positive_factor(matrix: Any) -> PositiveFactor | None:
+    """Return the factor of a symmetric matrix where all pivots are positive and from the diagonal, else None.
+
+    Parameters
+    ----------
+    matrix : ndarray or sparse array, shape (n, n)
+    """
+    if not sp.issparse(matrix):
+        dense = cholesky(matrix)
+        return None if dense is None else PositiveFactor(dense.solve, matrix.shape[0])
+    factor = diagonal_pivot_factor(matrix)
+    if factor is None or not np.array_equal(factor.perm_r, factor.perm_c) or not (factor.U.diagonal() > 0.0).all():
+        return None
+    return PositiveFactor(factor.solve, int(np.bincount(factor.L.indices).max()), factor)
+
+
+def factor_fits(matrix: Any) -> bool:
+    """Return whether a factorisation of a CSR or CSC array has its end in sight.
+
+    Notes
+    -----
+    The factor in the order of Cuthill and McKee stays within an envelope, whose Σ width and Σ width² count its entries
+    and operations. The order used has less fill on grids, and none has much less on random graphs. Rows with more than
+    10 √n entries come last, as in orders of minimum degree: a dense row of constraints ties all unknowns together.
+    """
+    n = matrix.shape[0]
+    if n <= ALWAYS:
+        return True
+    rows = row_numbers(matrix)
+    return _is_affordable(*_sizes(_envelope(rows, matrix.indices, n))) or _is_affordable(*within_envelope(matrix))
+
+
+def within_envelope(matrix: Any) -> tuple[float, float]:
+    """Return the entries and the operations of a factor within the envelope of the order of Cuthill and McKee."""
+    n = matrix.shape[0]
+    pattern = sp.csr_array((np.ones(matrix.indices.size), matrix.indices, matrix.indptr), shape=matrix.shape)
+    rows = row_numbers(pattern)
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    is_full = np.diff(pattern.indptr) + np.bincount(pattern.indices, minlength=n) > 2.0 * FULL * np.sqrt(n)
+    others, full = np.flatnonzero(~is_full), np.flatnonzero(is_full)
+    order = others[reverse_cuthill_mckee(pattern[others][:, others], symmetric_mode=False)] if others.size else others
+    position = np.empty(n, dtype=np.int64)
+    position[np.append(order, full)] = np.arange(n)
+    return _sizes(_envelope(position[rows], position[pattern.indices], n))
+
+
+@fact
+def sizes_within_envelope(matrix: Matrix) -> tuple[float, float]:
+    """Return the same of M."""
+    return within_envelope(matrix.csr)
+
+
+def _envelope(rows: Any, columns: Any, n: int) -> FloatVector:
+    """Return how far each row of the lower triangle of A + Aᵀ reaches from the diagonal, shape (n,)."""
+    first = np.arange(n)
+    np.minimum.at(first, np.maximum(rows, columns), np.minimum(rows, columns))
+    return (np.arange(n) - first).astype(np.float64)
+
+
+def _sizes(width: FloatVector) -> tuple[float, float]:
+    return float(width.sum()), float(width @ width)
+
+
+def _is_affordable(fill: float, operations: float) -> bool:
+    return fill <= LARGEST_FILL and operations <= LARGEST_OPERATIONS
+
+
+class Bands(NamedTuple):
+    """A matrix by its diagonals.
+
+    Attributes
+    ----------
+    entries : ndarray, shape (k, n)
+        entries[k, i] = m_{i, i+k−below}; 0 outside of M.
+    below : int
+        The number of subdiagonals.
+    weights : ndarray, shape (n,)
+        Powers of two that bring the rows to size 1.
+    is_tridiagonal_z : bool
+        There is one diagonal on either side at the most, no positive entry on them, and only such on the main one.
+    """
+
+    entries: FloatVector
+    below: int
+    weights: FloatVector
+    is_tridiagonal_z: bool
+
+
+@fact
+def bands(matrix: Matrix) -> Bands | None:
+    """Return the bands of M, None where a factor of them would be too large."""
+    M = matrix.csr
+    rows = row_numbers(M)
+    offsets = M.indices - rows
+    below, above = max(0, -int(offsets.min(initial=0))), max(0, int(offsets.max(initial=0)))
+    width = below + above + 1.0
+    if matrix.n * width > LARGEST_FILL or matrix.n * width * below > LARGEST_OPERATIONS:
+        return None
+    if max(below, above) <= 1:
+        below = above = 1
+    entries = np.zeros((below + above + 1, matrix.n))
+    entries[offsets + below, rows] = M.data
+    is_z = below == above == 1 and not bool((entries[::2] > 0.0).any()) and bool((entries[1] > 0.0).all())
+    return Bands(read_only(entries), below, read_only(1.0 / power_of_two(matrix.residual_scale, 1000)), is_z)

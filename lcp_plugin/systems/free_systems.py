@@ -1,0 +1,357 @@
+"""Linear systems with the block M_FF of some rows and columns of M, and with its transpose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import BoolVector, FloatVector
+from ..core.crossovers import DIRECT_UP_TO
+from ..core.matrix.equilibration import evened, scaled, times_power, unit_diagonal
+from ..core.matrix.matrix import Matrix
+from ..core.matrix.symmetry import has_symmetric_entries, is_nearly_symmetric
+from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
+from .graph import bandwidth
+
+REFINEMENTS = 3
+RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block
+RIDGE_STEPS = 12
+CONSISTENT = 1e-10  # backward error below which a singular system counts as solved
+LEAST_SQUARES_UP_TO = 500  # rows
+KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
+KRYLOV_STEPS = 60
+CONVERGED = 1e-9  # beyond, what the steps have left says that they do not converge, unless it is rounding
+ROUNDING = 2.0**-44  # of the terms of a row
+SINGULAR = 1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
+UNEVEN = 1e4  # residual scales that differ by more are evened out before a factor is made
+EVENED_BY = (0.5, 0.5, 0.5, 0.5, 1.0)  # passes that bring a block's entries near 1, as `evened` takes them
+
+
+class FreeSystem:
+    """M_FF x = b and M_FFᵀ x = b for one F, by a factor or by Krylov steps on the hierarchy of M truncated to F.
+
+    Parameters
+    ----------
+    matrix : Matrix
+    free : array of bool, shape (own,)
+        F; on several ranks the own part.
+    by_factor : bool
+        Use a factor, dense, banded or sparse, even where the hierarchy is likely to be cheaper.
+
+    Attributes
+    ----------
+    work : float
+        Multiplications that factors have taken so far, and solutions by them.
+
+    Notes
+    -----
+    Solutions are refined as long as that halves their backward error. Nothing is computed before it is asked for;
+    a factor or a truncation serves for all right-hand sides. A block is called singular where it has no factor, or
+    terms 10¹³ times as large as their sum cancel in a solution. Such a system has no solution here but, where one is
+    asked for near a given point, one in the sense of a ridge or of least squares (:meth:`solve_near`).
+
+    Examples
+    --------
+    >>> system = FreeSystem(Matrix([[2.0, 1.0, 0.0], [0.0, 4.0, 1.0], [1.0, 0.0, 1.0]]), np.array([True, True, False]))
+    >>> system.solve(np.array([4.0, 8.0, 9.0])), system.solve(np.array([2.0, 9.0, 9.0]), transposed=True)
+    (array([1., 2., 0.]), array([1., 2., 0.]))
+    """
+
+    def __init__(self, matrix: Matrix, free: BoolVector, *, by_factor: bool = False) -> None:
+        self.matrix, self.free, self.by_factor = matrix, free, by_factor
+        self.rows = np.flatnonzero(free)
+        self.work = 0.0
+
+    @cached_property
+    def block(self) -> Any:
+        """M_FF, dense or CSR."""
+        M, rows = self.matrix.array, self.rows
+        if rows.size == self.matrix.n:
+            return M
+        return M[rows][:, rows] if sp.issparse(M) else M[np.ix_(rows, rows)]
+
+    @cached_property
+    def principal(self) -> Matrix:
+        """M_FF as a matrix with facts of its own."""
+        return self.matrix if self.rows.size == self.matrix.n else Matrix(self.block)
+
+    def solve(self, right: FloatVector, *, transposed: bool = False, goal: float = KRYLOV_GOAL) -> FloatVector | None:
+        """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None where none is to be had.
+
+        The block is singular then, to working precision, or Krylov steps fail and it is too large for a factor.
+
+        Parameters
+        ----------
+        right : array, shape (own,)
+            Entries outside F are not read.
+        goal : float
+            Where the solution is iterative, ‖residual‖₂ ≤ goal ‖right‖₂ is enough.
+        """
+        if not self._is_direct:
+            x = self._iterated(np.where(self.free, right, 0.0), transposed, goal)
+            if x is not None or not self.matrix.communicator.is_alone or not factor_fits(self.block):
+                return x
+        factor = self._factor
+        if factor is None:
+            return None
+        return self._extended(self._solved(factor, right[self.rows], REFINEMENTS, transposed))
+
+    @np.errstate(all="ignore")
+    def solve_near(self, right: FloatVector, start: FloatVector) -> FloatVector | None:
+        """Return x with M_FF x_F = right_F as nearly as can be by a factor, 0 elsewhere; None where none is finite.
+
+        Where the block is singular, a ridge is added to its diagonal and taken out again by proximal steps from
+        start; where that leaves an error, the most accurate of all attempts is returned.
+
+        Parameters
+        ----------
+        right, start : array, shape (n,)
+            Entries outside F are not read.
+        """
+        right, start = right[self.rows], start[self.rows]
+        if self._factor is not None:
+            steps = REFINEMENTS if self._is_uneven else 1
+            return self._extended(self._solved(self._factor, right, steps, scale=self._scale))
+        attempts = []
+        if self._ridge is not None:
+            attempts.append(self._refined(self._ridge, start, right, RIDGE_STEPS, self._scale))
+            if self._backward_error(right - self.block @ attempts[0], attempts[0], right) <= CONSISTENT:
+                return self._extended(attempts[0])
+        if self._doubtful_factor is not None:  # ill-conditioned is not singular
+            attempts.append(self._solved(self._doubtful_factor, right, 1, scale=self._scale))
+        if self.rows.size <= LEAST_SQUARES_UP_TO:
+            attempts.append(self._least_squares(right, start))
+        finite = [x for x in attempts if np.isfinite(x).all()]
+        best = min(finite, key=lambda x: _largest((right - self.block @ x) / self._scale), default=None)
+        return None if best is None else self._extended(best)
+
+    def solve_as_is(self, right: FloatVector) -> FloatVector:
+        """Return M_FF⁻¹ right, shape (|F|,) or (|F|, k), by the factor of a regular block, without refinement."""
+        factor = self._factor
+        if factor is None:
+            raise ValueError("the block is singular: ask is_singular first")
+        self.work += factor.solve_work * (right.shape[1] if right.ndim == 2 else 1)
+        if right.ndim == 2 and self._is_uneven:  # whose rows and columns are scaled one right-hand side at a time
+            return np.column_stack([factor.solve(np.ascontiguousarray(column)) for column in right.T])
+        x: FloatVector = factor.solve(right)
+        return x
+
+    def _extended(self, x: FloatVector) -> FloatVector | None:
+        if not np.isfinite(x).all():
+            return None
+        whole = np.zeros(self.free.size)
+        whole[self.rows] = x
+        return whole
+
+    @property
+    def is_singular(self) -> bool:
+        """Whether a factor has shown that the block is singular to working precision; Krylov steps tell only later."""
+        return self._is_direct and self._factor is None
+
+    @cached_property
+    def _is_direct(self) -> bool:
+        """Whether a factor is the first choice: on small sets and narrow bands, and where there are no grids."""
+        matrix = self.matrix
+        if matrix.communicator.is_alone:
+            if self.by_factor or matrix.is_dense or self.rows.size <= DIRECT_UP_TO:
+                return True
+            if (band := bandwidth(matrix)) is not None and sum(band) <= BANDED_UP_TO:
+                return True
+            if not (matrix.diagonal > 0.0).all():
+                return factor_fits(self.block)
+        return False
+
+    @cached_property
+    def _factor(self) -> Factor | None:
+        """The factor of the block, None where it is singular to working precision."""
+        factor = self._doubtful_factor
+        return None if factor is None or self._cancels(factor) else factor
+
+    @cached_property
+    def _doubtful_factor(self) -> Factor | None:
+        """The factor of the block, None where a pivot is zero."""
+        return self._counted(self._even_factor(self.block))
+
+    @cached_property
+    def _ridge(self) -> Factor | None:
+        """The factor of the block with RIDGE on its diagonal."""
+        shift = RIDGE * self._scale
+        block = self.block + (sp.diags_array(shift) if sp.issparse(self.block) else np.diag(shift))
+        return self._counted(self._even_factor(sp.csr_array(block) if sp.issparse(block) else block))
+
+    def _counted(self, factor: Factor | None) -> Factor | None:
+        self.work += 0.0 if factor is None else factor.work
+        return factor
+
+    @cached_property
+    def _scale(self) -> FloatVector:
+        return self.matrix.residual_scale[self.rows]
+
+    @property
+    def _is_uneven(self) -> bool:
+        return bool(self._scale.size and self._scale.max() > UNEVEN * self._scale.min())
+
+    @cached_property
+    def _sizes(self) -> Any:
+        """|M_FF|."""
+        return abs(self.block)
+
+    def _even_factor(self, block: Any) -> Factor | None:
+        """Return a factor of a block like M_FF, with rows and columns of one size where those of M are not.
+
+        Pivots that are large only by their unit would be preferred to those on the diagonal, and fill in.
+        """
+        is_symmetric, band = is_nearly_symmetric(self.matrix), bandwidth(self.matrix)
+        if not self._is_uneven:
+            return factorise(block, is_symmetric=is_symmetric, bandwidth=band)
+        is_symmetric = is_symmetric and bool((block.diagonal() > 0.0).all())
+        by = unit_diagonal(block.diagonal()) if is_symmetric else evened(sp.csr_array(block), EVENED_BY)
+        even = factorise(scaled(block, by), is_symmetric=is_symmetric, bandwidth=band)
+        if even is None:
+            return None
+        solve, solve_transposed = even.solve, even.solve_transposed
+        return replace(
+            even, solve=lambda right: times_power(solve(times_power(right, by.row)), by.column),
+            solve_transposed=lambda right: times_power(solve_transposed(times_power(right, by.column)), by.row),
+        )
+
+    def _cancels(self, factor: Factor) -> bool:
+        """Return whether terms much larger than their sum cancel in a solution: so they do beside a singular block.
+
+        Units of the unknowns that lie far apart can make a regular block look so, but not once they are evened out.
+        """
+        if not self.rows.size or not self._cancels_beside(self._scale, factor):
+            return False
+        rows = evened(sp.csr_array(self.block), EVENED_BY).row
+        return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
+
+    def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
+        """Return whether it is so where the right-hand side is this large, shape (|F|,)."""
+        with np.errstate(all="ignore"):
+            x = factor.solve(np.random.default_rng(0).standard_normal(scale.size) * scale)  # in no range by chance
+            self.work += factor.solve_work
+            at_most = self.matrix.row_largest[self.rows] * np.abs(x).sum()  # spares most blocks their product
+            return not bool((at_most <= SINGULAR * scale).all() or (self._sizes @ np.abs(x) <= SINGULAR * scale).all())
+
+    def _solved(
+        self, factor: Factor, right: FloatVector, steps: int, transposed: bool = False, scale: FloatVector | None = None
+    ) -> FloatVector:
+        """Return the solution by a factor, refined."""
+        self.work += factor.solve_work
+        with np.errstate(all="ignore"):
+            x: FloatVector = (factor.solve_transposed if transposed else factor.solve)(right)
+        return self._refined(factor, x, right, steps, scale, transposed)
+
+    @np.errstate(all="ignore")
+    def _refined(
+        self, factor: Factor, x: FloatVector, right: FloatVector, steps: int, scale: FloatVector | None,
+        transposed: bool = False,
+    ) -> FloatVector:
+        """Return the best x of steps x ← x + A⁻¹(right − M_FF x), as long as each halves its error.
+
+        That is the largest |right − M_FF x|/scale, or the backward error where scale is None.
+        """
+        solve, block = (factor.solve_transposed, self.block.T) if transposed else (factor.solve, self.block)
+        best, error = x, np.inf
+        for step in range(steps + 1):
+            left = right - block @ x
+            now = self._backward_error(left, x, right, transposed) if scale is None else _largest(left / scale)
+            self.work += (2.0 if scale is None else 1.0) * self._entries
+            best, is_halved, error = (x if now < error else best), now < 0.5 * error, min(now, error)
+            if not is_halved or error == 0.0 or step == steps:
+                break
+            x = x + solve(left)
+            self.work += factor.solve_work
+        return best
+
+    @property
+    def _entries(self) -> int:
+        return int(self.block.nnz if sp.issparse(self.block) else self.block.size)
+
+    def _backward_error(
+        self, left: FloatVector, x: FloatVector, right: FloatVector, transposed: bool = False
+    ) -> float:
+        """Return the largest |left|/(|M_FF||x| + |right|), 0/0 = 0."""
+        size = (self._sizes.T if transposed else self._sizes) @ np.abs(x) + np.abs(right)
+        return _largest(np.divide(left, size, out=np.zeros(left.size), where=left != 0.0))
+
+    def _least_squares(self, right: FloatVector, start: FloatVector) -> FloatVector:
+        """Return the point closest to start that makes the row-scaled system's error least, NaN where there is none."""
+        from scipy.linalg import LinAlgError, lstsq
+
+        block = self.block.toarray() if sp.issparse(self.block) else self.block
+        even = block / self._scale[:, None]
+        self.work += 4.0 * self.rows.size**3
+        try:
+            step: FloatVector = lstsq(even, right / self._scale - even @ start, cond=1e-12, check_finite=False)[0]
+        except LinAlgError:
+            return np.full(right.size, np.nan)
+        return start + step
+
+    @cached_property
+    def _truncation(self) -> Any:
+        """The grids of M with all that is not free taken out."""
+        from .hierarchy.levels import COARSEST, hierarchy_of
+        from .hierarchy.truncation import Truncation
+
+        truncation = Truncation(hierarchy_of(self.matrix, COARSEST))
+        top = truncation.grids[0]
+        top.is_free[: self.matrix.own] = self.free
+        top.free_changed[: self.matrix.own] = ~self.free
+        truncation.update()
+        return truncation
+
+    @np.errstate(all="ignore")
+    def _iterated(self, right: FloatVector, transposed: bool, goal: float) -> FloatVector | None:
+        """Return the solution by Krylov steps, one V-cycle each, None where they do not converge."""
+        from .hierarchy.truncation import KrylovCorrection
+        from .hierarchy.vectors import dot
+
+        matrix, is_symmetric = self.matrix, has_symmetric_entries(self.matrix)
+        if transposed and not is_symmetric and not matrix.communicator.is_alone:
+            return None  # the columns of M are spread over the ranks
+        if not matrix.communicator.everywhere(bool((matrix.diagonal > 0.0).all())):
+            return None
+
+        def size(vector: FloatVector) -> float:
+            return float(np.sqrt(matrix.communicator.total(dot(vector, vector))))
+
+        unit = 1.0 if is_symmetric or transposed else 1.0 / matrix.residual_scale
+        x, left, begun = np.zeros(right.size), right, size(right * unit)
+        for _ in range(REFINEMENTS):
+            correction = KrylovCorrection(self._truncation, left.copy(), is_symmetric, transposed=transposed)
+            steps, enough = 0, goal * begun / correction.unit
+            while size(correction.residual * unit) > enough and steps < KRYLOV_STEPS and correction.step():
+                steps += 1
+            better = np.empty(right.size)
+            correction.apply_to(x, better)
+            remainder = self._remainder(right, better, transposed)  # what steps keep of it on the way is not what it is
+            if not size(remainder * unit) < size(left * unit):
+                break
+            x, left = better, remainder
+            if size(left * unit) <= 10.0 * goal * begun:
+                return x
+        allowed = max(CONVERGED * begun, size(ROUNDING * self._terms(right, x, transposed) * unit))
+        return x if size(left * unit) <= allowed else None
+
+    def _remainder(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
+        """Return right − M x, or right − Mᵀx, on the free rows, 0 elsewhere."""
+        matrix = self.matrix
+        product = matrix.rows.T @ x if transposed and matrix.communicator.is_alone else matrix.rows @ matrix.whole(x)
+        return np.where(self.free, right - product, 0.0)
+
+    def _terms(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
+        """Return |right| + |M||x|, or |right| + |Mᵀ||x|, on the free rows, 0 elsewhere."""
+        matrix, rows = self.matrix, abs(self.matrix.rows)
+        size = np.abs(matrix.whole(x))
+        product = (rows.T if transposed and matrix.communicator.is_alone else rows) @ size
+        return np.where(self.free, np.abs(right) + product, 0.0)
+
+
+def _largest(values: FloatVector) -> float:
+    return float(np.max(np.abs(values), initial=0.0))
+

@@ -1,0 +1,116 @@
+"""The graph of M: its blocks, its band; what rows and entries are beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector, read_only
+from ..core.matrix.matrix import Matrix, fact, largest_in_rows
+from ..core.matrix.structure import IntVector, row_numbers
+from ..core.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
+
+
+def compressed_rows(M: Any) -> tuple[Any, Any, Any]:
+    """Return indptr, indices and data of a canonical CSR array, read-only; of an ndarray all entries, zeros as well."""
+    if sp.issparse(M):
+        return read_only(M.indptr), read_only(M.indices), read_only(M.data)
+    m, n = M.shape
+    starts, columns = np.arange(m + 1, dtype=np.int32) * np.int32(n), np.arange(n, dtype=np.int32)
+    return read_only(starts), read_only(np.tile(columns, m)), read_only(np.ascontiguousarray(M).reshape(-1))
+
+
+def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> sp.csr_array:
+    """Return left_i right_j in the places of M's entries; on ranks those of the own rows, columns of all.
+
+    Parameters
+    ----------
+    left, right : array, shape (own,)
+
+    Examples
+    --------
+    >>> outer_on_pattern(Matrix([[4.0, 1.0], [0.0, 4.0]]), np.array([2.0, 3.0]), np.array([1.0, 5.0])).toarray()
+    array([[ 2., 10.],
+           [ 0., 15.]])
+    """
+    rows, communicator = matrix.csr_rows, matrix.communicator
+    with np.errstate(over="ignore"):
+        data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
+    if communicator.is_alone:
+        return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+    columns = np.concatenate([np.arange(communicator.first, communicator.first + matrix.own), communicator.ghosts])
+    outer = sp.csr_array((data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n))
+    outer.sort_indices()
+    return outer
+
+
+def strong_blocks(M: Any) -> tuple[int, IntVector]:
+    """Return the number of strongly connected blocks of M's graph and the block of each row, shape (n,)."""
+    from scipy.sparse.csgraph import connected_components
+
+    # The routine drops explicit zeros of floats; only the pattern counts.
+    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
+    count, labels = connected_components(pattern, directed=True, connection="strong")
+    return int(count), labels.astype(np.int64)
+
+
+@fact
+def diagonal_blocks(matrix: Matrix) -> tuple[int, IntVector]:
+    """Return the same of a Matrix, read-only."""
+    count, labels = strong_blocks(matrix.csr)
+    return count, read_only(labels)
+
+
+def block_rows(labels: IntVector, count: int) -> list[IntVector]:
+    """Return the row numbers of each block, in order of the labels."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
+
+
+def within_blocks(M: Any, labels: IntVector) -> Any:
+    """Return a CSR array without the entries that couple rows of different blocks."""
+    within = labels[row_numbers(M)] == labels[M.indices]
+    return sp.csr_array((np.where(within, M.data, 0.0), M.indices, M.indptr), shape=M.shape)
+
+
+@fact
+def row_excess_signs(matrix: Matrix) -> IntVector:
+    """Exact signs of |m_ii| − Σ_j≠i |m_ij|, shape (n,)."""
+    M, ones = matrix.csr, np.ones(matrix.n)
+    value, radius = comparison_product(M, ones)
+    signs = np.where(lower_end(value, radius) > 0.0, 1, np.where(upper_end(value, radius) < 0.0, -1, 0))
+    for row in np.flatnonzero((signs == 0) & (radius > 0.0)):
+        exact = exact_comparison_row(M, ones, int(row))
+        signs[row] = (exact > 0) - (exact < 0)
+    return read_only(signs.astype(np.int64))
+
+
+@fact
+def scale_spread(matrix: Matrix) -> Mapping[str, float]:
+    """Decades between largest and smallest nonzero magnitude: entries, rows, columns, diagonal."""
+    M = matrix.csr
+    magnitudes = np.abs(M.data)
+    row_largest, column_largest = largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))
+    sizes = {
+        "entries": magnitudes, "rows": row_largest, "columns": column_largest, "diagonal": np.abs(M.diagonal())
+    }
+    return MappingProxyType({name: _decades(values) for name, values in sizes.items()})
+
+
+def _decades(values: FloatVector) -> float:
+    nonzero = values[values > 0.0]
+    return float(np.log10(nonzero.max()) - np.log10(nonzero.min())) if nonzero.size else 0.0
+
+
+@fact
+def bandwidth(matrix: Matrix) -> tuple[int, int] | None:
+    """Return the numbers of sub- and superdiagonals of a sparse M, None where M is kept dense."""
+    M = matrix.array
+    if not sp.issparse(M):
+        return None
+    offsets = M.indices.astype(np.int64) - row_numbers(M)
+    return (max(0, -int(offsets.min())), max(0, int(offsets.max()))) if offsets.size else (0, 0)

@@ -1,0 +1,375 @@
+"""Which unknowns go to the coarser grid, and how the others are interpolated from them; compiled, arrays only.
+
+Unknown i depends strongly on j where −m_ij ≥ strength · max_k −m_ik. The coarse unknowns are chosen by the first
+pass of Ruge and Stüben: take the unknown on which most others depend, interpolate those from it, and prefer from
+then on what these depend on. Interpolation is direct: row i, scaled so that a constant is reproduced where the row
+of M sums to zero; positive couplings are lumped into the diagonal, so that no weight is negative.
+
+Where couplings jump from edge to edge, many a fine unknown has no coarse neighbour. There interpolation is extended: a
+fine unknown on which i depends strongly, and which has no coarse one in common with it, is replaced by what its own row
+interpolates it from, i included. Only the largest weights of such a row are kept.
+
+References
+----------
+J. W. Ruge, K. Stüben, *Algebraic multigrid*, in: Multigrid Methods, SIAM 1987, doi:10.1137/1.9781611971057.ch4.
+H. De Sterck, R. D. Falgout, J. W. Nolting, U. M. Yang, *Distance-two interpolation for parallel algebraic multigrid*,
+Numer. Linear Algebra Appl. 15 (2008), doi:10.1002/nla.559.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, uintp
+
+from ...core.kernels.compilation import compiled
+from .vectors import LACKING
+
+COARSE, FINE = 1, 2
+LEAST_WEIGHT = 0.2  # of the largest weight, and
+MOST_WEIGHTS = 3  # so many are kept in a row that interpolates through fine unknowns
+
+
+@compiled
+def strong_couplings(  # type: ignore[no-untyped-def]
+    indptr, indices, data, strength, own, is_strong, columns, last, first_row, end_row
+):
+    """Mark the entries i → j, j < own, where i depends strongly on j; list these j in columns[indptr[i]:last[i]].
+
+    Strong is what is so among all couplings of the row.
+    """
+    one = uintp(1)
+    for i in range(uintp(first_row), uintp(end_row)):
+        begin, end = uintp(indptr[i]), uintp(indptr[i + one])
+        largest = 0.0
+        for k in range(begin, end):
+            if -data[k] > largest and uintp(indices[k]) != i:
+                largest = -data[k]
+        size = begin
+        for k in range(begin, end):
+            j = uintp(indices[k])
+            is_strong[k] = j < uintp(own) and largest > 0.0 and j != i and -data[k] >= strength * largest
+            if is_strong[k]:
+                columns[size] = j
+                size += one
+        last[i] = size
+
+
+@compiled
+def choose_coarse(  # type: ignore[no-untyped-def]
+    begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after, head
+):
+    """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
+
+    Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] on it; where that is the same
+    for all i, `is_mutual`, all of them are FINE once i is COARSE.
+
+    The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
+    once more; −1 where it is decided. One list a weight holds the unknowns that had it at some time; an entry whose
+    unknown has lost weight since goes to the list where it belongs when its turn comes. `weight`, shape (n,), `entry`
+    and `after`, each of shape (n + number of columns,), are work space; `head`, full of −1, has two entries more than
+    twice the largest number of dependents.
+    """
+    one = uintp(1)
+    n = uintp(last.size)
+    heaviest = 0
+    for i in range(n):
+        weight[i] = t_last[i] - t_begin[i]
+        heaviest = max(heaviest, weight[i])
+    size = uintp(0)
+    for back in range(n):
+        i = n - one - back
+        kind[i] = FINE
+        if weight[i] == 0:
+            weight[i] = -1
+        else:
+            entry[size], after[size] = i, head[uintp(weight[i])]
+            head[uintp(weight[i])] = size
+            size += one
+    while heaviest > 0:
+        if head[heaviest] < 0:
+            heaviest -= 1
+            continue
+        place = uintp(head[heaviest])
+        head[heaviest] = after[place]
+        i = uintp(entry[place])
+        if weight[i] < 0:
+            continue
+        if weight[i] < heaviest:
+            if weight[i] == 0:
+                weight[i] = -1
+            else:
+                after[place] = head[uintp(weight[i])]
+                head[uintp(weight[i])] = place
+            continue
+        kind[i] = COARSE
+        weight[i] = -1
+        for k in range(uintp(t_begin[i]), uintp(t_last[i])):
+            j = uintp(dependents[k])
+            if weight[j] < 0:
+                continue
+            weight[j] = -1
+            for m in range(uintp(begin[j]), uintp(last[j])):
+                p = uintp(columns[m])
+                if weight[p] >= 0:
+                    weight[p] += 1
+                    entry[size], after[size] = p, head[uintp(weight[p])]
+                    head[uintp(weight[p])] = size
+                    size += one
+                    heaviest = max(heaviest, weight[p])
+        if is_mutual:
+            continue
+        for m in range(uintp(begin[i]), uintp(last[i])):
+            p = uintp(columns[m])
+            if weight[p] >= 0:
+                weight[p] -= 1
+
+
+@compiled
+def direct_interpolation(  # type: ignore[no-untyped-def]
+    indptr, indices, data, is_strong, kind, number, first_row, end_row, p_indptr, p_indices, p_data
+):
+    """Write rows of the interpolation in CSR; return their number of entries, and how many have no coarse neighbour.
+
+    `number` numbers the coarse unknowns.
+    """
+    one = uintp(1)
+    size, lonely = uintp(0), 0
+    for i in range(uintp(first_row), uintp(end_row)):
+        p_indptr[i - uintp(first_row)] = size
+        if kind[i] == COARSE:
+            p_indices[size] = number[i]
+            p_data[size] = 1.0
+            size += one
+            continue
+        count = uintp(0)
+        diagonal, all_negative, interpolating = 0.0, 0.0, 0.0
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            j = uintp(indices[k])
+            if data[k] > 0.0 or j == i:
+                diagonal += data[k]
+            else:
+                all_negative += data[k]
+                if is_strong[k] and kind[j] == COARSE:
+                    interpolating += data[k]
+                    p_indices[size + count] = k  # until it is known how much there is
+                    count += one
+        if not (interpolating < 0.0 and diagonal > 0.0):
+            lonely += all_negative < 0.0
+            continue
+        factor = all_negative / interpolating
+        for _ in range(count):
+            k = uintp(p_indices[size])
+            p_indices[size] = number[uintp(indices[k])]
+            p_data[size] = factor * (-data[k] / diagonal)
+            size += one
+    p_indptr[end_row - first_row] = size
+    return size, lonely
+
+
+@compiled
+def extended_interpolation(  # type: ignore[no-untyped-def]
+    indptr, indices, data, is_strong, kind, number, first_row, end_row, p_indptr, p_indices, p_data
+):
+    """Write rows that reach through fine unknowns; return their number of entries, and how many were read for all rows.
+
+    `p_indices` and `p_data` have room for the entries of M and MOST_WEIGHTS more a row.
+    """
+    one = uintp(1)
+    size, read = uintp(0), 4 * indices.size  # twice to find the strong coarse ones, twice for the rows themselves
+    coarse, weights = np.empty(number.size, indices.dtype), np.empty(number.size)
+    place, met_by = np.zeros(number.size, indptr.dtype), np.full(number.size, -1, indptr.dtype)
+    first, near = _strong_coarse(indptr, indices, is_strong, kind)
+    for i in range(uintp(first_row), uintp(end_row)):
+        p_indptr[i - uintp(first_row)] = size
+        if kind[i] == COARSE:
+            p_indices[size] = number[i]
+            p_data[size] = 1.0
+            size += one
+            continue
+        count = 0
+        diagonal = 0.0
+        all_negative = 0.0
+        interpolating = 0.0
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            j = uintp(indices[k])
+            if data[k] > 0.0 or j == i:
+                diagonal += data[k]
+            else:
+                all_negative += data[k]
+                if is_strong[k] and kind[j] == COARSE:
+                    interpolating += data[k]
+                    coarse[count], weights[count] = j, data[k]
+                    place[j], met_by[j] = count, i
+                    count += 1
+        through, back, count, scanned = _through_fine(
+            indptr, indices, data, is_strong, kind, first, near, i, count, coarse, weights, place, met_by
+        )
+        interpolating += through
+        read += scanned
+        if not (interpolating < 0.0 and diagonal > 0.0):
+            continue
+        factor = all_negative / interpolating
+        own_share = diagonal + factor * back
+        if not own_share > 0.0:
+            continue
+        if through < 0.0:
+            count, kept = _largest_weights(count, coarse, weights)
+            factor /= kept
+        for k in range(count):
+            p_indices[size] = number[uintp(coarse[k])]
+            p_data[size] = factor * (-weights[k] / own_share)
+            size += one
+    p_indptr[end_row - first_row] = size
+    return size, read
+
+
+@compiled
+def _strong_coarse(indptr, indices, is_strong, kind):  # type: ignore[no-untyped-def]
+    """Return where the strong couplings to coarse unknowns stand: near[first[i]:first[i + 1]] of row i."""
+    one, size = uintp(1), uintp(0)
+    first, near = np.empty(indptr.size, indptr.dtype), np.empty(indices.size, indptr.dtype)
+    for i in range(uintp(indptr.size - 1)):
+        first[i] = size
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            if is_strong[k] and kind[uintp(indices[k])] == COARSE:
+                near[size] = k
+                size += one
+    first[indptr.size - 1] = size
+    return first, near
+
+
+@compiled
+def _through_fine(  # type: ignore[no-untyped-def]
+    indptr, indices, data, is_strong, kind, first, near, i, count, coarse, weights, place, met_by
+):
+    """Spread the strong couplings of row i to fine unknowns without a common coarse one over what interpolates those.
+
+    Returns the sum of these couplings, what of it comes back to i, how many coarse unknowns row i has met, and how many
+    entries were read. All unknowns are own ones: who shares the rest of a row elsewhere need not know of neighbours'
+    neighbours.
+    """
+    one = uintp(1)
+    direct, own = count, uintp(indptr.size - 1)
+    through, back, read = 0.0, 0.0, 0
+    for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+        j = uintp(indices[k])
+        if not is_strong[k] or kind[j] == COARSE or j >= own:
+            continue
+        total, to_i, is_alone = 0.0, 0.0, True
+        for a in range(uintp(first[j]), uintp(first[j + one])):
+            c = uintp(indices[uintp(near[a])])
+            total += data[uintp(near[a])]
+            read += 1
+            if c >= own or (met_by[c] == i and place[c] < direct):
+                is_alone = False
+                break
+        if total == 0.0 or not is_alone:
+            continue
+        for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
+            if uintp(indices[m]) == i:
+                to_i = min(data[m], 0.0)
+        read += indptr[j + one] - indptr[j] + first[j + one] - first[j]
+        share = data[k] / (total + to_i)
+        through += data[k]
+        back += share * to_i
+        for a in range(uintp(first[j]), uintp(first[j + one])):
+            c = uintp(indices[uintp(near[a])])
+            if met_by[c] != i:
+                coarse[count], weights[count] = c, 0.0
+                place[c], met_by[c] = count, i
+                count += 1
+            weights[place[c]] += share * data[uintp(near[a])]
+    return through, back, count, read
+
+
+@compiled
+def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
+    """Keep MOST_WEIGHTS of the weights and none below LEAST_WEIGHT; return how many, and their share of the sum."""
+    total, kept = 0.0, 0.0
+    for k in range(count):  # all are negative: the largest ones first
+        total += weights[k]
+    least = 0.0
+    for end in range(count):
+        first = end
+        for k in range(end + 1, count):
+            if weights[k] < weights[first]:
+                first = k
+        weights[end], weights[first] = weights[first], weights[end]
+        coarse[end], coarse[first] = coarse[first], coarse[end]
+        least = LEAST_WEIGHT * weights[0]
+        if end == MOST_WEIGHTS or weights[end] > least:
+            return end, kept / total
+        kept += weights[end]
+    return count, kept / total
+
+
+@compiled
+def couplings_by_sign(indptr, indices, data):  # type: ignore[no-untyped-def]
+    """Return the sum of the positive off-diagonal entries, that of all in absolute value, and how many rows lack.
+
+    A row lacks what would let it sum to zero where its negative couplings outweigh all else noticeably.
+    """
+    one = uintp(1)
+    positive, total, lacking = 0.0, 0.0, 0.0
+    for i in range(uintp(indptr.size - 1)):
+        row_positive, row_total, diagonal = 0.0, 0.0, 0.0
+        largest = 0.0
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            if uintp(indices[k]) != i:
+                size = abs(data[k])
+                row_total += size
+                if data[k] > 0.0:
+                    row_positive += data[k]
+                largest = max(largest, size)
+            else:
+                diagonal = data[k]
+        if diagonal + row_positive < (1.0 - LACKING) * (row_total - row_positive):
+            lacking += 1.0
+        if largest > 0.0:  # each row counts alike, whatever its unit
+            positive += row_positive / largest
+            total += row_total / largest
+    return positive, total, lacking
+
+
+@njit(inline="always")
+def _least_strong(indptr, indices, data, strength, i):  # type: ignore[no-untyped-def]
+    """Return the least −m_ij of a strong coupling of row i; ∞ where it has none."""
+    largest = 0.0
+    for k in range(uintp(indptr[i]), uintp(indptr[i + uintp(1)])):
+        if -data[k] > largest and uintp(indices[k]) != i:
+            largest = -data[k]
+    return strength * largest if largest > 0.0 else np.inf
+
+
+@compiled
+def mend_seams(indptr, indices, data, strength, own, gives_way, kind):  # type: ignore[no-untyped-def]
+    """Make own unknowns coarse that depend strongly on a foreign fine one without a strong coarse one for both.
+
+    The second pass of Ruge and Stüben, where ranks meet. Of the two ranks the one gives way whose flag in `gives_way`,
+    one a foreign unknown, is set. Behind the own rows stand those of foreign unknowns next to them.
+    """
+    one = uintp(1)
+    n = uintp(own)
+    rows = uintp(indptr.size - 1)
+    mark = np.full(kind.size, -1, indptr.dtype)
+    for i in range(n):
+        begin, end = uintp(indptr[i]), uintp(indptr[i + one])
+        if kind[i] == COARSE or begin == end or uintp(indices[end - one]) < n:
+            continue
+        least = _least_strong(indptr, indices, data, strength, i)
+        for k in range(begin, end):
+            if -data[k] >= least and kind[uintp(indices[k])] == COARSE:
+                mark[uintp(indices[k])] = i
+        for k in range(begin, end):
+            j = uintp(indices[k])
+            if j < n or j >= rows or -data[k] < least or kind[j] == COARSE or not gives_way[j - n]:
+                continue
+            has_common = False
+            its_least = _least_strong(indptr, indices, data, strength, j)
+            for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
+                if -data[m] >= its_least and mark[uintp(indices[m])] == i:
+                    has_common = True
+                    break
+            if not has_common:
+                kind[i] = COARSE
+                break

@@ -1,0 +1,394 @@
+"""The matrix of the coarser grid, PᵀMP, and its truncation; compiled, arrays only.
+
+Truncation to a set of free unknowns zeroes the rows of P of all others, and of fine ones that what is fixed holds: that
+took nearly all of their couplings (`vectors.HELD`). P would let those follow their coarse neighbours, as if nothing
+held them; where couplings jump, conjugate gradients then take ten times as many steps. A row of the coarse matrix
+changes only where it meets an unknown whose row of P comes or goes, or a changed row of the finer matrix: only those
+rows are computed again.
+
+Positions are unsigned, which spares the test for a negative index at each access: a third of the time.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numba import njit, uintp
+from numpy.typing import NDArray
+
+from ...core.checks import FloatVector, read_only
+from ...core.communicator import Arrays
+from ...core.crossovers import SHARED_FROM
+from ...core.kernels.compilation import compiled
+from ...core.kernels.threads import share, threads_now
+from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
+
+Indices = NDArray[Any]
+
+SMALLEST_PIVOT, SMALLEST_SINGLE_PIVOT = 1e-300, 1e-35  # their inverses are finite
+STEPS_SEEN = 1000  # rows either side of the middle
+
+
+def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
+    """Return the transpose in CSR; its rows are sorted."""
+    first, rows, t_data = _transposed(columns, indptr[:-1], indptr[1:], indices, data, indices.size)
+    return first, rows, t_data
+
+
+def transposed_pattern(begin: Indices, last: Indices, columns: Indices) -> tuple[Indices, Indices]:
+    """List the rows i with j among columns[begin[i]:last[i]] in rows[first[j]:first[j + 1]]; return first and rows."""
+    first, rows, _ = _transposed(last.size, begin, last, columns, NO_WEIGHT, int((last - begin).sum()))
+    return first, rows
+
+
+def _transposed(
+    width: int, begin: Indices, last: Indices, columns: Indices, data: FloatVector, entries: int
+) -> Arrays:
+    """Each piece of rows counts its columns; behind those of the pieces before, its entries find their places."""
+    # Allocated here and not in the kernel: numpy asks for large pages, which makes the first touch four times cheaper.
+    pieces = max(min(threads_now(), last.size // SMALLEST_PIECE), 1)
+    ends = read_only(np.linspace(0, last.size, pieces + 1).astype(np.int64))
+    first, places = np.zeros(width + 1, begin.dtype), np.zeros((pieces, width), begin.dtype)
+    rows, t_data = np.empty(entries, columns.dtype), np.empty(data.size, data.dtype)
+    share(partial(_count_columns, begin, last, columns, ends, places), pieces, 1)
+    _find_places(places, first)
+    share(partial(_transpose, begin, last, columns, data, ends, places, rows, t_data), pieces, 1)
+    return first, rows, t_data
+
+
+@compiled
+def _count_columns(begin, last, columns, ends, counts, first_piece, end_piece):  # type: ignore[no-untyped-def]
+    for piece in range(first_piece, end_piece):
+        count = counts[piece]
+        for i in range(uintp(ends[piece]), uintp(ends[piece + 1])):
+            for k in range(uintp(begin[i]), uintp(last[i])):
+                count[uintp(columns[k])] += 1
+
+
+@compiled
+def _find_places(places, first):  # type: ignore[no-untyped-def]
+    """Turn the counts of each piece into where its first entry of each column goes; first[0] is 0 before."""
+    total = 0
+    for j in range(places.shape[1]):
+        for piece in range(places.shape[0]):
+            count = places[piece, j]
+            places[piece, j] = total
+            total += count
+        first[j + 1] = total
+
+
+@compiled
+def _transpose(begin, last, columns, data, ends, places, rows, t_data, first_piece, end_piece):  # type: ignore[no-untyped-def]
+    """Write the entries of these pieces of rows to their places in the transpose; `data` may be empty."""
+    one, has_data = uintp(1), data.size > 0
+    for piece in range(first_piece, end_piece):
+        place = places[piece]
+        for i in range(uintp(ends[piece]), uintp(ends[piece + 1])):
+            for k in range(uintp(begin[i]), uintp(last[i])):
+                j = uintp(columns[k])
+                p = uintp(place[j])
+                rows[p] = i
+                if has_data:
+                    t_data[p] = data[k]
+                place[j] = p + one
+
+
+@njit(inline="always")
+def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
+    """Sort by insertion: the rows are short."""
+    one = uintp(1)
+    for a in range(begin + one, end):
+        column = indices[a]
+        place = a
+        while place > begin and indices[place - one] > column:
+            indices[place] = indices[place - one]
+            place -= one  # type: ignore[assignment]
+        indices[place] = column
+
+
+def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
+    """Return how many products of three entries PᵀMP takes."""
+    return float(sum(share(partial(_count_products, indptr, indices, p_indptr), indptr.size - 1, SHARED_FROM)))
+
+
+@compiled
+def _count_products(indptr, indices, p_indptr, first, end):  # type: ignore[no-untyped-def]
+    one = uintp(1)
+    total = 0.0  # an integer, which more than 64 bits may take
+    for i in range(uintp(first), uintp(end)):
+        own = p_indptr[i + one] - p_indptr[i]
+        if own > 0:
+            met = 0  # a sum of integers need not wait for the one before
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                j = uintp(indices[k])
+                met += p_indptr[j + one] - p_indptr[j]
+            total += own * met
+    return total
+
+
+def galerkin_product(
+    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int, runs: EqualRows | None = None
+) -> Arrays:
+    """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows.
+
+    Where the runs of equal rows of M are given, a row that must equal the one before is copied, not computed.
+    """
+    indptr, indices, _ = matrix
+    n = restriction[0].size - 1
+    step, repeats = 0, np.zeros(indptr.size - 1, np.uint8)
+    if runs is not None and n > 1:
+        step = _usual_step(restriction[0], restriction[1])
+        if step > 0:
+            is_same = np.zeros(prolongation[0].size - 1, np.uint8)
+            share(partial(mark_equal, step, *prolongation, is_same), is_same.size, SMALLEST_PIECE)
+            _mark_repeats(step, runs, indptr, indices, is_same, repeats)
+    longest = int(np.diff(prolongation[0]).max(initial=1))
+    operands = *matrix, *prolongation, *restriction, step, repeats, longest
+    return joined(share(lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE))
+
+
+def _product_piece(operands: tuple[Any, ...], columns: int, n: int, first: int, end: int) -> Arrays:
+    """Return the rows [first, end) of the n of R M P, which do not depend on where pieces begin."""
+    indptr, indices = operands[:2]
+    width, rows = operands[3].size - 1, end - first
+    room = indices.size * rows // max(n, 1) + rows if first else indices.size + n
+    c_indptr, c_indices, c_data = np.zeros(rows + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
+    space = *_row_space(width, indices.dtype), *_row_space(columns, indices.dtype)[::2]
+    row = _product_rows(*operands, first, first, end, *space, c_indptr, c_indices, c_data)
+    while row < end:  # the room did not suffice
+        size, room = int(c_indptr[row - first]), room + room // 2 + max(n, columns)
+        c_indices, c_data = _enlarged(c_indices, size, room), _enlarged(c_data, size, room)
+        row = _product_rows(*operands, first, row, end, *space, c_indptr, c_indices, c_data)
+    return c_indptr, c_indices, c_data
+
+
+def _row_space(width: int, dtype: Any) -> tuple[Indices, Indices, FloatVector]:
+    """Return room for one row of so many columns: where each stands, zero if nowhere; which they are; their sums."""
+    return np.zeros(width, dtype), np.empty(width, dtype), np.empty(width)
+
+
+def _enlarged(values: Any, size: int, room: int) -> Any:
+    larger = np.empty(room, values.dtype)
+    larger[:size] = values[:size]
+    return larger
+
+
+def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
+    """Return by how many fine unknowns a row of R most often is further than the one before; 0 for backwards."""
+    rows = r_indptr.size - 1
+    some = r_indptr[max(rows // 2 - STEPS_SEEN, 0) : rows // 2 + STEPS_SEEN]
+    steps, times = np.unique(np.diff(r_indices[some[some < r_indices.size]]), return_counts=True)
+    return max(int(steps[np.argmax(times)]), 0) if steps.size else 0
+
+
+@compiled
+def _mark_repeats(step, runs, indptr, indices, is_same, repeats):  # type: ignore[no-untyped-def]
+    """Mark the rows i of M P that are those of i − step with each column one further, as `is_same` says of P.
+
+    Both flags are bytes.
+    """
+    one = uintp(1)
+    for s in range(runs.shape[0]):
+        first, end = uintp(runs[s, 0]), uintp(runs[s, 1])
+        begin = first + uintp(step)
+        if runs[s, 2] > 0 and begin < end:  # the rows meet the same neighbours
+            for p in range(begin, end):
+                repeats[p] = 1
+            for k in range(uintp(indptr[begin]), uintp(indptr[begin + one])):
+                to = uintp(indices[k])
+                for p in range(end - begin):
+                    repeats[begin + p] &= is_same[to + p]
+
+
+@njit(inline="always")
+def _repeats(row, step, repeats, r_indptr, r_indices, r_data):  # type: ignore[no-untyped-def]
+    """Return whether that row of R M P is the one before with each column one further."""
+    one = uintp(1)
+    k, end, before = uintp(r_indptr[row]), uintp(r_indptr[row + one]), uintp(r_indptr[row - one])
+    if end - k != k - before:
+        return False
+    while k < end:
+        i = r_indices[k]
+        if not (repeats[uintp(i)] and i == r_indices[before] + step and r_data[k] == r_data[before]):
+            return False
+        k += one
+        before += one
+    return True
+
+
+@compiled
+def _product_rows(  # type: ignore[no-untyped-def]
+    indptr, indices, data, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
+    step, repeats, longest, first, next_row, end, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
+):
+    """Compute the rows [first, end) of R M P from `next_row` on; return the first that the room may not hold, or `end`.
+
+    A row of R M comes first: it meets a fine unknown many times, and so multiplies by its row of P but once.
+    """
+    one = uintp(1)
+    room = uintp(c_indices.size)
+    size = uintp(c_indptr[next_row - first])
+    for row in range(uintp(next_row), uintp(end)):
+        begin, own = size, row - uintp(first)
+        if step > 0 and own > 0 and _repeats(row, step, repeats, r_indptr, r_indices, r_data):
+            if room - size < size - uintp(c_indptr[own - one]):
+                return row
+            for k in range(uintp(c_indptr[own - one]), begin):
+                c_indices[size], c_data[size] = c_indices[k] + 1, c_data[k]
+                size += one
+            c_indptr[own + one] = size
+            continue
+        count = uintp(0)
+        for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
+            i = uintp(r_indices[a])
+            weight = r_data[a]
+            for b in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                k = uintp(indices[b])
+                at = uintp(fine_place[k])
+                if at == 0:
+                    fine[count] = k
+                    fine_sums[count] = weight * data[b]
+                    count += one
+                    fine_place[k] = count
+                else:
+                    fine_sums[at - one] += weight * data[b]
+        for f in range(count):
+            fine_place[uintp(fine[f])] = 0
+        if room - size < min(one + count * uintp(longest), uintp(place.size)):
+            return row
+        c_indices[size] = row
+        sums[0] = 0.0
+        size += one
+        place[row] = 1
+        for f in range(count):
+            k = uintp(fine[f])
+            value = fine_sums[f]
+            for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
+                column = uintp(p_indices[c])
+                at = uintp(place[column])
+                if at == 0:
+                    c_indices[size] = column
+                    sums[size - begin] = value * p_data[c]
+                    size += one
+                    place[column] = size - begin
+                else:
+                    sums[at - one] += value * p_data[c]
+        _sort_row(c_indices, begin, size)
+        for c in range(begin, size):
+            column = uintp(c_indices[c])
+            c_data[c] = sums[uintp(place[column]) - one]
+            place[column] = 0
+        c_indptr[own + one] = size
+    return uintp(end)
+
+
+def mark_rows(*operands: Any) -> None:
+    """Mark the rows whose contribution to the coarse matrix changed; the operands are those of `_mark_rows`."""
+    share(partial(_mark_rows, *operands), operands[0].size - 1, SHARED_FROM)
+
+
+@compiled
+def _mark_rows(  # type: ignore[no-untyped-def]
+    indptr, indices, runs, is_free_changed, is_row_changed, touched, first_row, end_row
+):
+    """All three flags are bytes."""
+    one = uintp(1)
+    s = run_at(first_row, runs)
+    while s < runs.shape[0] and runs[s, 0] < end_row:
+        first, end = uintp(max(first_row, runs[s, 0])), uintp(min(end_row, runs[s, 1]))
+        for i in range(first, end):
+            touched[i] = is_row_changed[i]
+        if runs[s, 2] > 0:  # the rows meet the same neighbours
+            for k in range(uintp(indptr[first]), uintp(indptr[first + one])):
+                to = uintp(indices[k])
+                for p in range(end - first):
+                    touched[first + p] |= is_free_changed[to + p]
+        else:
+            for i in range(first, end):
+                k, last = uintp(indptr[i]), uintp(indptr[i + one])
+                while k < last and not touched[i]:
+                    touched[i] = is_free_changed[uintp(indices[k])]
+                    k += one
+        s += 1
+
+
+def update_product(*operands: Any) -> tuple[float, int]:
+    """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
+
+    The operands are the arrays that `_update_rows` names first.
+    """
+    indices, is_interpolated, r_indptr, c_is_free = operands[1], operands[3], operands[8], operands[-3]
+
+    def piece(first: int, end: int) -> tuple[float, int]:
+        space = *_row_space(is_interpolated.size, indices.dtype), np.empty(c_is_free.size)
+        counts: tuple[float, int] = _update_rows(*operands, *space, first, end)
+        return counts
+
+    products, changed = zip(*share(piece, r_indptr.size - 1, SMALLEST_PIECE), strict=True)
+    return sum(products), sum(changed)
+
+
+@compiled
+def _update_rows(  # type: ignore[no-untyped-def]
+    indptr, indices, data, is_interpolated, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
+    c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
+    fine_place, fine, fine_sums, sums, first, end,
+):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
+    """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
+
+    A coarse unknown all of whose fine ones are fixed or held, or whose pivot is not positive, is fixed itself.
+    """
+    one, smallest = uintp(1), SMALLEST_PIVOT if c_inverse.itemsize == 8 else SMALLEST_SINGLE_PIVOT
+    products = 0.0
+    changed_rows = 0
+    for row in range(uintp(first), uintp(end)):
+        is_changed = False
+        for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
+            if touched[uintp(r_indices[a])]:
+                is_changed = True
+                break
+        c_free_changed[row] = False
+        c_row_changed[row] = is_changed
+        if not is_changed:
+            continue
+        changed_rows += 1
+        count, added = uintp(0), uintp(0)
+        for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
+            i = uintp(r_indices[a])
+            if not is_interpolated[i]:
+                continue
+            weight = r_data[a]
+            added += uintp(indptr[i + one] - indptr[i])
+            for b in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                k = uintp(indices[b])
+                if not is_interpolated[k]:
+                    continue
+                at = uintp(fine_place[k])
+                if at == 0:
+                    fine[count] = k
+                    fine_sums[count] = weight * data[b]
+                    count += one
+                    fine_place[k] = count
+                else:
+                    fine_sums[at - one] += weight * data[b]
+        for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
+            sums[uintp(c_indices[c])] = 0.0
+        for f in range(count):
+            k = uintp(fine[f])
+            fine_place[k] = 0
+            value = fine_sums[f]
+            added += uintp(p_indptr[k + one] - p_indptr[k])
+            for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
+                sums[uintp(p_indices[c])] += value * p_data[c]
+        for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
+            c_data[c] = factor * sums[uintp(c_indices[c])]
+        products += added
+        pivot = c_data[uintp(c_diagonal[row])]
+        free = pivot > smallest
+        weight = c_weight[row] if c_weight.size > 0 else 0.0
+        c_inverse[row] = 1.0 / (pivot + weight) if free else 0.0
+        c_free_changed[row] = free != c_is_free[row]
+        c_is_free[row] = free
+    return products, changed_rows

@@ -1,0 +1,352 @@
+"""A hierarchy with some unknowns of its finest grid fixed, and the V-cycle on what is free; one object a run.
+
+A V-cycle preconditions Krylov steps on the free rows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...core.checks import FloatVector, read_only
+from ...core.matrix.equilibration import power_of_two
+from ..factors import Factor, dense_lu
+from . import galerkin, sweeps, vectors
+from .grids import Grid, Hierarchy, without
+from .vectors import add_both, add_within, dot, largest_product, span
+
+COARSEST_SWEEPS = 10  # there and back, where it is shared by processes or large
+FACTORISED_UP_TO = 150  # unknowns: the factor takes no more than sweeps over some thousand entries
+
+
+class TruncatedGrid:
+    """The values of one grid while some unknowns are fixed, and its vectors."""
+
+    def __init__(self, grid: Grid, *, is_finest: bool) -> None:
+        self.grid = grid
+        n = grid.n
+        self.new_values = None if is_finest else grid.matrix.data.copy()  # the finest keeps the matrix as it is
+        self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
+        self.values.flags.writeable = False
+        self.runs = grid.runs
+        self.inverse = grid.inverse.copy()
+        self.is_free = np.ones(grid.width, np.bool_)
+        self.free_changed = np.zeros(grid.width, np.bool_)
+        self.is_interpolated = np.ones(grid.width, np.bool_)  # free, and not held by what is fixed
+        self.held = np.zeros(0, np.intp)
+        self.row_changed = np.zeros(n, np.bool_)
+        self.has_changed = np.zeros(n, np.bool_)  # since all unknowns were free
+        self.touched = np.zeros(grid.width, np.bool_)
+        self.is_whole = True  # nothing was ever fixed here, or it was released again
+        dtype = grid.matrix.data.dtype
+        self.x, self.b, self.residual = (np.zeros(size, dtype) for size in (grid.width, n, grid.width))
+        self._factor: Factor | None = None
+        self._is_factorised = False
+
+    def factor(self) -> tuple[Factor | None, float]:
+        """Return the factor of the free block, the identity elsewhere, and the work; None where there is none.
+
+        Sweeps would not do where couplings jump: blocks that hang together by weak ones only move slowly.
+        """
+        n = self.grid.n
+        if self._is_factorised or n > FACTORISED_UP_TO or not self.grid.communicator.is_empty:
+            return self._factor, 0.0
+        dense = self.grid.dense(self.values)
+        is_fixed = self.inverse == 0.0
+        dense[is_fixed, :] = dense[:, is_fixed] = 0.0
+        dense[is_fixed, is_fixed] = 1.0
+        self._factor, self._is_factorised = dense_lu(dense), True
+        return self._factor, n**3 / 3.0
+
+    def forget_factor(self) -> None:
+        """Say that values or free unknowns have changed."""
+        self._factor, self._is_factorised = None, False
+
+    def release(self) -> float:
+        """Make all unknowns free; return the matrix entries touched."""
+        if self.is_whole:
+            return 0.0
+        self.is_whole = True
+        self.forget_factor()
+        self.is_free[:] = self.is_interpolated[:] = True
+        self.held = self.held[:0]
+        self.inverse[:] = self.grid.inverse
+        if self.new_values is not None:
+            self.new_values[:] = self.grid.matrix.data
+        self.free_changed[:] = False
+        self.row_changed[:] = False
+        self.has_changed[:] = False
+        self.runs = self.grid.runs
+        return float(self.values.size)
+
+    @property
+    def rows(self) -> tuple[Any, ...]:
+        """The truncated matrix as sweeps take it."""
+        matrix = self.grid.matrix
+        return matrix.indptr, self.grid.split, matrix.indices, self.values, self.runs
+
+    def note_changed_rows(self) -> None:
+        """Take note of rows that were computed again: they are like no other."""
+        self.forget_factor()
+        self.has_changed |= self.row_changed
+        self.runs = without(self.grid.runs, self.has_changed)
+
+
+class Truncation:
+    """A hierarchy seen from one of its grids, with the unknowns of that grid that are fixed taken out of all."""
+
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        self.transfers = hierarchy.transfers
+        self.grids = [TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)]
+        self.top = 0
+        self.unit = 1.0  # of the top grid's x, in which coarser grids see it: a power of two
+        self.work = 0.0
+        self.spare: list[FloatVector] = []  # memory touched for the first time is dearer than what is done with it
+
+    def vector(self) -> FloatVector:
+        """Return room for the own values of the finest grid, shape (n,), filled with anything."""
+        return self.spare.pop() if self.spare else np.empty(self.grids[0].grid.n)
+
+    def take_work(self) -> float:
+        """Return the matrix entries touched since the last call."""
+        work, self.work = self.work, 0.0
+        return work
+
+    def start_at(self, top: int) -> None:
+        """Look from the grid `top`: its unknowns and all below are free again."""
+        self.top, self.unit = top, 1.0
+        for level in self.grids[top:]:
+            self.work += level.release()
+
+    def update(self) -> None:
+        """Carry what changed in `is_free` of the top grid (marked in `free_changed`) down to the coarser grids."""
+        top = self.grids[self.top]
+        top.is_whole = False
+        top.forget_factor()
+        np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)
+        top.row_changed[:] = False
+        for k in range(self.top, len(self.transfers)):
+            level, below, transfer = self.grids[k], self.grids[k + 1], self.transfers[k]
+            matrix = level.grid.matrix
+            level.grid.communicator.fetch_flags(level.is_free)
+            level.grid.communicator.fetch_flags(level.free_changed)
+            flags = level.free_changed, level.row_changed, level.touched
+            galerkin.mark_rows(
+                matrix.indptr, matrix.indices, level.grid.runs, *(flag.view(np.uint8) for flag in flags)
+            )
+            if vectors.find_held(
+                matrix.indptr, matrix.indices, matrix.data, level.values, level.is_free, level.touched,
+                level.is_interpolated, level.free_changed, transfer.units, transfer.is_coarse,
+            ):
+                own = slice(level.grid.n)
+                level.held = np.flatnonzero(level.is_free[own] & ~level.is_interpolated[own])
+            level.grid.communicator.fetch_flags(level.is_interpolated)
+            level.grid.communicator.fetch_flags(level.free_changed)
+            if level.free_changed.any():
+                galerkin.mark_rows(
+                    matrix.indptr, matrix.indices, level.grid.runs, level.free_changed.view(np.uint8),
+                    level.touched.view(np.uint8), level.touched.view(np.uint8),
+                )
+            level.grid.communicator.fetch_flags(level.touched)
+            if level.new_values is not None:
+                level.grid.communicator.fetch_entries(level.new_values)
+            products, changed = galerkin.update_product(
+                matrix.indptr, matrix.indices, level.values, level.is_interpolated, level.touched,
+                *transfer.prolongation.arrays, *transfer.restriction.arrays, transfer.factor,
+                below.grid.matrix.indptr, below.grid.matrix.indices, below.new_values, below.grid.split,
+                below.grid.weight, below.inverse, below.is_free, below.free_changed, below.row_changed,
+            )
+            below.is_whole = False
+            below.note_changed_rows()
+            self.work += matrix.indices.size + transfer.restriction.indices.size + products
+            if level.grid.communicator.total(changed) == 0:
+                break
+
+    def correct(self, k: int) -> None:
+        """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
+        level = self.grids[k]
+        grid, rows, entries = level.grid, level.rows, level.values.size
+        if k == len(self.transfers) and self._solves_directly(level, transposed=False):
+            return
+        blocks = grid.blocks
+        sweeps.first_sweep(rows, blocks, level.inverse, level.b, level.x)
+        self.work += 0.5 * entries
+        if k == len(self.transfers):
+            self._solve_coarsest(level)
+            return
+        grid.communicator.fetch(level.x)
+        residual = level.residual[: grid.n]
+        sweeps.residual_after_first_sweep(rows, blocks, level.inverse, grid.weight, level.b, level.x, residual)
+        self.restrict(k, level.residual)
+        self.correct(k + 1)
+        below, transfer = self.grids[k + 1], self.transfers[k]
+        below.grid.communicator.fetch(below.x)
+        unit = self.unit if k == self.top else 1.0
+        vectors.add_prolonged(transfer, below.x, unit, level.is_interpolated, level.x)
+        grid.communicator.fetch(level.x)
+        sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
+        self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
+
+    def restrict(self, k: int, residual: FloatVector) -> None:
+        """Write into b of grid k + 1 what it has to answer; `residual` has room for what others tell."""
+        level, held = self.grids[k], self.grids[k].held
+        kept = residual[held]
+        residual[held] = 0.0
+        level.grid.communicator.fetch(residual)
+        vectors.restrict(self.transfers[k], residual, self.unit if k == self.top else 1.0, self.grids[k + 1].b)
+        residual[held] = kept
+
+    def correct_transposed(self, k: int) -> None:
+        """Write into x one V(1,1)-cycle for the truncated Mᵀ x = b of grid k: P and its restriction change places."""
+        level = self.grids[k]
+        if k == len(self.transfers) and self._solves_directly(level, transposed=True):
+            return
+        arrays = *level.grid.matrix.arrays[:2], level.values
+        residual = level.b.copy()
+        level.x[:] = 0.0
+        vectors.transposed_sweep(*arrays, level.inverse, False, residual, level.x)
+        if k < len(self.transfers):
+            below, transfer = self.grids[k + 1], self.transfers[k]
+            below.b[:] = 0.0
+            unit = self.unit if k == self.top else 1.0
+            carried = residual * level.is_interpolated
+            vectors.add_transposed_product(*transfer.prolongation.arrays, 1.0 / unit, carried, below.b)
+            self.correct_transposed(k + 1)
+            correction = np.zeros_like(level.b)
+            vectors.add_transposed_product(*transfer.restriction.arrays, unit * transfer.factor, below.x, correction)
+            correction *= level.is_interpolated
+            level.x += correction
+            vectors.add_transposed_product(*arrays, -1.0, correction, residual)
+            self.work += level.values.size + 2.0 * transfer.prolongation.data.size
+        for sweep in range(1 if k < len(self.transfers) else 2 * COARSEST_SWEEPS + 1):
+            vectors.transposed_sweep(*arrays, level.inverse, sweep % 2 == 0, residual, level.x)
+            self.work += level.values.size
+        self.work += level.values.size
+
+    @np.errstate(all="ignore")
+    def _solves_directly(self, level: TruncatedGrid, *, transposed: bool) -> bool:
+        """Solve the coarsest system by its factor, if that gives finite numbers."""
+        factor, work = level.factor()
+        self.work += work
+        if factor is None:
+            return False
+        right = np.where(level.inverse != 0.0, level.b, 0.0)
+        x = (factor.solve_transposed if transposed else factor.solve)(right)
+        self.work += factor.solve_work
+        level.x[:] = x
+        return bool(np.isfinite(x).all())
+
+    def _solve_coarsest(self, level: TruncatedGrid) -> None:
+        for sweep in range(2 * COARSEST_SWEEPS + 1):
+            level.grid.communicator.fetch(level.x)
+            sweeps.sweep(level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x)
+        self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size
+
+
+class KrylovCorrection:
+    """An approximate c with (M c)_F = residual_F and c = 0 elsewhere, improved step by step.
+
+    Conjugate gradients where M is symmetric, otherwise generalised conjugate residuals with all directions kept: they
+    make the residual least in the norm of its rows divided by the diagonal, which may have any unit.
+
+    Parameters
+    ----------
+    truncation : Truncation
+        Seen from its finest grid; its free rows are F.
+    residual : ndarray, shape (n,)
+        −w on the free rows, 0 elsewhere; overwritten by what is left of it.
+    is_symmetric : bool
+    transposed : bool
+        Mᵀ in the place of M, by the rows of M; one process has them all.
+    """
+
+    def __init__(
+        self, truncation: Truncation, residual: FloatVector, is_symmetric: bool, *, transposed: bool = False
+    ) -> None:
+        self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
+        self.transposed = transposed and not is_symmetric
+        self.communicator = truncation.grids[0].grid.communicator
+        # Squares of very large or small numbers leave the range of a double.
+        self.unit: float = power_of_two(self.communicator.largest(span(residual)))
+        self.residual /= self.unit
+        inverse = truncation.grids[0].inverse
+        # A transposed V-cycle divides by the diagonal last.
+        scaled = 1.0 if self.transposed else self.communicator.largest(largest_product(residual, inverse))
+        truncation.unit = power_of_two(scaled)
+        is_weighted = not (is_symmetric or transposed)
+        self._weight = (inverse / self.communicator.largest(span(inverse))) ** 2 if is_weighted else None
+        self._sum = truncation.vector()
+        self._sum[:] = 0.0
+        self.directions: list[tuple[FloatVector, FloatVector, float]] = []
+
+    def give_back(self) -> None:
+        """Leave the room of all vectors to the next correction; this one has ended."""
+        self.truncation.spare.append(self._sum)
+        self._forget_directions()
+
+    def apply_within(
+        self, origin: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
+    ) -> None:
+        """Overwrite z by mid(lower, upper, origin + c)."""
+        add_within(origin, self.unit, self._sum, read_only(lower), read_only(upper), z)
+
+    def apply_to(self, origin: FloatVector, z: FloatVector) -> None:
+        """Overwrite z by origin + c."""
+        np.multiply(self._sum, self.unit, out=z)
+        z += origin
+
+    def largest(self) -> float:
+        """Return the largest scaled residual that is left."""
+        scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
+        return self.unit * self.communicator.largest(scaled)
+
+    @np.errstate(all="ignore")
+    def step(self) -> bool:
+        """Take one step; return False where the matrix allows none."""
+        top = self.truncation.grids[0]
+        matrix = top.grid.matrix
+        top.b = self.residual
+        takes_room = top.x.size == top.grid.n and not self.transposed  # the cycle's own room, and gives other for it
+        p, product = (top.x, top.residual) if takes_room else (self.truncation.vector(), self.truncation.vector())
+        if self.transposed:
+            self.truncation.correct_transposed(0)
+            np.copyto(p, top.x)
+            product[:] = 0.0
+            vectors.add_transposed_product(*matrix.arrays, 1.0, p, product)
+            product *= top.is_free
+        else:
+            self.truncation.correct(0)
+            if not takes_room:
+                np.copyto(p, top.x[: top.grid.n])
+            self.communicator.fetch(top.x)
+            sweeps.free_product(top.rows, top.inverse, top.x, product)
+        self.truncation.work += matrix.data.size
+        for old_p, old_product, old_scale in self.directions:
+            share = self._dot(self._against(old_p, old_product), product) / old_scale
+            add_both(-share, old_p, p, -share, old_product, product)
+        against = self._against(p, product)
+        scale = self._dot(against, product)
+        length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
+        if not np.isfinite(length):
+            return False
+        add_both(length, p, self._sum, -length, product, self.residual)
+        if self.is_symmetric:
+            self._forget_directions()
+        self.directions.append((p, product, scale))
+        if takes_room:
+            top.x, top.residual = self.truncation.vector(), self.truncation.vector()
+        return True
+
+    def _forget_directions(self) -> None:
+        for p, product, _ in self.directions:
+            self.truncation.spare += [p, product]
+        self.directions.clear()
+
+    def _dot(self, one: FloatVector, other: FloatVector) -> float:
+        return self.communicator.total(dot(one, other))
+
+    def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
+        if self.is_symmetric:
+            return p
+        return product if self._weight is None else product * self._weight

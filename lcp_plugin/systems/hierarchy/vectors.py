@@ -1,0 +1,286 @@
+"""What Krylov steps do to whole vectors, the ways between two grids, and the units of the unknowns.
+
+Sums are cut into pieces at the same places whatever the number of threads. The units are those in which an error that
+sweeps leave over is locally constant: interpolation reproduces constants, which is right where rows of M sum to about
+zero. Of D M D, or of M with scaled columns, others do: those v > 0 with M v about zero. A few sweeps on M v = 0 find
+one, if they begin in units not too far from it. Where they begin is tried: in the given ones, and in those that bring
+the diagonal of V M V, or of M V, to 1.
+
+`inverse` holds 1/diagonal, and 0 for an unknown that is fixed. A fine unknown is held where fixed ones have seven
+eighths of its couplings. P would let it follow its free coarse neighbours as if nothing held it, so it is not
+interpolated then: where couplings jump, conjugate gradients took ten times as many steps with its row of P.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import uintp
+
+from ...core.checks import BoolVector, FloatVector
+from ...core.crossovers import SHARED_FROM
+from ...core.kernels.compilation import compiled
+from ...core.kernels.threads import share
+from .sweeps import NO_BOUNDS, _plus_products, shared
+
+if TYPE_CHECKING:
+    from .grids import Transfer
+
+TERMS = 32768  # that are summed in one piece
+
+
+def dot(one: FloatVector, other: FloatVector) -> float:
+    """Return Σ one_i other_i."""
+    sums = np.zeros(-(-one.size // TERMS))
+    share(partial(_dots, one, other, sums), sums.size, 1)
+    return float(sums.sum())
+
+
+def add_both(
+    factor: float, vector: FloatVector, to: FloatVector, other_factor: float, other: FloatVector, to_other: FloatVector
+) -> None:
+    """Add factor · vector to one vector, and other_factor · other to another one."""
+    operands = factor, vector, to, other_factor, other, to_other
+    share(partial(_add_both, *operands), vector.size, SHARED_FROM)
+
+
+def add_within(
+    origin: FloatVector, factor: float, vector: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
+) -> None:
+    """Overwrite z by mid(lower, upper, origin + factor · vector)."""
+    share(partial(_add_within, origin, factor, vector, lower, upper, z), vector.size, SHARED_FROM)
+
+
+def largest_product(one: FloatVector, other: FloatVector) -> float:
+    """Return the largest |one_i other_i|, NaN where one is; 0 of none."""
+    return float(np.max(share(partial(_largest_product, one, other), one.size, SHARED_FROM)))
+
+
+def span(vector: FloatVector) -> float:
+    """Return the largest entry in absolute value; 0 of no entry."""
+    return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
+
+
+@compiled
+def _dots(one, other, sums, first, end):  # type: ignore[no-untyped-def]
+    for piece in range(first, end):
+        a = b = c = d = 0.0  # one sum alone would wait for itself
+        begin, last = piece * TERMS, min((piece + 1) * TERMS, one.size)
+        for i in range(begin, last - 3, 4):
+            a += one[i] * other[i]
+            b += one[i + 1] * other[i + 1]
+            c += one[i + 2] * other[i + 2]
+            d += one[i + 3] * other[i + 3]
+        for i in range(last - (last - begin) % 4, last):
+            a += one[i] * other[i]
+        sums[piece] = (a + b) + (c + d)
+
+
+@compiled
+def _add_both(factor, vector, to, other_factor, other, to_other, first, end):  # type: ignore[no-untyped-def]
+    for i in range(first, end):
+        to[i] += factor * vector[i]
+        to_other[i] += other_factor * other[i]
+
+
+@compiled
+def _add_within(origin, factor, vector, lower, upper, z, first, end):  # type: ignore[no-untyped-def]
+    for i in range(first, end):
+        value = origin[i] + factor * vector[i]
+        value = lower[i] if lower[i] > value else value
+        z[i] = upper[i] if upper[i] < value else value
+
+
+@compiled
+def _largest_product(one, other, first, end):  # type: ignore[no-untyped-def]
+    largest = 0.0
+    for i in range(first, end):
+        size = abs(one[i] * other[i])
+        if size > largest or np.isnan(size):
+            largest = size
+    return largest
+
+
+LACKING = 0.1  # of the diagonal entry: how far a row may sum below zero before it contradicts the units
+NOTEWORTHY_LACKING = 0.02  # share of such rows from which on other units are tried
+GAINED = 0.5  # and kept, if they leave at most so many times as many
+TRIAL_SWEEPS, SWEEPS = 3, 12  # there and back: to choose where to begin, and from there
+
+
+def units_of(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
+    """Return v > 0, shape (n,), and the matrix entries touched; None where the given units are as good as any tried.
+
+    Parameters
+    ----------
+    matrix : csr_array, shape (n, n)
+        With a positive diagonal.
+    lacking : float
+        How many rows sum to less than zero.
+    """
+    n = matrix.indptr.size - 1
+    if not lacking > NOTEWORTHY_LACKING * n:
+        return None, 0.0
+    arrays, diagonal = (matrix.indptr, matrix.indices, matrix.data), matrix.diagonal()
+    best, least, touched = None, GAINED * lacking, 0.0
+    with np.errstate(all="ignore"):
+        for v in (np.ones(n), 1.0 / np.sqrt(diagonal), 1.0 / diagonal):
+            left = smooth_units(*arrays, v, TRIAL_SWEEPS)
+            touched += (2.0 * TRIAL_SWEEPS + 1.0) * matrix.data.size
+            if left <= least and _are_units(v):
+                best, least = v, left
+        if best is not None:
+            smooth_units(*arrays, best, SWEEPS)
+            touched += (2.0 * SWEEPS + 1.0) * matrix.data.size
+    return best if best is not None and _are_units(best) else None, touched
+
+
+def _are_units(v: FloatVector) -> bool:
+    return bool(v.min() > 0.0 and np.isfinite(1.0 / v).all() and np.isfinite(v).all())
+
+
+@compiled
+def smooth_units(indptr, indices, data, v, sweeps):  # type: ignore[no-untyped-def]
+    """Overwrite v by symmetric Gauss–Seidel sweeps for M v = 0; return how many rows sum to less than zero.
+
+    Positive couplings are lumped, so that v stays positive.
+    """
+    one, n = uintp(1), uintp(v.size)
+    for sweep in range(2 * sweeps + 1):
+        lacking = 0.0
+        for step in range(n):
+            i = n - one - step if sweep % 2 == 1 else step
+            diagonal, negative = 0.0, 0.0
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                j = uintp(indices[k])
+                if j == i or data[k] > 0.0:
+                    diagonal += data[k] * v[j]
+                else:
+                    negative -= data[k] * v[j]
+            if diagonal < (1.0 - LACKING) * negative:
+                lacking += 1.0
+            if negative > 0.0 and sweep < 2 * sweeps:
+                v[i] *= negative / diagonal
+    return lacking
+
+
+HELD = 0.13  # share of its couplings; no simple fraction, which rounding would decide on regular grids
+NO_FLAGS = np.zeros(0, np.bool_)
+
+
+def restrict(transfer: Transfer, fine: FloatVector, unit: float, coarse: FloatVector) -> None:
+    """Coarse ← R fine ÷ unit, a power of two."""
+    matrix, factor = transfer.restriction.arrays, transfer.factor / unit
+    unused = NO_FLAGS, *NO_BOUNDS[coarse.dtype]
+    shared(partial(_interpolate, *matrix, fine, factor, False, *unused, coarse), coarse.size)
+
+
+def prolong(
+    transfer: Transfer, coarse: FloatVector, unit: float, flags: BoolVector, lower: FloatVector, upper: FloatVector,
+    z: FloatVector,
+) -> int:
+    """Overwrite z by mid(lower, upper, z + unit P coarse) where `flags` say so; return how many were cut at a bound."""
+    operands = *transfer.prolongation.arrays, coarse, unit, True, flags, lower, upper, z
+    return sum(shared(partial(_interpolate, *operands), lower.size))
+
+
+def add_prolonged(transfer: Transfer, coarse: FloatVector, unit: float, flags: BoolVector, x: FloatVector) -> None:
+    """Add unit P coarse to x where `flags`, of the own rows at least, say so."""
+    operands = *transfer.prolongation.arrays, coarse, unit, True, flags, *NO_BOUNDS[x.dtype], x
+    shared(partial(_interpolate, *operands), transfer.is_coarse.size)
+
+
+@compiled
+def _interpolate(  # type: ignore[no-untyped-def]
+    indptr, indices, data, source, factor, adds, flags, lower, upper, to, first, end
+):
+    """To ← factor · A source; or, where it `adds`, add that where flags are set, cut off at the bounds if any.
+
+    Return how many were cut.
+    """
+    one, zero = uintp(1), data.dtype.type(0.0)
+    cut, has_bounds = 0, lower.size > 0
+    for i in range(uintp(first), uintp(end)):
+        if adds and not flags[i]:
+            continue
+        change = factor * _plus_products(zero, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source)
+        if not adds:
+            to[i] = change
+            continue
+        value = to[i] + change
+        if has_bounds and value < lower[i]:
+            value = lower[i]
+            cut += 1
+        if has_bounds and value > upper[i]:
+            value = upper[i]
+            cut += 1
+        to[i] = value
+    return cut
+
+
+def find_held(*operands: Any) -> int:
+    """Find the held rows among the touched ones; the operands are those of `_find_held`, what it returns is summed."""
+    return sum(share(partial(_find_held, *operands), operands[-1].size, SHARED_FROM))
+
+
+@compiled
+def _find_held(  # type: ignore[no-untyped-def]
+    indptr, indices, whole, values, is_free, touched, is_interpolated, is_changed, units, is_coarse, first, end
+):
+    """Say which touched rows are interpolated; return how many of them are held or change for others' sake.
+
+    `is_changed` says who was fixed or freed, and afterwards who changed besides; `whole` are the values of the matrix
+    while all is free.
+    """
+    one, found = uintp(1), 0
+    for i in range(uintp(first), uintp(end)):
+        became, is_changed[i] = is_changed[i], False
+        if not touched[i]:
+            continue
+        is_held = False
+        if is_free[i] and not is_coarse[i]:
+            before, left, pivot_before, pivot = 0.0, 0.0, 0.0, 0.0
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                j = uintp(indices[k])
+                unit = units[j] if units.size > 0 else 1.0
+                if j == i or whole[k] > 0.0:
+                    pivot_before += unit * whole[k]
+                else:
+                    before -= unit * whole[k]
+                if j == i or values[k] > 0.0:
+                    pivot += unit * values[k]
+                elif is_free[j]:
+                    left -= unit * values[k]
+            is_held = pivot > 0.0 and pivot_before > 0.0 and left / pivot < HELD * (before / pivot_before)
+        interpolates = is_free[i] and not is_held
+        is_changed[i] = interpolates != is_interpolated[i] and not became
+        found += is_held or is_changed[i]
+        is_interpolated[i] = interpolates
+    return found
+
+
+@compiled
+def transposed_sweep(indptr, indices, data, inverse, backward, residual, x):  # type: ignore[no-untyped-def]
+    """Add to x one Gauss–Seidel sweep for Mᵀx = b by the rows of M, which are the columns of Mᵀ.
+
+    `residual` is b − Mᵀx before and after; where an unknown is fixed it means nothing.
+    """
+    one, n = uintp(1), uintp(inverse.size)
+    for step in range(n):
+        i = n - one - step if backward else step
+        if inverse[i] != 0.0:
+            change = residual[i] * inverse[i]
+            x[i] += change
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                residual[uintp(indices[k])] -= data[k] * change
+
+
+@compiled
+def add_transposed_product(indptr, indices, data, factor, x, to):  # type: ignore[no-untyped-def]
+    """Add factor · Aᵀx to `to`, by the rows of A."""
+    one = uintp(1)
+    for i in range(uintp(x.size)):
+        if x[i] != 0.0:
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                to[uintp(indices[k])] += factor * (data[k] * x[i])

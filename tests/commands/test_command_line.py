@@ -1,0 +1,596 @@
+"""The command: what it prints, what it writes, its exit codes, and what it says to somebody who mistyped."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import SMALL
+from typer.testing import CliRunner
+
+from lcp_plugin import LCP, Status, __version__, gallery, solve
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
+from lcp_plugin.commands.cli import app, run
+from lcp_plugin.evidence import paper_tables
+
+BOX = LCP([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]], [-5.0, 1.0, 2.0], upper=[2.0, np.inf, np.inf])
+ZERO_DIAGONAL = LCP([[1.0, 0.0], [0.0, 0.0]], [-1.0, 1.0])
+PNG = b"\x89PNG\r\n\x1a\n"
+
+# Every scene at a size that takes no time, and some also where their picture degenerates.
+SMALL_SCENES = [*SMALL, "american_put:size=1", "murty:n=1", "obstacle_2d:size=1", "obstacle_3d:size=1"]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A current folder of its own, so that relative paths are typed as a user would and leftovers are seen."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def lcp_plugin(*arguments: str) -> Any:
+    """The command in this process; its result has exit_code, stdout and stderr."""
+    result = CliRunner().invoke(app, list(arguments))
+    assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
+    assert "Traceback" not in result.stdout + result.stderr
+    return result
+
+
+def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """The command as a person runs it."""
+    return subprocess.run(
+        [sys.executable, "-m", "lcp_plugin", *arguments],
+        capture_output=True, check=False, env={**os.environ, **environment},
+    )
+
+
+# --- solve -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.sampled(8)
+@pytest.mark.parametrize("scene", SMALL_SCENES)
+def test_scene_is_solved(scene: str) -> None:
+    """Every scene is solved at the default settings: exit code 0, and the story names scene, size and status."""
+    done = lcp_plugin("solve", scene)
+    assert done.exit_code == 0
+    assert done.stderr == ""
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith(f"Scene({scene.partition(':')[0]}")
+    assert lines[1].startswith(f"LCP(n={gallery.parse(scene).problem.n}, ")
+    assert any(line.startswith("SOLVED: ") for line in lines)
+
+
+@pytest.mark.parametrize("path", ["p.npz", "./p.npz", "folder", "folder/", "folder/M.mtx", "run1_M.mtx", "run1_"])
+def test_file_is_solved(path: str) -> None:
+    """A problem saved in either form, or behind a prefix, is solved from the path that a user would type."""
+    BOX.save("p.npz")
+    BOX.save("folder")
+    for file in Path("folder").iterdir():
+        Path(f"run1_{file.name}").write_bytes(file.read_bytes())
+    done = lcp_plugin("solve", path, "-a", "psor")
+    assert done.exit_code == 0
+    assert str(BOX) in done.stdout
+    assert "psor: " in done.stdout
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("name", REGISTRY)
+def test_every_algorithm_can_be_named(name: str) -> None:
+    """Each registered algorithm runs from the command line and is named in the story."""
+    done = lcp_plugin("solve", "paper_example_1:n=100", "--algorithm", name)
+    assert done.exit_code == 0
+    assert f"\n{name}: " in done.stdout
+
+
+def test_settings_reach_the_run() -> None:
+    """Tolerance, relaxation and options do on the command line what they do in solve."""
+    arguments = "-a npaor --relaxation 1.5 -o acceleration=0.5 -o scaling=diagonal -o sweep=symmetric"
+    done = lcp_plugin(
+        "solve", "obstacle_2d:size=12", *arguments.split(), "--tolerance", "1e-4", "--json"
+    )
+    ours = solve(
+        gallery.build("obstacle_2d", size=12).problem, "npaor", relaxation=1.5, acceleration=0.5, scaling="diagonal",
+        sweep="symmetric", tolerance=1e-4,
+    )
+    told = json.loads(done.stdout)
+    assert told["iterations"] == ours.iterations > 0
+    assert told["relative_residual"] == ours.residual
+    assert told["tolerance"] == 1e-4
+
+
+def test_words_among_the_options() -> None:
+    """none, true and auto are read as what they mean, numbers as numbers."""
+    assert lcp_plugin("solve", "murty:n=4", "-a", "npsor", "-o", "scaling=none").exit_code == 0
+    assert lcp_plugin("solve", "murty:n=4", "-a", "psor", "--relaxation", "auto").exit_code == 0
+    assert lcp_plugin("solve", "murty:n=4", "-a", "psor", "-o", "relaxation=1.5").exit_code == 0
+    assert lcp_plugin("solve", "murty:n=4", "-a", "mgs", "-o", "omega=0.5").exit_code == 0
+
+
+def test_scene_starts_where_its_source_starts() -> None:
+    """A scene with a prescribed start is solved from there."""
+    done = lcp_plugin("solve", "paper_example_1:n=100", "-a", "npsor", "-o", "scaling=none", "--json")
+    scene = gallery.build("paper_example_1", n=100)
+    ours = solve(scene.problem, "npsor", scaling=None, z0=scene.start)
+    assert json.loads(done.stdout)["iterations"] == ours.iterations
+    assert ours.iterations != solve(scene.problem, "npsor", scaling=None).iterations
+
+
+def test_json_is_all_there_is_on_stdout() -> None:
+    """--json prints one JSON object with the numbers of the run and nothing else; the rest goes to stderr."""
+    done = lcp_plugin("solve", "obstacle_2d:size=10", "-a", "npsor", "--json", "--out", "z.npz")
+    told = json.loads(done.stdout, parse_constant=pytest.fail)
+    ours = solve(gallery.build("obstacle_2d", size=10).problem, "npsor")
+    assert done.exit_code == 0
+    assert (told["status"], told["algorithm"], told["n"]) == ("SOLVED", "npsor", 100)
+    assert (told["iterations"], told["work"]) == (ours.iterations, ours.work)
+    for name in ("relative_residual", "natural_residual", "euclidean_residual", "bound_violation", "complementarity"):
+        assert told[name] == getattr(ours.certificate, name)
+    assert told["advice"] == Status.SOLVED.value
+    assert "saved z.npz" in done.stderr
+
+
+def test_json_of_an_unsolved_run_is_json() -> None:
+    """Also where nothing is solved, and numbers may not be finite, the output is JSON by the book; exit code 1."""
+    LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0]).save("p.npz")
+    done = lcp_plugin("solve", "p.npz", "-a", "npsor", "--json")
+    assert done.exit_code == 1
+    assert json.loads(done.stdout, parse_constant=pytest.fail)["status"] in {"DIVERGED", "STALLED"}
+
+
+def test_out_holds_the_solution() -> None:
+    """--out writes z and w of the run, bit for bit, and its status."""
+    done = lcp_plugin("solve", "obstacle_2d:size=10", "--out", "z.npz")
+    ours = solve(gallery.build("obstacle_2d", size=10).problem)
+    with np.load("z.npz", allow_pickle=False) as saved:
+        assert set(saved.files) == {"z", "w", "status"}
+        assert saved["z"].tobytes() == ours.z.tobytes()
+        assert saved["w"].tobytes() == ours.w.tobytes()
+        assert str(saved["status"]) == "SOLVED"
+    assert "saved z.npz" in done.stdout
+    assert list(Path().iterdir()) == [Path("z.npz")]
+
+
+def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
+    """--out may overwrite an answer; pointed at the problem's own file it is refused, and the problem is kept."""
+    BOX.save("p.npz")
+    lcp_plugin("solve", "murty:n=4", "--out", "z.npz")
+    assert lcp_plugin("solve", "p.npz", "--out", "z.npz").exit_code == 0
+    with np.load("z.npz") as saved:
+        assert saved["z"].size == 3
+    assert lcp_plugin("solve", "p.npz", "--out", "./p.npz").exit_code == 2
+    assert str(LCP.load("p.npz")) == str(BOX)
+
+
+def test_march_prints_its_totals() -> None:
+    """A march in time reports the steps done and the iterations of all of them; --out holds the last step."""
+    done = lcp_plugin("solve", "american_put_march:size=31,steps=4")
+    scene = gallery.build("american_put_march", size=31, steps=4)
+    problem, start, total = scene.problem, scene.start, 0
+    for _ in range(4):
+        result = solve(problem, z0=start)
+        start, total = result.z, total + result.iterations
+        problem = problem.with_q(scene.advance(start))
+    assert done.exit_code == 0
+    assert f"march: 4 of 4 steps, {total} iterations" in done.stdout
+    lcp_plugin("solve", "american_put_march:size=31,steps=4", "--out", "z.npz")
+    with np.load("z.npz") as saved:
+        assert saved["z"].tobytes() == result.z.tobytes()
+
+
+def test_march_ends_where_a_step_fails() -> None:
+    """A step that is not solved ends the march, with exit code 1 and the number of steps done."""
+    done = lcp_plugin("solve", "american_put_march:size=31,steps=4", "--max-iterations", "0")
+    assert done.exit_code == 1
+    assert "march: 1 of 4 steps" in done.stdout
+    assert "MAX_ITERATIONS: " in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("limit", "status"), [("--max-iterations=3", Status.MAX_ITERATIONS), ("--max-seconds=0", Status.MAX_SECONDS)]
+)
+def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> None:
+    """A limit that comes first gives exit code 1; the status and its advice are printed, and --out still writes."""
+    done = lcp_plugin("solve", "obstacle_2d:size=20", "-a", "npgs", limit, "--out", "z.npz")
+    assert done.exit_code == 1
+    assert f"{status.name}: {status.value}" in done.stdout
+    assert done.stderr == ""
+    with np.load("z.npz") as saved:
+        assert str(saved["status"]) == status.name
+
+
+# --- pictures --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("scene", SMALL_SCENES)
+def test_every_scene_has_a_picture(scene: str) -> None:
+    """--plot writes a PNG for one, two and three dimensions, no grid, and a single unknown."""
+    done = lcp_plugin("solve", scene, "--plot", "out.png")
+    assert done.exit_code == 0
+    picture = Path("out.png").read_bytes()
+    assert picture.startswith(PNG)
+    assert len(picture) > 5000
+    assert "saved out.png" in done.stdout
+    assert list(Path().iterdir()) == [Path("out.png")]
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(
+    "problem",
+    [BOX, LCP(np.zeros((0, 0)), []), LCP([[2.0]], [-1.0], lower=-np.inf), LCP([[2.0]], [-1.0], lower=-1.0, upper=1.0)],
+    ids=["box", "empty", "free", "one unknown in a box"],
+)
+def test_a_file_has_a_picture(problem: LCP) -> None:
+    """A problem from a file, of any size and bounds, is drawn over the index."""
+    problem.save("p.npz")
+    assert lcp_plugin("solve", "p.npz", "--plot", "out.png").exit_code == 0
+    assert Path("out.png").read_bytes().startswith(PNG)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(("name", "head"), [("out.pdf", b"%PDF"), ("out.svg", b"<?xml"), ("two words.png", PNG)])
+def test_picture_formats(name: str, head: bytes) -> None:
+    """The ending of the file chooses the format."""
+    assert lcp_plugin("solve", "murty:n=4", "--plot", name).exit_code == 0
+    assert Path(name).read_bytes().startswith(head)
+
+
+@pytest.mark.full
+def test_an_unsolved_run_has_a_picture() -> None:
+    """A run without success, and one with tolerance 0, are drawn too."""
+    for arguments in (("--max-iterations", "0"), ("--tolerance", "0", "--max-iterations", "5")):
+        assert lcp_plugin("solve", "obstacle_2d:size=6", *arguments, "--plot", "out.png").exit_code == 1
+        assert Path("out.png").read_bytes().startswith(PNG)
+        Path("out.png").unlink()
+
+
+def test_a_residual_of_zero_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An answer without any residual ends its curve below the tolerance, and is named; it is not left out."""
+    from lcp_plugin.evidence import pictures
+
+    figures: list[Any] = []
+    monkeypatch.setattr(pictures, "save", lambda figure, path: figures.append(figure))
+    result = solve(gallery.build("murty", n=50).problem, record=True)
+    assert [sample.residual for sample in result.history].count(0.0) == 1
+    pictures.draw(result, Path("out.png"))
+    axes = figures[0].axes[-1]
+    assert min(axes.lines[0].get_ydata()) < result.tolerance
+    assert [text.get_text() for text in axes.texts].count("exactly 0") == 1
+
+
+def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where matplotlib is missing, --plot is refused with the command to install it, before anything is solved."""
+    for module in ("matplotlib", "matplotlib.figure"):
+        monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setattr("lcp_plugin.core.solving.driver.solve", lambda *_, **__: pytest.fail("it was solved"))
+    done = lcp_plugin("solve", "murty:n=4", "--plot", "out.png")
+    assert done.exit_code == 2
+    assert re.fullmatch(r"lcp-plugin: .*matplotlib.*pip install 'lcp_plugin\[report\]'\n", done.stderr)
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["max_pivots=50", "restarts=1"])
+def test_options_that_count_take_whole_numbers(option: str) -> None:
+    """A whole number on the command line is one for the algorithm, too."""
+    done = lcp_plugin("solve", "murty:n=4", "-a", "lemke", "-o", option)
+    assert done.exit_code == 0, done.stderr
+
+
+# --- bad input -------------------------------------------------------------------------------------------------
+
+
+def write_inputs() -> None:
+    """What the table below refers to."""
+    BOX.save("box.npz")
+    ZERO_DIAGONAL.save("zero.npz")
+    np.savez("qp.npz", P_data=np.ones(1), q=np.ones(1), A_data=np.ones(1))
+    np.savez("keys.npz", data=np.ones(1), q=np.ones(1))
+    Path("notes.txt").write_text("hello")
+    Path("text.npz").write_text("hello")
+    Path("zeros.npz").write_bytes(bytes(100))
+    Path("empty").mkdir()
+    Path("taken.npz").mkdir()
+    Path("taken.png").mkdir()
+    BOX.save("half")
+    Path("half/q.mtx").unlink()
+
+
+SOLVE = "solve murty:n=4 "
+BAD_INPUT = [
+    ("solve missing.npz", r"no such file: missing\.npz"),
+    ("solve no/folder/p.npz", r"no such file: no/folder/p\.npz"),
+    ("solve missing", r"'missing' is neither a file nor a scene.*are known"),
+    ("solve empty", r"no such file: empty/M\.mtx"),
+    ("solve half", r"M\.mtx has no companion half/q\.mtx"),
+    ("solve notes.txt", r"cannot read notes\.txt: expected an \.npz, \.mat, .* or M\.mtx"),
+    ("solve text.npz", r"cannot read text\.npz"),
+    ("solve zeros.npz", r"cannot read zeros\.npz"),
+    ("solve keys.npz", r"keys\.npz lacks the keys"),
+    ("solve qp.npz", r"qp\.npz lacks the keys .* the CSC matrix P is P_data, P_indices"),
+    ("solve taken.npz", r"cannot read taken\.npz"),
+    ("solve murtyy", r"'murtyy' is neither a file nor a scene; did you mean 'murty'\?"),
+    ("solve Murty", r"'Murty' is neither a file nor a scene; did you mean 'murty'\?"),
+    ("solve obstacle2d:size=9", r"did you mean 'obstacle_2d'\?"),
+    ("solve obstacl", r"did you mean 'obstacle_2d'\?"),
+    ("solve obstacle_2d,size=9", r"did you mean 'obstacle_2d'\?"),
+    ("solve murty:m=4", r"scene 'murty' has no parameter 'm'.*n, orientation"),
+    ("solve obstacle_2d:sise=4", r"scene 'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?"),
+    ("solve murty:n", r"'n' in 'murty:n' has no '='.*scene:parameter=value"),
+    ("solve murty:n=3,n=4", r"'n=4' in .* repeats a parameter"),
+    ("solve murty:n=four", r"n must be an integer, .*got 'four'"),
+    ("solve murty:n=4.5", r"n must be an integer, .*got '4.5'"),
+    ("solve murty:n=0", r"n must be an integer, .*got 0"),
+    ("solve murty:orientation=left", r"orientation must be .*'upper' or 'lower', got 'left'"),
+    ("solve scaling_trap:n=3", r"scene 'scaling_trap' has no parameter 'n'.*takes none"),
+    (SOLVE + "-a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
+    (SOLVE + "-a NPSOR", r"unknown algorithm 'NPSOR'"),
+    (SOLVE + "-a psor -o relaxation", r"--option wants name=value, got 'relaxation'"),
+    (SOLVE + "-a psor -o =1.5", r"--option wants name=value, got '=1.5'"),
+    (SOLVE + "-a psor -o relaxtion=1.5", r"psor has no option 'relaxtion'; did you mean 'relaxation'\?"),
+    (SOLVE + "-a psor --relaxation 2.5", r"psor: relaxation must be .*below 2, got 2.5"),
+    (SOLVE + "-a psor --relaxation fast", r"psor: relaxation.*'fast'.*auto"),
+    (SOLVE + "-a npsor --relaxation auto", r"npsor: relaxation must be a positive finite number.*got 'auto'"),
+    (SOLVE + "-a npsor -o scaling=diag", r"npsor: scaling='diag'.*did you mean 'diagonal'\?"),
+    (SOLVE + "-a npsor -o sweep=none", r"npsor: sweep=None.*forward"),
+    (SOLVE + "-a pgs --relaxation 1.5", r"pgs has no option 'relaxation'.*sweep"),
+    (SOLVE + "--relaxation 1.5", r"auto.*\['relaxation'\].*name an algorithm"),
+    (SOLVE + "-a npsor -o tolerance=1e-3", r"tolerance"),
+    (SOLVE + "-a npsor -o max_iterations=3", r"max.iterations"),
+    (SOLVE + "-a npsor -o algorithm=pgs", r"algorithm"),
+    (SOLVE + "-a npsor -o z0=3", r"'?z0'?"),
+    (SOLVE + "-a npsor -o callback=3", r"'?callback'?"),
+    (SOLVE + "-a npsor -o record=true", r"'?record'?"),
+    (SOLVE + "-a npsor -o problem=3", r"'?problem'?"),
+    (SOLVE + "--tolerance -1", r"tolerance must be finite and not negative, got -1"),
+    (SOLVE + "--tolerance nan", r"tolerance must be finite and not negative, got nan"),
+    (SOLVE + "--max-iterations -1", r"max_iterations must be a whole number ≥ 0, got -1"),
+    (SOLVE + "--max-seconds -3", r"max_seconds must be finite and not negative, got -3"),
+    (SOLVE + "--plot out.txt", r"must end in \.png, \.pdf, \.svg, got 'out\.txt'"),
+    (SOLVE + "--plot out", r"must end in \.png, \.pdf, \.svg, got 'out'"),
+    (SOLVE + "--plot missing/out.png", r"cannot write missing/out\.png: the folder missing does not exist"),
+    (SOLVE + "--plot notes.txt/out.png", r"cannot write notes\.txt/out\.png"),
+    (SOLVE + "--plot taken.png", r"cannot write taken\.png"),
+    (SOLVE + "--out z.txt", r"--out writes a \.npz file, got 'z\.txt'"),
+    (SOLVE + "--out missing/z.npz", r"cannot write missing/z\.npz: the folder missing does not exist"),
+    (SOLVE + "--out taken.npz", r"cannot write taken\.npz"),
+    (SOLVE + "--out z.npz --plot taken.png", r"cannot write taken\.png"),
+    ("solve zero.npz -a psor", r"psor needs a positive diagonal, but M\[1, 1\] = 0\.0; try"),
+    ("solve box.npz -a mgs", r"mgs needs a finite lower and no upper bound.*row 0 has bounds \[0\.0, 2\.0\]"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "pattern"), BAD_INPUT, ids=[arguments for arguments, _ in BAD_INPUT])
+def test_bad_input_is_one_line_and_exit_code_two(arguments: str, pattern: str, folder: Path) -> None:
+    """A mistake costs one readable line on stderr that names it, exit code 2, and leaves every file as it was."""
+    write_inputs()
+    before = {f: f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+    done = lcp_plugin(*arguments.split())
+    assert done.exit_code == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert re.match(f"lcp-plugin: .*{pattern}", done.stderr), done.stderr
+    assert len(done.stderr) < 400
+    assert {f: f.read_bytes() for f in folder.rglob("*") if f.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("slove murty", "'solve'"),
+        ("solve", "target"),
+        ("solve murty n=4", "n=4"),
+        (SOLVE + "--tolerance small", "--tolerance"),
+        (SOLVE + "--max-iterations 1.5", "--max-iterations"),
+        (SOLVE + "--max-seconds soon", "--max-seconds"),
+        (SOLVE + "--jsn", "--json"),
+        (SOLVE + "--out", "--out"),
+        ("list all", "all"),
+        ("tables 1", "1"),
+    ],
+)
+def test_wrong_grammar_is_exit_code_two(arguments: str, words: str) -> None:
+    """A command, option or kind of value that does not exist: exit code 2, the culprit on stderr."""
+    done = lcp_plugin(*arguments.split())
+    assert done.exit_code == 2
+    assert done.stdout == ""
+    assert words in done.stderr
+
+
+def test_repeated_option_is_refused() -> None:
+    """One option given twice, in whatever spelling, is a contradiction and no silent choice."""
+    for arguments in ("--relaxation 1.5 -o relaxation=1.2", "-o sweep=forward -o sweep=backward"):
+        done = lcp_plugin("solve", "murty:n=4", "-a", "psor", *arguments.split())
+        assert done.exit_code == 2
+        assert re.match(r"lcp-plugin: .*(relaxation|sweep)", done.stderr)
+
+
+def test_memory_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A problem too large for the memory is one line with exit code 2."""
+
+    def too_large(text: str) -> None:
+        raise MemoryError("Unable to allocate 71 PiB")
+
+    monkeypatch.setattr(gallery, "parse", too_large)
+    done = lcp_plugin("solve", "obstacle_2d:size=100000000")
+    assert done.exit_code == 2
+    assert re.fullmatch(r"lcp-plugin: .*memory.*71 PiB.*smaller.*\n", done.stderr)
+
+
+def test_failing_write_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """A disk that fills up while --out is written: one line with the reason, exit code 2, no file."""
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    done = lcp_plugin("solve", "murty:n=4", "--out", "z.npz")
+    assert done.exit_code == 2
+    assert re.fullmatch(r"lcp-plugin: cannot write z\.npz: No space left on device.*\n", done.stderr)
+    assert list(folder.iterdir()) == []
+
+
+# --- list, tables ----------------------------------------------------------------------------------------------
+
+
+def test_list_shows_everything_there_is() -> None:
+    """Every algorithm with its source, and every scene with each of its parameters and defaults, is in the list."""
+    done = lcp_plugin("list")
+    assert done.exit_code == 0
+    rows = re.findall(r"^ (\w+) {2,}\S", done.stdout.partition("Algorithms")[2], re.MULTILINE)
+    assert [row for row in rows if row != "name"] == [*REGISTRY, *gallery.names()]
+    assert all(algorithm_class(name).reference in done.stdout for name in REGISTRY)
+    for _, _, parameters in gallery.describe():
+        for key, value in parameters.items():
+            assert f"{key}={value}" in done.stdout
+
+
+def test_tables_agree_with_the_paper() -> None:
+    """All 48 iteration counts are the paper's: exit code 0, and it says so."""
+    done = lcp_plugin("tables")
+    assert done.exit_code == 0
+    assert "48 of 48" in done.stdout
+    assert len(re.findall(r" yes +(?:yes|no) *$", done.stdout, re.MULTILINE)) == 48
+    assert not re.search(r"\bNO\b", done.stdout)
+
+
+def test_tables_notice_a_wrong_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One printed figure changed by one: the cell says NO, the total 47, and the exit code is 1."""
+    content = paper_tables.published()
+    content["example_2"]["npsor"]["iterations"][0] += 1
+    monkeypatch.setattr(paper_tables, "published", lambda: content)
+    done = lcp_plugin("tables")
+    assert done.exit_code == 1
+    assert "47 of 48" in done.stdout
+    assert len(re.findall(r"\bNO\b", done.stdout)) == 1
+
+
+@pytest.mark.parametrize("arguments", ["-h", "--help", "solve -h", "list --help", "tables -h"])
+def test_help_is_offered(arguments: str) -> None:
+    """Help goes to stdout with exit code 0."""
+    done = lcp_plugin(*arguments.split())
+    assert done.exit_code == 0
+    assert "Usage" in done.stdout
+
+
+def test_exit_codes_are_documented() -> None:
+    """The help of the command tells what the three exit codes mean."""
+    assert re.search(r"Exit codes: 0 .*1 .*2 ", " ".join(lcp_plugin("--help").stdout.split()))
+
+
+# --- as a process ----------------------------------------------------------------------------------------------
+
+
+def test_version() -> None:
+    """``python -m lcp_plugin --version`` prints name and version."""
+    done = in_a_process("--version")
+    assert (done.returncode, done.stdout.decode().split()) == (0, ["lcp-plugin", __version__])
+
+
+def test_installed_command_is_this_one() -> None:
+    """The installed command ``lcp-plugin`` and ``python -m lcp_plugin`` run the same function."""
+    (command,) = entry_points(group="console_scripts", name="lcp-plugin")
+    assert command.load() is run
+
+
+@pytest.mark.full
+def test_exit_codes_reach_the_shell() -> None:
+    """The process itself ends with 1 where a run is not solved and with 2 on bad input, without a traceback."""
+    unsolved = in_a_process("solve", "obstacle_2d:size=6", "--max-iterations", "0")
+    assert (unsolved.returncode, unsolved.stderr) == (1, b"")
+    bad = in_a_process("solve", "murtyy")
+    assert (bad.returncode, bad.stdout) == (2, b"")
+    assert re.match(rb"lcp-plugin: .*did you mean 'murty'\?", bad.stderr)
+
+
+@pytest.mark.full
+def test_terminal_without_unicode() -> None:
+    """Where ≤ and ω cannot be shown, something else is; nothing fails for it."""
+    solved = in_a_process("solve", "obstacle_2d:size=6", PYTHONIOENCODING="ascii")
+    listed = in_a_process("list", PYTHONIOENCODING="cp1252")
+    refused = in_a_process("solve", "obstacle_2d:size=0", PYTHONIOENCODING="ascii")
+    assert (solved.returncode, listed.returncode, refused.returncode) == (0, 0, 2)
+    assert b"SOLVED" in solved.stdout
+    assert b"npsplitting" in listed.stdout
+    assert refused.stderr.startswith(b"lcp-plugin: ")
+    assert b"Traceback" not in solved.stderr + listed.stderr + refused.stderr
+
+
+BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what is written fails late
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("arguments", ["solve murty:n=4", "list"])
+def test_reader_that_has_gone(arguments: str) -> None:
+    """Written into a pipe that nobody reads any more, as after ``| head -1``, the command ends without a word."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "lcp_plugin", *arguments.split()], stdout=writer, stderr=subprocess.PIPE, check=False,
+        env=BUFFERED,
+    )
+    os.close(writer)
+    assert done.stderr == b""
+    assert done.returncode in {0, 1}
+
+
+@pytest.mark.full
+def test_full_device_is_told() -> None:
+    """Where stdout cannot be written, exit code 2 and one line say so."""
+    if not Path("/dev/full").exists():
+        pytest.skip("there is no device that is always full")
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "lcp_plugin", "solve", "murty:n=4"], stdout=full, stderr=subprocess.PIPE,
+            check=False, env=BUFFERED,
+        )
+    assert done.returncode == 2
+    assert re.fullmatch(rb"lcp-plugin: .*No space left on device\n", done.stderr)
+
+
+@pytest.mark.full
+def test_ctrl_c_prints_the_best_so_far() -> None:
+    """Ctrl-C in a long run ends it with INTERRUPTED, the result of the best iterate, --out written, exit code 1.
+
+    The terminal's progress line says when the run is under way, so that nothing here depends on a clock.
+    """
+    pty = pytest.importorskip("pty", reason="terminals are a thing of Unix")
+    ours, theirs = pty.openpty()
+    running = subprocess.Popen(
+        [sys.executable, "-m", "lcp_plugin", "solve", "obstacle_2d:size=300", "-a", "npgs", "--tolerance", "1e-14",
+         "--out", "z.npz"],
+        stdout=subprocess.PIPE, stderr=theirs,
+    )
+    os.close(theirs)
+    try:
+        shown = b""
+        give_up = time.monotonic() + 120.0
+        while b"iteration" not in shown and time.monotonic() < give_up:
+            shown += os.read(ours, 4096)
+        assert b"npgs: iteration" in shown
+        assert b"Ctrl-C" in shown
+        running.send_signal(signal.SIGINT)
+        stdout, _ = running.communicate(timeout=120)
+    finally:
+        running.kill()
+        running.wait()
+        os.close(ours)
+    assert running.returncode == 1
+    text = stdout.decode()
+    assert f"INTERRUPTED: {Status.INTERRUPTED.value}" in text
+    residual = re.search(r"relative residual (\S+), asked for 1.000e-14", text)
+    assert residual
+    assert 0.0 < float(residual[1]) < 1.0
+    assert "Traceback" not in text
+    with np.load("z.npz") as saved:
+        assert str(saved["status"]) == "INTERRUPTED"
+        assert saved["z"].any()

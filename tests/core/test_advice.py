@@ -1,0 +1,308 @@
+"""Every piece of advice is followed on the problem that received it: the call runs, and does better."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from benchmarks.small import friction
+from test_driver import TRAP
+
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    LCPError,
+    NonlinearProblem,
+    QuadraticProgram,
+    Result,
+    Status,
+    bounded_least_squares,
+    certify,
+    convergence_guarantee,
+    error_bound,
+    gallery,
+    prepare,
+    solve,
+    solve_many,
+)
+from lcp_plugin.algorithms import REGISTRY, create
+from lcp_plugin.core.crossovers import PIVOTED_UP_TO
+from lcp_plugin.problems.programs.conversion import lcp_from_qp
+
+CONTACT = LCP(friction(10).M, friction(10).q)
+TRAPPED = LCP(TRAP, [-210.0, -110, 150])  # an H₊-matrix on which unscaled steps run into a cycle
+FAR = LCP([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0])  # a P-matrix, far from H₊
+SADDLE = LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 2.0])
+UNSUITED = LCP(-4.0 * np.eye(3) + 1.0, [1.0, -1.0, 1.0], upper=5.0)
+
+
+def advice_of(call: Callable[[], Any]) -> str:
+    """Return what a call is told: an error's message, or the advice of its result, which did not solve the problem."""
+    try:
+        found = call()
+    except LCPError as error:
+        return str(error)
+    assert not found.is_solved
+    return str(found.advice)
+
+
+def calls_in(advice: str) -> list[dict[str, Any]]:
+    """Return the keyword arguments that the advice names, one dictionary a name."""
+    return [{name: value} for name, value in re.findall(r'(algorithm|scaling)="(\w+)"', advice)]
+
+
+def indefinite() -> LCP:
+    """Return a problem with a planted solution, whose M is indefinite."""
+    rng, n = np.random.default_rng(0), 30
+    A = rng.standard_normal((n, n))
+    z = np.where(rng.random(n) < 0.5, rng.random(n), 0.0)
+    return LCP(A, np.where(z > 0.0, 0.0, rng.random(n)) - A @ z)
+
+
+# Each with the problem, the call that failed, and what it is told to do.
+FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
+    # refused before the first step
+    *((CONTACT, {"algorithm": name}, ["auto"]) for name in ("pgs", "psor", "pj", "mgs", "gfp", "multigrid")),
+    (gallery.obstacle_2d(size=5).problem.with_q(np.ones(25), lower=-1.0, upper=1.0), {"algorithm": "mgs"}, ["auto"]),
+    (UNSUITED, {"algorithm": "npgs"}, ["auto"]),
+    (UNSUITED, {"algorithm": "npgs", "scaling": None}, ["auto"]),
+    (LCP([[-1.0, 0.0], [0.0, 4.0]], [1.0, -1.0]), {"algorithm": "npsplitting"}, ["auto"]),
+    (LCP([[-1.0, 0.0], [0.0, 4.0]], [1.0, -1.0]), {"algorithm": "npsplitting", "scaling": None}, ["auto"]),
+    # without an end
+    (CONTACT, {"algorithm": "npsor"}, ["auto"]),
+    (CONTACT, {"algorithm": "npj"}, ["auto"]),
+    *((indefinite(), {"algorithm": name}, ["auto"]) for name in ("newton", "interior_point", "banded", "npsor")),
+    (FAR, {"algorithm": "psor", "relaxation": 1.9}, ["auto"]),
+    (FAR, {"algorithm": "npj"}, ["auto"]),
+    (TRAPPED, {"algorithm": "npsor", "scaling": None}, ["auto", "scaling"]),
+    (TRAPPED, {"algorithm": "npsplitting", "scaling": None, "max_iterations": 1}, ["auto", "scaling"]),
+    # a limit
+    (TRAPPED, {"algorithm": "npsor", "scaling": None, "max_iterations": 5}, ["auto", "scaling"]),
+    (FAR, {"algorithm": "npsor", "max_iterations": 5}, ["auto"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("problem", "failed", "named"), FOLLOWED, ids=[f"{k} {failed}" for k, (_, failed, _) in enumerate(FOLLOWED)]
+)
+def test_the_call_that_is_advised_solves_the_problem(problem: LCP, failed: dict[str, Any], named: list[str]) -> None:
+    """What names an algorithm or a scaling is no call that ran, and each solves the problem that received it."""
+    advice = advice_of(lambda: solve(problem, **failed))
+    calls = calls_in(advice)
+    assert sorted(value if name == "algorithm" else name for call in calls for name, value in call.items()) == named
+    for call in calls:
+        assert any(failed.get(name) != value for name, value in call.items())
+        tried = call if "algorithm" in call else {**failed, **call, "max_iterations": None}
+        assert solve(problem, **tried).is_solved, (advice, tried)
+
+
+@pytest.mark.parametrize("name", list(REGISTRY))
+def test_no_algorithm_is_advised_to_itself(name: str) -> None:
+    """Whatever an algorithm says that refuses or does not solve a problem, it does not name itself."""
+    for problem in (CONTACT, FAR, SADDLE, UNSUITED, TRAPPED):
+        for limit in (None, 2):
+            try:
+                result = solve(problem, name, max_iterations=limit)
+            except LCPError as error:
+                told = str(error)
+            else:
+                told = result.advice
+            assert f'algorithm="{name}"' not in told
+            if not told.startswith(Status.SOLVED.value):
+                for call in calls_in(told):
+                    assert solve(problem, **call if "algorithm" in call else {"algorithm": name, **call}).seconds >= 0.0
+
+
+def test_too_large_for_pivots() -> None:
+    """Lemke refuses a part whose inverse is too large, and what it names solves it."""
+    n = PIVOTED_UP_TO + 1
+    problem = LCP(sp.diags_array([np.full(n - 1, -1.0), np.full(n, 2.5), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]),
+                  np.where(np.arange(n) % 3, 1.0, -1.0))
+    advice = advice_of(lambda: solve(problem, "lemke"))
+    assert calls_in(advice) == [{"algorithm": "auto"}]
+    assert solve(problem).is_solved
+
+
+def test_no_narrow_band() -> None:
+    """Banded refuses a matrix whose factor fills in too much, and what it names solves it."""
+    rng, n = np.random.default_rng(0), 30_000
+    M = sp.random_array((n, n), density=8.0 / n, rng=rng)
+    problem = LCP(sp.csr_array(sp.diags_array(abs(M).sum(axis=1) + 1.0) - M), rng.standard_normal(n))
+    advice = advice_of(lambda: solve(problem, "banded"))
+    assert calls_in(advice) == [{"algorithm": "auto"}]
+    assert solve(problem).is_solved
+
+
+def hard(seed: int = 0) -> tuple[LCP, np.ndarray]:
+    """Return a problem that auto does not solve from z°, and a solution of it."""
+    rng, n = np.random.default_rng(seed), 90
+    A = rng.standard_normal((n, n)) - 2.0 * np.eye(n)
+    u = rng.random(n)
+    z, w = np.where(u < 0.5, u + 0.5, 0.0), np.where(u < 0.5, 0.0, u)
+    return LCP(A, w - A @ z), z
+
+
+@pytest.mark.full
+def test_auto_is_not_advised_to_itself() -> None:
+    """Where auto finds nothing, its advice names neither auto nor a scaling but another start, which is right."""
+    problem, z = hard()
+    result = solve(problem)
+    assert result.status is Status.STALLED
+    assert calls_in(result.advice) == []
+    assert "another start z0 may lead elsewhere" in result.advice
+    assert solve(problem, z0=z + 1e-6).is_solved
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])
+def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
+    """"Go on from z0=result.z" is said where it helps, and raising the limit solves the problem."""
+    problem = gallery.obstacle_2d(size=25).problem
+    first = solve(problem, algorithm, max_iterations=1)
+    assert first.status is Status.MAX_ITERATIONS
+    assert "raise max_iterations" in first.advice
+    assert "go on from z0=result.z" in first.advice
+    assert ('algorithm="auto"' in first.advice) == (algorithm != "auto")
+    whole, rest = solve(problem, algorithm), solve(problem, algorithm, z0=first.z)
+    assert whole.is_solved
+    assert rest.is_solved
+    assert rest.iterations <= 1.1 * whole.iterations  # psor looks for its relaxation anew
+
+
+@pytest.mark.parametrize("algorithm", ["lemke", "interior_point"])
+def test_what_does_not_go_on_does_not_say_so(algorithm: str) -> None:
+    """Pivots and interior steps begin anew from a poor start: only the limit can be raised."""
+    problem = gallery.obstacle_2d(size=40).problem
+    advice = advice_of(lambda: solve(problem, algorithm, max_iterations=1))
+    assert advice == 'the iteration limit came first: raise max_iterations, or try algorithm="auto"'
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "words"),
+    [("lemke", "z0 was not used: lemke begins from a start"), ("interior_point", "z0 was not used")],
+)
+def test_a_start_that_changes_nothing_is_said(algorithm: str, words: str) -> None:
+    """Where a given z0 changes nothing explain() says so; where it is used, or none was given, it does not."""
+    problem = gallery.obstacle_2d(size=40).problem
+    z0 = np.random.default_rng(0).random(problem.n)
+    begun, plain = solve(problem, algorithm, z0=z0), solve(problem, algorithm)
+    assert begun.z.tobytes() == plain.z.tobytes()
+    assert begun.work == plain.work
+    assert words in begun.explain()
+    assert "z0 was not used" not in plain.explain()
+    for other in ("newton", "psor", "auto", "multigrid", "banded"):
+        assert "z0 was not used" not in solve(problem, other, z0=z0, max_iterations=50).explain()
+
+
+def test_lemke_uses_a_start_near_the_solution() -> None:
+    """From a z0 with a small residual lemke needs a fraction of its pivots, and says nothing."""
+    problem = gallery.obstacle_2d(size=20).problem
+    plain = solve(problem, "lemke")
+    begun = solve(problem, "lemke", z0=plain.z * (1.0 + 1e-4))
+    assert begun.is_solved
+    assert begun.work < 0.1 * plain.work
+    assert "z0 was not used" not in begun.explain()
+
+
+def test_interior_point_uses_a_start_where_m_is_dense_and_symmetric() -> None:
+    """There a good z0 saves work, and nothing is said."""
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((300, 300))
+    problem = LCP(A @ A.T + np.eye(300), rng.standard_normal(300))
+    plain = solve(problem, "interior_point")
+    begun = solve(problem, "interior_point", z0=plain.z * (1.0 + 1e-4))
+    assert begun.work < plain.work
+    assert "z0 was not used" not in begun.explain()
+
+
+def test_the_remedy_of_a_guarantee_is_followed() -> None:
+    """"What to do" in explain() is guaranteed, and solves the problem."""
+    result = solve(TRAPPED, "npsor", scaling=None)
+    assert 'what to do: scaling="auto"' in result.explain()
+    assert solve(TRAPPED, "npsor", scaling="auto").is_solved
+    uncovered = convergence_guarantee(CONTACT, "npsor")
+    assert 'algorithm="auto"' in uncovered.remedy
+    assert solve(CONTACT).is_solved
+
+
+def test_the_other_algorithm_for_a_large_product_is_another_one() -> None:
+    """Where the product of z and w is large, lemke is named, and its product is not; nor is it named to itself."""
+    problem = LCP([[0.0, 1.0], [0.0, 0.0]], [-1.0, 0.0])
+    result = solve(problem, "newton")
+    assert "complementarity" in result.explain()
+    assert 'try another algorithm ("lemke" for a small problem)' in result.explain()
+    assert solve(problem, "lemke").certificate.complementarity < 1e-6
+    assert "try another algorithm" not in replace(result, algorithm="lemke").explain()
+
+
+def test_what_a_program_is_told_runs() -> None:
+    """Forms of programs that are refused name forms that are taken."""
+    singular = QuadraticProgram([[0.0, 0.0], [0.0, 1.0]], [1.0, 1.0], G=[[-1.0, -1.0]], h=[1.0], lower=0.0)
+    for form in ("dual", "direct"):
+        with pytest.raises(LCPError) as caught:
+            lcp_from_qp(singular, form)
+        forms = re.findall(r'form="(\w+)"', str(caught.value).partition("; use ")[2])
+        assert forms
+        assert form not in forms
+        assert solve(lcp_from_qp(singular, forms[0])).is_solved
+
+
+def test_what_certify_names_runs() -> None:
+    """The calls that certify names for other kinds of problems and answers run on them."""
+    problem, curved = LCP([[2, 1], [1, 2]], [-5, 1]), NonlinearProblem(lambda x: x**3 - 1.0)
+    made = LCP.from_qp(np.eye(2), [1.0, -1.0], lower=0.0)
+    result = solve(problem)
+    names: dict[str, Any] = {"problem": problem, "z": result.z, "result": result, "error_bound": error_bound}
+    names |= {"Certificate": type(result.certificate)}
+    for given, scope in (
+        (problem, names), (result, names),
+        (curved, {"problem": curved, "x": [1.0], "solve": solve}),
+        (made.origin.recover(solve(made)), {"program": made.origin.program, "certify": certify,
+                                            "solution": made.origin.recover(solve(made))}),
+        (bounded_least_squares([[1.0]], [1.0]), {"problem": BoundedLeastSquares([[1.0]], [1.0]), "solve": solve}),
+    ):
+        with pytest.raises(LCPError) as caught:
+            certify(given)
+        calls = re.findall(r"[A-Za-z_][\w.]*\((?:[^()]|\([^()]*\))*\)(?:\.\w+)?|result\.\w+", str(caught.value))
+        assert calls
+        for call in calls:
+            assert eval(call, dict(scope)) is not None
+
+
+def test_least_squares_that_stop_are_told_what_helps() -> None:
+    """A limit names x0=result.x, which goes on."""
+    rng = np.random.default_rng(0)
+    A, b = rng.standard_normal((400, 300)) @ np.diag(np.logspace(0, -4, 300)), rng.standard_normal(400)
+    first = bounded_least_squares(A, b, max_iterations=0)
+    assert first.status is Status.MAX_ITERATIONS
+    assert "go on from x0=result.x" in first.advice
+    assert bounded_least_squares(A, b, x0=first.x).is_solved
+
+
+def test_an_absolute_tolerance_that_is_advised_accepts() -> None:
+    """Where only rounding of a large q contradicts, the tolerance that the advice names is SOLVED."""
+    problem = LCP([[0.0]], [-1e-8])
+    advice = advice_of(lambda: solve(problem))
+    if named := re.search(r"absolute_tolerance=([\d.e+-]+)", advice):
+        assert solve(problem, absolute_tolerance=float(named[1])).is_solved
+
+
+def test_batches_give_the_same_advice() -> None:
+    """Items that are not solved are told what a solve of their own is told."""
+    problem, _ = hard()
+    alone = solve(problem, "npsor")
+    [one] = solve_many(prepare(problem), problem.q[:, None], "npsor")
+    assert isinstance(one, Result)
+    assert one.advice == alone.advice
+
+
+def test_every_named_algorithm_exists() -> None:
+    """Names in advice are names of the registry, or auto."""
+    for problem, failed, _ in FOLLOWED:
+        for call in calls_in(advice_of(lambda problem=problem, failed=failed: solve(problem, **failed))):
+            name = call.get("algorithm", "auto")
+            assert name == "auto" or create(name, {}).name == name

@@ -1,0 +1,564 @@
+"""The certificate: every number in it against exact rational arithmetic, and no status without it."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact_parts import part_of_rows, references_of_rows, relative_residual
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, Certificate, ConvergenceWarning, Status, UnsuitableMatrix, UnsuitableProblem, gallery, solve
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.core.certificates.criterion import RowUnits, reference_residual, references_of_parts
+from lcp_plugin.core.certificates.row_residuals import scaled_residual
+from lcp_plugin.core.matrix.units import units_of
+from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
+
+EPSILON = Fraction(1, 2**52)
+FAR = st.sampled_from([math.inf, -math.inf, math.nan])
+
+
+# --- The oracle: the definitions of MATHS in rational arithmetic -------------------------------------------
+
+
+@dataclass
+class Exact:
+    """The certificate's numbers of (problem, z) without rounding; infinite bounds stay infinite."""
+
+    problem: LCP
+    z: list[Fraction]
+
+    def __post_init__(self) -> None:
+        M = self.problem.csr.toarray().tolist()
+        self.rows = [[Fraction(value) for value in row] for row in M]
+        self.q = [Fraction(value) for value in self.problem.q.tolist()]
+        self.bounds = list(zip(self.problem.lower.tolist(), self.problem.upper.tolist(), strict=True))
+        self.w = [q + self.dot(row, self.z) for q, row in zip(self.q, self.rows, strict=True)]
+        units = RowUnits.of(self.problem)
+        self.d = [self.scale(row, row[i]) for i, row in enumerate(self.rows)]
+        if units is not None:
+            self.d = [Fraction(value) for value in units.scale.tolist()]
+
+    @staticmethod
+    def dot(row: list[Fraction], z: list[Fraction]) -> Fraction:
+        return sum((m * x for m, x in zip(row, z, strict=True)), Fraction(0))
+
+    @staticmethod
+    def scale(row: list[Fraction], diagonal: Fraction) -> Fraction:
+        """The diagonal where it is at least 1e-10 of the row's largest entry, else that entry; 1 for an empty row."""
+        largest = max(map(abs, row))
+        if largest == 0:
+            return Fraction(1)
+        return diagonal if diagonal >= largest / 10**10 and diagonal > 0 else largest
+
+    def residual(self, scale: list[Fraction]) -> list[Fraction]:
+        """Row by row, z − mid(lower, upper, z − w/scale)."""
+        found = []
+        for z, w, d, (lower, upper) in zip(self.z, self.w, scale, self.bounds, strict=True):
+            target = z - w / d
+            if target < lower:
+                target = Fraction(lower)
+            elif target > upper:
+                target = Fraction(upper)
+            found.append(z - target)
+        return found
+
+    @property
+    def scaled(self) -> list[Fraction]:
+        return self.residual(self.d)
+
+    @property
+    def natural(self) -> list[Fraction]:
+        return self.residual([Fraction(1)] * len(self.z))
+
+    @property
+    def magnitude(self) -> list[Fraction]:
+        """|M||z| + |q|."""
+        size = [abs(z) for z in self.z]
+        return [self.dot([abs(m) for m in row], size) + abs(q) for row, q in zip(self.rows, self.q, strict=True)]
+
+    @property
+    def floor(self) -> list[Fraction]:
+        terms = [sum(m != 0 for m in row) + 2 for row in self.rows]
+        return [k * EPSILON * size / d for k, size, d in zip(terms, self.magnitude, self.d, strict=True)]
+
+    @property
+    def backward_error(self) -> Any:
+        sizes = [abs(z) + size / d for z, size, d in zip(self.z, self.magnitude, self.d, strict=True)]
+        rows = zip(self.scaled, sizes, strict=True)
+        return max((abs(r) / size if size else math.inf) if r else Fraction(0) for r, size in rows)
+
+    @property
+    def at_zero(self) -> list[Fraction]:
+        nearest = [Fraction(min(max(0.0, lower), upper)) for lower, upper in self.bounds]
+        return Exact(self.problem, nearest).scaled
+
+    @property
+    def weights(self) -> list[Fraction]:
+        """What a row's residual is multiplied by in the units of the criterion."""
+        units = RowUnits.of(self.problem)
+        return [Fraction(1)] * len(self.z) if units is None else [Fraction(2) ** -k for k in units.column.tolist()]
+
+    def in_units(self, residuals: list[Fraction]) -> list[Fraction]:
+        return [weight * abs(r) for weight, r in zip(self.weights, residuals, strict=True)]
+
+    @property
+    def reference(self) -> Fraction:
+        return max(self.in_units(self.at_zero))
+
+    @property
+    def relative(self) -> Any:
+        parts = part_of_rows(self.problem.csr)
+        return relative_residual(self.in_units(self.scaled), self.in_units(self.at_zero), parts)
+
+
+def exactly(problem: LCP, z: object) -> Exact:
+    return Exact(problem, [Fraction(value) for value in np.asarray(z, dtype=float).tolist()])
+
+
+# --- Problems to measure -----------------------------------------------------------------------------------
+
+
+@st.composite
+def rough_problems(draw: st.DrawFn, *, empty_rows: bool = True) -> tuple[LCP, np.ndarray]:
+    """Any small integers: zero or negative diagonals, empty rows, boxes, free rows, z on both sides of the bounds."""
+    n = draw(st.integers(1, 5))
+    M = draw(st.lists(st.integers(-9, 9) | st.just(0), min_size=n * n, max_size=n * n))
+    rows = st.tuples(
+        st.integers(-40, 40),
+        st.integers(-80, 80),
+        st.integers(0, 9) | st.just(math.inf),
+        st.integers(0, 9) | st.just(math.inf),
+        st.integers(-9, 9),
+    )
+    q, z, below, above, centre = np.array(draw(st.lists(rows, min_size=n, max_size=n)), dtype=float).T
+    matrix = np.array(M, dtype=float).reshape(n, n)
+    if not empty_rows:
+        matrix[~matrix.any(axis=1), 0] = 1.0
+    problem = LCP(
+        matrix if draw(st.booleans()) else sp.csr_array(matrix), q / 4, lower=centre - below, upper=centre + above
+    )
+    return problem, z / 8
+
+
+@st.composite
+def floating_problems(draw: st.DrawFn) -> tuple[LCP, np.ndarray]:
+    """H₊-matrices with wild rows, and q and z of any size, none of them dyadic."""
+    M = draw(h_plus_matrices(row_scale=60, column_scale=10, margin=2.0**-20)) / 3.0
+    numbers = st.floats(-1e9, 1e9).map(lambda x: x if abs(x) > 1e-9 else 0.0)
+    q, z, first, second = np.array(draw(st.lists(numbers, min_size=4 * len(M), max_size=4 * len(M)))).reshape(4, -1)
+    is_bounded = draw(st.booleans())
+    lower = np.minimum(first, second) if is_bounded else 0.0
+    upper = np.maximum(first, second) if is_bounded else np.inf
+    return LCP(M, q * M.diagonal(), lower=lower, upper=upper), z
+
+
+# --- Every field -------------------------------------------------------------------------------------------
+
+
+@given(rough_problems())
+def test_fields_without_division_are_exact(drawn: tuple[LCP, np.ndarray]) -> None:
+    """On short dyadic data w, natural residual, violations and complementarity equal the rational values exactly."""
+    problem, z = drawn
+    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    assert certificate.w.tolist() == exact.w
+    assert certificate.natural_residual == max(map(abs, exact.natural))
+    squares = float(sum(r * r for r in exact.natural))
+    assert certificate.euclidean_residual == pytest.approx(math.sqrt(squares), rel=1e-15)
+
+    outside, wrong_sign, products = [0], [0], [0]
+    for z_i, w_i, (lower, upper) in zip(exact.z, exact.w, exact.bounds, strict=True):
+        outside += [lower - z_i, z_i - upper]
+        wrong_sign += [w_i] * (lower == -np.inf) + [-w_i] * (upper == np.inf)
+        products += [(z_i - Fraction(lower)) * max(w_i, 0)] if math.isfinite(lower) else []
+        products += [(Fraction(upper) - z_i) * max(-w_i, 0)] if math.isfinite(upper) else []
+    assert certificate.bound_violation == max(outside)
+    assert certificate.slack_violation == max(wrong_sign)
+    assert certificate.complementarity == max(products)
+
+
+@given(rough_problems())
+def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> None:
+    """Scaled residual, worst row, relative residual, backward error and floor agree with the rational values."""
+    problem, z = drawn
+    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    assert problem.residual_scale.tolist() == exact.d
+    residual = [abs(r) for r in exact.scaled]
+    slip = 4 * float(EPSILON * max(abs(x) + abs(w / d) for x, w, d in zip(exact.z, exact.w, exact.d, strict=True)))
+    references = references_of_rows(exact.at_zero, part_of_rows(problem.csr))
+    worst = certificate.worst_index
+    assert certificate.scaled_residual == pytest.approx(float(residual[worst]), rel=1e-15, abs=slip)
+    if references[worst]:
+        beside = (residual[worst] + Fraction(slip)) / references[worst]
+        assert all(r <= beside * of + Fraction(slip) for r, of in zip(residual, references, strict=True) if of)
+    assert certificate.backward_error == pytest.approx(float(exact.backward_error), rel=1e-14, abs=slip)
+    assert certificate.rounding_floor == pytest.approx([float(value) for value in exact.floor], rel=1e-15)
+
+    assert reference_residual(problem) == pytest.approx(float(exact.reference), rel=1e-14)
+    if exact.relative < math.inf:
+        least = float(min((of for of in references if of), default=Fraction(1)))
+        assert certificate.relative_residual == pytest.approx(float(exact.relative), rel=1e-14, abs=slip / least)
+    else:
+        assert certificate.relative_residual == math.inf
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        ([3.0, 5.0], 3.0),
+        ([0.0, -5.0], 5.0),
+        ([-3.0, 1.0], 3.0),
+        ([0.0, 0.0], 1.0),
+        ([1.0, 2e9], 1.0),
+        ([1.0, 2e10], 2e10),
+        ([1e-300, 0.0], 1e-300),
+    ],
+)
+@pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
+def test_residual_scale_is_the_diagonal_unless_it_is_negligible(row: list[float], expected: float, build: type) -> None:
+    """d_i is m_ii where that is at least 1e-10 of the row, else the row's largest entry, 1 for an empty row."""
+    assert LCP(build([row, [0.0, 1.0]]), [0.0, 0.0]).residual_scale[0] == expected
+
+
+def test_residual_scale_of_subnormal_rows_is_not_zero() -> None:
+    """A zero diagonal is negligible however small the rest of its row is, so that no residual divides by zero."""
+    problem = LCP([[0.0, 1e-320], [1e-320, 0.0]], [1.0, 1.0])
+    assert problem.residual_scale.tolist() == [1e-320, 1e-320]
+
+
+def test_an_empty_problem_has_nothing_wrong() -> None:
+    """With n = 0 every number is 0 and there is no worst row."""
+    certificate = Certificate.of(LCP(np.zeros((0, 0)), []), [])
+    assert certificate.worst_index == -1
+    numbers = ["relative_residual", "natural_residual", "euclidean_residual", "backward_error"]
+    numbers += ["bound_violation", "slack_violation", "complementarity", "scaled_residual"]
+    assert [getattr(certificate, name) for name in numbers] == [0.0] * len(numbers)
+    assert certificate.is_at_rounding_level
+
+
+# --- Solutions and others ----------------------------------------------------------------------------------
+
+
+@given(solved_lcps(bounds=True, row_scale=100, column_scale=100) | solved_lcps())
+def test_residual_vanishes_at_the_solution(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+    """At the exact solution every residual is zero, not just small, whatever the scales."""
+    problem, z = drawn
+    certificate = Certificate.of(problem, np.array(z, dtype=float))
+    assert certificate.scaled_residual == certificate.relative_residual == certificate.backward_error == 0.0
+    assert certificate.bound_violation == certificate.slack_violation == certificate.complementarity == 0.0
+
+
+@given(solved_lcps(bounds=True), st.integers(0, 7), st.integers(1, 2**20), st.sampled_from([-1, 1]))
+def test_residual_is_positive_elsewhere(
+    drawn: tuple[LCP, tuple[Fraction, ...]], index: int, size: int, sign: int
+) -> None:
+    """A P-matrix has one solution: any other z has positive scaled, natural, euclidean and backward residuals."""
+    problem, z = drawn
+    other = np.array(z, dtype=float)
+    other[index % problem.n] += sign * size / 2**10
+    certificate = Certificate.of(problem, other)
+    assert certificate.scaled_residual > 0.0
+    assert certificate.relative_residual > 0.0
+    assert certificate.natural_residual > 0.0
+    assert certificate.euclidean_residual > 0.0
+    assert 0.0 < certificate.backward_error <= 1.0
+
+
+@given(solved_lcps(bounds=True) | solved_lcps())
+def test_no_reference_residual_means_that_the_start_is_the_answer(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+    """‖r(z°)‖ = 0 exactly where z° is the solution; then relative residuals are 0 there and infinite elsewhere."""
+    problem, z = drawn
+    is_answer = problem.nearest_to_zero.tolist() == list(z)
+    assert (reference_residual(problem) == 0.0) == is_answer
+    if is_answer:
+        assert Certificate.of(problem, problem.nearest_to_zero).relative_residual == 0.0
+        assert Certificate.of(problem, np.array(z, dtype=float) + 1.0).relative_residual == math.inf
+
+
+# --- Invariance --------------------------------------------------------------------------------------------
+
+
+def scaled_by(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
+    """The problem with rows and unit of z multiplied by powers of two."""
+    matrix = problem.M.toarray() if sp.issparse(problem.M) else problem.M
+    return LCP(
+        np.ldexp(matrix, row[:, None] + column),
+        np.ldexp(problem.q, row),
+        lower=np.ldexp(problem.lower, -column),
+        upper=np.ldexp(problem.upper, -column),
+    )
+
+
+@given(
+    rough_problems(empty_rows=False) | floating_problems(),
+    st.lists(st.integers(-200, 200), min_size=8, max_size=8),
+    st.integers(-200, 200),
+)
+def test_relative_residual_has_no_unit(drawn: tuple[LCP, np.ndarray], rows: list[int], unit: int) -> None:
+    """Rows scaled by powers of two and another unit of z change the relative residual and worst row by not one bit."""
+    problem, z = drawn
+    other = scaled_by(problem, np.array(rows[: problem.n]), np.full(problem.n, -unit))
+    assume((units_of(problem.matrix) is None) == (units_of(other.matrix) is None))  # neither near the gate
+    before, after = Certificate.of(problem, z), Certificate.of(other, np.ldexp(z, unit))
+    assert after.relative_residual == before.relative_residual
+    assert after.worst_index == before.worst_index
+    assert after.backward_error == before.backward_error
+    assert after.is_at_rounding_level == before.is_at_rounding_level
+
+
+@given(floating_problems(), st.data())
+def test_backward_error_is_invariant_under_row_and_column_scaling(
+    drawn: tuple[LCP, np.ndarray], data: st.DataObject
+) -> None:
+    """Columns scaled by powers of two (so far that the diagonal stays the scale) leave the backward error as it is."""
+    problem, z = drawn
+    rows = np.array(data.draw(st.lists(st.integers(-100, 100), min_size=problem.n, max_size=problem.n)))
+    columns = np.array(data.draw(st.lists(st.integers(-2, 2), min_size=problem.n, max_size=problem.n)))
+    other = scaled_by(problem, rows, columns)
+    before, after = Certificate.of(problem, z), Certificate.of(other, np.ldexp(z, -columns))
+    assert after.backward_error == before.backward_error
+
+
+@pytest.mark.parametrize("z_unit", [1e-150, 1.0, 1e150])
+@pytest.mark.parametrize("w_unit", [1e-150, 1.0, 1e150])
+def test_extreme_units_neither_overflow_nor_vanish(z_unit: float, w_unit: float) -> None:
+    """With z in 1e±150 and w in 1e±150 the residuals are those of the plain problem in these units."""
+    M, q, z = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0]), np.array([2.0, 0.5])
+    plain = Certificate.of(LCP(M, q), z)
+    certificate = Certificate.of(LCP(M * (w_unit / z_unit), q * w_unit), z * z_unit)
+    assert certificate.relative_residual == pytest.approx(plain.relative_residual, rel=1e-14)
+    assert certificate.backward_error == pytest.approx(plain.backward_error, rel=1e-14)
+    exact = [float(abs(r)) for r in exactly(certificate.problem, certificate.z).natural]
+    assert certificate.natural_residual == pytest.approx(max(exact), rel=1e-14)
+    assert certificate.euclidean_residual == pytest.approx(math.hypot(*exact), rel=1e-14)
+
+
+# --- Numbers that are none ---------------------------------------------------------------------------------
+
+
+@given(rough_problems(), st.integers(0, 4), FAR)
+def test_nan_and_infinity_never_pass(drawn: tuple[LCP, np.ndarray], index: int, value: float) -> None:
+    """A z with NaN or ±∞ anywhere is measured without a warning and passes no test."""
+    problem, z = drawn
+    z[index % problem.n] = value
+    certificate = Certificate.of(problem, z)
+    assert not math.isfinite(certificate.scaled_residual)
+    assert not math.isfinite(certificate.relative_residual)
+    assert not math.isfinite(certificate.natural_residual)
+    assert not math.isfinite(certificate.euclidean_residual)
+    assert not certificate.backward_error <= 1e300
+    assert not certificate.is_at_rounding_level
+    assert str(certificate)
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_violations_of_infinite_points_are_measured_quietly(value: float) -> None:
+    """Violations and complementarity of an infinite z give some number and no warning."""
+    certificate = Certificate.of(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), [value, 0.0])
+    assert not certificate.bound_violation < 0.0
+    assert not certificate.slack_violation < 0.0
+    assert not certificate.complementarity < 0.0
+
+
+def test_an_overflowing_slack_is_no_rounding_level() -> None:
+    """Where |M||z| overflows the floor is infinite and explains nothing."""
+    certificate = Certificate.of(LCP([[1e10]], [-1.0]), [1e300])
+    assert certificate.scaled_residual > 0.0
+    assert not certificate.is_at_rounding_level
+
+
+# --- The rounding floor ------------------------------------------------------------------------------------
+
+
+@settings.get_profile("many")
+@given(floating_problems())
+def test_rounding_floor_bounds_the_rounding(drawn: tuple[LCP, np.ndarray]) -> None:
+    """For z within the bounds no row's floating-point residual is further from the exact one than its floor."""
+    problem, z = drawn
+    z = np.clip(z, problem.lower, problem.upper)
+    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    floor = [Fraction(value) for value in certificate.rounding_floor.tolist()]
+    worst = certificate.worst_index
+    shown, weight = Fraction(certificate.scaled_residual), exact.weights[worst]
+    assert abs(shown - weight * abs(exact.scaled[worst])) <= weight * floor[worst]
+    scale = np.array([float(d) for d in exact.d])
+    measured = map(abs, map(Fraction, scaled_residual(problem, z, certificate.w, scale).tolist()))
+    for value, truth, allowed in zip(measured, exact.scaled, floor, strict=True):
+        assert abs(value - abs(truth)) <= allowed
+
+
+def slack_small_beside_z() -> LCP:
+    """Row 0 has no diagonal and w_0 = 0.3, so that z_0 has to go down to its lower bound, far from 0."""
+    return LCP([[0.0, 1.0], [0.0, 1.0]], [0.3, 5.0], lower=[1e16 - 10.0, 0.0])
+
+
+def test_rounding_floor_bounds_the_rounding_where_the_diagonal_is_zero() -> None:
+    """A slack that is small beside z is measured, not absorbed by it: the residual is min(z − lower, w/d)."""
+    problem, z = slack_small_beside_z(), np.array([1e16, 0.0])
+    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    assert exact.scaled == [Fraction(0.3), 0]
+    assert abs(certificate.scaled_residual - Fraction(0.3)) <= Fraction(max(certificate.rounding_floor))
+
+
+def test_rounding_level_is_recognised() -> None:
+    """The nearest double to an inexact solution is at rounding level, a thousand times further is not."""
+    problem = LCP([[3.0, 1.0], [1.0, 3.0]], [-1.0, -1.0 / 3.0])
+    z = np.linalg.solve(problem.M, -problem.q)
+    assert Certificate.of(problem, z).is_at_rounding_level
+    assert not Certificate.of(problem, z * (1.0 + 1e-13)).is_at_rounding_level
+
+
+# --- No lies -----------------------------------------------------------------------------------------------
+
+TO_TRY = {
+    "tame": solved_lcps(),
+    "bounds": solved_lcps(h_plus_matrices(), bounds=True),
+    "wild": solved_lcps(bounds=True, row_scale=60, column_scale=10),
+    "stiff": solved_lcps(h_plus_matrices(margin=2.0**-20) | positive_definite_matrices(margin=2.0**-10)),
+}
+
+
+def options_for(name: str) -> dict[str, object]:
+    """Row scaling, where an algorithm offers it: the scales here are wild."""
+    return {"scaling": "diagonal"} if name.startswith("np") else {}
+
+
+@pytest.mark.sampled(5)
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_solved_is_never_a_lie(name: str) -> None:
+    """SOLVED means: the exact rational residual is at most tolerance · ‖r(z°)‖, no allowance."""
+    statuses: Counter[Status | None] = Counter()
+
+    @settings.get_profile("few")
+    @given(st.tuples(*TO_TRY.values()), st.sampled_from([1e-3, 1e-8, 1e-12]))
+    def check(drawn: tuple[tuple[LCP, tuple[Fraction, ...]], ...], tolerance: float) -> None:
+        for problem, _ in drawn:
+            try:
+                result = solve(problem, name, tolerance=tolerance, max_iterations=300, **options_for(name))
+            except UnsuitableProblem:
+                statuses[None] += 1
+                continue
+            statuses[result.status] += 1
+            if result.status is Status.SOLVED:
+                exact = exactly(problem, result.z)
+                assert exact.relative <= Fraction(tolerance)
+
+    check()
+    assert statuses[Status.SOLVED] > statuses.total() / 4
+
+
+def test_solved_is_no_lie_where_the_slack_is_small_beside_z() -> None:
+    """A warm start far above its bound is not SOLVED as long as its slack is positive."""
+    problem = slack_small_beside_z()
+    result = solve(problem, "npgs", z0=[1e16, 0.0], max_iterations=100)
+    exact = exactly(problem, result.z)
+    assert (result.status is Status.SOLVED) == (exact.relative <= Fraction(1e-8))
+
+
+@given(rough_problems() | floating_problems())
+def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
+    """The relative, natural and euclidean residuals are no smaller than the exact ones, and larger by ulps only."""
+    problem, z = drawn
+    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    least, most = (float(end.max()) for end in references_of_parts(problem))
+    assert least <= exact.reference <= most <= least * (1 + 1e-14)
+    natural, squares = max(map(abs, exact.natural)), sum(r * r for r in exact.natural)
+    assert natural <= Fraction(certificate.natural_residual)
+    assert squares <= Fraction(certificate.euclidean_residual) ** 2
+    if exact.relative < math.inf:
+        assert exact.relative <= Fraction(certificate.relative_residual)
+        references = references_of_rows(exact.in_units(exact.at_zero), part_of_rows(problem.csr))
+        references = [of / weight for of, weight in zip(references, exact.weights, strict=True)]
+        rows = zip(exact.z, exact.w, exact.d, references, strict=True)
+        size = max(((abs(x) + abs(w / d)) / of for x, w, d, of in rows if of), default=Fraction(0))
+        assert certificate.relative_residual <= float(exact.relative) * (1 + 1e-14) + float(size) * 1e-14
+
+
+NEAR_SINGULAR = LCP([[5, -5 + 2**-38], [-5 + 2**-39, 5]], [-1, -2])
+ONE_ULP = LCP(
+    [[1, 3, -1], [0, 1, 0], [0, 0, 1]], [0] * 3,
+    lower=[0, 3.6028797018963976e16, 1.0808639105689194e17],
+    upper=[np.inf, 3.6028797018963976e16, 1.0808639105689194e17],
+)
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+@pytest.mark.parametrize("problem", [NEAR_SINGULAR, ONE_ULP], ids=["near-singular", "one ulp"])
+def test_solved_is_proved_where_doubles_measure_nothing(problem: LCP, name: str) -> None:
+    """Where the residual, or its reference, is lost in rounding, no method says SOLVED unless it is true exactly."""
+    try:
+        result = solve(problem, name, max_iterations=1000)
+    except (UnsuitableProblem, UnsuitableMatrix):
+        return
+    exact = exactly(problem, result.z)
+    is_within = exact.relative <= Fraction(1e-8)
+    assert result.status is not Status.SOLVED or is_within
+    if name == "newton":
+        assert result.status is Status.PRECISION_LIMIT
+
+
+def test_a_reference_that_doubles_do_not_see_is_measured() -> None:
+    """3 a − b is −8, and rounds to 0: z° does not solve the problem, and the z that does is found by auto."""
+    assert reference_residual(ONE_ULP) == pytest.approx(8.0)
+    assert Certificate.of(ONE_ULP, ONE_ULP.nearest_to_zero).relative_residual == pytest.approx(1.0)
+    result = solve(ONE_ULP)
+    assert (result.status, result.z[0]) == (Status.SOLVED, 8.0)
+
+
+def test_the_lie_test_sees_a_lie() -> None:
+    """The rational residual of the scaling trap's misleading iterate is far above what SOLVED would allow."""
+    scene = gallery.scaling_trap()
+    exact = exactly(scene.problem, scene.start)
+    assert exact.relative > Fraction(1e-8)
+
+
+UNBOUNDED = LCP([[0, 1], [0, 0]], [-1, 0])  # solved by (0, 1), and by every (z, 1)
+
+
+@pytest.mark.parametrize(
+    ("rows", "unit"), [((1.0, 1.0), 1.0), ((1e-9, 1e6), 1.0), ((1.0, 1.0), 1e-9), ((1e7, 1.0), 1e5)]
+)
+def test_a_large_product_beside_a_small_residual_is_told(rows: tuple[float, float], unit: float) -> None:
+    """Where z_i w_i = 1.5 and the residual is 1e-8, the certificate names the row, in any units."""
+    M, q = np.diag(rows) @ UNBOUNDED.M, np.diag(rows) @ UNBOUNDED.q * unit
+    problem = LCP(M, q)
+    certificate = Certificate.of(problem, np.array([1.5e8, 1.0 + 1e-8]) * unit)
+    assert certificate.relative_complementarity == pytest.approx(1.5, rel=1e-6)
+    assert "z[0] is" in certificate.large_product
+    assert f"({certificate.large_product})" in str(certificate)
+    mirrored = LCP(M, -q, lower=-np.inf, upper=0.0)
+    assert Certificate.of(mirrored, -certificate.z).large_product == certificate.large_product.replace("= ", "= -")
+    assert Certificate.of(problem, np.array([1.0, 1.0]) * unit).large_product == ""
+
+
+def test_a_result_speaks_of_a_large_product() -> None:
+    """SOLVED with complementarity 1.5 is not said without a word."""
+    result = solve(UNBOUNDED, "newton")
+    assert result.is_solved
+    assert "complementarity 1.5e+00: z[0] is" in result.explain()
+    for name in ("lemke", "auto"):
+        assert "complementarity" not in solve(UNBOUNDED, name).explain()
+
+
+@pytest.mark.sampled(5)
+@pytest.mark.parametrize("name", gallery.names())
+def test_no_scene_has_a_large_product(name: str) -> None:
+    """Ordinary problems raise no alarm, by whatever method solved them."""
+    scene = gallery.build(name)
+    for algorithm in ("auto", "psor", "npsor"):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ConvergenceWarning)
+                result = solve(scene.problem, algorithm, z0=scene.start, max_iterations=500)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            continue
+        assert not result.is_solved or result.certificate.large_product == ""

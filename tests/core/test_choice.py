@@ -1,0 +1,491 @@
+"""The two decision tables of the automatic choice, row by row, and what its runs end with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from benchmarks.auto import brick_wall
+from benchmarks.small import friction
+
+from lcp_plugin import LCP, Result, Status, gallery, solve
+from lcp_plugin.algorithms import Algorithm, create
+from lcp_plugin.core.policy.choice import Auto
+from lcp_plugin.core.policy.stages import Choice, Stage
+from lcp_plugin.gallery.stencil import stencil_matrix
+from lcp_plugin.methods.direct.direct_methods import direct_methods, has_had_its_turn
+from lcp_plugin.methods.search import is_searchable
+from lcp_plugin.methods.search.stages import ExhaustiveSearch
+from lcp_plugin.problems.programs.conversion import lcp_from_lp
+
+TARGET = 1e-8
+
+
+def scattered(M: sp.sparray) -> sp.csr_array:
+    """The matrix with its rows numbered without any order: no narrow band."""
+    order = np.random.default_rng(0).permutation(M.shape[0])
+    return sp.csr_array(M)[order][:, order]
+
+
+def chain(n: int, *, dense: bool = False) -> LCP:
+    """The Laplacian of a scattered string, or, dense, its inverse but for the scale: symmetric, slow for sweeps."""
+    if dense:
+        k = np.arange(1.0, n + 1.0)
+        return LCP(np.minimum.outer(k, k) * (n + 1.0 - np.maximum.outer(k, k)), -k)
+    M = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    return LCP(scattered(M), -np.ones(n))
+
+
+def cycle(n: int, diagonal: float) -> LCP:
+    """Row i: diagonal z_i + 2 z_{i+1} − 1; nonsymmetric, and far from monotone."""
+    M = sp.diags_array(
+        [[2.0], diagonal * np.ones(n), 2.0 * np.ones(n - 1)], offsets=[1 - n, 0, 1], format="csr", shape=(n, n)
+    )
+    return LCP(M, -np.ones(n))
+
+
+def after(algorithm: Algorithm, iterations: int, rate: float) -> Stage:
+    """A stage so many iterations old whose residual fell from 1 by that rate an iteration."""
+    residuals = [(k, rate**k) for k in range(iterations + 1)]
+    return Stage(algorithm, iterations=iterations, residuals=residuals)
+
+
+def following(problem: LCP, stage: Stage, *, failed: bool = False) -> str | None:
+    choice = Auto().next_step(problem, [stage], TARGET, failed)
+    return None if choice is None else choice.algorithm.name
+
+
+def names(result: Result) -> list[str]:
+    return [stage.name for stage in result.stages]
+
+
+# --- The first table ---------------------------------------------------------------------------------------------
+
+
+def test_the_projected_type_iteration_comes_first() -> None:
+    """Where nothing is proved about M, auto begins with npsor, and stays with it where it is quick."""
+    for M in (np.diag([1.0, 2.0, 3.0]), cycle(2000, 2.0).M):
+        n = np.shape(M)[0]
+        assert solve(LCP(M, -np.ones(n)), max_iterations=1).stages[0].name == "npsor"
+    quick = sp.diags_array([-np.ones(199), 8.0 * np.ones(200), -np.ones(199)], offsets=[-1, 0, 1])
+    assert names(solve(LCP(scattered(quick), -np.ones(200)), tolerance=1e-4)) == ["npsor"]
+    without_diagonal = LCP([[2.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0])  # no sweep on the second row
+    assert names(solve(without_diagonal)) == ["lemke"]
+
+
+@pytest.mark.parametrize(("diagonal", "first"), [(2.5, "psor"), (2.49, "npsor"), (-2.5, "npsor"), (0.0, "npsor")])
+def test_rows_that_are_clearly_dominated_begin_with_psor(diagonal: float, first: str) -> None:
+    """Chains −1, d, −1 with 20 000 rows: psor where 2/d ≤ 0.8, npsor where one row's d in the last block is smaller."""
+    n = 20_000
+    for size, dense in ((n, False), (900, False), (50, True)):
+        d = np.full(size, 2.5)
+        d[-min(60, size)] = diagonal
+        M = sp.diags_array([-np.ones(size - 40), d, -np.ones(size - 40)], offsets=[-40, 0, 40]).tocsr()
+        begun = Auto().first(LCP(M.toarray() if dense else M, -np.ones(size)))
+        assert begun.algorithm.name == (first if size == n else "small dense solver" if size == 50 else "npsor")
+    everywhere = sp.csr_array(sp.diags_array([np.full(n, 3.0), -np.ones(n - 40)], offsets=[0, 40]))
+    assert Auto().first(LCP(everywhere, -np.ones(n))).algorithm.name == "npsor"  # a triangle: one sweep is exact
+
+
+def band(width: int, diagonal: float, coupling: float, n: int = 2000) -> LCP:
+    """As many full diagonals on either side."""
+    sides = [k for k in range(-width, width + 1) if k]
+    M = sp.diags_array([coupling] * len(sides) + [diagonal], offsets=[*sides, 0], shape=(n, n))
+    return LCP(M, -np.ones(n))
+
+
+@pytest.mark.parametrize(("problem", "first"), [
+    (band(1, 2.0, -1.0), "banded"), (band(1, 9.0, -1.0), "banded"),  # M-matrices: one round
+    (band(1, 2.0, 1.0), "banded"), (band(1, 9.0, 1.0), "banded"), (band(1, -2.0, 1.0), "banded"),
+    (band(1, 9.0, 1.0, n=20_000), "psor"),
+    (band(15, 1.0, 0.5), "banded"), (band(40, 1.0, 0.5), "npsor"), (band(15, 99.0, 0.5), "psor"),
+    (band(1, 2.0, -1.0, n=128), "banded"), (band(1, 2.0, 1.0, n=128), "small dense solver"),
+    (band(15, 1.0, 0.5, n=128), "small dense solver"),
+])
+def test_a_narrow_band_comes_before_everything(problem: LCP, first: str) -> None:
+    """Tridiagonal M-matrices always, other bands where rounds are cheap and no psor is proved quick."""
+    assert Auto().first(problem).algorithm.name == first
+
+
+def test_where_banded_ends_the_projected_type_iteration_begins() -> None:
+    """It comes once, goes on to its end, and hands over to npsor."""
+    problem = band(1, 2.0, 1.0)
+    for iterations in (0, 3, 500):
+        assert following(problem, after(create("banded", {}), iterations, 1.0)) is None
+        assert following(problem, after(create("banded", {}), iterations, 1.0), failed=True) == "npsor"
+    unsolvable = band(1, -1.0, 0.0, n=200)
+    assert [*dict.fromkeys(names(solve(unsolvable)))][:2] == ["banded", "npsor"]
+
+
+@pytest.mark.parametrize(("dense", "trial"), [(False, 10), (True, 1)])
+def test_a_slow_trial_ends_after_ten_sweeps_or_one(dense: bool, trial: int) -> None:
+    """Where it does not promise to converge within 20 sweeps npsor ends after 10 of them, 1 where M is dense."""
+    problem = chain(30, dense=dense)
+    assert 1 <= solve(problem).stages[0].iterations <= max(trial, 3)
+    for iterations in range(1, trial + 45):
+        unsteady = after(create("npsor", {}), iterations, 0.99)
+        unsteady.residuals = [(k, value * (1.0 + 0.3 * (k % 2))) for k, value in unsteady.residuals]
+        is_asked = iterations >= trial and (dense or (iterations - trial) % 20 == 0)
+        assert (following(problem, unsteady) is not None) == is_asked
+
+
+@pytest.mark.parametrize(("scene", "expected"), [
+    ("obstacle_2d:size=100", ["npsor", "multigrid"]), ("obstacle_2d:size=40", ["npsor", "psor"]),
+    ("paper_example_1:n=10000,delta=0.003", ["npsor", "multigrid"]),
+    ("paper_example_1:n=10000,delta=0.03", ["npsor", "psor"]),
+])
+def test_large_free_regions_are_not_swept(scene: str, expected: list[str]) -> None:
+    """The first sweeps are quick, yet no trial of psor comes where errors constant on what is free are slow."""
+    assert names(solve(gallery.parse(scene).problem)) == expected
+
+
+def test_few_points_off_the_contact_are_swept() -> None:
+    """After one sweep almost all is off its bound by rounding's breadth, which is no free region."""
+    problem = gallery.build("obstacle_2d", size=100).problem
+    q = np.ones(problem.n)
+    q[np.random.default_rng(3).integers(0, problem.n, 20)] = -3.0
+    assert names(solve(LCP(problem.csr, q))) == ["npsor"]
+
+
+def test_from_a_start_near_the_answer_sweeps_go_on() -> None:
+    """Where the residual has little to fall, a local error is swept away, however large the free region is."""
+    problem = gallery.build("obstacle_2d", size=100).problem
+    z = solve(problem, tolerance=1e-12).z.copy()
+    z[5050] += 1e-7 * np.abs(z).max()
+    assert names(solve(problem, z0=z)) == ["npsor"]
+
+
+def test_on_dense_m_npsor_goes_on_only_where_it_arrives_within_ten() -> None:
+    """On dense M npsor is asked at every sweep: at rate 0.2 eleven more would converge, and later nine."""
+    for iterations, goes_on in ((1, False), (3, True)):
+        assert (following(chain(30, dense=True), after(create("npsor", {}), iterations, 0.2)) is None) == goes_on
+
+
+def test_where_rows_are_short_a_direct_answer_is_worth_more_sweeps() -> None:
+    """12 500 entries a row, n³ · 0.06 at most, in sweeps that cost 10 000 more each; 10 passes on a dense M."""
+    for problem, passes in (
+        (chain(500), 12_500.0 * 500 / 11_498), (chain(300), 0.06 * 300**3 / 10_898), (chain(90, dense=True), 10.0),
+        (cycle(90, -1.0), 10.0),
+    ):
+        assert create("newton", {}).predicted_passes(problem, 1e9) == pytest.approx(passes, rel=1e-2)
+
+
+def test_sweeps_that_are_always_nearly_there_end() -> None:
+    """Where npsor and psor have cost half as much again as a direct answer, less what they still promise, they end."""
+    for name, sweeps, end in (("npsor", 0, False), ("npsor", 5, True), ("psor", 1300, False), ("psor", 1320, True)):
+        stage = replace(after(create(name, {}), sweeps, 1.0), work=float(sweeps))
+        stage.residuals = [(sweeps - 1, 1e-7), (sweeps, 0.9e-7)]
+        assert (following(chain(900, dense=name == "npsor"), stage) is not None) == end
+
+
+def test_two_rates_that_agree_end_the_trial() -> None:
+    """From the third sweep on a constant contraction that is too slow ends the trial of a sparse M."""
+    for iterations, is_over in ((2, False), (3, True), (7, True)):
+        assert (following(chain(30), after(create("npsor", {}), iterations, 0.9)) is not None) == is_over
+
+
+@pytest.mark.parametrize(("rate", "goes_on"), [(0.5, True), (0.9, False)])
+def test_npsor_goes_on_where_it_arrives_within_twenty(rate: float, goes_on: bool) -> None:
+    """After 10 sweeps at rate ½, 17 more reach 1e-8; at rate 0.9 it takes 165."""
+    assert (following(chain(300), after(create("npsor", {}), 10, rate)) is None) == goes_on
+
+
+@pytest.mark.parametrize(("orientation", "sweep"), [("upper", "backward"), ("lower", "forward")])
+def test_one_sweep_solves_a_triangular_problem(orientation: str, sweep: str) -> None:
+    """On a triangle of 200 rows one pgs sweep in the order of the triangle is exact."""
+    triangle = np.eye(200) - np.diag(np.ones(150), 50 if orientation == "upper" else -50)
+    for problem in (LCP(triangle, -np.ones(200)), gallery.murty(n=200, orientation=orientation).problem):
+        stage = after(create("npsor", {}), 1, 0.999)
+        choice = Auto().next_step(problem, [stage], TARGET, False)
+        assert choice is not None
+        assert choice.algorithm == create("pgs", {"sweep": sweep})
+    result = solve(LCP(triangle, -np.ones(200)))
+    assert result.is_solved
+    assert [(stage.name, stage.iterations) for stage in result.stages] == [("npsor", 1), ("pgs", 2)]
+
+
+@pytest.mark.parametrize("orientation", ["upper", "lower"])
+def test_murty_s_exponential_problem_takes_no_time(orientation: str) -> None:
+    """Either orientation, n = 200, is solved by three sweeps."""
+    result = solve(gallery.murty(n=200, orientation=orientation).problem)
+    assert result.is_solved
+    assert result.iterations <= 3
+
+
+def test_a_triangle_without_positive_diagonal_is_no_such_case() -> None:
+    """With a zero on the diagonal of a triangle auto goes to the direct methods."""
+    assert following(LCP([[0.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), after(create("npsor", {}), 2, 0.999)) == "search"
+
+
+def test_pgs_on_a_triangle_has_one_sweep() -> None:
+    """Where a second sweep would be needed, rounding say, the direct methods take over."""
+    problem = gallery.murty(n=20).problem
+    assert following(problem, after(create("pgs", {"sweep": "backward"}), 1, 0.9)) is None
+    assert following(problem, after(create("pgs", {"sweep": "backward"}), 2, 0.9)) is not None
+
+
+@pytest.mark.parametrize(("n", "dense", "second"), [
+    (1001, False, "multigrid"), (1000, False, "newton"), (1001, True, "interior_point"),
+])
+def test_multigrid_is_for_large_sparse_matrices(n: int, dense: bool, second: str) -> None:
+    """After a slow npsor comes multigrid where M is sparse with more than 1000 rows, else a direct method."""
+    assert following(chain(n, dense=dense), after(create("npsor", {}), 10 - 8 * dense, 0.9999)) == second
+
+
+@pytest.mark.parametrize(("coupling", "direct"), [(-1.0, "newton"), (1.0, "interior_point")])
+def test_newton_comes_first_on_sparse_z_matrices(coupling: float, direct: str) -> None:
+    """A sparse M with nothing positive off the diagonal goes to newton, its mirror image to interior_point."""
+    M = sp.diags_array([coupling, 2.1, coupling], offsets=[-1, 0, 1], shape=(50, 50))
+    problem = LCP(M, np.where(np.arange(50) % 3 == 0, 1.0, -1.0))
+    assert following(problem, after(create("npsor", {}), 10, 0.999)) == direct
+    assert solve(problem, direct).is_solved
+
+
+def test_psor_needs_a_positive_diagonal() -> None:
+    """Where one entry of the diagonal is not positive psor is skipped."""
+    assert following(cycle(1001, -1.0), after(create("npsor", {}), 10, 0.999)) == "interior_point"
+
+
+@pytest.mark.parametrize("n", [300, 1001])
+def test_psor_is_between_quick_and_slow(n: int) -> None:
+    """Where 3 √(npsor's sweeps) is less than a rival predicts, psor is tried before multigrid and before factors."""
+    assert following(chain(n), after(create("npsor", {}), 10, 0.9)) == "psor"
+
+
+@pytest.mark.parametrize(
+    ("iterations", "rate", "goes_on"),
+    [(20, 0.999, True), (40, 0.999, False), (41, 0.999, True), (60, 0.999, False), (40, 0.95, True), (40, 0.97, False)],
+)
+def test_how_long_psor_goes_on(iterations: int, rate: float, goes_on: bool) -> None:
+    """Asked every 20 sweeps from the 40th on, psor goes on where 440 more converge; else multigrid takes over."""
+    found = following(chain(1001), after(create("psor", {}), iterations, rate))
+    assert found == (None if goes_on else "multigrid")
+
+
+def test_what_psor_needs_is_judged_by_all_its_sweeps() -> None:
+    """A trial of a relaxation raises the residual; where steps may settle, the rate is that of the whole stage."""
+    raised = replace(after(create("psor", {}), 40, 1.0), residuals=[(0, 1.0), (10, 1e-2), (24, 1e-3), (36, 1e-3)])
+    assert following(chain(1001), raised) == "multigrid"
+    assert following(chain(1001), replace(raised, settles=True)) is None
+
+
+def test_a_wall_at_rest_is_left_to_psor() -> None:
+    """12 courses of 12 bricks, semidefinite: psor, whose first trial of a relaxation lasts 33 sweeps, converges."""
+    result = solve(brick_wall(12, 12))
+    assert result.is_solved
+    assert names(result) == ["npsor", "psor"]
+
+
+def test_a_small_band_is_cheaper_than_the_calls_of_sweeps() -> None:
+    """Five-point, 14 × 14: banded though it may need 492 passes, 22 × 22: sweeps."""
+    for side, first in ((14, "banded"), (22, "npsor")):
+        M = stencil_matrix((side, side), 4.5, (-1.0, -1.0), (-1.0, -1.0))
+        assert Auto().first(LCP(M, -np.ones(side**2))).algorithm.name == first
+
+
+@pytest.mark.parametrize(("n", "second"), [(1001, "newton"), (20_001, "psor")])
+def test_after_multigrid(n: int, second: str) -> None:
+    """Where multigrid fails the direct methods come, and psor first where a factorisation may be too large."""
+    stage = after(create("multigrid", {}), 9, 1.0)
+    assert following(chain(n), stage, failed=True) == second
+
+
+def test_sweeps_that_fail_hand_over() -> None:
+    """A pgs that fails is followed by a direct method, a psor that fails by multigrid, and later by a direct method."""
+    problem, psor = chain(1001), after(create("psor", {}), 1, 1.0)
+    assert following(problem, after(create("pgs", {}), 1, 1.0), failed=True) == "newton"
+    assert following(problem, psor, failed=True) == "multigrid"
+    choice = Auto().next_step(problem, [after(create("multigrid", {}), 9, 1.0), psor], TARGET, True)
+    assert choice is not None
+    assert choice.algorithm.name == "newton"
+
+
+# --- The second table --------------------------------------------------------------------------------------------
+
+
+def order(problem: LCP) -> list[str]:
+    """Names after the first look at all cases, which comes before everything where there are few."""
+    choices = list(direct_methods(problem))
+    if is_searchable(problem):
+        assert choices.pop(0).algorithm == ExhaustiveSearch(is_first=True)
+    return [choice.algorithm.name for choice in choices]
+
+
+@pytest.mark.parametrize(
+    "M",
+    [
+        [[2.0, -1.0], [-1.0, 2.0]],
+        [[1.0, -2.0], [-2.0, 1.0]],  # symmetric, no more is asked
+        [[2.0, -1.0], [-1.0 - 1e-13, 2.0]],
+        [[1.0, 2.0], [-2.0, 1.0]],  # not symmetric, but positive semidefinite
+        [[0.0, 1.0], [-1.0, 0.0]],
+    ],
+)
+def test_where_m_seems_monotone_the_interior_point_method_comes_first(M: list[list[float]]) -> None:
+    """Symmetric up to rounding with a positive diagonal, or positive semidefinite."""
+    problem = LCP(M, [-1.0, 1.0], upper=[np.inf, 9.0])
+    assert order(problem) == ["interior_point", "feasibility", "newton", "lemke", "search"]
+
+
+def test_where_m_does_not_newton_comes_first() -> None:
+    """Where the diagonal is positive; up to 500 rows lemke before interior_point, beyond after it."""
+    assert order(cycle(24, 1.0)) == ["newton", "lemke", "interior_point", "feasibility", "search"]
+    assert order(cycle(500, 1.0)) == ["newton", "lemke", "interior_point", "feasibility"]
+    assert order(cycle(501, 1.0)) == ["newton", "interior_point", "feasibility", "lemke"]
+
+
+def test_where_the_diagonal_is_not_positive_either_pivoting_comes_first() -> None:
+    """No H₊-matrix, no monotone one: lemke up to 500 rows, interior_point beyond, newton after them."""
+    assert order(cycle(24, -1.0)) == ["lemke", "interior_point", "feasibility", "newton", "search"]
+    assert order(cycle(500, 0.0)) == ["lemke", "interior_point", "feasibility", "newton"]
+    assert order(cycle(501, 0.0)) == ["interior_point", "newton", "feasibility", "lemke"]
+    dense = np.random.default_rng(0).standard_normal((501, 501)) * (1.0 - np.eye(501))
+    assert order(LCP(dense, -np.ones(501)))[:2] == ["lemke", "interior_point"]
+
+
+@pytest.mark.parametrize("contacts", [25, 40, 80])
+def test_frictional_contact_is_pivoted(contacts: int) -> None:
+    """Copositive, neither symmetric nor H₊: solved at once by pivots, at a cost within 1.3 of lemke's own."""
+    case = friction(contacts)
+    problem = LCP(case.M, case.q)
+    result, alone = solve(problem), solve(problem, "lemke")
+    assert result.is_solved
+    assert names(result) == ["npsor", "lemke"]
+    assert result.stages[-1].work <= 1.3 * alone.work
+
+
+def test_what_is_too_large_is_left_out() -> None:
+    """No linear program beyond 5000 rows, nor newton on negative diagonals; beyond 6000 no lemke, but psor at last."""
+    assert order(cycle(5001, -1.0)) == ["interior_point", "lemke"]
+    assert order(cycle(5001, 0.0)) == ["interior_point", "newton", "lemke"]
+    assert order(cycle(6000, 1.0)) == ["newton", "interior_point", "lemke"]
+    assert order(cycle(6001, 1.0)) == ["newton", "interior_point", "psor"]
+    assert order(cycle(6001, 0.0)) == ["interior_point", "newton"]
+    assert order(cycle(6001, -1.0)) == ["interior_point"]
+
+
+def test_direct_methods_come_one_after_the_other_and_each_ends_by_itself() -> None:
+    """Each goes on until it fails; newton and lemke once more from the start, then the cases, then there is none."""
+    problem, policy = chain(25), Auto()
+    stages = [after(policy.first(problem).algorithm, 10, 1.0)]
+    found = []
+    while (choice := policy.next_step(problem, stages, TARGET, True)) is not None:
+        found.append(choice.algorithm.name)
+        stages.append(after(choice.algorithm, 50, 1.0))
+        assert policy.next_step(problem, stages, TARGET, False) is None
+    assert found == ["newton", "interior_point", "feasibility", "lemke", "newton", "lemke", "search"]
+
+
+def test_a_method_without_an_end_in_sight_waits_for_the_others() -> None:
+    """Newton after 20 steps, lemke after two paths' work: they come back at the end, and then go on to their own."""
+    problem, policy = cycle(25, 1.0), Auto()
+    stages = [after(policy.first(problem).algorithm, 10, 1.0)]
+    found, failed = [], True
+    while (choice := policy.next_step(problem, stages, TARGET, failed)) is not None:
+        found.append(choice.algorithm.name)
+        failed = found.count(choice.algorithm.name) > 1 or choice.algorithm.name not in ("newton", "lemke")
+        stages.append(replace(after(choice.algorithm, 20, 1.0), work=4.0 * 25**3 / problem.nonzeros + 1.0))
+        if failed:
+            assert policy.next_step(problem, stages, TARGET, False) is None
+    turns = ["newton", "lemke", "interior_point", "feasibility", "newton", "lemke"]
+    assert found == [*turns, "newton", "lemke", "search"]  # newton and lemke from the start
+
+
+@pytest.mark.parametrize(("name", "steps", "rate", "work"), [
+    ("newton", 19, 1.0, 1e9), ("newton", 20, 0.3, 1e9), ("lemke", 99, 1.0, 4.0 * 25**3 / 50),
+])
+def test_a_method_that_pays_goes_on(name: str, steps: int, rate: float, work: float) -> None:
+    """Newton before its twentieth step, and later where its residual falls; lemke within the work of two paths."""
+    assert not has_had_its_turn(replace(after(create(name, {}), steps, rate), work=work), cycle(25, 1.0), TARGET)
+
+
+# --- Presolved problems ------------------------------------------------------------------------------------------
+
+
+def test_direct_methods_run_on_the_presolved_problem_and_answer_for_the_given_one() -> None:
+    """Fixed rows are taken out, and put back into every iterate, within the bounds."""
+    problem = LCP([[2.0, 1.0, 0.0], [1.0, 2.0, 5.0], [7.0, 0.0, 0.0]], [-5.0, 1.0, 3.0], upper=[9.0, 9.0, 0.0])
+    first = list(direct_methods(problem))[1]
+    assert first.presolved is not None
+    assert first.presolved.problem.n < 3
+    iterates = [step.z.copy() for step in first.iterates(problem, np.ones(3).clip(problem.lower, problem.upper))]
+    assert all(z.shape == (3,) and problem.lower[2] <= z[2] <= problem.upper[2] for z in iterates)
+    np.testing.assert_allclose(iterates[-1], [2.5, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_choice_without_a_smaller_problem_runs_on_the_given_one() -> None:
+    """Then the steps are those of the algorithm, residuals and all."""
+    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    plain = [step.residual for step in create("newton", {}).iterates(problem, np.zeros(2))]
+    assert [step.residual for step in Choice(create("newton", {})).iterates(problem, np.zeros(2))] == plain
+
+
+# --- What runs end with ------------------------------------------------------------------------------------------
+
+
+def test_no_positive_diagonal_is_needed() -> None:
+    """A rotation, on which every splitting circles, and a game are solved."""
+    assert solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0])).is_solved
+    assert solve(gallery.parse("bimatrix_game").problem).is_solved
+
+
+def test_where_gauss_seidel_diverges_a_direct_method_solves() -> None:
+    """A cyclic P-matrix on which the sweeps diverge is no obstacle."""
+    M = np.array([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]])
+    result = solve(LCP(M, -M @ [1.0, 1.0, 1.0]))
+    assert result.is_solved
+    assert not solve(LCP(M, -M @ [1.0, 1.0, 1.0]), "pgs").is_solved
+
+
+def test_an_infeasible_problem_ends_with_its_proof() -> None:
+    """z₁ − z₂ ≥ 1 and z₂ − z₁ ≥ 1 contradict: INFEASIBLE by auto and after a direct method, never after sweeps."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
+    for name in ("auto", "newton", "lemke", "interior_point"):
+        result = solve(problem, name)
+        assert result.status is Status.INFEASIBLE
+        assert result.infeasibility.verify()
+        assert result.stages[-1].name == ("search" if name == "auto" else "feasibility")
+        assert str(result.infeasibility) in result.explain()
+    swept = solve(problem, "pgs")
+    assert swept.status not in (Status.SOLVED, Status.INFEASIBLE)
+    assert swept.infeasibility is None
+    assert len(swept.stages) == 1
+
+
+def test_a_feasible_problem_without_solution_ends_with_its_proof() -> None:
+    """NO_SOLUTION: w = (z₂ − 1, 1) is nonnegative for z₂ ≥ 1, but complementarity asks for z₂ = 0."""
+    problem = LCP([[0.0, 1.0], [0.0, 0.0]], [-1.0, 1.0])
+    result = solve(problem)
+    assert result.status is Status.NO_SOLUTION
+    assert result.infeasibility.verify()
+    assert problem.slack(np.array([0.0, 2.0])).min() >= 0.0
+
+
+def test_the_story_names_every_stage_with_its_reason() -> None:
+    """explain() tells what ran, how much of the work it was, and why it came."""
+    result = solve(gallery.build("obstacle_2d", size=40).problem)
+    assert result.is_solved
+    assert names(result)[:2] == ["npsor", "psor"]
+    assert result.algorithm == "auto: " + ", ".join(names(result))
+    assert 0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work  # the rest: measuring
+    for stage in result.stages:
+        assert f"  {stage.name}: {stage.iterations} iterations" in result.explain()
+        assert stage.because in result.explain()
+
+
+def test_a_stage_that_gains_nothing_is_told_in_words() -> None:
+    """Where npsor has no rate to reckon with, the next stage says so, and names no infinite number."""
+    choice = Auto().next_step(cycle(24, 1.0), [after(create("npsor", {"scaling": "diagonal"}), 10, 1.0)], TARGET, False)
+    assert choice is not None
+    assert choice.because.startswith("npsor does not get nearer; ")
+
+
+def test_a_large_program_begins_with_an_interior_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no factor of a large linear program is predicted to fit, it is factorised by the method that suits it."""
+    monkeypatch.setattr("lcp_plugin.systems.factors.factor_fits", lambda matrix: False)
+    m = 80
+    A = sp.vstack([sp.kron(sp.eye_array(m), np.ones((1, m))), sp.kron(np.ones((1, m)), sp.eye_array(m))])
+    problem = lcp_from_lp(np.arange(m * m) % 7 + 1.0, A=sp.csr_array(A), b=np.ones(2 * m), lower=0.0)
+    assert next(iter(direct_methods(problem))).algorithm.name == "interior_point"

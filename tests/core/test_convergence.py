@@ -1,0 +1,331 @@
+"""Every algorithm on every class of matrices it is meant for: solved, the right z, no more iterations than it takes."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from families import BOUNDED, SWEEPERS
+
+from lcp_plugin import LCP, Certificate, Status, gallery, solve
+from lcp_plugin.algorithms import REGISTRY, Algorithm, create
+from lcp_plugin.evidence import paper_tables
+
+SLACK = 1.3  # a ceiling is a measured count times this
+
+
+class Solved(NamedTuple):
+    """A problem with its exact solution."""
+
+    problem: LCP
+    z: np.ndarray
+
+
+# --- The matrix classes ------------------------------------------------------------------------------------
+
+
+def planted(M: Any, seed: int = 0, unit: float = 1.0) -> Solved:
+    """A problem with integer z* and w*: half of the rows inactive, two in five active, the rest degenerate."""
+    generator = np.random.default_rng(seed)
+    n = M.shape[0]
+    share = generator.random(n)
+    z = np.where(share < 0.5, generator.integers(1, 10, size=n), 0).astype(float)
+    w = np.where(share > 0.6, unit * generator.integers(1, 10, size=n), 0.0)
+    return Solved(LCP(M, w - M @ z), z)
+
+
+def positive_definite(n: int, seed: int) -> np.ndarray:
+    """B Bᵀ + n I with small integers: far from diagonally dominant."""
+    B = np.random.default_rng(seed).integers(-3, 4, size=(n, n)).astype(float)
+    return B @ B.T + n * np.eye(n)
+
+
+def scene(text: str) -> Solved:
+    found = gallery.parse(text)
+    assert found.exact is not None
+    return Solved(found.problem, found.exact)
+
+
+CLASSES = {
+    "H₊, small": lambda: scene("random_h_plus:n=12,row_scale=0,column_scale=0"),
+    "H₊, sparse, wild rows": lambda: scene("random_h_plus:n=300,row_scale=20,column_scale=10"),
+    "M-matrix, nonsymmetric": lambda: planted(gallery.paper_example_2(n=400, delta=1.0).problem.csr),
+    "five-point + 4 I": lambda: scene("half_active:n=400"),
+    "five-point": lambda: scene("half_active:n=400,delta=0"),
+    "SPD, not H₊": lambda: planted(positive_definite(40, seed=0), unit=40.0),
+}
+
+
+@cache
+def problem_of(kind: str) -> Solved:
+    return CLASSES[kind]()
+
+
+# Measured iterations to 1e-8 in the order of CLASSES; None where the algorithm is not meant for the class.
+MEASURED: dict[str, tuple[int | None, ...]] = {
+    "npj": (44, 43, 43, 40, 181, None),
+    "npgs": (44, 41, 45, 41, 160, None),
+    "npsor": (37, 35, 38, 35, 134, None),
+    "npaor": (37, 36, 37, 34, 138, None),
+    "npsplitting": (45, 43, 45, 42, 159, None),
+    "pj": (16, 17, 32, 22, 119, None),
+    "pgs": (10, 11, 18, 14, 60, 28),
+    "psor": (10, 11, 16, 13, 26, 20),
+    "paor": (13, 13, 25, 18, 90, None),
+    "mj": (16, 17, 32, 22, 119, None),
+    "mgs": (13, 14, 25, 18, 90, None),
+    "msor": (12, 16, 28, 21, 101, None),
+    "maor": (13, 17, 31, 23, 113, None),
+    "gfp": (16, 17, 32, 22, 119, None),
+    "newton": (2, 4, 2, 1, 2, 3),
+    "interior_point": (7, None, 7, 1, 1, 1),
+    "banded": (2, 4, 2, 1, 2, 3),
+    "lemke": (1, 3, 2, 2, 2, 1),
+    "multigrid": (3, 14, 7, 7, 8, 5),
+    "auto": (15, 14, 15, 16, 30, 3),
+}
+PAIRS = [
+    pytest.param(name, kind, count, id=f"{name}-{kind}")
+    for name, counts in MEASURED.items()
+    for kind, count in zip(CLASSES, counts, strict=True)
+    if count is not None
+]
+
+
+def error(z: np.ndarray, exact: np.ndarray) -> float:
+    return float(abs(z - exact).max() / abs(exact).max())
+
+
+def test_every_algorithm_is_measured() -> None:
+    """An algorithm cannot be registered without a row in the table of this module, nor an option set be forgotten."""
+    assert set(MEASURED) == {"auto", *REGISTRY}
+
+
+def test_the_classes_are_what_they_are_called() -> None:
+    """The positive definite matrix is no H₊-matrix, the M-matrix is not symmetric, all classes have active rows."""
+    M = problem_of("SPD, not H₊").problem.csr.toarray()
+    assert np.linalg.eigvalsh(M).min() > 0.0
+    assert abs(np.linalg.eigvals(abs(M) / M.diagonal()[:, None] - np.eye(40))).max() > 1.0
+    M = problem_of("M-matrix, nonsymmetric").problem.csr
+    assert abs(M - M.T).max() > 0.5
+    for kind in CLASSES:
+        problem, z = problem_of(kind)
+        assert Certificate.of(problem, z).relative_residual == 0.0
+        assert 0.3 < np.mean(z == 0.0) < 0.7
+
+
+@pytest.mark.parametrize(("name", "kind", "measured"), PAIRS)
+def test_it_arrives(name: str, kind: str, measured: int) -> None:
+    """The final status is SOLVED, z is the exact one to seven digits, and the iterations stay below their ceiling."""
+    problem, exact = problem_of(kind)
+    result = solve(problem, name, max_iterations=5000)
+    assert result.status is Status.SOLVED
+    assert result.certificate.relative_residual <= 1e-8
+    assert error(result.z, exact) < 1e-7
+    assert result.iterations <= math.ceil(SLACK * measured)
+
+
+@pytest.mark.parametrize("sweep", ["backward", "symmetric"])
+@pytest.mark.parametrize("name", SWEEPERS)
+def test_it_arrives_in_every_direction(name: str, sweep: str) -> None:
+    """Backward and symmetric sweeps solve the nonsymmetric problem; a symmetric iteration is worth a forward one."""
+    problem, exact = problem_of("M-matrix, nonsymmetric")
+    forward = solve(problem, name)
+    result = solve(problem, name, sweep=sweep)
+    assert result.status is Status.SOLVED
+    assert error(result.z, exact) < 1e-7
+    assert result.iterations <= (1.5 * forward.iterations if sweep == "backward" else forward.iterations)
+
+
+@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("kind", ["H₊, sparse, wild rows", "M-matrix, nonsymmetric"])
+def test_a_warm_start_at_the_answer_is_recognised(name: str, kind: str) -> None:
+    """From z0 = z* every algorithm is done after at most one iteration."""
+    problem, exact = problem_of(kind)
+    result = solve(problem, name, z0=exact)
+    assert result.status is Status.SOLVED
+    assert result.iterations <= 1
+    assert error(result.z, exact) < 1e-14
+
+
+# --- Bounds ------------------------------------------------------------------------------------------------
+
+
+def boxed(seed: int = 0) -> Solved:
+    """Symmetric boxes [−c, c], some rows free, on an H₊-matrix: rows at either bound, inside, and degenerate."""
+    generator = np.random.default_rng(seed)
+    M = gallery.random_h_plus(n=200, row_scale=0, column_scale=0).problem.csr
+    n = M.shape[0]
+    half_width = generator.integers(1, 6, size=n).astype(float)
+    place = generator.choice([-1.0, 0.0, 1.0], size=n)
+    is_free = generator.random(n) < 0.2
+    place[is_free] = 0.0
+    inside = generator.integers(-3, 4, size=n) / 4.0
+    z = np.where(place == 0.0, half_width * inside, place * half_width)
+    w = -place * generator.integers(0, 6, size=n)
+    half_width[is_free] = np.inf
+    return Solved(LCP(M, w - M @ z, lower=-half_width, upper=half_width), z)
+
+
+@pytest.mark.parametrize("name", ["auto", *BOUNDED])
+def test_boxes_and_free_rows(name: str) -> None:
+    """With symmetric boxes and free rows the exact z is found, and its rows at a bound are at that bound exactly."""
+    problem, exact = boxed()
+    assert Certificate.of(problem, exact).relative_residual == 0.0
+    result = solve(problem, name)
+    assert result.status is Status.SOLVED
+    assert error(result.z, exact) < 1e-7
+    w = problem.slack(exact)
+    for bound, held in ((problem.lower, w > 0.0), (problem.upper, w < 0.0)):
+        assert held.any()
+        assert np.array_equal(result.z[held], bound[held])
+
+
+@pytest.mark.parametrize("name", [name for name in MEASURED if name.startswith("np")])
+def test_np_finishes_with_exact_zeros(name: str) -> None:
+    """NP iterates approach a bound for ever; the last sweep puts strictly active components exactly there."""
+    problem, exact = problem_of("five-point + 4 I")
+    is_active = problem.slack(exact) > 0.0
+    result = solve(problem, name)
+    assert result.status is Status.SOLVED
+    assert not result.z[is_active].any()
+    iterates = create(name, {}).iterates(problem, np.ones(problem.n))
+    *_, last = islice(iterates, result.iterations)
+    assert np.mean(last.z[is_active] > 0.0) > 0.5
+
+
+# --- The scaling trap --------------------------------------------------------------------------------------
+
+
+def test_the_scaling_trap_catches_the_unscaled_method_honestly() -> None:
+    """Unscaled NPSOR(1.7) cycles beside z*; the status says that it did not converge and advises scaling."""
+    trap = gallery.scaling_trap()
+    result = solve(trap.problem, "npsor", relaxation=1.7, scaling=None, z0=trap.start)
+    assert result.status in (Status.STALLED, Status.DIVERGED)
+    assert "scaling=" in result.advice
+    assert result.certificate.relative_residual > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "measured"),
+    [
+        ("npgs", {"scaling": None}, 1183),
+        ("npj", {"scaling": None}, 1851),
+        ("npgs", {}, 22),
+        ("npj", {}, 20),
+        ("npsor", {}, 17),
+        ("npaor", {}, 18),
+        ("npsplitting", {}, 31),
+        ("npsor", {"relaxation": 1.7, "scaling": "diagonal"}, 28),
+        ("npgs", {"scaling": "diagonal"}, 33),
+        ("auto", {}, 8),
+    ],
+)
+def test_the_scaling_trap_is_solved_otherwise(name: str, options: dict[str, Any], measured: int) -> None:
+    """From z = 0 unscaled NPGS converges slowly; NPSOR(1.7) scaled by the diagonal takes 28, by itself 17 sweeps."""
+    trap = gallery.scaling_trap()
+    result = solve(trap.problem, name, **options)
+    assert result.status is Status.SOLVED
+    assert error(result.z, trap.exact) < 1e-7
+    assert result.iterations <= math.ceil(SLACK * measured)
+
+
+def test_scaling_matters_as_much_as_reported() -> None:
+    """To 1e-10, scaled NPSOR(1.7) takes 20 to 40 sweeps where unscaled NPGS takes over a thousand."""
+    trap = gallery.scaling_trap()
+    scaled = solve(trap.problem, "npsor", scaling="diagonal", z0=trap.start, tolerance=1e-10)
+    assert 20 <= scaled.iterations <= 40
+    unscaled = solve(trap.problem, "npgs", scaling=None, z0=trap.start, tolerance=1e-10)
+    assert unscaled.status is Status.SOLVED
+    assert unscaled.iterations > 900
+
+
+# --- Automatic relaxation ----------------------------------------------------------------------------------
+
+
+def sweeps_needed(
+    algorithm: Algorithm,
+    problem: LCP,
+    tolerance: float,
+    *,
+    start: np.ndarray | None = None,
+    measure: str = "relative_residual",
+    limit: int = 3000,
+) -> float:
+    """Iterations until the certificate passes, measured after every one; infinite beyond the limit."""
+    z0 = problem.nearest_to_zero if start is None else start
+    for k, step in enumerate(islice(algorithm.iterates(problem, z0.copy()), limit)):
+        if getattr(Certificate.of(problem, step.z), measure) <= tolerance:
+            return k
+    return math.inf
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("text", ["obstacle_2d:size=50", "obstacle_2d:size=50,shifted=true"])
+def test_automatic_relaxation_finds_a_good_omega(text: str) -> None:
+    """On the plain Laplacian obstacle, n = 2500, PSOR needs at most twice the sweeps of the best fixed relaxation."""
+    problem = gallery.parse(text).problem
+    fixed = [sweeps_needed(create("psor", {"relaxation": w}), problem, 1e-8) for w in np.linspace(1.6, 1.96, 10)]
+    automatic = sweeps_needed(create("psor", {}), problem, 1e-8)
+    assert automatic <= 2 * min(fixed)
+    assert 5 * automatic <= sweeps_needed(create("pgs", {}), problem, 1e-8)
+
+
+def random_h_plus(n: int, seed: int) -> np.ndarray:
+    """A dense H₊-matrix of any signs, from well conditioned to nearly singular."""
+    generator = np.random.default_rng(seed)
+    M = generator.normal(size=(n, n)) * (generator.random((n, n)) < generator.uniform(0.1, 1.0))
+    np.fill_diagonal(M, 0.0)
+    np.fill_diagonal(M, (1.0 + 10.0 ** generator.uniform(-3.0, 0.0)) * abs(M).sum(axis=1) + 1e-3)
+    return M * np.exp2(generator.integers(-8, 9, size=n))
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("matrices", [random_h_plus, positive_definite], ids=["H₊", "SPD"])
+def test_automatic_relaxation_never_fails_where_gauss_seidel_converges(matrices: Any) -> None:
+    """On 100 random problems of each class PSOR is SOLVED wherever PGS is, and on the whole not slower."""
+    total = {"pgs": 0, "psor": 0}
+    for seed in range(100):
+        n = 5 + seed % 30
+        M = matrices(n, seed)
+        problem, _ = planted(sp.csr_array(M) if seed % 2 else M, seed)
+        results = {name: solve(problem, name, max_iterations=20_000) for name in total}
+        assert results["pgs"].status is Status.SOLVED
+        assert results["psor"].status is Status.SOLVED
+        assert results["psor"].iterations <= 3 * results["pgs"].iterations + 10
+        for name, result in results.items():
+            total[name] += result.iterations
+    assert total["psor"] <= 1.1 * total["pgs"]
+
+
+# --- The paper's tables ------------------------------------------------------------------------------------
+
+
+def test_the_paper_s_tables_are_reproduced() -> None:
+    """All 48 iteration counts are those of the paper, and at least 44 residuals to the printed digits."""
+    cells = list(paper_tables.cells())
+    assert len(cells) == 48
+    assert [cell for cell in cells if not cell.same_iterations] == []
+    assert sum(cell.same_residual for cell in cells) >= 44
+
+
+@pytest.mark.parametrize(("example", "expected"), [(1, [13, 15, 16, 16, 16, 16]), (2, [10, 11, 11, 11, 11, 11])])
+def test_projected_gauss_seidel_beats_the_paper_s_methods_on_its_own_examples(
+    example: int, expected: list[int]
+) -> None:
+    """In the paper's setting plain projected Gauss–Seidel needs these counts, fewer than any of its four methods."""
+    counts, best = [], []
+    table = paper_tables.published()
+    for column, n in enumerate(table["n"]):
+        found = gallery.build(f"paper_example_{example}", n=n, delta=paper_tables.DELTA)
+        pgs = create("pgs", {})
+        needed = sweeps_needed(pgs, found.problem, 1e-5, start=found.start, measure="euclidean_residual", limit=50)
+        counts.append(needed)
+        best.append(min(row["iterations"][column] for row in table[f"example_{example}"].values()))
+    assert counts == expected
+    assert all(count < other for count, other in zip(counts, best, strict=True))

@@ -1,0 +1,198 @@
+"""All algorithms against each other, against exact enumeration, and the long campaign's judges in a few cases."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from campaigns import small_lcps, trust
+from collection.truth import SOLVABLE, decide
+from exact import exact_solution
+from families import DIRECT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, Status, UnsuitableMatrix, UnsuitableProblem, solve
+from lcp_plugin.algorithms import REGISTRY, Step
+from lcp_plugin.core.certificates.residuals import Certificate
+from lcp_plugin.core.splittings.projected_type import NPSOR
+from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
+from lcp_plugin.strategies import h_plus_matrices, solved_lcps
+
+SEEDS = st.integers(0, 2**32 - 1)
+ALL = ["auto", *REGISTRY]
+
+
+def answers(problem: LCP, names: list[str]) -> dict[str, np.ndarray]:
+    """Z of every algorithm that says SOLVED, or that no better z has doubles."""
+    found = {}
+    for name in names:
+        try:
+            result = solve(problem, name, tolerance=1e-12)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            continue
+        if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
+            found[name] = result.z
+    return found
+
+
+@settings.get_profile("few")
+@given(solved_lcps(h_plus_matrices(st.integers(1, 5))))
+def test_all_algorithms_agree_with_each_other_and_with_enumeration(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+    """On an H₊-matrix all eighteen and auto find the one solution that exact enumeration finds, too."""
+    problem, planted = drawn
+    exact = exact_solution(problem)
+    assert exact.z == planted
+    found = answers(problem, ALL)
+    assert {*ALL} - {*found} <= {"interior_point", "newton", "multigrid"}  # which have no proof on H₊
+    truth = np.array([float(value) for value in exact.z])
+    for name, z in found.items():
+        assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
+
+
+@settings.get_profile("few")
+@given(SEEDS, st.integers(1, 5))
+def test_on_p_matrices_direct_methods_find_the_one_solution(seed: int, n: int) -> None:
+    """Beyond H₊: lemke and auto always, the others where they say so, find what exact enumeration finds."""
+    rng = np.random.default_rng(seed)
+    lower, upper = small_lcps.random_bounds(n, rng)
+    problem = LCP(small_lcps.p_matrix(n, rng), rng.integers(-6, 7, n), lower=lower, upper=upper)
+    truth = np.array([float(value) for value in exact_solution(problem).z])
+    found = answers(problem, ["auto", *DIRECT])
+    assert {"auto", "lemke"} <= {*found}
+    for name, z in found.items():
+        assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("kind", small_lcps.KINDS)
+def test_no_algorithm_claims_anything_false_on_any_kind_of_problem(kind: str) -> None:
+    """Solvable, infeasible, or feasible without solution: no claim of any algorithm contradicts the exact truth."""
+    for case in range(3):
+        problem = small_lcps.random_problem(kind, np.random.default_rng([8, case]))
+        truth = decide(problem).verdict
+        for name in ALL:
+            _, status, complaint = small_lcps.judged(problem, name, 1e-9, truth)
+            assert not complaint, (name, case)
+            assert name != "auto" or truth != SOLVABLE or status == "right", case
+
+
+# --- The campaign itself --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", autouse=True)
+def campaign_process() -> None:
+    """What the campaign wants loaded."""
+    import pyamg  # noqa: F401
+    import scipy.optimize  # noqa: F401
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("name", trust.ROUND)
+def test_the_campaign_finds_nothing_in_a_few_cases(name: str) -> None:
+    """Every kind of the long campaign runs, and finds nothing."""
+    kinds = trust.ROUND[name][1]
+    for k, kind in enumerate(kinds[:6]):
+        found = [finding for finding in trust.run(name, kind, 7_000_000 + k) if finding.what in trust.VIOLATIONS]
+        assert not found, (kind, k)
+
+
+def test_every_kind_has_its_share_of_a_round() -> None:
+    """A round of the schedule holds every kind, in the numbers that are written down."""
+    assert Counter(name for name, _ in trust.SCHEDULE) == {name: share for name, (_, _, share) in trust.ROUND.items()}
+    assert {*trust.SCHEDULE} == {(name, kind) for name, (_, kinds, _) in trust.ROUND.items() for kind in kinds}
+
+
+def finds(what: str, name: str) -> bool:
+    """Whether the campaign says so about one of the first cases of a kind."""
+    kinds = trust.ROUND[name][1]
+    cases = (trust.run(name, kinds[k % len(kinds)], k) for k in range(60))
+    return any(what in {finding.what for finding in found} for found in cases)
+
+
+def test_the_campaign_sees_a_false_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A certificate that finds every residual small is found out."""
+    monkeypatch.setattr(Certificate, "relative_above", lambda self, least, answered=None: 0.0)
+    assert finds("false SOLVED", "small")
+
+
+def test_the_campaign_sees_a_bound_that_is_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bounds of half the size are found out."""
+    from lcp_plugin import error_bound as honest
+
+    def shrunk(problem: LCP, z: np.ndarray, **options: bool) -> ErrorBound:
+        bound = honest(problem, z, **options)
+        object.__setattr__(bound, "componentwise", 0.5 * bound.componentwise)
+        return bound
+
+    monkeypatch.setattr("trust_kinds.error_bounds.error_bound", shrunk)
+    assert finds("bound", "bound")
+
+
+def test_the_campaign_sees_a_wrong_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report that calls every matrix an H-matrix is found out."""
+    monkeypatch.setattr("trust_kinds.matrix_verdicts.MatrixReport.is_h_matrix", True)
+    assert finds("verdict", "matrix")
+
+
+@pytest.mark.parametrize(
+    ("damage", "what"),
+    [
+        (lambda problem: problem.M.flags.writeable, trust.CRASH),
+        (lambda problem: np.random.seed(1), trust.MODIFIED),  # noqa: NPY002 - the global state is what is damaged
+        (lambda problem: np.set_printoptions(precision=3), trust.MODIFIED),
+        (lambda problem: overwrite(problem), trust.MODIFIED),
+    ],
+    ids=["a bug", "random state", "print options", "the matrix"],
+)
+def test_the_campaign_sees_crashes_and_changes(damage, what: str, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    """An exception that is no refusal, a change of global state and a matrix written to are found out."""
+    healthy, around = NPSOR.iterates, (np.random.get_state(), np.get_printoptions())  # noqa: NPY002 - put back below
+
+    def faulty(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        if problem.n > 1:
+            damage(problem)
+            if what == trust.CRASH:
+                raise IndexError("a bug")
+        yield from healthy(self, problem, z0)
+
+    monkeypatch.setattr(NPSOR, "iterates", faulty)
+    try:
+        assert finds(what, "small")
+    finally:
+        np.random.set_state(around[0])  # noqa: NPY002
+        np.set_printoptions(**around[1])
+
+
+def test_the_campaign_sees_a_start_that_is_written_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A z0 that a run takes for its own is found out."""
+    from lcp_plugin.core.solving.driver import checked_start
+
+    def careless(problem: LCP, z0: object) -> np.ndarray:
+        start = checked_start(problem, z0)
+        if isinstance(z0, np.ndarray):
+            z0 += 1.0
+        return start
+
+    monkeypatch.setattr("lcp_plugin.core.solving.driver.checked_start", careless)
+    assert finds(trust.MODIFIED, "optional")
+
+
+def overwrite(problem: LCP) -> None:
+    """Write into the caller's matrix, past the flag that forbids it."""
+    base = problem.M if problem.is_dense else problem.M.data
+    while base.base is not None and isinstance(base.base, np.ndarray):
+        base = base.base
+    base.flat[0] += 1.0
+
+
+def test_a_case_can_be_repeated_from_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+    """--only KIND:NUMBER runs that case; a wrong name is told with the right ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trust, "prepare_process", lambda: None)
+        assert trust.repeat("presolve any:11") == 0
+        assert trust.repeat("no such:11") == 2
+    assert "small indefinite" in capsys.readouterr().out

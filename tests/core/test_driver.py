@@ -1,0 +1,787 @@
+"""The one loop: statuses, limits, clock, record, callback, warm start, automatic choice."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import pkgutil
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.sparse as sp
+from families import BOUNDED, DIRECT
+
+from lcp_plugin import (
+    LCP,
+    ConvergenceWarning,
+    NotConverged,
+    Result,
+    Sample,
+    Status,
+    UnsuitableMatrix,
+    convergence_guarantee,
+    error_bound,
+    gallery,
+    solve,
+)
+from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.core.deadline import time_limit
+from lcp_plugin.proofs.bounds import error_bounds
+from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
+from lcp_plugin.proofs.bounds.error_watch import ErrorWatch
+from lcp_plugin.proofs.exact.linear_systems import solve_exactly
+from lcp_plugin.proofs.guarantees import guarantees
+
+EXAMPLE = gallery.build("paper_example_1", n=400)
+OBSTACLE = gallery.build("obstacle_2d", size=20)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scripted(Algorithm):
+    """Yields the given iterates, then the last one for ever."""
+
+    name: ClassVar[str] = "scripted"
+    points: tuple[tuple[float, ...], ...]
+    claimed_residual: float | None = None
+    interrupt_at: int = -1
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        for k, point in enumerate(self.points):
+            if k == self.interrupt_at:
+                signal.raise_signal(signal.SIGINT)
+            yield Step(np.array(point), self.claimed_residual)
+        while True:
+            yield Step(np.array(self.points[-1]), self.claimed_residual)
+
+
+TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])  # solved by (2.5, 0)
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_solved_means_the_certificate_passes(name: str) -> None:
+    """SOLVED comes with a certificate at or below the tolerance."""
+    for tolerance in (1e-9, 1e-7):
+        result = solve(EXAMPLE.problem, name, z0=EXAMPLE.start, tolerance=tolerance)
+        assert result.status is Status.SOLVED
+        assert result.certificate.relative_residual <= tolerance
+        assert result.residual == result.certificate.relative_residual
+        np.testing.assert_array_equal(result.w, EXAMPLE.problem.slack(result.z))
+
+
+def test_a_claimed_residual_is_never_believed() -> None:
+    """An algorithm that claims residual 0 with a wrong z is not SOLVED."""
+    result = solve(TWO, Scripted(points=((1.0, 1.0),), claimed_residual=0.0), max_iterations=50)
+    assert result.status is Status.MAX_ITERATIONS
+    assert result.residual > 0.1
+
+
+def test_an_honest_iterate_is_solved_whatever_ends_the_run() -> None:
+    """A best iterate that passes is SOLVED even where a limit ended the run at that very step."""
+    result = solve(TWO, Scripted(points=((0.0, 0.0), (2.5, 0.0))), max_iterations=1)
+    assert result.status is Status.SOLVED
+    assert result.iterations == 1
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+@pytest.mark.parametrize("limit", [0, 1, 7])
+def test_iteration_limit_is_exact(name: str, limit: int) -> None:
+    """max_iterations=k returns after exactly k iterations, 0 included; direct methods may be done before."""
+    result = solve(OBSTACLE.problem if name in BOUNDED else EXAMPLE.problem, name, max_iterations=limit)
+    if name in DIRECT and result.is_solved:
+        assert 0 < result.iterations <= limit
+    else:
+        assert (result.status, result.iterations) == (Status.MAX_ITERATIONS, limit)
+
+
+def test_best_iterate_is_returned() -> None:
+    """Where the iteration gets worse again, the best point comes back, not the last."""
+    points = ((0.0, 0.0), (2.4, 0.0), (2.0, 3.0))
+    result = solve(TWO, Scripted(points=points), max_iterations=5)
+    np.testing.assert_array_equal(result.z, (2.4, 0.0))
+
+
+def test_nan_in_the_middle_is_diverged_with_the_best_so_far() -> None:
+    """A NaN ends the run as DIVERGED; the best finite iterate is kept."""
+    result = solve(TWO, Scripted(points=((0.0, 0.0), (2.0, 0.0), (np.nan, 0.0))))
+    assert result.status is Status.DIVERGED
+    np.testing.assert_array_equal(result.z, (2.0, 0.0))
+
+
+def test_explosion_is_diverged() -> None:
+    """A residual above 1e8 times that of the start that rose ten times in a row ends the run."""
+    growing = tuple((10.0**k, 10.0**k) for k in range(1, 30))
+    result = solve(TWO, Scripted(points=((0.0, 0.0), *growing)))
+    assert (result.status, result.iterations) == (Status.DIVERGED, 10)
+
+
+@pytest.mark.parametrize("name", ["npsor", "npgs"])
+def test_a_guaranteed_run_over_a_mountain_arrives(name: str) -> None:
+    """A residual that rises by ten decades on the way is no divergence where it falls again."""
+    problem = LCP([[1.0, -1e10], [0.0, 1.0]], [0.0, -1.0])
+    assert convergence_guarantee(problem, name).is_guaranteed
+    result = solve(problem, name)
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.z, [1e10, 1.0], rtol=1e-7)
+
+
+def test_standstill_is_stalled_after_two_hundred_steps() -> None:
+    """A residual that does not fall ends the run as STALLED after 200 steps, not after max_iterations."""
+    result = solve(TWO, Scripted(points=((2.0, 0.5),)))
+    assert result.status is Status.STALLED
+    assert result.iterations == 200
+
+
+def test_rounding_level_is_a_precision_limit() -> None:
+    """A tolerance below rounding ends as PRECISION_LIMIT, soon, at an answer good to all digits."""
+    for name in ("npgs", "pgs", "mgs"):
+        result = solve(EXAMPLE.problem, name, tolerance=0.0)
+        assert result.status in (Status.PRECISION_LIMIT, Status.SOLVED)
+        assert result.iterations < 200
+        np.testing.assert_allclose(result.z, EXAMPLE.exact, rtol=1e-14)
+
+
+def test_zero_start_that_solves_is_returned_at_once() -> None:
+    """Where z° solves the problem, it is the answer after 0 iterations."""
+    for q in ([0.0, 0.0], [1.0, 2.0]):
+        result = solve(LCP([[2.0, 1.0], [1.0, 2.0]], q))
+        assert (result.status, result.iterations) == (Status.SOLVED, 0)
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_empty_problem_is_solved(name: str) -> None:
+    """N = 0 is SOLVED by every algorithm with an empty z."""
+    result = solve(LCP(np.zeros((0, 0)), []), name)
+    assert result.status is Status.SOLVED
+    assert result.z.shape == result.w.shape == (0,)
+
+
+def test_warm_start_is_used_and_left_alone() -> None:
+    """A start at the answer needs no iteration; the caller's z0 is not modified; a start outside is projected."""
+    answer = np.array(EXAMPLE.exact)
+    assert solve(EXAMPLE.problem, "npsor", z0=answer).iterations == 0
+    start = np.full(EXAMPLE.n, -5.0)
+    solve(EXAMPLE.problem, "pgs", z0=start)
+    assert (start == -5.0).all()
+    seen: list[np.ndarray] = []
+    solve(EXAMPLE.problem, "pgs", z0=start, callback=lambda sample, z: seen.append(z.copy()))
+    assert (seen[0] == 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_nothing_given_is_modified(name: str) -> None:
+    """M, q and the bounds are bit for bit what they were."""
+    problem = EXAMPLE.problem
+    before = [problem.csr.data.copy(), problem.csr.indices.copy(), problem.q.copy(), problem.lower.copy()]
+    solve(problem, name)
+    for old, new in zip(before, (problem.csr.data, problem.csr.indices, problem.q, problem.lower), strict=True):
+        np.testing.assert_array_equal(old, new)
+
+
+TRAP = [[110.0, 100, 0], [0, 110, 100], [-100, 0, 110]]
+
+
+class FakeClock:
+    """A clock that moves only when told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        monkeypatch.setattr("lcp_plugin.core.deadline.time.perf_counter", lambda: self.now)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ticking(Algorithm):
+    """Halves the distance to (2.5, 0); the set-up takes 3 s and a step 1 s of a fake clock."""
+
+    name: ClassVar[str] = "ticking"
+    clock: FakeClock
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        self.clock.now += 3.0
+        z = z0
+        while True:
+            yield Step(z)
+            self.clock.now += 1.0
+            z = 0.5 * (z + np.array([2.5, 0.0]))
+
+
+def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """max_seconds covers set-up and steps and ends with the step in which it passes."""
+    clock = FakeClock(monkeypatch)
+    result = solve(TWO, Ticking(clock=clock), max_seconds=7.5)
+    assert (result.status, result.iterations) == (Status.MAX_SECONDS, 5)
+    assert (result.setup_seconds, result.seconds) == (3.0, 8.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivingUp(Ticking):
+    """Ends by itself after a set-up of 3 s, as what finds the time over in the midst of a step does."""
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        yield Step(z0)
+        self.clock.now += 3.0
+
+
+def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An iterator that ends by itself is STALLED before the time limit, and MAX_SECONDS after it."""
+    clock = FakeClock(monkeypatch)
+    for limit, status in ((5.0, Status.STALLED), (2.0, Status.MAX_SECONDS)):
+        assert solve(TWO, GivingUp(clock=clock), max_seconds=limit).status is status
+
+
+@pytest.mark.parametrize(
+    "place", ["driver.policy_for", "driver.checked_start", "judge.Judge.final", "judge.Judge.verdict"]
+)
+def test_no_work_is_off_the_clock(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a call does, from its first look at what it was given to its verdict, is in ``seconds``."""
+    clock = FakeClock(monkeypatch)
+    path, _, name = f"lcp_plugin.core.solving.{place}".rpartition(".")
+    owner = pkgutil.resolve_name(path)
+    original = getattr(owner, name)
+
+    def slow(*arguments: Any, **named: Any) -> Any:
+        clock.now += 7.0
+        return original(*arguments, **named)
+
+    monkeypatch.setattr(owner, name, slow)
+    assert solve(TWO, "npsor").seconds == 7.0
+
+
+def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a callback takes is not the algorithm's time, but it counts against max_seconds."""
+    clock = FakeClock(monkeypatch)
+    samples: list[Sample] = []
+
+    def slow_callback(sample: Sample, z: np.ndarray) -> None:
+        samples.append(sample)
+        clock.now += 50.0
+
+    result = solve(TWO, Ticking(clock=clock), callback=slow_callback, max_iterations=4)
+    assert [sample.seconds for sample in samples] == [3.0, 4.0, 5.0, 6.0, 7.0]
+    assert result.seconds == 7.0
+    assert solve(TWO, Ticking(clock=clock), callback=slow_callback, max_seconds=60.0).iterations == 2
+
+
+@pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "auto"])
+def test_recording_changes_nothing(name: str) -> None:
+    """With and without record, with and without callback: the same z, iterations and work, bit for bit."""
+    problem = EXAMPLE.problem if name == "mgs" else OBSTACLE.problem
+    plain = solve(problem, name, max_iterations=300)
+    watched = solve(problem, name, max_iterations=300, record=True, callback=lambda sample, z: False)
+    np.testing.assert_array_equal(plain.z, watched.z)
+    assert (plain.iterations, plain.work, plain.history) == (watched.iterations, watched.work, ())
+
+
+@pytest.mark.parametrize("name", ["npsor", "psor", "auto"])
+def test_history_is_geometric_and_complete(name: str) -> None:
+    """History begins at sample 0, ends with the last iterate, has a residual everywhere, and grows like a logarithm."""
+    result = solve(OBSTACLE.problem, name, record=True, tolerance=1e-10)
+    samples = result.history
+    assert [samples[0].iteration, samples[-1].iteration] == [0, result.iterations]
+    iterations = [sample.iteration for sample in samples]
+    assert iterations == sorted(set(iterations))
+    assert all(later <= max(earlier + 1, 1.05 * earlier + 1) for earlier, later in pairwise(iterations))
+    assert len(samples) < result.iterations or result.iterations <= 1 / 0.05
+    assert all(sample.residual is not None and sample.residual >= 0.0 for sample in samples)
+    assert samples[0].seconds == result.setup_seconds
+    assert all(a.seconds <= b.seconds and a.work <= b.work for a, b in pairwise(samples))
+
+
+def test_recorded_residuals_are_those_of_the_certificate() -> None:
+    """The residual of a sample is the relative residual of that z."""
+    from lcp_plugin import Certificate
+
+    for name in ("npsor", "psor"):
+        seen: list[tuple[float | None, float]] = []
+        solve(
+            OBSTACLE.problem, name, max_iterations=30,
+            callback=lambda s, z: seen.append((s.residual, Certificate.of(OBSTACLE.problem, z).relative_residual)),  # noqa: B023
+        )
+        known = [(a, b) for a, b in seen if a is not None]
+        assert len(known) >= 3
+        np.testing.assert_allclose([a for a, _ in known], [b for _, b in known], rtol=1e-12)
+
+
+def test_callback_stops_the_run_and_cannot_write() -> None:
+    """A truthy return value ends with INTERRUPTED at that iterate; the view is read-only; its exceptions propagate."""
+    result = solve(OBSTACLE.problem, "npgs", callback=lambda sample, z: sample.iteration == 5)
+    assert (result.status, result.iterations) == (Status.INTERRUPTED, 5)
+
+    def writes(sample: Sample, z: np.ndarray) -> None:
+        z[0] = 1.0
+
+    with pytest.raises(ValueError, match="read-only"):
+        solve(OBSTACLE.problem, "npgs", callback=writes)
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_the_caller_s_floating_point_settings_are_his_own(name: str) -> None:
+    """What a callback finds in np.geterr() is what was set before solve, and so it is afterwards."""
+    problem = OBSTACLE.problem if name in ("auto", *BOUNDED) else EXAMPLE.problem
+    with np.errstate(over="raise", invalid="warn", divide="print", under="ignore"):
+        before, seen = np.geterr(), []
+        solve(problem, name, max_iterations=20, callback=lambda sample, z: seen.append(np.geterr()))
+        assert seen
+        assert all(settings == before for settings in [*seen, np.geterr()])
+
+
+@pytest.mark.parametrize("name", DIRECT)
+def test_iterates_of_direct_methods_are_within_the_bounds(name: str) -> None:
+    """Every step, also on the way, is a point of the box, although Newton and interior point methods leave it."""
+    problem = gallery.build("random_h_plus", n=40).problem
+    boxed = problem.with_q(problem.q, lower=-0.01, upper=0.01)
+    for each in (problem, boxed, LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0])):
+        for step in create(name, {}).iterates(each, each.nearest_to_zero.copy()):
+            assert np.array_equal(np.clip(step.z, each.lower, each.upper), step.z)
+
+
+def test_ctrl_c_returns_the_best_iterate() -> None:
+    """SIGINT in the middle of a run gives INTERRUPTED and the best z so far; before the first step, the start."""
+    points = ((0.0, 0.0), (2.4, 0.0), (1.0, 1.0))
+    result = solve(TWO, Scripted(points=points, interrupt_at=2))
+    assert result.status is Status.INTERRUPTED
+    np.testing.assert_array_equal(result.z, (2.4, 0.0))
+    assert solve(TWO, Scripted(points=points, interrupt_at=0), z0=[1.0, 7.0]).z.tolist() == [1.0, 7.0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterruptedFinish(Scripted):
+    """Is interrupted in its clean-up."""
+
+    def finish(self, problem: LCP, z: np.ndarray) -> np.ndarray:
+        signal.raise_signal(signal.SIGINT)
+        return z
+
+
+def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
+    """SIGINT while the result is being judged still gives the result."""
+    result = solve(TWO, InterruptedFinish(points=((0.0, 0.0), (2.4, 0.0))), max_iterations=3)
+    assert result.status is Status.INTERRUPTED
+    np.testing.assert_array_equal(result.z, (2.4, 0.0))
+    assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
+
+
+PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
+    "auto": ("core.solving.driver.Run.__init__", "core.solving.driver.CommonUnits.of",
+        "core.policy.choice.Single.first",
+             "proofs.guarantees.guarantees.warn_where_known_to_be_uncovered"),
+    "npsor": ("core.policy.choice.Auto.first",),
+    "lemke": ("core.policy.choice.Auto.first",),
+}
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "npsor", "lemke"])
+@pytest.mark.parametrize(
+    ("place", "options"),
+    [
+        ("core.solving.driver.fused", {}),
+        ("core.solving.driver.Run.__init__", {}),
+        ("core.solving.driver.CommonUnits.of", {}),
+        ("proofs.guarantees.guarantees.warn_where_known_to_be_uncovered", {}),
+        ("proofs.bounds.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),
+        ("core.policy.choice.Auto.first", {}),
+        ("core.policy.choice.Single.first", {}),
+    ],
+)
+def test_ctrl_c_during_the_set_up_returns_the_projected_start(
+    algorithm: str, place: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGINT before the first step, wherever it hits, gives INTERRUPTED with the start, and the next run is whole."""
+    path, _, name = f"lcp_plugin.{place}".rpartition(".")
+    owner, hits = pkgutil.resolve_name(path), []
+    original = getattr(owner, name)
+
+    def interrupted(*arguments: Any, **named: Any) -> Any:
+        if not hits:
+            hits.append(place)
+            signal.raise_signal(signal.SIGINT)
+        return original(*arguments, **named)
+
+    monkeypatch.setattr(owner, name, interrupted)
+    result = solve(TWO, algorithm, z0=[-1.0, 7.0], **options)
+    if not hits:  # not every set-up passes everywhere
+        assert place in PASSED_BY[algorithm]
+        return
+    assert result.status is Status.INTERRUPTED
+    assert result.z.tolist() == [0.0, 7.0]
+    assert result.iterations == 0
+    assert algorithm in result.algorithm
+    assert "INTERRUPTED" in result.explain()
+    assert solve(TWO, algorithm, **options).is_solved
+
+
+def test_a_stopped_run_ends_its_history_where_it_stopped() -> None:
+    """The step at which a callback stops is in the history, with its residual."""
+    result = solve(OBSTACLE.problem, "psor", record=True, callback=lambda sample, z: sample.iteration == 57)
+    assert result.history[-1].iteration == result.iterations == 57
+    assert result.history[-1].residual is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BadFinish(Scripted):
+    """Ends with a clean-up that spoils the answer."""
+
+    def finish(self, problem: LCP, z: np.ndarray) -> np.ndarray:
+        return z + 1.0
+
+
+def test_a_spoiling_clean_up_is_discarded() -> None:
+    """finish() is kept only where the certificate is no worse."""
+    result = solve(TWO, BadFinish(points=((2.5, 0.0),)))
+    assert result.status is Status.SOLVED
+    np.testing.assert_array_equal(result.z, (2.5, 0.0))
+
+
+def test_clean_up_puts_active_components_on_their_bound() -> None:
+    """After an NP run the active components are exactly zero, although the iteration never reaches zero itself."""
+    scene = gallery.build("half_active", n=400, degenerate=False)
+    result = solve(scene.problem, "npgs")
+    assert result.status is Status.SOLVED
+    np.testing.assert_array_equal(result.z == 0.0, np.asarray(scene.exact) == 0.0)
+    *_, raw = islice(create("npgs", {}).iterates(scene.problem, scene.problem.nearest_to_zero), 50)
+    assert np.count_nonzero(raw.z == 0.0) < np.count_nonzero(np.asarray(scene.exact) == 0.0)
+
+
+def test_many_threads_give_the_serial_answer() -> None:
+    """Eight solves of the same problem at once give the serial z bit for bit."""
+    serial = solve(OBSTACLE.problem, "psor").z
+    problem = gallery.build("obstacle_2d", size=20).problem
+    answers: list[np.ndarray] = []
+    threads = [threading.Thread(target=lambda: answers.append(solve(problem, "psor").z)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(answers) == 8
+    for z in answers:
+        np.testing.assert_array_equal(z, serial)
+
+
+def test_same_call_same_answer() -> None:
+    """Auto is deterministic bit for bit, history included except for the seconds."""
+    first, second = (solve(OBSTACLE.problem, record=True) for _ in range(2))
+    np.testing.assert_array_equal(first.z, second.z)
+    assert [(s.iteration, s.work, s.residual) for s in first.history] == [
+        (s.iteration, s.work, s.residual) for s in second.history
+    ]
+
+
+def test_options_reach_the_algorithm() -> None:
+    """Options given to solve are those of the dataclass; a name and an object mean the same."""
+    by_name = solve(OBSTACLE.problem, "psor", relaxation=1.6, sweep="symmetric")
+    by_object = solve(OBSTACLE.problem, create("psor", {"relaxation": 1.6, "sweep": "symmetric"}))
+    np.testing.assert_array_equal(by_name.z, by_object.z)
+    assert by_name.iterations != solve(OBSTACLE.problem, "psor", relaxation=1.2).iterations
+
+
+def test_require_solved_raises_with_the_advice() -> None:
+    """require_solved returns the result itself, or raises NotConverged with status, residual and advice."""
+    good = solve(TWO, "pgs")
+    assert good.require_solved() is good
+    with pytest.raises(NotConverged, match=r"MAX_ITERATIONS after 2 iterations of npsor: .* raise max_iterations"):
+        solve(OBSTACLE.problem, "npsor", max_iterations=2).require_solved()
+
+
+def test_result_tells_its_story() -> None:
+    """explain(), str() and JSON carry status, residual, counts; JSON has null for what is not finite."""
+    result: Result = solve(OBSTACLE.problem, "psor")
+    assert str(result) == result.explain()
+    assert "SOLVED" in result.explain()
+    content = json.loads(result.to_json())
+    assert content["status"] == "SOLVED"
+    assert content["iterations"] == result.iterations
+    diverged = solve(LCP([[1e-300]], [1.0], lower=-np.inf), "npgs", max_iterations=3)
+    assert json.loads(diverged.to_json())["n"] == 1
+
+
+def test_every_status_is_an_advice() -> None:
+    """The value of each status is a sentence that no other status has."""
+    advice = [status.value for status in Status]
+    assert len(set(advice)) == len(advice)
+    assert all(len(text.split()) > 5 for text in advice)
+
+
+# --- Error bounds and guarantees -----------------------------------------------------------------------------
+
+
+def stiff_m_matrix(n: int = 60, contrast: float = 1e10) -> tuple[LCP, np.ndarray]:
+    """A chain with an inclusion of large coefficient that only weak links tie to the rest, and its solution."""
+    conductance = np.ones(n + 1)
+    conductance[n // 3 + 1 : 2 * n // 3] = contrast
+    M = np.diag(conductance[:-1] + conductance[1:]) - np.diag(conductance[1:-1], 1) - np.diag(conductance[1:-1], -1)
+    exact = np.interp(np.arange(n), [0, n // 3, 2 * n // 3 - 1, n - 1], [0.5, 3.0, 3.0, 1.0])
+    return LCP(M, -M @ exact), exact
+
+
+def test_error_bound_goes_into_the_result() -> None:
+    """error_bound=True bounds the true error, and the bound is told by explain() and JSON; nothing is computed else."""
+    result = solve(EXAMPLE.problem, error_bound=True)
+    assert result.error_bound is not None
+    assert EXAMPLE.exact is not None
+    assert np.all(np.abs(result.z - EXAMPLE.exact) <= result.error_bound.componentwise)
+    assert "rigorous" in result.explain()
+    assert json.loads(result.to_json())["error_bound"] == result.error_bound.infinity
+    assert solve(EXAMPLE.problem).error_bound is None
+
+
+def test_the_bound_is_computed_when_it_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With error_bound=True a run ends without the bound; the first look computes it, on a clock of its own, once."""
+    calls: list[float] = []
+    bounded = error_bounds.error_bound
+
+    def counted(*args: Any, **options: Any) -> ErrorBound:
+        calls.append(1.0)
+        return bounded(*args, **options)
+
+    monkeypatch.setattr(error_bounds, "error_bound", counted)
+    result = solve(EXAMPLE.problem, error_bound=True)
+    assert not calls
+    copy = pickle.loads(pickle.dumps(result))
+    assert result.error_bound is result.error_bound is not None
+    assert len(calls) == 1
+    assert result.error_bound.seconds > 0.0
+    assert copy.error_bound.infinity == result.error_bound.infinity
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda result: pickle.loads(pickle.dumps(result))])
+def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result]) -> None:
+    """Z and w of a copied or unpickled result cannot be written to, its certificate's neither."""
+    result = duplicate(solve(EXAMPLE.problem))
+    for array in (result.z, result.w, result.certificate.z, result.certificate.w):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+def test_a_proof_that_is_loose_is_sharpened_when_looked_at() -> None:
+    """Where tolerance_on="error" was reached by a plain bound far above the residual, the result has the sharp one."""
+    problem, exact = grid(60, 1e-4, level=9.0)
+    result = solve(problem, tolerance_on="error", tolerance=1e-3)
+    assert result.status is Status.SOLVED
+    plain, error = error_bound(problem, result.z, sharp=False), np.max(np.abs(result.z - exact))
+    assert plain.proves(1e-3)
+    assert plain.is_loose
+    assert result.error_bound is not None
+    assert error - 1e-9 <= result.error_bound.infinity <= 1.1 * error < 0.1 * plain.infinity  # q is rounded
+
+
+def test_bounds_along_the_run_are_sharp_where_that_is_affordable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every sample's bound holds and is within twice the error; above some size only once a run has cost as much."""
+    problem, exact = grid(30, 1e-4, level=9.0)
+    samples: list[np.ndarray] = []
+    result = solve(problem, "pgs", error_bound=True, record=True, callback=lambda _, z: samples.append(z.copy()))
+    for sample in result.history:
+        error = np.max(np.abs(samples[sample.iteration] - exact))
+        assert error <= sample.error_bound <= 2.0 * error + 1e-9
+    assert error_bound(problem, result.z, sharp=False).infinity > 100.0 * result.history[-1].error_bound
+    monkeypatch.setattr("lcp_plugin.proofs.bounds.error_watch.SHARP_SAMPLES_UP_TO", 100)
+    history = solve(problem, "pgs", error_bound=True, record=True).history
+    assert history[0].error_bound > 2.0 * result.history[0].error_bound
+    assert history[-1].error_bound <= 2.0 * result.history[-1].error_bound
+
+
+def test_where_no_bound_exists_the_result_says_why() -> None:
+    """On a matrix that allows no bound, error_bound=True gives None and the reason; tolerance_on="error" raises."""
+    game = LCP([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0])
+    result = solve(game, error_bound=True)
+    assert result.error_bound is None
+    assert "no error bound: an error bound needs" in result.explain()
+    with pytest.raises(UnsuitableMatrix, match="an error bound needs"):
+        solve(game, tolerance_on="error")
+
+
+@pytest.mark.parametrize("name", ["auto", "npsor", "psor", "pgs", "mgs"])
+def test_tolerance_on_error_is_kept(name: str) -> None:
+    """With tolerance_on="error" SOLVED means a true relative error within the tolerance."""
+    assert EXAMPLE.exact is not None
+    result = solve(EXAMPLE.problem, name, tolerance_on="error", tolerance=1e-9)
+    assert result.status is Status.SOLVED
+    assert np.max(np.abs(result.z - EXAMPLE.exact)) <= 1e-9 * np.max(np.abs(result.z))
+
+
+@pytest.mark.parametrize("form", [np.array, sp.csr_array], ids=["dense", "sparse"])
+def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
+    """SOLVED by a z of length 1 where the solution has 256, though the diagonal is even: `explain()` warns."""
+    matrix, q = np.array([[5.0, -5.0 + 2.0**-36], [-5.0 + 2.0**-36, 5.0]]), np.array([-3.0, 3.0 - 2.0**-27])
+    assert (np.linalg.solve(matrix, -q) > 255.0).all()
+    far = solve(LCP(form(matrix), q), "psor")
+    assert (far.status, float(far.z.max()) < 1.0) == (Status.SOLVED, True)
+    assert "near-singular: on the free rows of M a residual" in far.explain()
+    assert "near-singular" not in solve(LCP(form([[5.0, -4.0], [-4.0, 5.0]]), [-3.0, 2.0]), "psor").explain()
+
+
+def test_stiff_data_tell_the_truth() -> None:
+    """A z wrong by half passes on stiff data; the bound shows it, and tolerance_on="error" goes on."""
+    problem, exact = stiff_m_matrix(contrast=1e6)
+    fooled = solve(problem, "pgs", error_bound=True, tolerance=1e-7)
+    assert fooled.status is Status.SOLVED
+    assert fooled.error_bound is not None
+    error = np.max(np.abs(fooled.z - exact))
+    assert error > 0.3 * exact.max()
+    assert error <= fooled.error_bound.infinity <= 10.0 * error
+    assert "stiff: the error may be" in fooled.explain()
+    longer = fooled.iterations + 100
+    strict = solve(problem, "pgs", tolerance=1e-7, tolerance_on="error", max_iterations=longer)
+    assert strict.status is Status.MAX_ITERATIONS
+    assert "trust the bound" in strict.explain()
+    assert "ask for tolerance_on" not in strict.explain()
+
+
+def test_stiffer_data_are_said_to_be() -> None:
+    """Sweeps leave an inclusion at 0 instead of 3, which no residual shows: `explain()` says so, auto is right."""
+    problem, exact = stiff_m_matrix(contrast=1e10)
+    far = solve(problem, "pgs")
+    assert (far.status, far.residual <= 1e-8) == (Status.SOLVED, True)
+    assert "a small residual may hide a large error" in far.explain()
+    for algorithm in ("auto", "newton", "multigrid"):
+        result = solve(problem, algorithm)
+        assert result.is_solved
+        assert result.z == pytest.approx(exact, abs=1e-4)
+
+
+def grid(side: int, shift: float, level: float = 0.0) -> tuple[LCP, np.ndarray]:
+    """A five-point problem, with half of the rows active at level 0 and none at a high one, and its solution."""
+    line = sp.diags_array([-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1])
+    M = sp.csr_array(sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line))
+    M = sp.csr_array(M + shift * sp.eye_array(side * side))
+    exact = np.maximum(np.random.default_rng(0).standard_normal(side * side) + level, 0.0)
+    return LCP(M, np.where(exact == 0.0, 1.0, 0.0) - M @ exact), exact
+
+
+@pytest.fixture
+def bounds_asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, ErrorBound]]:
+    """Whether it is sharp, and the bound, each time that a run asks for one."""
+    asked: list[tuple[bool, ErrorBound]] = []
+    bound = ErrorWatch._bound
+
+    def counted(self: ErrorWatch, z: np.ndarray, *, sharp: bool) -> ErrorBound:
+        asked.append((sharp, bound(self, z, sharp=sharp)))
+        return asked[-1][1]
+
+    monkeypatch.setattr(ErrorWatch, "_bound", counted)
+    return asked
+
+
+def test_sharp_bounds_are_not_wasted(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
+    """Where the cheap bound falls with the residual, tolerance_on="error" asks for three of them and no sharp one."""
+    problem, exact = grid(60, 4.0)
+    result = solve(problem, "npsor", tolerance_on="error")
+    assert result.status is Status.SOLVED
+    assert np.max(np.abs(result.z - exact)) <= 1e-8 * exact.max()
+    assert not any(sharp for sharp, _ in bounds_asked)
+    assert len(bounds_asked) <= 6
+
+
+def test_the_bound_that_proved_it_is_the_result_s(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
+    """The bound of the run is not computed again at the end where z is the same."""
+    result = solve(grid(20, 4.0)[0], "pgs", tolerance_on="error")
+    assert result.error_bound is bounds_asked[-1][1]
+    assert [bound.proves(1e-8) for _, bound in bounds_asked].count(True) == 1
+
+
+def test_where_the_cheap_bound_is_poor_a_sharp_one_ends_the_run(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
+    """A slow run on a nearly singular matrix is not swept on to rounding: a sharp bound is tried, but seldom."""
+    result = solve(grid(30, 1e-4, level=9.0)[0], "pgs", tolerance_on="error", tolerance=1e-6)
+    assert result.status is Status.SOLVED
+    assert 1 <= sum(sharp for sharp, _ in bounds_asked) <= 6
+
+
+def test_an_estimate_proves_no_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """tolerance_on="error" is refused before the first step where only an estimate exists; a sample has no bound."""
+    monkeypatch.setattr("lcp_plugin.proofs.bounds.solution_bounds.SPARSE_UP_TO", 100)
+    M = grid(20, 0.0)[0].csr
+    problem = LCP(sp.csr_array(M @ M), -np.ones(400))
+    assert error_bound(problem, np.zeros(400)).kind == "estimate"
+    seen: list[int] = []
+    with pytest.raises(UnsuitableMatrix, match="only an estimate"):
+        solve(problem, "pgs", tolerance_on="error", callback=lambda sample, z: seen.append(sample.iteration))
+    assert seen == []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        history = solve(problem, "pgs", error_bound=True, record=True, max_iterations=2).history
+    assert [sample.error_bound for sample in history] == [None] * len(history)
+
+
+def test_an_exact_zero_is_proved() -> None:
+    """Where z = 0 solves the problem without any residual, the error is 0 and tolerance_on="error" says so."""
+    problem = LCP([[1.3, -6.3], [6.3, 1.8]], [1.3, 0.0], lower=[0.0, -np.inf])
+    assert error_bound(problem, [0.0, 0.0]).relative == 0.0
+    assert solve(problem, tolerance_on="error").status is Status.SOLVED
+
+
+def test_texts_speak_of_what_was_asked() -> None:
+    """Under tolerance_on="error" no text says that the residual is above the tolerance."""
+    result = solve(grid(8, 1.0)[0], "pgs", tolerance_on="error", tolerance=0.0)
+    assert result.status in (Status.PRECISION_LIMIT, Status.STALLED)
+    assert result.certificate.relative_residual < 1e-14
+    with pytest.raises(NotConverged, match="the error is not proved to be within the tolerance"):
+        result.require_solved()
+    assert "residual is above" not in result.explain()
+
+
+def test_what_nobody_asked_for_is_not_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No theorem is looked for before or after a run, whatever its end; ``guarantee`` looks when it is looked at."""
+    asked: list[str] = []
+    original = guarantees._full
+    monkeypatch.setattr(guarantees, "_full", lambda *arguments: asked.append("full") or original(*arguments))
+    result = solve(LCP(TRAP, [-210.0, -110, 150]), "npsor", scaling=None, max_iterations=5)
+    assert result.status is Status.MAX_ITERATIONS
+    assert result.advice
+    assert not asked
+    assert result.guarantee.verdict == "not covered"
+    assert 'what to do: scaling="auto"' in result.explain()
+    assert asked == ["full"]
+    assert solve(EXAMPLE.problem, "npsor").guarantee is convergence_guarantee(EXAMPLE.problem, "npsor")
+    assert solve(EXAMPLE.problem).guarantee.theorem == convergence_guarantee(EXAMPLE.problem).theorem
+
+
+def test_bounds_are_recorded_along_the_run() -> None:
+    """record=True with error_bound=True gives every sample a bound that holds."""
+    result = solve(EXAMPLE.problem, "npgs", record=True, error_bound=True)
+    assert all(sample.error_bound is not None for sample in result.history)
+    assert result.history[-1].error_bound < 1e-6 < result.history[0].error_bound
+    assert all(sample.error_bound is None for sample in solve(EXAMPLE.problem, "npgs", record=True).history)
+
+
+def test_a_choice_known_to_be_uncovered_is_warned_of_once() -> None:
+    """Where it is known that no theorem covers the choice, solve warns once, with the remedy; else it is silent."""
+    trap = LCP(TRAP, [-210.0, -110, 150])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        convergence_guarantee(trap, "npgs", scaling=None)
+        result = solve(trap, "npsor", scaling=None, max_iterations=5)
+        solve(trap, "npsor")
+        solve(EXAMPLE.problem, "psor")
+    assert not result.guarantee.is_guaranteed
+    with pytest.warns(ConvergenceWarning, match=r'npsor on this matrix: not covered.*scaling="auto"') as caught:
+        [solve(trap.with_q(trap.q), "npsor", scaling=None, max_iterations=5) for _ in range(2)]
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+
+
+def test_what_cannot_be_divided_knows_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A linear program inside a run gets the seconds that the caller left it, and no limit where there is none."""
+    asked: list[float] = []
+    original = scipy.optimize.linprog
+
+    def linprog(*arguments: Any, options: dict[str, Any], **named: Any) -> Any:
+        asked.append(options.get("time_limit", np.inf))
+        return original(*arguments, options=options, **named)
+
+    monkeypatch.setattr("scipy.optimize.linprog", linprog)
+    problem = LCP([[1.0, -2.0, 1.0], [-3.0, 2.0, -2.0], [1.0, -2.0, 0.0]], [-1.0, 2.0, 2.0])
+    first, limited = solve(problem, "lemke"), solve(problem, "lemke", max_seconds=1000.0)
+    assert np.inf in asked
+    assert any(0.1 <= seconds <= 1000.0 for seconds in asked)
+    assert first.status is limited.status
+    assert first.z.tobytes() == limited.z.tobytes()
+    with time_limit(0.0):
+        assert solve_exactly([[2, 1], [1, 3]], [1, 0]) is None
+    assert solve_exactly([[2, 1], [1, 3]], [1, 0]) is not None

@@ -1,0 +1,460 @@
+"""Two iterations that must coincide are run side by side; what the formulas promise, the iterates keep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from families import BOUNDED, MODULUS, NEEDS_MONOTONE, SWEEPERS
+from numpy.testing import assert_allclose
+
+from lcp_plugin import LCP, gallery, solve
+from lcp_plugin.algorithms import REGISTRY, Algorithm, create
+from lcp_plugin.core.splittings.modulus import MAOR, MGS, MJ, MSOR
+from lcp_plugin.core.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
+from lcp_plugin.core.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
+from lcp_plugin.methods.npsplitting.np_splitting import NPSplitting
+
+STEPS = 30
+KINDS = ["dense", "sparse", "scaled"]
+EVERY_KIND = pytest.mark.parametrize("kind", KINDS)
+EVERY_BOUND = pytest.mark.parametrize("bounds", [False, True], ids=["plain", "bounded"])
+
+
+def random_problem(kind: str, *, bounds: bool, seed: int = 0) -> LCP:
+    """A random H₊ problem of 20 to 50 unknowns; with bounds: boxes, one-sided and free rows."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(20, 51))
+    share = {"dense": 1.0, "sparse": 0.1, "scaled": 0.3}[kind]
+    M = generator.normal(size=(n, n)) * (generator.random((n, n)) < share)
+    np.fill_diagonal(M, 0.0)
+    np.fill_diagonal(M, abs(M).sum(axis=1) * generator.uniform(1.05, 1.5, size=n) + 0.1)
+    if kind == "scaled":
+        M *= np.exp2(generator.integers(-3, 4, size=n))[:, None]
+    q = -(M @ np.maximum(generator.normal(size=n), 0.0)) + M.diagonal() * np.maximum(generator.normal(size=n), 0.0)
+    matrix = M if kind == "dense" else sp.csr_array(M)
+    if not bounds:
+        return LCP(matrix, q)
+    lower, upper = np.sort(generator.normal(size=(2, n)), axis=0)
+    lower[generator.random(n) < 0.3] = -np.inf
+    upper[generator.random(n) < 0.3] = np.inf
+    return LCP(matrix, q, lower=lower, upper=upper)
+
+
+def start_for(problem: LCP) -> np.ndarray:
+    return np.clip(np.linspace(-1.0, 2.0, problem.n), problem.lower, problem.upper)
+
+
+def iterates(algorithm: Algorithm, problem: LCP, z0: np.ndarray | None = None, steps: int = STEPS) -> np.ndarray:
+    """The first iterates, start included, shape (steps + 1, n)."""
+    start = start_for(problem) if z0 is None else z0
+    found = np.array([step.z.copy() for step in islice(algorithm.iterates(problem, start.copy()), steps + 1)])
+    assert np.isfinite(found).all()
+    return found
+
+
+def assert_same(left: np.ndarray, right: np.ndarray) -> None:
+    """Equal up to rounding, relative to the size of the iterates; and there was something to compare."""
+    assert left.shape == right.shape
+    assert abs(left[1:] - left[:-1]).max() > 1e-3
+    assert_allclose(left, right, rtol=0.0, atol=1e-12 * abs(left).max())
+
+
+# --- Families ----------------------------------------------------------------------------------------------
+
+SAME = {
+    "NPAOR(α,α) ≡ NPSOR(α)": (NPAOR(relaxation=1.3, acceleration=1.3), NPSOR(relaxation=1.3)),
+    "NPAOR(1,1) ≡ NPGS": (NPAOR(relaxation=1.0, acceleration=1.0), NPGS()),
+    "NPAOR(1,0) ≡ NPJ": (NPAOR(relaxation=1.0, acceleration=0.0), NPJ()),
+    "NPSOR(1) ≡ NPGS, scaled": (NPSOR(relaxation=1.0, scaling="diagonal"), NPGS(scaling="diagonal")),
+    "NPAOR(α,α) ≡ NPSOR(α), unscaled": (
+        NPAOR(relaxation=1.3, acceleration=1.3, scaling=None), NPSOR(relaxation=1.3, scaling=None)
+    ),
+    "NPSplitting(diagonal) ≡ NPJ, automatic": (NPSplitting(splitting="diagonal"), NPJ()),
+    "NPSplitting(diagonal) ≡ NPJ": (NPSplitting(splitting="diagonal", scaling=None), NPJ(scaling=None)),
+    "NPSplitting(diagonal) ≡ NPJ, scaled": (
+        NPSplitting(splitting="diagonal", scaling="diagonal", scaling_factor=0.5),
+        NPJ(scaling="diagonal", scaling_factor=0.5),
+    ),
+    "PAOR(ω,ω) ≡ PSOR(ω)": (PAOR(relaxation=1.1, acceleration=1.1), PSOR(relaxation=1.1)),
+    "PAOR(1,1) ≡ PGS": (PAOR(relaxation=1.0, acceleration=1.0), PGS()),
+    "PAOR(1,0) ≡ PJ": (PAOR(relaxation=1.0, acceleration=0.0), PJ()),
+    "PAOR(ω,0) ≡ GFP(ω)": (PAOR(relaxation=0.8, acceleration=0.0), GFP(relaxation=0.8)),
+    "PSOR(1) ≡ PGS": (PSOR(relaxation=1.0), PGS()),
+    "GFP(1) ≡ PJ": (GFP(relaxation=1.0), PJ()),
+}
+SAME_MODULUS = {
+    "MAOR(α,α) ≡ MSOR(α)": (MAOR(relaxation=0.8, acceleration=0.8), MSOR(relaxation=0.8)),
+    "MAOR(1,1) ≡ MGS": (MAOR(relaxation=1.0, acceleration=1.0), MGS()),
+    "MAOR(1,0) ≡ MJ": (MAOR(relaxation=1.0, acceleration=0.0), MJ()),
+}
+
+
+@pytest.mark.parametrize("pair", SAME)
+@EVERY_KIND
+@EVERY_BOUND
+def test_special_cases_coincide(pair: str, kind: str, bounds: bool) -> None:
+    """At these options the general method takes the same steps as the special one."""
+    left, right = SAME[pair]
+    problem = random_problem(kind, bounds=bounds)
+    assert_same(iterates(left, problem), iterates(right, problem))
+
+
+@pytest.mark.parametrize("pair", SAME_MODULUS)
+@EVERY_KIND
+@pytest.mark.parametrize("sweep", ["forward", "backward", "symmetric"])
+def test_special_cases_of_the_modulus_family_coincide(pair: str, kind: str, sweep: str) -> None:
+    """At these options MAOR takes the same steps as the special method, in every order of the rows."""
+    left, right = (replace(algorithm, sweep=sweep) for algorithm in SAME_MODULUS[pair])
+    problem = random_problem(kind, bounds=False)
+    assert_same(iterates(left, problem), iterates(right, problem))
+
+
+@EVERY_KIND
+@EVERY_BOUND
+def test_npj_on_a_unit_diagonal_is_half_of_projected_jacobi(kind: str, bounds: bool) -> None:
+    """With m_ii = 1 each step of NPJ is z⁺ = ½ z + ½ PJ(z)."""
+    given = random_problem(kind, bounds=bounds)
+    M = sp.csr_array(given.csr / given.diagonal[:, None])
+    M.setdiag(1.0)
+    problem = LCP(M, given.q / given.diagonal, lower=given.lower, upper=given.upper)
+    path = iterates(NPJ(scaling=None), problem)
+    jacobi = np.array([iterates(PJ(), problem, z, steps=1)[1] for z in path[:-1]])
+    assert_same(path[1:], 0.5 * path[:-1] + 0.5 * jacobi)
+
+
+@EVERY_KIND
+def test_gfp_is_the_fixed_point_of_its_modulus_equation(kind: str) -> None:
+    """Each step is z⁺ = ½(|z − Ωw| + z − Ωw); where it stands still, (I + ΩM) z = |(ΩM − I) z + Ωq| − Ωq."""
+    problem = random_problem(kind, bounds=False)
+    M, q, omega = problem.csr.toarray(), problem.q, 0.8 / problem.diagonal
+    path = iterates(GFP(relaxation=0.8), problem, steps=400)
+    moved = path[:-1] - omega * (path[:-1] @ M.T + q)
+    assert_same(path[1:], 0.5 * (abs(moved) + moved))
+    z = path[-1]
+    assert_allclose(z + omega * (M @ z), abs(omega * (M @ z + q) - z) - omega * q, rtol=0.0, atol=1e-11 * abs(z).max())
+
+
+# --- The paper's own formulation, and its misprints --------------------------------------------------------
+
+
+def method_3_1(
+    problem: LCP, splitting: np.ndarray, z: np.ndarray, steps: int = STEPS, *, project: bool = True
+) -> np.ndarray:
+    """(𝓜 + 2I + D) ζ⁺ = (𝓝 + I + D) ζ + |(A − I) ζ + σ| − σ with 𝓝 = 𝓜 − A, as the paper writes it."""
+    A, sigma = problem.csr.toarray(), problem.q
+    identity, D = np.eye(problem.n), np.diag(A.diagonal())
+    path = [z]
+    for _ in range(steps):
+        right = (splitting - A + identity + D) @ z + abs((A - identity) @ z + sigma) - sigma
+        z = np.linalg.solve(splitting + 2.0 * identity + D, right)
+        z = np.maximum(z, 0.0) if project else z
+        path.append(z)
+    return np.array(path)
+
+
+@EVERY_KIND
+def test_a_user_s_splitting_is_the_paper_s_method(kind: str) -> None:
+    """NPSplitting with a tridiagonal 𝓜, named or given, is Method 3.1 in dense linear algebra."""
+    problem = random_problem(kind, bounds=False)
+    tridiagonal = np.triu(np.tril(problem.csr.toarray(), 1), -1)
+    literal = method_3_1(problem, tridiagonal, start_for(problem))
+    for splitting in (tridiagonal, sp.csr_array(tridiagonal), sp.coo_array(tridiagonal), "tridiagonal"):
+        assert_same(iterates(NPSplitting(splitting=splitting, scaling=None), problem), literal)
+
+
+@EVERY_KIND
+def test_a_splitting_that_is_no_part_of_m_is_the_paper_s_method(kind: str) -> None:
+    """𝓜 may be any matrix: here twice the upper triangle plus a dense perturbation."""
+    problem = random_problem(kind, bounds=False)
+    M = problem.csr.toarray()
+    splitting = 2.0 * np.triu(M) + 0.01 * np.diag(M.diagonal()) @ np.ones_like(M)
+    literal = method_3_1(problem, splitting, start_for(problem))
+    assert_same(iterates(NPSplitting(splitting=splitting, scaling=None), problem), literal)
+
+
+def from_above(kind: str) -> tuple[LCP, np.ndarray]:
+    """A strongly dominant M-matrix and a start far above z*: active components fall to 0 without crossing it."""
+    given = random_problem(kind, bounds=False)
+    M = -0.1 * abs(given.csr.toarray()) / given.diagonal[:, None]
+    np.fill_diagonal(M, 1.0)
+    return LCP(sp.csr_array(M), given.q / given.diagonal), np.full(given.n, 10.0)
+
+
+AOR = pytest.mark.parametrize(("alpha", "beta"), [(1.0, 0.0), (1.0, 1.0), (1.7, 1.7), (1.7, 1.0), (0.6, 0.3)])
+
+
+@EVERY_KIND
+@AOR
+def test_npaor_is_the_paper_s_method_with_the_aor_splitting(kind: str, alpha: float, beta: float) -> None:
+    """Where the projection has nothing to do, NPAOR(α, β) is Method 3.1 with 𝓜 = (D − βL)/α."""
+    problem, start = from_above(kind)
+    M = problem.csr.toarray()
+    splitting = (np.diag(M.diagonal()) + beta * np.tril(M, -1)) / alpha
+    literal = method_3_1(problem, splitting, start, steps=12, project=False)
+    assert literal.min() > 0.0
+    assert 0 < np.count_nonzero(literal[-1] < problem.slack(literal[-1])) < problem.n  # some active, some not
+    for ours in (
+        NPAOR(relaxation=alpha, acceleration=beta, scaling=None), NPSplitting(splitting=splitting, scaling=None)
+    ):
+        assert_same(iterates(ours, problem, start, steps=12), literal)
+
+
+@EVERY_KIND
+def test_npsplitting_of_the_lower_triangle_is_npgs(kind: str) -> None:
+    """Where the projection has nothing to do, NPSplitting("lower") takes the steps of NPGS."""
+    problem, start = from_above(kind)
+    left, right = iterates(NPSplitting(splitting="lower"), problem, start, 12), iterates(NPGS(), problem, start, 12)
+    assert left.min() > 0.0
+    assert_same(left, right)
+    free = problem.with_q(problem.q, lower=-np.inf)
+    assert_same(iterates(NPSplitting(splitting="lower"), free, start), iterates(NPGS(), free, start))
+
+
+@EVERY_KIND
+@EVERY_BOUND
+@AOR
+def test_npaor_projects_each_component_at_once(kind: str, bounds: bool, alpha: float, beta: float) -> None:
+    """Row i is (d/α + d + 2)(y − z_i) = −2 r_i − (β/α) Σ_{j<i} m_ij (z⁺_j − z_j), z⁺_i = mid(lower_i, upper_i, y)."""
+    problem = random_problem(kind, bounds=bounds)
+    M, z = problem.csr.toarray(), start_for(problem)
+    pivot = problem.diagonal / alpha + problem.diagonal + 2.0
+    path = [z]
+    for _ in range(STEPS):
+        residual = z - np.clip(z - problem.slack(z), problem.lower, problem.upper)
+        new = z.copy()
+        for i in range(problem.n):
+            drive = 2.0 * residual[i] + beta / alpha * (M[i, :i] @ (new - z)[:i])
+            new[i] = np.clip(z[i] - drive / pivot[i], problem.lower[i], problem.upper[i])
+        path.append(new)
+        z = new
+    assert_same(iterates(NPAOR(relaxation=alpha, acceleration=beta, scaling=None), problem), np.array(path))
+
+
+def as_printed(problem: LCP, alpha: float, beta: float, right: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """(D − βL + α(2I + D)) ζ⁺ = right ζ + α|(A − I) ζ + σ| − ασ, iterated until it stands still."""
+    A, sigma = problem.csr.toarray(), problem.q
+    identity, D, L = np.eye(problem.n), np.diag(A.diagonal()), -np.tril(A, -1)
+    inverse = np.linalg.inv(D - beta * L + alpha * (2.0 * identity + D))
+    for _ in range(500):
+        before = z
+        z = inverse @ (right @ z + alpha * abs((A - identity) @ z + sigma) - alpha * sigma)
+    assert abs(z - before).max() < 1e-12
+    return z
+
+
+def euclidean_residual(problem: LCP, z: np.ndarray) -> float:
+    return float(np.linalg.norm(np.minimum(z, problem.slack(z))))
+
+
+def test_the_misprinted_npsor_converges_to_a_wrong_point() -> None:
+    """With the printed U for αU and αI + D for α(I + D), NPSOR(1.7) stops at Res 21.8 on Example 1; ours solves it."""
+    scene, alpha = gallery.paper_example_1(n=100), 1.7
+    A = scene.problem.csr.toarray()
+    identity, D, U = np.eye(100), np.diag(A.diagonal()), -np.triu(A, 1)
+    wrong = as_printed(scene.problem, alpha, alpha, (1.0 - alpha) * D + U + alpha * identity + D, scene.start)
+    assert euclidean_residual(scene.problem, wrong) == pytest.approx(21.77, abs=0.01)
+    derived = as_printed(
+        scene.problem, alpha, alpha, (1.0 - alpha) * D + alpha * U + alpha * (identity + D), scene.start
+    )
+    ours = iterates(NPSOR(relaxation=alpha, scaling=None), scene.problem, scene.start, steps=60)[-1]
+    assert euclidean_residual(scene.problem, ours) < 1e-12
+    assert_allclose(ours, derived, rtol=0.0, atol=1e-13)
+
+
+def test_the_misprinted_npaor_converges_to_a_wrong_point() -> None:
+    """With the printed (α−β)U for (α−β)L + αU, NPAOR(1.7, 1) stops at Res 25.0 on Example 1; ours solves it."""
+    scene, alpha, beta = gallery.paper_example_1(n=100), 1.7, 1.0
+    A = scene.problem.csr.toarray()
+    identity, D, L, U = np.eye(100), np.diag(A.diagonal()), -np.tril(A, -1), -np.triu(A, 1)
+    printed = (1.0 - alpha) * D + (alpha - beta) * U + alpha * identity + D
+    wrong = as_printed(scene.problem, alpha, beta, printed, scene.start)
+    assert euclidean_residual(scene.problem, wrong) == pytest.approx(24.99, abs=0.01)
+    corrected = (1.0 - alpha) * D + (alpha - beta) * L + alpha * U + alpha * (identity + D)
+    derived = as_printed(scene.problem, alpha, beta, corrected, scene.start)
+    method = NPAOR(relaxation=alpha, acceleration=beta, scaling=None)
+    ours = iterates(method, scene.problem, scene.start, steps=80)[-1]
+    assert euclidean_residual(scene.problem, ours) < 1e-12
+    assert_allclose(ours, derived, rtol=0.0, atol=1e-13)
+
+
+# --- Bai's formulation -------------------------------------------------------------------------------------
+
+
+def bai(problem: LCP, algorithm: MAOR, z0: np.ndarray, backward: tuple[bool, ...]) -> np.ndarray:
+    """Iterate (αΩ + D − βL) x⁺ = [(1−α)D + (α−β)L + αU] x + α[(Ω − M)|x| − 2q]; backward exchanges L and U."""
+    M, q = problem.csr.toarray(), problem.q + problem.csr @ problem.lower
+    alpha, beta = algorithm.relaxation, algorithm.acceleration
+    D = np.diag(M.diagonal())
+    omega = algorithm.omega * D if np.ndim(algorithm.omega) == 0 else np.diag(algorithm.omega)
+    x, path = z0 - problem.lower, []
+    for _ in range(STEPS + 1):
+        path.append(problem.lower + np.maximum(x, 0.0))
+        for is_backward in backward:
+            L, U = -np.tril(M, -1), -np.triu(M, 1)
+            L, U = (U, L) if is_backward else (L, U)
+            right = ((1.0 - alpha) * D + (alpha - beta) * L + alpha * U) @ x
+            right += alpha * ((omega - M) @ abs(x) - 2.0 * q)
+            x = np.linalg.solve(alpha * omega + D - beta * L, right)
+    return np.array(path)
+
+
+@EVERY_KIND
+@pytest.mark.parametrize("omega", ["D", "D/2", "vector"])
+@pytest.mark.parametrize(
+    ("sweep", "backward"), [("forward", (False,)), ("backward", (True,)), ("symmetric", (False, True))]
+)
+def test_maor_is_bai_s_iteration(kind: str, omega: str, sweep: str, backward: tuple[bool, ...]) -> None:
+    """MAOR is the modulus iteration in dense linear algebra, for any Ω, order of the rows and lower bound."""
+    plain = random_problem(kind, bounds=False)
+    lower = np.linspace(-1.0, 1.0, plain.n)
+    problem = plain.with_q(plain.q - plain.csr @ lower, lower=lower)
+    values = {"D": 1.0, "D/2": 0.5, "vector": plain.diagonal * np.linspace(0.8, 2.0, plain.n)}
+    algorithm = MAOR(relaxation=0.9, acceleration=0.5, omega=values[omega], sweep=sweep)
+    start = lower + np.linspace(0.0, 1.0, plain.n)
+    assert_same(iterates(algorithm, problem, start), bai(problem, algorithm, start, backward))
+
+
+# --- Bounds and shifts -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+@EVERY_KIND
+def test_explicit_default_bounds_change_no_bit(name: str, kind: str) -> None:
+    """Bounds (0, ∞) written out give the iterates of the plain problem bit for bit."""
+    plain = random_problem(kind, bounds=False)
+    written = LCP(plain.M, plain.q, lower=np.zeros(plain.n), upper=np.full(plain.n, np.inf))
+    algorithm = create(name, {})
+    assert np.array_equal(iterates(algorithm, plain), iterates(algorithm, written))
+
+
+def shifted(problem: LCP, by: float) -> LCP:
+    """The problem in the unknown z + by."""
+    return problem.with_q(
+        problem.q - problem.csr @ np.full(problem.n, by), lower=problem.lower + by, upper=problem.upper + by
+    )
+
+
+# The size of the unknowns is what an interior point method begins at, and a shift changes it.
+@pytest.mark.parametrize("name", [name for name in BOUNDED if name not in NEEDS_MONOTONE])
+@EVERY_KIND
+def test_a_shift_of_the_box_shifts_the_iterates(name: str, kind: str) -> None:
+    """In the unknown z + c a bounded problem has the iterates z_k + c."""
+    problem = random_problem(kind, bounds=True)
+    algorithm, start = create(name, {}), start_for(problem)
+    path = iterates(algorithm, problem, start)
+    assert_same(iterates(algorithm, shifted(problem, 3.0), start + 3.0), path + 3.0)
+
+
+@pytest.mark.parametrize("name", MODULUS)
+@EVERY_KIND
+def test_the_modulus_family_works_above_any_lower_bound(name: str, kind: str) -> None:
+    """With a finite lower bound the modulus iterates are those of the plain problem, shifted."""
+    plain = random_problem(kind, bounds=False)
+    start = np.maximum(start_for(plain), 0.0)
+    path = iterates(create(name, {}), plain, start)
+    assert_same(iterates(create(name, {}), shifted(plain, -2.0), start - 2.0), path - 2.0)
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+@pytest.mark.parametrize("exponent", [-300, 300])
+def test_another_unit_of_z_changes_no_bit(name: str, exponent: int) -> None:
+    """With q, bounds and start multiplied by a power of two, every iterate is, exactly."""
+    problem = random_problem("sparse", bounds=name in BOUNDED)
+    start = start_for(problem)
+    other = problem.with_q(
+        np.ldexp(problem.q, exponent), lower=np.ldexp(problem.lower, exponent), upper=np.ldexp(problem.upper, exponent)
+    )
+    path = iterates(create(name, {}), problem, start)
+    assert np.array_equal(iterates(create(name, {}), other, np.ldexp(start, exponent)), np.ldexp(path, exponent))
+
+
+# --- Scaling -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("algorithm", [NPJ(), NPGS(), NPSOR(), NPAOR(), NPSplitting(splitting="lower"), NPSplitting()])
+@EVERY_KIND
+@EVERY_BOUND
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_diagonal_scaling_is_the_row_scaled_problem(
+    algorithm: Algorithm, kind: str, bounds: bool, factor: float
+) -> None:
+    """NP with scaling="diagonal" takes the steps of the unscaled NP on (SM, Sq), S = θD⁻¹."""
+    problem = random_problem(kind, bounds=bounds)
+    S = factor / problem.diagonal
+    rows_scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q, lower=problem.lower, upper=problem.upper)
+    scaled = replace(algorithm, scaling="diagonal", scaling_factor=factor)
+    assert_same(iterates(scaled, problem), iterates(replace(algorithm, scaling=None), rows_scaled))
+
+
+@pytest.mark.parametrize("name", [n for n in REGISTRY if not n.startswith("np") and n not in NEEDS_MONOTONE])
+@EVERY_KIND
+def test_relatives_do_not_see_row_scaling(name: str, kind: str) -> None:
+    """P*, M* with Ω a multiple of D, Newton, Lemke take the same steps on (M, q) and (SM, Sq), S powers of two.
+
+    Lemke does so from a guess that is near; from 0 it covers w by r = 1 in equilibrated units.
+    """
+    problem = random_problem(kind, bounds=False)
+    S = np.exp2(np.arange(problem.n) % 41 - 20)
+    rows_scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q)
+    start = 1.01 * solve(problem).z if name == "lemke" else start_for(problem)
+    path = iterates(create(name, {}), problem, start)
+    assert_same(path, iterates(create(name, {}), rows_scaled, start))
+
+
+# --- Order of the rows -------------------------------------------------------------------------------------
+
+
+def permuted(problem: LCP, order: np.ndarray) -> LCP:
+    """The problem with its unknowns in another order."""
+    M = problem.csr.toarray()[np.ix_(order, order)]
+    return LCP(sp.csr_array(M), problem.q[order], lower=problem.lower[order], upper=problem.upper[order])
+
+
+@pytest.mark.parametrize("name", SWEEPERS)
+@EVERY_KIND
+def test_backward_is_forward_on_the_reversed_problem(name: str, kind: str) -> None:
+    """A backward sweep takes the steps of a forward sweep where the unknowns are numbered from the end."""
+    problem = random_problem(kind, bounds=name in BOUNDED)
+    reverse = np.arange(problem.n)[::-1]
+    backward = iterates(create(name, {"sweep": "backward"}), problem)
+    forward = iterates(create(name, {}), permuted(problem, reverse), start_for(problem)[reverse])
+    assert_same(backward, forward[:, reverse])
+
+
+@pytest.mark.parametrize("name", [name for name in SWEEPERS if name in BOUNDED])
+@EVERY_KIND
+def test_symmetric_is_forward_then_backward(name: str, kind: str) -> None:
+    """One symmetric iteration is a forward one followed by a backward one."""
+    # The automatic scaling of a symmetric sweep is not that of a forward one.
+    options = {"relaxation": 1.1} if name == "psor" else {"scaling": "diagonal"} if name.startswith("np") else {}
+    problem = random_problem(kind, bounds=True)
+    z, composed = start_for(problem), [start_for(problem)]
+    for _ in range(STEPS):
+        for sweep in ("forward", "backward"):
+            z = iterates(create(name, {"sweep": sweep, **options}), problem, z, steps=1)[1]
+        composed.append(z)
+    assert_same(iterates(create(name, {"sweep": "symmetric", **options}), problem), np.array(composed))
+
+
+@pytest.mark.parametrize("name", ["npj", "pj", "gfp", "mj"])
+@EVERY_KIND
+def test_simultaneous_methods_do_not_see_the_numbering(name: str, kind: str) -> None:
+    """Renumbering the unknowns renumbers the iterates of methods that use the old z only."""
+    problem = random_problem(kind, bounds=name != "mj")
+    order = np.random.default_rng(5).permutation(problem.n)
+    path = iterates(create(name, {}), problem)
+    assert_same(path[:, order], iterates(create(name, {}), permuted(problem, order), start_for(problem)[order]))
+
+
+@EVERY_KIND
+def test_dense_and_sparse_matrices_give_the_same_iterates(kind: str) -> None:
+    """How M is given, dense, CSR, CSC or COO, changes no bit of the iterates."""
+    problem = random_problem(kind, bounds=False)
+    M = problem.csr.toarray()
+    path = iterates(NPSOR(), problem)
+    for given in (M, np.asfortranarray(M), sp.csr_array(M), sp.csc_array(M), sp.coo_array(M)):
+        assert np.array_equal(iterates(NPSOR(), LCP(given, problem.q)), path)

@@ -1,0 +1,428 @@
+"""What goes wrong around a run: it is told, nothing is corrupted, and the next answer has the same bits as ever."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from shutil import copytree, ignore_patterns
+from typing import Any
+
+import numpy as np
+import pytest
+from families import BOUNDED
+from relations import bits, data_of, surroundings
+
+from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, gallery, prepare, solve, solve_many
+from lcp_plugin.algorithms import REGISTRY, Step
+from lcp_plugin.core.errors import LCPError, UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.splittings.projected_type import NPSOR
+from lcp_plugin.systems.lapack import dgbtrf, dpotrf
+
+ALL = ["auto", *REGISTRY]
+EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
+TOTAL = gallery.build("obstacle_2d", size=12, shifted=True).problem
+SWEPT = gallery.build("obstacle_2d", size=30).problem  # auto begins with npsor
+PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
+
+
+def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a program with warnings as errors and one thread."""
+    settings = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(PACKAGE.parent), **environment}
+    return subprocess.run(
+        [sys.executable, "-P", "-W", "error", "-c", textwrap.dedent(code)],
+        capture_output=True, text=True, check=False, timeout=120, env={**os.environ, **settings},
+    )  # fmt: skip
+
+
+def fresh_bits(name: str, problem: LCP = TOTAL) -> tuple[bytes, ...]:
+    """The answer to the problem stated anew."""
+    return bits(solve(LCP(problem.csr.copy(), problem.q, lower=problem.lower, upper=problem.upper), name).z)
+
+
+# --- Callbacks and clocks -------------------------------------------------------------------------------------------
+
+
+class Stop(Exception):
+    """Raised by a callback of these tests."""
+
+
+@EVERY_ALGORITHM
+def test_what_a_callback_raises_is_passed_on_and_corrupts_nothing(name: str) -> None:
+    """An exception of the callback arrives as it is, at whatever step; the same problem then gives the same bits."""
+    problem = prepare(LCP(TOTAL.csr.copy(), TOTAL.q, lower=TOTAL.lower))
+    before, around, expected = data_of(problem), surroundings(), fresh_bits(name)
+    for step in (0, 1, 3):
+        seen = []
+
+        def raises(sample: Any, z: np.ndarray, step: int = step, seen: list[int] = seen) -> None:
+            seen.append(sample.iteration)
+            if sample.iteration == step:
+                raise Stop(step)
+
+        with suppress(Stop):
+            solve(problem, name, callback=raises)
+            assert max(seen) < step  # the run was over before
+        assert seen[-1] <= step
+        assert data_of(problem) == before
+        assert surroundings() == around
+        assert bits(solve(problem, name).z) == expected
+
+
+@pytest.mark.sampled
+@EVERY_ALGORITHM
+@pytest.mark.parametrize("limit", [0.0, 1e-9, 1e-3])
+def test_a_time_limit_ends_in_an_honest_status(name: str, limit: float) -> None:
+    """With next to no time the result is MAX_SECONDS, or true; z is finite, within the bounds and measured."""
+    problem = LCP(TOTAL.csr.copy(), TOTAL.q, lower=TOTAL.lower)
+    result = solve(problem, name, max_seconds=limit)
+    assert result.status in (Status.MAX_SECONDS, Status.SOLVED)
+    assert result.is_solved == (result.residual <= result.tolerance)
+    assert np.isfinite(result.z).all()
+    assert (result.z >= problem.lower).all()
+    assert bits(solve(problem, name).z) == fresh_bits(name)
+
+
+def test_a_batch_passes_on_what_is_no_fault_of_a_column() -> None:
+    """In solve_many a bad column stands in its place; what a callback raises ends the batch; a second one is whole."""
+    problem = prepare(LCP([[4.0, -1.0], [-1.0, 4.0]], [0.0, 0.0]))
+    Q = np.array([[-1.0, np.nan, -3.0], [1.0, 0.0, -2.0]])
+
+    def raises(sample: Any, z: np.ndarray) -> None:
+        raise Stop
+
+    with pytest.raises(Stop):
+        solve_many(problem, Q, callback=raises)
+
+    for kind in (InvalidProblem, UnsuitableMatrix, UnsuitableProblem):
+
+        def refuses(sample: Any, z: np.ndarray, kind: type[LCPError] = kind) -> None:
+            raise kind("mine")
+
+        with pytest.raises(kind, match=r"^mine$"):
+            solve_many(problem, Q, callback=refuses)
+    answers = solve_many(problem, Q)
+    assert [type(answer).__name__ for answer in answers] == ["Result", "InvalidProblem", "Result"]
+    for k in (0, 2):
+        assert bits(answers[k].z) == bits(solve(LCP([[4.0, -1.0], [-1.0, 4.0]], Q[:, k])).z)
+
+
+# --- Ctrl-C ---------------------------------------------------------------------------------------------------------
+
+INTERRUPTIONS = """
+    import signal, sys
+    import numpy as np
+    from lcp_plugin import LCP, Status, solve
+    from lcp_plugin import gallery
+    scene = gallery.build("obstacle_2d", size=25, shifted=True).problem
+    problem = LCP(scene.csr, scene.q, lower=scene.lower)
+    names, rng = sys.argv[1:], np.random.default_rng(0)
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    def outcome(name, seconds):
+        try:
+            signal.setitimer(signal.ITIMER_REAL, seconds)
+            result = solve(problem, name)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        except KeyboardInterrupt:
+            return "before or after the run"
+        assert result.status in (Status.INTERRUPTED, Status.SOLVED), result.status
+        assert np.isfinite(result.z).all() and (result.z >= problem.lower).all()
+        assert result.is_solved == (result.residual <= result.tolerance)
+        return result.status.name
+    for name in names:
+        solve(problem, name)
+        whole, around = solve(problem, name), np.geterr()
+        assert whole.is_solved, name
+        told = []
+        for _ in range(15):
+            told.append(outcome(name, float(rng.uniform(1e-6, 1.1 * whole.seconds + 1e-5))))
+            assert np.geterr() == around, told
+        assert solve(problem, name).z.tobytes() == whole.z.tobytes(), name
+        print(name, *told)
+    print("finished")
+"""
+
+
+@pytest.mark.full
+def test_ctrl_c_at_any_moment_leaves_everything_whole() -> None:
+    """SIGINT at random moments gives INTERRUPTED with a point of the box, or SOLVED; the next run has the same bits."""
+    code = f"import sys\nsys.argv[1:] = {['npsor', 'psor', 'mgs', 'multigrid', 'newton', 'interior_point', 'auto']!r}\n"
+    done = in_a_process(code + textwrap.dedent(INTERRUPTIONS))
+    assert done.stdout.splitlines()[-1:] == ["finished"], done.stdout + done.stderr
+    assert done.stdout.count("INTERRUPTED") >= 5, done.stdout
+
+
+@pytest.mark.parametrize("factorisation", [
+    lambda: dpotrf(np.asfortranarray(np.eye(3))), lambda: dgbtrf(np.asfortranarray(np.ones((4, 5))), 1, 1),
+])  # fmt: skip
+def test_ctrl_c_at_every_line_before_a_factorisation_stays_ctrl_c(factorisation: Callable[[], object]) -> None:
+    """Raised at the k-th step of the interpreter, for every k, it arrives as KeyboardInterrupt."""
+    factorisation()
+    for k in range(1000):
+        left = itertools.count(k, -1)
+
+        def interrupted(*_: object, left: Iterator[int] = left) -> Callable[..., object]:
+            if next(left) == 0:
+                raise KeyboardInterrupt
+            return interrupted
+
+        tracer = sys.gettrace()
+        sys.settrace(interrupted)
+        try:
+            factorisation()
+        except KeyboardInterrupt:
+            continue
+        finally:
+            sys.settrace(tracer)
+        break
+    assert 5 < k < 1000
+
+
+def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Settings that an interrupted np.errstate leaves in force do not reach the caller, during a run or before."""
+
+    def interrupted(*_: object, **__: object) -> Iterator[Step]:
+        np.seterr(over="raise", invalid="ignore")
+        raise KeyboardInterrupt
+
+    before = np.geterr()
+    with monkeypatch.context() as patch:
+        patch.setattr(NPSOR, "iterates", interrupted)
+        assert solve(SWEPT).status is Status.INTERRUPTED
+        assert np.geterr() == before
+    monkeypatch.setattr("lcp_plugin.core.solving.driver.checked_start", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        solve(TOTAL)
+    assert np.geterr() == before
+
+
+# --- NaN in one method of a chain -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fault", [np.nan, np.inf, -1e300])
+def test_a_method_of_the_chain_that_breaks_is_replaced(fault: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the first method of auto yields NaN, ∞ or nonsense from some step on, another one solves the problem."""
+    healthy = NPSOR.iterates
+
+    def broken(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        for k, step in enumerate(healthy(self, problem, z0)):
+            if k == 3:
+                break
+            yield step
+        while True:
+            yield Step(np.full(problem.n, fault))
+
+    problem = gallery.build("obstacle_2d", size=6).problem
+    monkeypatch.setattr(NPSOR, "iterates", broken)
+    result = solve(problem)
+    assert result.status is Status.SOLVED
+    assert len(result.stages) > 1
+    monkeypatch.undo()
+    np.testing.assert_allclose(result.z, solve(problem, "lemke").z, atol=1e-6)
+
+
+def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is no refusal of a matrix is a fault: auto does not hide it behind another method."""
+
+    def broken(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        yield Step(z0)
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(NPSOR, "iterates", broken)
+    with pytest.raises(ZeroDivisionError):
+        solve(SWEPT)
+
+
+# --- Memory, disk, folders ------------------------------------------------------------------------------------------
+
+MEMORY = """
+    import resource
+    from pathlib import Path
+    import numpy as np
+    import scipy.linalg, scipy.optimize, scipy.sparse.linalg
+    from lcp_plugin import LCP, LCPError, solve
+    from lcp_plugin import gallery
+    A = np.eye(300) + 1.0  # BLAS takes its buffers at its first call, and ends the process where it gets none
+    scipy.linalg.lu_factor(A @ A)
+    def used():
+        return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    def limited(name, problem, spare):
+        limit = used() + spare * 2**20
+        resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+        try:
+            result = solve(problem, name, max_iterations=30)
+            assert result.is_solved == (result.residual <= result.tolerance)
+            return result.status.name
+        except MemoryError:
+            return "MemoryError"
+        except LCPError as error:
+            return type(error).__name__
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    sizes = {"npsor": 200, "newton": 150, "multigrid": 300, "interior_point": 50, "lemke": 16, "auto": 200}
+    for name, size in sizes.items():
+        scene = gallery.build("obstacle_2d", size=size, shifted=True).problem
+        solve(LCP(scene.csr, scene.q, lower=scene.lower), name, max_iterations=30)  # compile and load: LLVM would abort
+        told = [limited(name, LCP(scene.csr, scene.q, lower=scene.lower), spare) for spare in (0, 1, 4, 16)]
+        told.append(limited(name, scene, 2))
+        whole = solve(scene, name, max_iterations=30)  # with whatever the run without memory has left behind
+        other = solve(LCP(scene.csr.copy(), scene.q, lower=scene.lower), name, max_iterations=30)
+        assert whole.z.tobytes() == other.z.tobytes(), name
+        print(name, *told)
+    print("finished")
+"""
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="address space limits are a thing of Linux")
+def test_where_memory_ends_it_is_said() -> None:
+    """Under a memory limit a run ends with MemoryError or a refusal or an honest result, and later runs are whole."""
+    done = in_a_process(MEMORY, MALLOC_MMAP_THRESHOLD_="65536")  # what is freed does not stay with the process
+    assert "finished" in done.stdout.splitlines(), done.stdout + done.stderr  # what SuperLU prints may come later
+    assert "MemoryError" in done.stdout
+
+
+COMPILE = """
+    from lcp_plugin import LCP, solve
+    from lcp_plugin.core.kernels import splitting_sweeps as kernels
+    print(kernels.__file__)
+    problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    print(*kernels.row_splits(problem.csr, backward=False))
+"""
+ELEMENTWISE = """
+    from lcp_plugin.proofs.exact.upward import sum_above
+    print(sum_above(1.0, 2.0))
+"""
+SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"
+
+
+@pytest.fixture(scope="module")
+def read_only_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the package beside which nothing can be cached, whoever asks: its cache folders are files."""
+    folder = tmp_path_factory.mktemp("copy")
+    copytree(PACKAGE, folder / "lcp_plugin", ignore=ignore_patterns("__pycache__"))
+    for package in [folder / "lcp_plugin", *(path for path in (folder / "lcp_plugin").rglob("*") if path.is_dir())]:
+        (package / "__pycache__").write_text("")
+    return folder
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("cache", ["unwritable", "full disk"])
+def test_compiled_code_needs_no_place_on_disk(cache: str, read_only_package: Path, tmp_path: Path) -> None:
+    """Where no folder takes compiled code, or the disk is full when it is written, the kernels work all the same."""
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    environment = {"PYTHONPATH": str(read_only_package), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(blocked)}
+    environment |= {"XDG_CACHE_HOME": str(blocked / "cache")}
+    if cache == "full disk":
+        environment["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
+        limit = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (64, resource.RLIM_INFINITY))\n"
+        done = in_a_process(limit + textwrap.dedent(SOLVE), **environment)
+    else:
+        done = in_a_process(COMPILE, **environment, NUMBA_CACHE_DIR=str(blocked / "cache"))
+    assert done.returncode == 0, done.stderr
+    where, splits, *z = done.stdout.splitlines()
+    assert Path(where).is_relative_to(read_only_package)
+    assert splits == "0 3"
+    assert z == (["[2.5 0. ]"] if cache == "full disk" else [])
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("program", "printed"), [(COMPILE, "0 3"), (ELEMENTWISE, "3.0")], ids=["loop", "elementwise"])
+def test_damaged_compiled_code_is_compiled_again(program: str, printed: str, tmp_path: Path) -> None:
+    """Files of the cache that were cut off, or hold anything else, cost time and nothing more."""
+    assert in_a_process(program, NUMBA_CACHE_DIR=str(tmp_path)).returncode == 0
+    kept = sorted(path for path in tmp_path.rglob("*.nb?"))
+    assert kept
+    for k, path in enumerate(kept):
+        path.write_bytes([b"", path.read_bytes()[:100], b"nonsense", path.read_bytes()[:-20]][k % 4])
+    done = in_a_process(program, NUMBA_CACHE_DIR=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == printed
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full device")
+def test_a_full_disk_is_told_and_the_problem_stays_whole(tmp_path: Path) -> None:
+    """Where nothing can be written the error says so; the problem can be saved elsewhere and comes back the same."""
+    problem = LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])
+    before = data_of(problem)
+    for path in (tmp_path / "p.npz", tmp_path / "folder"):
+        done = in_a_process(f"""
+            import resource
+            from lcp_plugin import LCP, LCPError
+            resource.setrlimit(resource.RLIMIT_FSIZE, (20, resource.RLIM_INFINITY))
+            try:
+                LCP([[4, -1], [-1, 4]], [-3, 5]).save({str(path)!r})
+            except LCPError as error:
+                print(type(error).__name__, error)
+        """)
+        assert done.stdout.startswith("UnreadableFile cannot write"), done.stdout + done.stderr
+        assert not [file for file in tmp_path.rglob("*") if file.is_file()]
+        problem.save(path)
+        assert data_of(LCP.load(path))[-3:] == before[-3:]
+        for file in [path] if path.is_file() else list(path.iterdir()):
+            file.unlink()
+
+
+# --- Many at once ---------------------------------------------------------------------------------------------------
+
+
+def everything(problem: LCP) -> tuple[bytes, ...]:
+    """The bits of what the package says about a problem: every algorithm, report, bound, batch."""
+    found: tuple[bytes, ...] = ()
+    for name in ("auto", *(name for name in BOUNDED if name != "npsplitting")):
+        found += bits(solve(problem, name, max_iterations=200).z)
+    report, bound = analyze(problem.M), error_bound(problem, problem.nearest_to_zero)
+    found += bits(report.v, report.margin, bound.componentwise, bound.infinity)
+    return found + bits(*(answer.z for answer in solve_many(problem, [problem.q, 2.0 * problem.q])))
+
+
+def scene() -> LCP:
+    return gallery.build("random_h_plus", n=40).problem
+
+
+@pytest.mark.full
+def test_threads_that_share_one_problem_get_the_serial_answers() -> None:
+    """Eight threads that ask everything about one problem, its cache empty, get the bits of one alone."""
+    alone, shared = everything(scene()), scene()
+    with ThreadPoolExecutor(8) as pool:
+        assert all(found == alone for found in pool.map(lambda _: everything(shared), range(8)))
+
+
+def test_threads_with_their_own_problems_do_not_disturb_each_other() -> None:
+    """Eight threads with problems of different sizes and algorithms get the bits that each has alone."""
+    tasks = [(name, 10 + 3 * k) for k, name in enumerate(BOUNDED)]
+
+    def run(task: tuple[str, int]) -> tuple[bytes, ...]:
+        return bits(solve(gallery.build("random_h_plus", n=task[1]).problem, task[0], max_iterations=200).z)
+
+    alone = [run(task) for task in tasks]
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(run, tasks * 3)) == alone * 3
+
+
+def test_a_refusal_leaves_the_problem_whole() -> None:
+    """After every kind of refusal the same problem, with what it shares, gives the bits of a fresh one."""
+    problem = prepare(LCP(TOTAL.csr.copy(), TOTAL.q, lower=TOTAL.lower))
+    calls: list[Any] = [
+        lambda: problem.with_q(np.full(problem.n, np.nan)),
+        lambda: problem.with_q(problem.q, lower=1.0, upper=0.0),
+        lambda: solve(problem, "no such"),
+        lambda: solve(problem, "psor", relaxation=-1.0),
+        lambda: solve(problem, z0=[1.0]),
+        lambda: solve(problem, tolerance=np.nan),
+        lambda: solve(problem.with_q(problem.q, upper=10.0), "mgs"),
+        lambda: error_bound(problem, [1.0]),
+    ]
+    for call in calls:
+        with pytest.raises((LCPError, InvalidProblem)):
+            call()
+    for name in ("auto", "psor", "mgs"):
+        assert bits(solve(problem, name).z) == fresh_bits(name)

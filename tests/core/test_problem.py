@@ -1,0 +1,645 @@
+"""The problem's data: canonical, read-only, shared where nothing forces a copy, and never the caller's to lose."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+import threading
+import time
+import tracemalloc
+import warnings
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, Certificate, InvalidProblem, solve, strategies
+from lcp_plugin.core import checks
+from lcp_plugin.core.matrix.matrix import Matrix, fact
+from lcp_plugin.problems.programs.conversion import QuadraticProgram
+
+A = np.array([[4.0, -1.0, 0.0, 0.0], [0.0, 5.0, -2.0, 0.0], [0.0, 0.0, 6.0, 0.0], [-3.0, 0.0, 0.0, 0.5]])
+Q = np.array([-1.0, 2.0, -3.0, 4.0])
+TRIDIAGONAL = sp.csr_array(sp.diags_array([-np.ones(9), np.full(10, 4.0), -np.ones(9)], offsets=[-1, 0, 1]))
+FORMATS = [f"{name}_array" for name in ("csr", "csc", "coo", "bsr", "dia", "lil", "dok")]
+FORMATS += [name.replace("array", "matrix") for name in FORMATS]
+
+
+def assert_canonical(p: LCP, expected: np.ndarray) -> None:
+    """The CSR arrays one by one: sorted, no duplicate, no stored zero, doubles, narrow indices, read-only."""
+    M = p.csr
+    assert isinstance(M, sp.csr_array)
+    assert (M.data.dtype, M.indices.dtype, M.indptr.dtype) == (np.float64, np.int32, np.int32)
+    assert M.indptr[0] == 0
+    assert M.indptr[-1] == M.indices.size == M.data.size == p.nonzeros == np.count_nonzero(expected)
+    for i in range(p.n):
+        columns = M.indices[M.indptr[i] : M.indptr[i + 1]]
+        assert (np.diff(columns) > 0).all()
+        np.testing.assert_array_equal(M.data[M.indptr[i] : M.indptr[i + 1]], expected[i, columns])
+    assert M.data.all()
+    assert M.has_canonical_format
+    np.testing.assert_array_equal(p.M.toarray() if sp.issparse(p.M) else p.M, expected)
+    assert_read_only(M.data, M.indices, M.indptr)
+
+
+def assert_read_only(*arrays: np.ndarray) -> None:
+    for array in arrays:
+        assert not array.flags.writeable
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
+def arrays_of(p: LCP) -> list[np.ndarray]:
+    """Every array that a problem hands out."""
+    matrix = [p.csr.data, p.csr.indices, p.csr.indptr] + ([] if sp.issparse(p.M) else [p.M])
+    return [*matrix, p.q, p.lower, p.upper, p.diagonal, p.residual_scale, p.nearest_to_zero]
+
+
+# --- what is accepted ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_every_sparse_format_means_the_same(form: str) -> None:
+    """Each scipy format, as array and as the older matrix, gives the same canonical CSR and is left as it was."""
+    M = getattr(sp, form)(A)
+    p = LCP(M, Q)
+    assert_canonical(p, A)
+    assert sp.issparse(p.M)
+    assert M.format == form[:3]
+    np.testing.assert_array_equal(M.toarray(), A)
+
+
+@pytest.mark.parametrize(
+    "dtype", ["float64", "float32", "float16", "longdouble", "int8", "int32", "int64", "uint8", "bool", ">f8", ">i4"]
+)
+@pytest.mark.parametrize("layout", ["C", "F", "strided", "read-only", "sparse", "list", "np.matrix"])
+def test_every_kind_of_number_becomes_a_double(dtype: str, layout: str) -> None:
+    """Integers, booleans, halves, singles and foreign byte orders, in any memory layout, are stored as doubles."""
+    numbers = np.abs(A).astype(dtype)
+    expected = numbers.astype(np.float64)
+    forms: dict[str, Callable[[], Any]] = {
+        "C": lambda: np.ascontiguousarray(numbers),
+        "F": lambda: np.asfortranarray(numbers),
+        "strided": lambda: np.repeat(np.repeat(numbers, 2, axis=0), 2, axis=1)[::2, ::2],
+        "read-only": lambda: np.frombuffer(numbers.tobytes(), dtype=numbers.dtype).reshape(numbers.shape),
+        "sparse": lambda: with_data(sp.csr_array(expected), numbers[numbers != 0]),
+        "list": lambda: numbers.tolist(),
+        "np.matrix": lambda: older_matrix(numbers),
+    }
+    p = LCP(forms[layout](), Q.astype("int8"))
+    assert_canonical(p, expected)
+    assert p.M.dtype == np.float64
+    np.testing.assert_array_equal(p.slack(np.ones(4)), expected.sum(axis=1) + Q)
+    assert numbers.dtype == np.dtype(dtype)
+
+
+def older_matrix(values: np.ndarray) -> np.matrix:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PendingDeprecationWarning)
+        return np.matrix(values)
+
+
+def with_data(M: sp.csr_array, data: np.ndarray) -> sp.csr_array:
+    """The same pattern with values of a dtype that scipy itself would not build."""
+    M.data = data
+    return M
+
+
+def test_wide_indices_become_narrow() -> None:
+    """int64 indices are narrowed to int32 where they fit, and the values are still not copied."""
+    M = TRIDIAGONAL.copy()
+    M.indices, M.indptr = M.indices.astype(np.int64), M.indptr.astype(np.int64)
+    p = LCP(M, np.ones(10))
+    assert_canonical(p, TRIDIAGONAL.toarray())
+    assert np.shares_memory(p.csr.data, M.data)
+    assert M.indices.dtype == np.int64
+
+
+def test_a_thing_that_knows_its_array_is_an_array() -> None:
+    """Whatever has __array__ is taken at its word."""
+
+    class Table:
+        def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+            return A
+
+    assert_canonical(LCP(Table(), Q), A)
+
+
+@given(
+    n=st.integers(1, 6),
+    triplets=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(-4, 4)), max_size=40),
+    form=st.sampled_from(["coo", "csr", "csc", "csr stale", "csc stale", "coo stale", "bsr", "lil"]),
+)
+def test_duplicates_are_summed_and_zeros_dropped(n: int, triplets: list[tuple[int, int, int]], form: str) -> None:
+    """Triplets in any order, repeated, cancelling or zero give the matrix of their sums, whatever the flags claim."""
+    expected = np.zeros((n, n))
+    rows, columns, values = [], [], []
+    for i, j, value in triplets:
+        if i < n and j < n:
+            expected[i, j] += value
+            rows.append(i), columns.append(j), values.append(float(value))
+    name, _, flags = form.partition(" ")
+    M = uncompressed(name, n, rows, columns, values)
+    if flags == "stale":
+        M.has_canonical_format = True
+    if name in ("csr", "csc"):
+        before = (M.data.copy(), M.indices.copy(), M.indptr.copy())
+        p = LCP(M, np.zeros(n))
+        for now, then in zip((M.data, M.indices, M.indptr), before, strict=True):
+            np.testing.assert_array_equal(now, then)
+    else:
+        p = LCP(M, np.zeros(n))
+    assert_canonical(p, expected)
+
+
+def uncompressed(form: str, n: int, rows: list[int], columns: list[int], values: list[float]) -> Any:
+    """A sparse array that keeps the triplets as they come: duplicates, unsorted, zeros."""
+    triplets = sp.coo_array((values, (rows, columns)), shape=(n, n))
+    if form not in ("csr", "csc"):
+        return triplets if form == "coo" else getattr(sp, f"{form}_array")(triplets)
+    major, minor = (rows, columns) if form == "csr" else (columns, rows)
+    order = np.argsort(np.array(major, dtype=int), kind="stable")
+    indptr = np.searchsorted(np.array(major, dtype=int)[order], np.arange(n + 1))
+    M = getattr(sp, f"{form}_array")((n, n))
+    M.data = np.array(values, dtype=float)[order]
+    M.indices, M.indptr = np.array(minor, np.int32)[order], indptr.astype(np.int32)
+    return M
+
+
+def test_stale_flags_do_not_fool_it() -> None:
+    """A matrix that calls itself canonical and is not, and one overwritten after it was checked, are put in order."""
+    M = sp.csr_array((np.array([1.0, 2.0, 3.0, 0.0]), np.array([1, 0, 0, 1]), np.array([0, 3, 4])), shape=(2, 2))
+    M.has_sorted_indices = True
+    M.has_canonical_format = True
+    assert_canonical(LCP(M, [1.0, 2.0]), np.array([[5.0, 1.0], [0.0, 0.0]]))
+    assert M.nnz == 4
+    checked = TRIDIAGONAL.copy()
+    assert checked.has_canonical_format
+    checked.indices[0], checked.indices[1] = checked.indices[1], checked.indices[0]
+    np.testing.assert_array_equal(LCP(checked, np.ones(10)).csr.toarray()[0, :3], [-1.0, 4.0, 0.0])
+
+
+def test_read_only_input_is_put_in_order_on_a_copy() -> None:
+    """Unsorted duplicates in arrays that nobody may write to are no obstacle."""
+    M = sp.csr_array((np.array([1.0, 2.0, 3.0]), np.array([1, 0, 0]), np.array([0, 3, 3])), shape=(2, 2))
+    for array in (M.data, M.indices, M.indptr):
+        array.flags.writeable = False
+    assert_canonical(LCP(M, np.zeros(2)), np.array([[5.0, 1.0], [0.0, 0.0]]))
+    np.testing.assert_array_equal(M.data, [1.0, 2.0, 3.0])
+
+
+# --- no copy, nothing modified ---------------------------------------------------------------------------------
+
+
+def test_canonical_csr_is_not_copied() -> None:
+    """A canonical CSR array is used in place through read-only views; the caller's stay writable and as they were."""
+    M = TRIDIAGONAL.copy()
+    before = (M.data.copy(), M.indices.copy(), M.indptr.copy())
+    p = LCP(M, np.ones(10))
+    solve(p, "npsor")
+    for own, given_array, then in zip(
+        (p.csr.data, p.csr.indices, p.csr.indptr), (M.data, M.indices, M.indptr), before, strict=True
+    ):
+        assert np.shares_memory(own, given_array)
+        assert given_array.flags.writeable
+        np.testing.assert_array_equal(given_array, then)
+    assert_read_only(p.csr.data, p.csr.indices, p.csr.indptr)
+
+
+def test_dense_matrices_are_copies_of_their_own() -> None:
+    """What the owner of a dense M writes into it later reaches neither the problem nor what was proved about it."""
+    M = np.array([[4.0, -1.0], [-1.0, 4.0]])
+    p = LCP(M, [-3.0, 5.0])
+    result = solve(p, error_bound=True)
+    M[0, 1] = M[1, 0] = 40.0
+    assert not np.shares_memory(p.M, M)
+    assert p.M[0, 1] == p.csr[0, 1] == -1.0
+    assert_read_only(p.M)
+    again = solve(p, error_bound=True)
+    assert again.z.tobytes() == result.z.tobytes()
+    assert M.flags.writeable
+    assert M[0, 1] == 40.0
+
+
+@pytest.mark.parametrize("form", ["csr", "csc", "coo", "bsr"])
+@pytest.mark.parametrize("kind", [np.int8, np.uint8, bool, np.int16, np.float32, np.float64])
+def test_duplicates_are_summed_as_doubles(form: str, kind: type) -> None:
+    """Entries given twice add up in double precision, however narrow the type they come in: 100 + 100 is 200."""
+    value, once = (1, 1.0) if kind is bool else (100, 100.0)
+    M = sp.coo_array((np.array([value, value, value], dtype=kind), ([0, 0, 1], [0, 0, 1])), shape=(2, 2))
+    if form != "coo":  # scipy would add them up on the way
+        data, indices, pointer = np.array([value] * 3, dtype=kind), np.array([0, 0, 1]), np.array([0, 2, 3])
+        kinds = {"csr": sp.csr_array, "csc": sp.csc_array, "bsr": sp.bsr_array}
+        M = kinds[form]((data.reshape(3, 1, 1) if form == "bsr" else data, indices, pointer), shape=(2, 2))
+    assert LCP(M, [0.0, 0.0]).csr.toarray().tolist() == [[2 * once, 0.0], [0.0, once]]
+    assert QuadraticProgram(M, [0.0, 0.0]).P.toarray().tolist() == [[2 * once, 0.0], [0.0, once]]
+
+
+def test_vectors_are_copies_of_their_own() -> None:
+    """The vectors are copies: writing into the caller's arrays later changes no problem."""
+    q, lower, upper = Q.copy(), np.zeros(4), np.full(4, 9.0)
+    p = LCP(A, q, lower=lower, upper=upper)
+    q[:], lower[:], upper[:] = 77.0, -77.0, 77.0
+    np.testing.assert_array_equal(p.q, Q)
+    np.testing.assert_array_equal(p.lower, np.zeros(4))
+    np.testing.assert_array_equal(p.upper, np.full(4, 9.0))
+
+
+@pytest.mark.parametrize("M", [A, sp.csr_array(A), TRIDIAGONAL], ids=["dense", "small CSR", "tridiagonal"])
+def test_every_array_is_read_only(M: Any) -> None:
+    """No array that a problem hands out can be written to."""
+    p = LCP(M, np.ones(M.shape[0]), lower=-1.0, upper=5.0)
+    assert_read_only(*arrays_of(p))
+
+
+def test_large_sparse_problem_is_never_dense() -> None:
+    """Building, describing and measuring a problem with n = 100 000 takes a few times its nonzeros in memory."""
+    n = 100_000
+    M = sp.csr_array(sp.diags_array([np.full(n, 4.0), -np.ones(n - 1)], offsets=[0, -1]))
+    tracemalloc.start()
+    p = LCP(M, np.ones(n))
+    assert Certificate.of(p, np.ones(n)).relative_residual > 0.0
+    assert "n=100000" in repr(p)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 40 * p.nonzeros * 8
+
+
+# --- dense or sparse -------------------------------------------------------------------------------------------
+
+
+def test_dense_is_kept_above_a_quarter() -> None:
+    """A dense matrix stays dense where more than a quarter of it is nonzero; at a quarter it becomes CSR."""
+    quarter = np.zeros((4, 4))
+    quarter[0] = 1.0
+    more = quarter.copy()
+    more[1, 1] = 1.0
+    assert sp.issparse(LCP(quarter, Q).M)
+    assert isinstance(LCP(more, Q).M, np.ndarray)
+    for M in (quarter, more):
+        assert_canonical(LCP(M, Q), M)
+
+
+def test_sparse_stays_sparse_however_full() -> None:
+    """A sparse array is never turned into a dense one."""
+    assert sp.issparse(LCP(sp.csr_array(np.ones((4, 4))), Q).M)
+
+
+def test_dense_is_kept_up_to_five_thousand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The size above which a full matrix is stored as CSR is 5000."""
+    assert checks.DENSE_UP_TO_SIZE == 5000
+    monkeypatch.setattr(checks, "DENSE_UP_TO_SIZE", 4)
+    assert isinstance(LCP(np.ones((4, 4)), Q).M, np.ndarray)
+    assert sp.issparse(LCP(np.ones((5, 5)), np.ones(5)).M)
+
+
+@pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "npsplitting"])
+def test_dense_and_sparse_give_the_same_answer(name: str) -> None:
+    """The same matrix given dense and sparse is solved in the same steps to the same bits."""
+    dense = solve(LCP(A, Q), name)
+    sparse = solve(LCP(sp.csr_array(A), Q), name)
+    assert dense.z.tobytes() == sparse.z.tobytes()
+    assert (dense.status, dense.iterations, dense.work) == (sparse.status, sparse.iterations, sparse.work)
+
+
+# --- the smallest problems -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("M", [np.zeros((0, 0)), sp.csr_array((0, 0)), sp.coo_matrix((0, 0))])
+def test_empty_problem(M: Any) -> None:
+    """No unknown is a problem too: empty vectors, plain, and solved by the empty z."""
+    p = LCP(M, [])
+    assert (p.n, p.nonzeros, p.is_plain) == (0, 0, True)
+    assert_canonical(p, np.zeros((0, 0)))
+    for vector in (p.q, p.lower, p.upper, p.diagonal, p.residual_scale, p.nearest_to_zero, p.slack([])):
+        assert (vector.shape, vector.dtype) == ((0,), np.float64)
+    assert repr(p) == str(p) == "LCP(n=0, nonzeros=0, bounds 0 ≤ z)"
+    assert Certificate.of(p, []).worst_index == -1
+
+
+@pytest.mark.parametrize(
+    ("entry", "scale", "kept"), [(2.0, 2.0, np.ndarray), (0.0, 1.0, sp.csr_array), (-3.0, 3.0, np.ndarray)]
+)
+def test_one_unknown(entry: float, scale: float, kept: type) -> None:
+    """One unknown with a positive, zero or negative entry has the residual scale of the rule."""
+    p = LCP([[entry]], [1.0])
+    assert isinstance(p.M, kept)
+    assert p.residual_scale.tolist() == [scale]
+    assert p.diagonal.tolist() == [entry]
+    assert p.slack([2.0]).tolist() == [2.0 * entry + 1.0]
+
+
+# --- what is derived -------------------------------------------------------------------------------------------
+
+UNITS = st.sampled_from([1.0, 1e200, 1e-200, 1e-314])
+FACTORS = st.sampled_from([0.0, 0.0, 1.0, -1.0, 3.0, -0.5, 1e-9, 1e-10, -1e-10, 1e-11, 1e-150])
+
+
+def scale_by_hand(M: np.ndarray) -> list[float]:
+    """The rule in rational numbers: m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else that maximum, 1 for an empty row."""
+    scale = []
+    for i in range(len(M)):
+        entries = [Fraction(float(entry)) for entry in M[i]]
+        largest = max(abs(entry) for entry in entries)
+        threshold = Fraction(1e-10) * largest
+        assume(not largest or abs(entries[i] / threshold - 1) > Fraction(1, 10**12))  # there rounding decides
+        d = entries[i] if entries[i] >= threshold else largest
+        scale.append(float(d) if largest else 1.0)
+    return scale
+
+
+@settings.get_profile("many")
+@given(data=st.data(), n=st.integers(1, 4), is_sparse=st.booleans())
+def test_residual_scale_is_the_rule(data: st.DataObject, n: int, is_sparse: bool) -> None:
+    """The scale d_i of every row is that of the rule computed in rationals, whatever the unit of the row."""
+    rows = st.tuples(UNITS, st.lists(FACTORS, min_size=n, max_size=n))
+    M = np.array([[unit * factor for factor in row] for unit, row in (data.draw(rows) for _ in range(n))])
+    expected = scale_by_hand(M)
+    p = LCP(sp.csr_array(M) if is_sparse else M, np.zeros(n))
+    assert p.residual_scale.tolist() == expected
+    assert p.diagonal.tolist() == np.diagonal(M).tolist()
+
+
+def test_residual_scale_of_tiny_rows_is_positive() -> None:
+    """A row with nothing but subnormal numbers beside a zero diagonal has its largest as the scale, not zero."""
+    p = LCP([[0.0, 1e-320], [1e-320, 0.0]], [1.0, 1.0])
+    assert p.residual_scale.tolist() == [1e-320, 1e-320]
+    assert Certificate.of(p, [0.0, 0.0]).relative_residual == 0.0
+
+
+def test_residual_scale_by_cases() -> None:
+    """One row for each branch of the rule, in one matrix."""
+    M = np.zeros((6, 6))
+    M[0, 0], M[0, 1] = 2.0, -7.0  # an ordinary diagonal
+    M[1, 1], M[1, 0] = 1e-11, -3.0  # a negligible diagonal
+    M[2, 0], M[2, 5] = 1.0, -4.0  # a missing diagonal
+    M[3, 3], M[3, 4] = -5.0, 2.0  # a negative diagonal
+    M[5, 5], M[5, 0] = 2e-10, 1.0  # small, but not negligible; row 4 is empty
+    expected = [2.0, 3.0, 4.0, 5.0, 1.0, 2e-10]
+    assert LCP(M, np.zeros(6)).residual_scale.tolist() == expected
+    assert LCP(sp.csc_array(M), np.zeros(6)).residual_scale.tolist() == expected
+
+
+BOUND = st.sampled_from([-math.inf, math.inf, 0.0, -0.0, 1.0, -1.0, 2.5, -1e300, 1e-320])
+
+
+@given(rows=st.lists(st.tuples(BOUND, BOUND), min_size=1, max_size=6))
+def test_nearest_to_zero_is_nearest_to_zero(rows: list[tuple[float, float]]) -> None:
+    """z° is 0 where the bounds allow it, else the bound next to 0."""
+    rows = [(low, high) for low, high in rows if low <= high and low < math.inf and high > -math.inf]
+    assume(rows)
+    lower, upper = map(np.array, zip(*rows, strict=True))
+    n = len(rows)
+    nearest = LCP(np.eye(n), np.zeros(n), lower=lower, upper=upper).nearest_to_zero
+    for i, (low, high) in enumerate(rows):
+        assert nearest[i] == (low if low > 0.0 else high if high < 0.0 else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "expected"),
+    [
+        (0.0, np.inf, True),
+        (-0.0, np.inf, True),
+        (np.zeros(4), np.full(4, np.inf), True),
+        (0.0, 1e300, False),
+        ([0.0, 0.0, -1e-320, 0.0], np.inf, False),
+        (0.0, [np.inf, np.inf, np.inf, 1.0], False),
+        (-np.inf, np.inf, False),
+    ],
+)
+def test_is_plain(lower: Any, upper: Any, expected: bool) -> None:
+    """A problem is plain exactly where every lower bound is 0 and every upper bound ∞."""
+    assert LCP(A, Q, lower=lower, upper=upper).is_plain is expected
+
+
+WHOLE = st.integers(-1000, 1000)
+
+
+@given(data=st.data(), n=st.integers(1, 5), is_sparse=st.booleans())
+def test_slack_is_m_z_plus_q(data: st.DataObject, n: int, is_sparse: bool) -> None:
+    """The slack is M z + q, exact on whole numbers; a fresh array each time, whatever sequence z is."""
+    M = np.array(data.draw(st.lists(WHOLE, min_size=n * n, max_size=n * n))).reshape(n, n)
+    q = data.draw(st.lists(WHOLE, min_size=n, max_size=n))
+    z = data.draw(st.lists(WHOLE, min_size=n, max_size=n))
+    expected = [sum(int(M[i, j]) * z[j] for j in range(n)) + q[i] for i in range(n)]
+    p = LCP(sp.csr_array(M) if is_sparse else M, q)
+    assert p.slack(z).tolist() == expected
+    w = p.slack(np.array(z))
+    w[:] = np.nan
+    assert p.slack(tuple(z)).tolist() == expected
+
+
+# --- sharing ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("M", [A, sp.csr_array(A)], ids=["dense", "sparse"])
+@pytest.mark.parametrize("is_warm", [True, False], ids=["computed before", "computed after"])
+def test_with_q_shares_everything_of_the_matrix(M: Any, is_warm: bool) -> None:
+    """with_q gives another problem on the same objects: matrix, diagonal, scale and whatever else is shared."""
+    p = LCP(M, Q, lower=-1.0)
+    if is_warm:
+        arrays_of(p)
+    other = p.with_q(2.0 * Q)
+    assert other.M is p.M
+    assert other.csr is p.csr
+    assert other.diagonal is p.diagonal
+    assert other.residual_scale is p.residual_scale
+    assert other.matrix is p.matrix
+
+
+def test_with_q_changes_q_and_the_bounds_given() -> None:
+    """The bounds not given are kept, those given replaced, z° follows, and the first problem stays as it is."""
+    p = LCP(A, Q, lower=1.0, upper=3.0)
+    assert p.nearest_to_zero.tolist() == [1.0] * 4
+    other = p.with_q(-Q, lower=[-2.0, -2.0, 2.0, 0.0])
+    assert other.q.tolist() == (-Q).tolist()
+    assert other.lower.tolist() == [-2.0, -2.0, 2.0, 0.0]
+    assert other.upper.tolist() == [3.0] * 4
+    assert other.nearest_to_zero.tolist() == [0.0, 0.0, 2.0, 0.0]
+    assert p.with_q(Q, upper=9.0).lower.tolist() == [1.0] * 4
+    assert (p.q.tolist(), p.lower.tolist(), p.upper.tolist()) == (Q.tolist(), [1.0] * 4, [3.0] * 4)
+    assert_read_only(other.q, other.lower, other.upper, other.nearest_to_zero)
+
+
+def test_with_q_gives_the_answer_of_a_fresh_problem() -> None:
+    """Solving a problem made by with_q and the same problem made anew gives the same bits."""
+    p = LCP(TRIDIAGONAL, np.ones(10))
+    solve(p, "npsor")
+    q = np.linspace(-2.0, 1.0, 10)
+    again = solve(p.with_q(q, upper=0.3), "npsor")
+    fresh = solve(LCP(TRIDIAGONAL, q, upper=0.3), "npsor")
+    assert again.z.tobytes() == fresh.z.tobytes()
+    assert again.iterations == fresh.iterations
+
+
+def test_a_fact_is_computed_once_for_many_threads() -> None:
+    """Sixteen threads that ask at once get one object, computed once, and so do those that ask later."""
+    p = LCP(TRIDIAGONAL, np.ones(10))
+    calls: list[int] = []
+
+    @fact
+    def slow(matrix: Matrix) -> object:
+        calls.append(1)
+        time.sleep(0.02)
+        return object()
+
+    found = ask_in_threads(lambda k: slow((p if k % 2 else p.with_q(np.zeros(10))).matrix))
+    assert len(calls) == 1
+    assert {id(value) for value in found} == {id(slow(p.matrix))}
+    assert slow.is_known(p.matrix)
+
+
+def test_derived_data_are_one_object_for_many_threads() -> None:
+    """csr, diagonal and residual_scale, asked for by many threads of a fresh dense problem, exist once."""
+    p = LCP(A, Q)
+    found = ask_in_threads(lambda k: (p.residual_scale, p.csr, p.diagonal) if k % 2 else (p.residual_scale,) * 3)
+    assert len({id(scale) for scale, _, _ in found}) == 1
+    assert len({id(csr) for k, (_, csr, _) in enumerate(found) if k % 2}) == 1
+    assert_canonical(p, A)
+
+
+def ask_in_threads(ask: Callable[[int], Any], count: int = 16) -> list[Any]:
+    found: list[Any] = [None] * count
+    together = threading.Barrier(count)
+
+    def work(k: int) -> None:
+        together.wait()
+        found[k] = ask(k)
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=30)
+    assert not any(thread.is_alive() for thread in threads)
+    assert all(value is not None for value in found)
+    return found
+
+
+def test_a_fact_may_ask_for_another() -> None:
+    """What is computed under the lock may itself ask for facts, and a failure is not kept."""
+    p = LCP(A, Q)
+    divisors = [1, 0]
+
+    @fact
+    def inner(matrix: Matrix, addend: int) -> int:
+        return matrix.n + addend
+
+    @fact
+    def outer(matrix: Matrix) -> float:
+        return inner(matrix, 1) / divisors.pop()
+
+    with pytest.raises(ZeroDivisionError):
+        outer(p.matrix)
+    assert outer(p.matrix) == 5
+    assert not inner.is_known(p.matrix, 2)
+
+
+# --- copies and pictures ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "duplicate",
+    [copy.copy, copy.deepcopy, lambda p: pickle.loads(pickle.dumps(p))],
+    ids=["copy", "deepcopy", "pickle"],
+)
+@pytest.mark.parametrize("M", [A, sp.csr_array(A)], ids=["dense", "sparse"])
+@pytest.mark.parametrize("is_warm", [True, False], ids=["used", "fresh"])
+def test_duplicates_are_equal_and_read_only(duplicate: Callable[[LCP], LCP], M: Any, is_warm: bool) -> None:
+    """A copied or unpickled problem has the same bits, is as read-only, and computes what it needs anew."""
+    p = LCP(M, Q, lower=[-np.inf, 0.0, 1.0, -1.0], upper=[np.inf, 5e-324, np.inf, 0.0])
+    if is_warm:
+        arrays_of(p)
+    other = duplicate(p)
+    assert other.n == p.n
+    assert repr(other) == repr(p)
+    assert type(other.M) is type(p.M)
+    for mine, theirs in zip(arrays_of(p), arrays_of(other), strict=True):
+        assert mine.tobytes() == theirs.tobytes()
+        assert mine.dtype == theirs.dtype
+    assert_read_only(*arrays_of(other))
+    assert_canonical(other, A)
+    assert solve(other, "npsor").z.tobytes() == solve(p, "npsor").z.tobytes()
+    assert other.with_q(-Q).csr is other.csr
+
+
+def test_a_pickle_is_no_larger_than_the_data() -> None:
+    """What can be computed again is not pickled."""
+    p = LCP(TRIDIAGONAL, np.ones(10))
+    fresh = len(pickle.dumps(p))
+    fact(lambda matrix: np.zeros(10_000))(p.matrix)
+    assert len(pickle.dumps(p)) == fresh
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "words"),
+    [
+        (0.0, np.inf, "bounds 0 ≤ z"),
+        (-1.0, 1.0, "bounds 4 boxed"),
+        (-np.inf, np.inf, "bounds 4 free"),
+        (1.0, np.inf, "bounds 4 one-sided"),
+        ([-np.inf, 0.0, -np.inf, 0.0], [np.inf, np.inf, 0.0, 1.0], "bounds 2 one-sided, 1 boxed, 1 free"),
+    ],
+)
+def test_str_counts_what_there_is(lower: Any, upper: Any, words: str) -> None:
+    """`str`, and the repr of a large problem, tells size, nonzeros and how many rows have which kind of bounds."""
+    assert str(LCP(A, Q, lower=lower, upper=upper)) == f"LCP(n=4, nonzeros=7, {words})"
+    assert repr(LCP(TRIDIAGONAL, np.ones(10))) == str(LCP(TRIDIAGONAL, np.ones(10)))
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two arrays are kept alike and hold the same bits."""
+    if sp.issparse(one) != sp.issparse(other):
+        return False
+    first, second = ((given.toarray() if sp.issparse(given) else given) for given in (one, other))
+    return first.shape == second.shape and first.tobytes() == second.tobytes()
+
+
+@settings(max_examples=60)
+@given(problem=strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices(dense=False), bounds=0.5,
+                               row_scale=300, column_scale=300))
+def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
+    """What repr(problem) says can be pasted, and is the same problem bit for bit, kept in the same way."""
+    again = eval(repr(problem), {"LCP": LCP, "csr_array": sp.csr_array, "inf": np.inf})
+    assert all(same(getattr(problem, name), getattr(again, name)) for name in ("M", "q", "lower", "upper"))
+
+
+@settings(max_examples=40)
+@given(drawn=strategies.convex_qps(equalities=1, bounds=0.5))
+def test_the_repr_of_a_small_program_is_that_program(drawn: Any) -> None:
+    """What repr(program) says can be pasted, and is the same program bit for bit."""
+    program = drawn[0]
+    again = eval(repr(program), {"QuadraticProgram": QuadraticProgram, "csr_array": sp.csr_array, "inf": np.inf})
+    names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
+    names = [name for name in names if getattr(program, name).shape[0]]
+    assert all(same(getattr(program, name), getattr(again, name)) for name in names)
+
+
+@pytest.mark.parametrize("bound", [-0.0, [0.0, -0.0, 0.0, -0.0], [-np.inf, 0.1 + 0.2, -1e-320, 0.0]])
+def test_the_repr_keeps_each_bit_of_a_bound(bound: Any) -> None:
+    """Zeros keep their signs, infinite and subnormal bounds their values."""
+    problem = LCP(A, Q, lower=bound)
+    again = eval(repr(problem), {"LCP": LCP, "csr_array": sp.csr_array, "inf": np.inf})
+    assert same(problem.lower, again.lower)
+
+
+def test_a_refused_matrix_leaves_no_problem() -> None:
+    """A constructor that raises binds nothing and keeps no hold on the caller's arrays."""
+    M = TRIDIAGONAL.copy()
+    with pytest.raises(InvalidProblem):
+        LCP(M, np.ones(9))
+    M.data[:] = 1.0
+    M.resize((3, 3))
+    assert LCP(M, np.ones(3)).nonzeros == 7
+
+
+def test_a_masked_z_is_refused_in_words() -> None:
+    """``slack`` of a masked array is refused as it is everywhere else."""
+    with pytest.raises(InvalidProblem, match="masked"):
+        LCP(A, Q).slack(np.ma.array(np.ones(4), mask=[0, 1, 0, 0]))

@@ -1,0 +1,677 @@
+"""What is refused, and how: with the right error, in one sentence with the value, and without a trace."""
+
+from __future__ import annotations
+
+import datetime
+import re
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    ComplementarityProblem,
+    Result,
+    Sample,
+    convergence_guarantee,
+    cross_validate,
+    error_against_time,
+    error_bound,
+    gallery,
+    march,
+    solve,
+    stability_atlas,
+)
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
+from lcp_plugin.core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    NotConverged,
+    UnknownAlgorithm,
+    UnreadableFile,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    UnsupportedModel,
+)
+from lcp_plugin.core.splittings.modulus import MGS, ModulusBased
+from lcp_plugin.core.splittings.projected_relaxation import PSOR
+from lcp_plugin.core.splittings.projected_type import NPSOR
+from lcp_plugin.evidence.curves import Report
+from lcp_plugin.evidence.profiles import performance_profile
+from lcp_plugin.evidence.stability import Atlas
+
+BUILTIN_BASE = {
+    InvalidProblem: ValueError,
+    InvalidOption: TypeError,
+    UnsuitableMatrix: ValueError,
+    UnsuitableProblem: ValueError,
+    UnknownAlgorithm: LookupError,
+    UnreadableFile: OSError,
+    NotConverged: RuntimeError,
+    UnsupportedModel: ValueError,
+}
+NAN, INF = float("nan"), float("inf")
+KINDS = {name: algorithm_class(name) for name in REGISTRY}
+OPTIONS = {name: [field.name for field in fields(kind)] for name, kind in KINDS.items()}
+NEEDS_POSITIVE_DIAGONAL = [name for name, kind in KINDS.items() if kind.assumption.startswith("positive diagonal")]
+NEEDS_NO_DIAGONAL = [name for name in REGISTRY if name not in NEEDS_POSITIVE_DIAGONAL]
+MODULUS = [name for name, kind in KINDS.items() if issubclass(kind, ModulusBased)]
+
+
+class Given:
+    """Fresh data for one refused call, and their state, to see that the call left them alone."""
+
+    def __init__(self) -> None:
+        self.M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
+        self.csr = sp.csr_array(self.M)
+        self.q = np.array([-1.0, 2.0, -3.0])
+        self.problem = LCP(self.csr, self.q, upper=[INF, 5.0, INF])
+        self.plain = LCP(self.csr, self.q)
+
+    def arrays(self) -> Iterator[np.ndarray]:
+        yield from (self.M, self.q, self.csr.data, self.csr.indices, self.csr.indptr)
+        for problem in (self.problem, self.plain):
+            yield from (problem.q, problem.lower, problem.upper, problem.diagonal, problem.residual_scale)
+            yield from (problem.csr.data, problem.csr.indices, problem.csr.indptr)
+
+    def state(self) -> list[Any]:
+        """Every byte and every flag, and what is global: random numbers, floating-point errors, warning filters."""
+        arrays = [(a.tobytes(), a.shape, a.dtype, a.flags.writeable) for a in self.arrays()]
+        generator = np.random.get_state()  # noqa: NPY002 - that it is left alone is the claim
+        return [arrays, generator[1].tobytes(), generator[2], np.geterr(), list(warnings.filters)]
+
+
+def assert_readable(message: str) -> None:
+    """One sentence for people: no traceback, no machine's view of an object, of a length that gets read."""
+    assert not re.search(r"Traceback|File \"|<class |<function |<bound | at 0x|gufunc|\w+Error\(", message), message
+    assert "\n" not in message
+    assert 20 <= len(message) <= 400
+
+
+def assert_refused(error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> None:
+    given = Given()
+    before = given.state()
+    with pytest.raises(LCPError) as caught:
+        call(given)
+    assert type(caught.value) is error
+    assert isinstance(caught.value, BUILTIN_BASE[error])
+    message = str(caught.value)
+    assert_readable(message)
+    assert re.search(pattern, message), message
+    assert given.state() == before
+
+
+def row(name: str, error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> Any:
+    return pytest.param(error, pattern, call, id=name)
+
+
+def matrix(name: str, M: Any, pattern: str) -> Any:
+    """A row that no matrix of a problem can pass."""
+    return row(f"M {name}", InvalidProblem, pattern, lambda g: LCP(M, g.q))
+
+
+def with_entry(i: int, j: int, value: Any, dtype: Any = float) -> np.ndarray:
+    M = np.eye(3, dtype=dtype)
+    M[i, j] = value
+    return M
+
+
+def damaged_csr(data: Any = (1.0, 1.0, 1.0), indices: Any = (0, 1, 2), indptr: Any = (0, 1, 2, 3)) -> sp.csr_array:
+    """A 3 × 3 CSR array whose own arrays were overwritten behind scipy's back."""
+    M = sp.csr_array((3, 3))
+    M.data, M.indices, M.indptr = np.array(data), np.array(indices, np.int32), np.array(indptr, np.int32)
+    return M
+
+
+SQUARE = r"square matrix.*got shape "
+HUGE = np.array([[np.longdouble("1e4000")]])
+
+MATRICES = [
+    matrix("2 × 3", np.ones((2, 3)), SQUARE + r"\(2, 3\)"),
+    matrix("sparse 3 × 4", sp.csr_array((3, 4)), SQUARE + r"\(3, 4\)"),
+    matrix("vector", [1.0, 2.0, 3.0], SQUARE + r"\(3,\)"),
+    matrix("cube", np.ones((2, 2, 2)), SQUARE + r"\(2, 2, 2\)"),
+    matrix("number", 2.0, SQUARE + r"\(\)"),
+    matrix("empty list", [], SQUARE + r"\(0,\)"),
+    matrix("NaN", with_entry(1, 2, NAN), r"M must be finite.*M\[1, 2\] = nan.*repair"),
+    matrix("∞", with_entry(2, 0, INF), r"M must be finite.*M\[2, 0\] = inf.*repair"),
+    matrix("CSR NaN", sp.csr_array(with_entry(1, 2, NAN)), r"M must be finite.*M\[1, 2\] = nan"),
+    matrix("CSC −∞", sp.csc_array(with_entry(2, 0, -INF)), r"M must be finite.*M\[2, 0\] = -inf"),
+    matrix("COO NaN on the diagonal", sp.coo_array(with_entry(1, 1, NAN)), r"M must be finite.*M\[1, 1\] = nan"),
+    matrix("duplicates that overflow", damaged_csr([1e308, 1e308, 1.0], [0, 0, 2], [0, 2, 2, 3]), r"M\[0, 0\] = inf"),
+    matrix("duplicates ∞ − ∞", damaged_csr([INF, -INF, 1.0], [0, 0, 2], [0, 2, 2, 3]), r"M\[0, 0\] = nan"),
+    matrix("wider than a double", HUGE, r"M must be finite.*M\[0, 0\] = "),
+    matrix("sparse, wider than a double", sp.csr_array(HUGE), r"M must be finite.*M\[0, 0\] = "),
+    matrix("complex", with_entry(0, 1, 1j, complex), r"M must hold real numbers.*complex.*convert"),
+    matrix("complex without imaginary part", np.eye(3, dtype=complex), r"M must hold real numbers.*complex"),
+    matrix("sparse complex", sp.eye_array(3, dtype=complex), r"M must hold real numbers.*complex"),
+    matrix("objects", np.eye(3).astype(object), r"M must hold real numbers.*object"),
+    matrix("an integer beyond 64 bits", [[10**30]], r"M must hold real numbers.*object"),
+    matrix("None", None, r"M must hold real numbers"),
+    matrix("dictionary", {(0, 0): 1.0}, r"M must hold real numbers"),
+    matrix("a text", "4 1; 1 4", r"M must hold real numbers.*text"),
+    matrix("texts", [["4", "1"], ["1", "4"]], r"M must hold real numbers.*text"),
+    matrix("bytes", [[b"4"]], r"M must hold real numbers.*bytes"),
+    matrix("dates", np.array([["2024-01-01"]], dtype="M8[D]"), r"M must hold real numbers.*dates"),
+    matrix("durations", np.array([[1]], dtype="m8[s]"), r"M must hold real numbers.*durations"),
+    matrix("Python dates", [[datetime.date(2024, 1, 1)]], r"M must hold real numbers"),
+    matrix("records", np.zeros((3, 3), dtype=[("a", float)]), r"M must hold real numbers"),
+    matrix("ragged", [[1.0, 2.0], [3.0]], r"M .*rectangular array.*check its rows"),
+    matrix("masked", np.ma.array(np.eye(3), mask=np.eye(3)), r"M .*masked array.*fill"),
+    matrix("masked, nothing hidden", np.ma.array(np.eye(3)), r"M .*masked array.*fill"),
+    row("M is an LCP", InvalidProblem, r"M must hold real numbers", lambda g: LCP(g.problem, g.q)),
+    matrix("CSR column beyond n", damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*build it again"),
+    matrix("CSR column negative", damaged_csr(indices=[0, -1, 2]), r"damaged sparse.*>= 0.*build it again"),
+    matrix("CSR indptr not monotone", damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
+    matrix("CSR indptr negative", damaged_csr(indptr=[0, -1, -2, -3]), r"damaged sparse"),
+    matrix("CSR indptr too short", damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
+    matrix("CSR indptr begins with 1", damaged_csr(indptr=[1, 1, 2, 3]), r"damaged sparse.*0"),
+    matrix("CSR indptr beyond the data", damaged_csr(indptr=[0, 1, 2, 9]), r"damaged sparse"),
+    matrix("CSR data too short", damaged_csr(data=[1.0]), r"damaged sparse"),
+    matrix("CSR data in two dimensions", damaged_csr(data=[[1.0, 1.0, 1.0]]), r"damaged sparse"),
+]
+
+
+def older_matrix(values: Any) -> np.matrix:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PendingDeprecationWarning)
+        return np.matrix(values)
+
+
+def offset(name: str, q: Any, pattern: str) -> Any:
+    return row(f"q {name}", InvalidProblem, pattern, lambda g: LCP(g.M, q))
+
+
+VECTOR = r"q must be a finite vector of length 3.*"
+
+OFFSETS = [
+    offset("too short", [1.0, 2.0], VECTOR + r"\(2,\)"),
+    offset("too long", [1.0, 2.0, 3.0, 4.0], VECTOR + r"\(4,\)"),
+    offset("a column", np.ones((3, 1)), VECTOR + r"\(3, 1\)"),
+    offset("a row", np.ones((1, 3)), VECTOR + r"\(1, 3\)"),
+    offset("np.matrix", older_matrix([1.0, 2.0, 3.0]), VECTOR + r"\(1, 3\)"),
+    offset("a number", 1.0, VECTOR + r"\(\)"),
+    offset("empty", [], VECTOR + r"\(0,\)"),
+    offset("NaN", [1.0, NAN, 3.0], VECTOR + r"q\[1\] = nan"),
+    offset("∞", [1.0, 2.0, -INF], VECTOR + r"q\[2\] = -inf"),
+    offset("complex", [1.0, 2.0, 0j], r"q must .*got complex.*convert"),
+    offset("texts", ["1", "2", "3"], r"q must .*got text.*convert"),
+    offset("None", None, r"q must .*got None"),
+    offset("with a None", [1.0, None, 3.0], r"q must .*got (object|complex)"),
+    offset("a generator", (k for k in range(3)), r"q must .*got (object|complex)"),
+    offset("ragged", [[1.0], [2.0, 3.0]], r"q .*rectangular array.*check its rows"),
+    offset("masked", np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0]), r"q .*masked array.*fill"),
+    offset("sparse", sp.csr_array([[1.0, 2.0, 3.0]]), r"q must be .*vector of length 3.*sparse.*toarray\(\)\.ravel"),
+    row("with_q too short", InvalidProblem, VECTOR + r"\(2,\)", lambda g: g.problem.with_q([1.0, 2.0])),
+    row("with_q NaN", InvalidProblem, r"q\[0\] = nan", lambda g: g.problem.with_q([NAN, 2.0, 3.0])),
+    row("with_q complex", InvalidProblem, r"q must .*got (object|complex)", lambda g: g.problem.with_q([1j, 2.0, 3.0])),
+    row("with_q lower", InvalidProblem, r"lower must be .*3.*\(2,\)", lambda g: g.problem.with_q(g.q, lower=[0, 0])),
+    row("with_q crosses the bound kept", InvalidProblem, r"lower\[1\] = 6.0 and upper\[1\] = 5.0",
+        lambda g: g.problem.with_q(g.q, lower=6.0)),
+    row("slack too short", InvalidProblem, r"z must be a.* vector of length 3.*\(2,\)",
+        lambda g: g.problem.slack([1.0, 2.0])),
+    row("slack of a matrix", InvalidProblem, r"z must be a.* vector of length 3.*\(3, 3\)",
+        lambda g: g.problem.slack(np.eye(3))),
+]
+
+
+def bounds(name: str, pattern: str, **given: Any) -> Any:
+    return row(name, InvalidProblem, pattern, lambda g: LCP(g.M, g.q, **given))
+
+
+BOUNDS = [
+    bounds("lower too short", r"lower must be a number or a vector of length 3.*\(2,\)", lower=[0.0, 0.0]),
+    bounds("upper of length 1", r"upper must be a number or a vector of length 3.*\(1,\)", upper=[1.0]),
+    bounds("upper a column", r"upper must be a number or a vector of length 3.*\(3, 1\)", upper=np.ones((3, 1))),
+    bounds("lower NaN", r"lower must not hold NaN.*lower\[0\] = nan.*-inf", lower=NAN),
+    bounds("upper NaN", r"upper must not hold NaN.*upper\[1\] = nan.*inf", upper=[1.0, NAN, 1.0]),
+    bounds("crossing", r"lower ≤ upper.*lower\[1\] = 2.0 and upper\[1\] = 1.0", lower=[0.0, 2.0, 0.0], upper=1.0),
+    bounds("upper below the default lower", r"lower ≤ upper.*lower\[0\] = 0.0 and upper\[0\] = -1.0", upper=-1.0),
+    bounds("lower = ∞", r"lower ≤ upper.*lower\[2\] = inf", lower=[0.0, 0.0, INF]),
+    bounds("upper = −∞", r"lower ≤ upper.*upper\[0\] = -inf", lower=-INF, upper=-INF),
+    bounds("lower None", r"lower must .*got None", lower=None),
+    bounds("upper None", r"upper must .*got None", upper=None),
+    bounds("upper with a None", r"upper must .*got object", upper=[1.0, None, 1.0]),
+    bounds("lower a text", r"lower must .*got text.*convert", lower="0"),
+    bounds("lower complex", r"lower must .*got complex.*convert", lower=0j),
+    bounds("lower sparse", r"lower must .*got (a sparse array|object)", lower=sp.csr_array([[0.0, 0.0, 1.0]])),
+    bounds("lower masked", r"lower .*masked array.*fill", lower=np.ma.array([0.0, 0.0, 0.0], mask=[1, 0, 0])),
+]
+
+
+def run(name: str, error: type[LCPError], pattern: str, *algorithm: Any, **settings: Any) -> Any:
+    return row(name, error, pattern, lambda g: solve(g.plain, *algorithm, **settings))
+
+
+LENGTH_3 = r"z0 must be a finite vector of length 3"
+WHOLE = r"max_iterations must be a whole number ≥ 0, got "
+
+RUNS = [
+    run("algorithm misspelt", UnknownAlgorithm, r"unknown algorithm 'psr'; did you mean 'psor'\?.*npgs", "psr"),
+    run("algorithm nothing like it", UnknownAlgorithm, r"unknown algorithm 'gurobi'; known: auto, .*npsor", "gurobi"),
+    run("algorithm empty", UnknownAlgorithm, r"unknown algorithm ''.*known: auto", ""),
+    run("algorithm in capitals", UnknownAlgorithm, r"unknown algorithm 'PSOR'.*psor", "PSOR"),
+    run("algorithm None", UnknownAlgorithm, r"algorithm must be a name or an object.*got None", None),
+    run("algorithm a number", UnknownAlgorithm, r"algorithm must be a name or an object.*got 3", 3),
+    run("algorithm a list", UnknownAlgorithm, r"algorithm must be a name or an object.*got \['psor'\]", ["psor"]),
+    run("algorithm a class", UnknownAlgorithm, r"algorithm must be a name or an object.*PSOR\(", PSOR),
+    run("option misspelt", InvalidOption, r"psor has no option 'relaxtion'; did you mean 'relaxation'\?.*sweep",
+        "psor", relaxtion=1.0),
+    run("option of another algorithm", InvalidOption, r"npgs has no option 'relaxation'.*scaling",
+        "npgs", relaxation=1.5),
+    run("option nothing like it", InvalidOption, r"pj has no option 'presolve'; known: sweep", "pj", presolve=True),
+    run("verbose a number", InvalidOption, r"verbose must be True or False, got 1", verbose=1),
+    run("setting misspelt", InvalidOption, r"'max_iter'; did you mean 'max_iterations'\?.*known: sweep",
+        "pj", max_iter=5),
+    run("setting misspelt, no options", InvalidOption,
+        r"did you mean 'max_seconds'\? \(solve itself takes absolute_tolerance, ", "newton", max_second=5),
+    run("setting misspelt with auto", InvalidOption, r"auto.*\['max_iter'\].*did you mean 'max_iterations'\?",
+        max_iter=5),
+    run("setting misspelt, an object", InvalidOption, r"NPSOR\(.*did you mean 'tolerance'\?",
+        NPSOR(), tolerence=1e-5),
+    run("None as a word", InvalidOption, r"scaling='None' is not offered; did you mean None\? \(known: None, auto",
+        "npsor", scaling="None"),
+    run("pgs with a relaxation", InvalidOption, r"pgs has no option 'relaxation'.*sweep", "pgs", relaxation=1.5),
+    run("option beside an object", InvalidOption, r"'relaxation'.*beside an algorithm object.*NPSOR\(",
+        NPSOR(), relaxation=1.5),
+    row("option of march abbreviated", InvalidOption,
+        r"march has no option 'tol'; did you mean 'tolerance'\? \(known: absolute_tolerance, ",
+        lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5)),
+    run("option with auto", InvalidOption, r"auto.*\['relaxation'\].*name an algorithm", relaxation=1.5),
+    run("tolerance negative", InvalidOption, r"tolerance must be finite and not negative, got -1e-08", tolerance=-1e-8),
+    run("tolerance NaN", InvalidOption, r"tolerance must be finite and not negative, got nan", tolerance=NAN),
+    run("tolerance ∞", InvalidOption, r"tolerance must be finite and not negative, got inf", tolerance=INF),
+    run("tolerance a text", InvalidOption, r"tolerance must be .*number, got '1e-8'", tolerance="1e-8"),
+    run("tolerance None", InvalidOption, r"tolerance must be .*number, got None", tolerance=None),
+    run("tolerance True", InvalidOption, r"tolerance must be .*number, got True", tolerance=True),
+    run("tolerance complex", InvalidOption, r"tolerance must be .*number, got 1j", tolerance=1j),
+    run("tolerance a vector", InvalidOption, r"tolerance must be .*number, got array", tolerance=np.full(3, 1e-8)),
+    run("tolerance beyond every double", InvalidOption, r"tolerance must be .*finite", tolerance=10**309),
+    run("max_iterations negative", InvalidOption, WHOLE + "-1", max_iterations=-1),
+    run("max_iterations a float", InvalidOption, WHOLE + "5.0", max_iterations=5.0),
+    run("max_iterations True", InvalidOption, WHOLE + "True", max_iterations=True),
+    run("max_iterations a text", InvalidOption, WHOLE + "'5'", max_iterations="5"),
+    run("max_seconds negative", InvalidOption, r"max_seconds must be finite and not negative, got -1", max_seconds=-1),
+    run("max_seconds NaN", InvalidOption, r"max_seconds must be finite and not negative, got nan", max_seconds=NAN),
+    run("max_seconds a text", InvalidOption, r"max_seconds must be .*number, got '1'", max_seconds="1"),
+    run("max_seconds True", InvalidOption, r"max_seconds must be .*number, got True", max_seconds=True),
+    run("callback no function", InvalidOption, r"callback must be .*got 3", callback=3),
+    run("z0 too short", InvalidOption, LENGTH_3 + r".*\(2,\)", z0=[1.0, 2.0]),
+    run("z0 a number", InvalidOption, LENGTH_3 + r".*\(\)", z0=0.0),
+    run("z0 a column", InvalidOption, LENGTH_3 + r".*\(3, 1\)", z0=np.zeros((3, 1))),
+    run("z0 NaN", InvalidOption, LENGTH_3 + r".*NaN", z0=[1.0, NAN, 1.0]),
+    run("z0 ∞", InvalidOption, LENGTH_3 + r".*infinite", z0=[1.0, INF, 1.0]),
+    run("z0 a text", InvalidOption, LENGTH_3, z0="warm"),
+    run("z0 texts", InvalidOption, r"z0 must ", z0=["1", "2", "3"]),
+    run("z0 complex list", InvalidOption, r"z0 must ", z0=[1j, 0.0, 0.0]),
+    run("z0 complex array", InvalidOption, r"z0 must ", z0=np.array([1j, 0.0, 0.0])),
+    run("z0 masked", InvalidOption, r"z0 .*masked", z0=np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0])),
+    run("z0 sparse", InvalidOption, LENGTH_3, z0=sp.csr_array([[1.0, 2.0, 3.0]])),
+    run("z0 ragged", InvalidOption, LENGTH_3, z0=[[1.0], [2.0, 3.0]]),
+    row("solve of M and q", InvalidOption, r"got ndarray; write solve\(LCP\(M, q\)\), or solve\(QuadraticProgram",
+        lambda g: solve(g.M, g.q)),
+    row("solve of M", InvalidOption, r"solve needs an LCP.* got csr_array", lambda g: solve(g.csr)),
+    row("solve of nothing", InvalidOption, r"solve needs an LCP.* got NoneType", lambda g: solve(None)),
+]
+
+LENGTH_OF_Z = r"z must be a.* vector of length 3"
+
+POINTS = [
+    row(f"Certificate {name}", InvalidProblem, LENGTH_OF_Z + pattern, lambda g, z=z: Certificate.of(g.problem, z))
+    for name, z, pattern in [
+        ("too short", [1.0, 2.0], r".*\(2,\)"),
+        ("too long", np.ones(4), r".*\(4,\)"),
+        ("of a column", np.ones((3, 1)), r".*\(3, 1\)"),
+        ("of a number", 1.0, r".*\(\)"),
+        ("of None", None, ""),
+        ("of a text", "abc", ""),
+        ("of texts", ["1", "2", "3"], ""),
+        ("of a complex list", [1j, 0.0, 0.0], ""),
+        ("of a complex array", np.array([1j, 0.0, 0.0]), ""),
+        ("of a ragged list", [[1.0], [2.0, 3.0]], ""),
+        ("of a sparse array", sp.csr_array([[1.0, 2.0, 3.0]]), ""),
+    ]
+]
+
+
+@pytest.mark.parametrize(("error", "pattern", "call"), [*MATRICES, *OFFSETS, *BOUNDS, *RUNS, *POINTS])
+def test_refused(error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> None:
+    """A wrong argument is refused in a sentence that names it, and everything is as it was before the call."""
+    assert_refused(error, pattern, call)
+
+
+# --- options of every algorithm ----------------------------------------------------------------------------
+
+NO_NUMBER = ["x", "1.5", True, None, 1j, [1.0], np.array([1.0, 1.0])]
+NO_POSITIVE_NUMBER = [0, -1, -0.5, NAN, INF, -INF, *NO_NUMBER]
+BAD_VALUES: dict[str, list[Any]] = {
+    "relaxation": NO_POSITIVE_NUMBER,
+    "acceleration": [NAN, INF, -INF, *NO_NUMBER],
+    "scaling": ["diag", "Auto", "none", "Diagonal", 2.0, True, ["diagonal"]],
+    "scaling_factor": NO_POSITIVE_NUMBER,
+    "sweep": ["up", "Forward", "", None, True, 1, ["forward"]],
+    "omega": [0, -1, NAN, INF, "x", True, None],
+    "splitting": ["diag", ""],
+    "smoother": ["PGS", "", 1, None],
+    "nested": [None, 1, "yes"],
+    "hands_over": [None, 1, "yes"],
+    "coarsest": [0, -1, 2.5, True, "x"],
+    "max_pivots": [-1, 2.5, NAN, True, "x", [1]],
+    "restarts": [-1, 2.5, NAN, True, "x", [1]],
+}
+MORE_BAD_VALUES = {
+    ("psor", "relaxation"): [2, 2.0, 2.5, "Auto"],
+    ("pgs", "relaxation"): [2.5, "auto"],
+}
+OPTION_ROWS = [
+    pytest.param(name, option, value, id=f"{name} {option}={value!r}")
+    for name, options in OPTIONS.items()
+    for option in options
+    for value in [*BAD_VALUES.get(option, []), *MORE_BAD_VALUES.get((name, option), [])]
+]
+
+
+def test_every_option_has_bad_values() -> None:
+    """No option of a registered algorithm is missing from the table of values to refuse."""
+    assert set(BAD_VALUES) == {option for options in OPTIONS.values() for option in options}
+
+
+@pytest.mark.parametrize(("name", "option", "value"), OPTION_ROWS)
+def test_option_out_of_range(name: str, option: str, value: Any) -> None:
+    """An option value that cannot be used is refused with algorithm, option and value, by solve and by the class."""
+    pattern = rf"^{name}\b.*\b{option}\b.*{re.escape(repr(value))}"
+    assert_refused(InvalidOption, pattern, lambda g: solve(g.plain, name, **{option: value}))
+    assert_refused(InvalidOption, pattern, lambda g: KINDS[name](**{option: value}))
+
+
+@pytest.mark.parametrize(
+    "omega",
+    [
+        1j, [1.0, 2.0], [1.0, -1.0, 1.0], [1.0, 0.0, 1.0], [1.0, NAN, 1.0], [1.0, INF, 1.0], [],
+        np.ones((3, 1)), ["1", "1", "1"], [1j, 1.0, 1.0], np.ones(3, dtype=complex), [[1.0], [2.0, 3.0]],
+        sp.eye_array(3), np.ma.array([1.0, 1.0, 1.0], mask=[1, 0, 0]),
+    ],
+    ids=["complex", "short", "negative", "zero", "NaN", "∞", "empty", "column", "texts", "complex list",
+         "complex array", "ragged", "sparse", "masked"],
+)
+def test_omega_must_be_positive_and_fit(omega: Any) -> None:
+    """A vector Ω of the wrong shape, sign or kind is refused by every modulus method."""
+    for name in MODULUS:
+        pattern = rf"^{name}: omega must be"
+        assert_refused(InvalidOption, pattern, lambda g, name=name: solve(g.plain, name, omega=omega))
+
+
+@pytest.mark.parametrize(
+    ("splitting", "pattern"),
+    [
+        (None, "None"),
+        (3.0, r"\(3, 3\).*\(\)"),
+        (np.ones(3), r"\(3, 3\).*\(3,\)"),
+        (np.ones((3, 2)), r"\(3, 3\).*\(3, 2\)"),
+        (np.eye(2), r"\(3, 3\).*\(2, 2\)"),
+        (sp.eye_array(5), r"\(3, 3\).*\(5, 5\)"),
+        (np.eye(3) * 1j, "complex"),
+        (with_entry(1, 2, NAN), r"finite.*\[1, 2\] = nan"),
+        (np.eye(3, dtype=object), "object"),
+        ([[1.0, 2.0], [3.0]], "rectangular"),
+    ],
+    ids=["None", "number", "vector", "3 × 2", "2 × 2", "sparse 5 × 5", "complex", "NaN", "objects", "ragged"],
+)
+def test_splitting_must_be_a_matrix_like_M(splitting: Any, pattern: str) -> None:
+    """A splitting that is no real, finite matrix of the shape of M is refused, and q is not made responsible."""
+    pattern = rf"^npsplitting: (?!.*\bq must).*\bsplitting\b.*{pattern}"
+    assert_refused(InvalidOption, pattern, lambda g: solve(g.plain, "npsplitting", splitting=splitting))
+
+
+@pytest.mark.parametrize("option", ["relaxation", "acceleration", "scaling_factor", "omega"])
+def test_integer_beyond_every_double_is_refused(option: str) -> None:
+    """An integer that no double can hold is out of range like infinity, for every algorithm with that option."""
+    names = [name for name, options in OPTIONS.items() if option in options]
+    assert names
+    for name in names:
+        pattern = rf"^{name}\b.*{option}"
+        assert_refused(InvalidOption, pattern, lambda g, name=name: solve(g.plain, name, **{option: 10**309}))
+
+
+def test_numpy_numbers_are_numbers() -> None:
+    """NumPy's own integers and floats, zero limits and a zero tolerance are used, not refused."""
+    given = Given()
+    result = solve(
+        given.problem, "psor", relaxation=np.float32(1.5), tolerance=np.float64(1e-6), max_iterations=np.int64(500),
+        max_seconds=np.float32(60.0), z0=np.array([1, 2, 3], dtype=np.int8),
+    )
+    assert result.is_solved
+    assert solve(given.problem, "npsor", relaxation=np.int32(1)).is_solved
+    assert solve(given.plain, MGS(omega=np.float64(0.5))).is_solved
+    assert solve(given.problem, "pgs", max_iterations=0, max_seconds=0, tolerance=0).iterations == 0
+
+
+# --- what an algorithm cannot run on -------------------------------------------------------------------------
+
+
+def with_diagonal(value: float | None) -> LCP:
+    """A problem with a diagonal 4, 4, value, 4; None leaves the entry out."""
+    M = sp.lil_array(4.0 * np.eye(4) - np.eye(4, k=1))
+    M[2, 2] = 0.0 if value is None else value
+    return LCP(M, -np.ones(4))
+
+
+@pytest.mark.parametrize("value", [0.0, None, -1.0, -1e-300, 5e-324, 1e-310])
+@pytest.mark.parametrize("name", NEEDS_POSITIVE_DIAGONAL)
+def test_diagonal_must_be_positive(name: str, value: float | None) -> None:
+    """Zero, missing, negative or too small to invert: a method that divides by the diagonal names the entry."""
+    pattern = rf"^{name} needs a positive diagonal.*M\[2, 2\] = {re.escape(str(value or 0.0))}; try algorithm=\"auto"
+    assert_refused(UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name))
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("value", [0.0, None, -1e-300, 5e-324, 1e-310])
+@pytest.mark.parametrize("name", ["auto", *NEEDS_NO_DIAGONAL])
+def test_other_methods_try(name: str, value: float | None) -> None:
+    """A method that does not divide by the diagonal runs and tells the outcome, auto included."""
+    result = solve(with_diagonal(value), name, max_iterations=300)
+    assert isinstance(result, Result)
+    assert result.certificate.relative_residual == result.residual
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "options"),
+    [
+        ("npj", -1.0, {}),  # d/1 + d + 2 = 0 exactly
+        ("npgs", -1.0, {}),
+        ("npj", -5.0, {}),
+        ("npj", -5.0, {"scaling": None}),
+        ("npgs", -1e300, {}),
+        ("npsor", -2.0, {"relaxation": 1.0}),
+        ("npsor", -1.5, {"relaxation": 0.5}),
+        ("npsor", -3.0, {"scaling": None}),
+        ("npaor", -3.0, {"scaling": None}),
+        ("npaor", -1.0, {"relaxation": 0.5, "acceleration": 0.0}),
+        ("npgs", -5.0, {"scaling": "diagonal"}),
+        ("npj", -5.0, {"scaling": "diagonal", "scaling_factor": 3.0}),
+    ],
+)
+def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]) -> None:
+    """Where d/α + d + 2 ≤ 0 on a row, NP* is refused with the row, the diagonal and the pivot."""
+    pattern = rf"^{name} needs d/α \+ d \+ 2 > 0.*M\[2, 2\] = {re.escape(str(value))} gives (-|0)"
+    assert_refused(UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name, **options))
+
+
+def test_pivot_just_above_zero_is_tried() -> None:
+    """A negative diagonal with d/α + d + 2 > 0 is no reason to refuse."""
+    assert isinstance(solve(with_diagonal(-0.99), "npj", max_iterations=50), Result)
+    assert isinstance(solve(with_diagonal(-1.25), "npsor", max_iterations=50), Result)
+
+
+def test_advice_is_not_what_was_already_done() -> None:
+    """A pivot that is not positive is the diagonal's fault, which no scaling changes: auto is named."""
+    problem = LCP([[4.0, 0.0], [0.0, -5.0]], [1.0, -1.0])
+    for name in ("npgs", "npsplitting"):
+        for scaling in ("auto", "diagonal", *([None] if name == "npgs" else [])):
+            with pytest.raises(UnsuitableMatrix, match=r'(M\[1, 1\]|singular).* algorithm="auto"$') as caught:
+                solve(problem, name, scaling=scaling)
+            assert "scaling=" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"scaling": None}, {"scaling": "diagonal"}], ids=["auto", "unscaled", "scaled"]
+)
+@pytest.mark.parametrize("name", [name for name, options in OPTIONS.items() if "scaling" in options])
+def test_diagonal_near_the_largest_double_is_no_obstacle(name: str, options: dict[str, Any]) -> None:
+    """A diagonal of 1e308 or 1e-307 overflows nowhere: no warning, no refusal, the answer found."""
+    result = solve(LCP([[1e308, 0.0], [0.0, 4.0]], [1e307, -1.0]), name, **options)
+    assert result.is_solved
+    assert solve(LCP([[1e-307, 0.0], [0.0, 4.0]], [1e-307, -1.0]), name, **options).is_solved
+
+
+@pytest.mark.parametrize(
+    ("M", "options"),
+    [
+        ([[-1.0, 0.0], [0.0, 4.0]], {"splitting": "diagonal"}),
+        ([[-1.0, 0.0], [0.0, 4.0]], {}),
+        ([[4.0, 1.0], [0.0, 4.0]], {"splitting": [[-6.0, 1.0], [0.0, 1.0]], "scaling": None}),
+        ([[4.0, 1.0], [0.0, 4.0]], {"splitting": sp.csr_array([[-5.0, 1.0], [1.0, -5.0]]), "scaling": None}),
+    ],
+)
+def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
+    """Where the matrix to factorise is singular, npsplitting says so and what to choose instead."""
+    assert_refused(
+        UnsuitableMatrix, r"^npsplitting: .*is singular.*choose another splitting",
+        lambda g: solve(LCP(M, [1.0, -1.0]), "npsplitting", **options),
+    )
+
+
+@pytest.mark.parametrize("name", MODULUS)
+@pytest.mark.parametrize(
+    ("lower", "upper", "interval"),
+    [
+        (0.0, [INF, 3.0, INF], r"row 1 has bounds \[0\.0, 3\.0\]"),
+        ([0.0, 0.0, -INF], INF, r"row 2 has bounds \[-inf, inf\]"),
+        ([-INF, 0.0, 0.0], 1.0, r"row 0 has bounds \[-inf, 1\.0\]"),
+        (-1.0, 1e300, r"row 0 has bounds \[-1\.0, 1e\+300\]"),
+    ],
+    ids=["box", "free", "upper only", "wide box"],
+)
+def test_modulus_methods_need_lower_bounds_only(name: str, lower: Any, upper: Any, interval: str) -> None:
+    """A free row, or one with an upper bound, is refused by the modulus methods with row, bounds and alternative."""
+    assert_refused(
+        UnsuitableProblem, rf"^{name} needs a finite lower and no upper bound.*{interval}.*; try algorithm=\"auto\"$",
+        lambda g: solve(LCP(g.M, g.q, lower=lower, upper=upper), name),
+    )
+
+
+# --- the way it is refused -----------------------------------------------------------------------------------
+
+
+def test_nothing_runs_before_a_refusal() -> None:
+    """A refused solve has not called back: the refusal comes before the first iterate."""
+    seen: list[Sample] = []
+    refusals: list[dict[str, Any]] = [
+        {"algorithm": "psor", "relaxation": 0.0},
+        {"algorithm": "psor", "tolerance": -1.0},
+        {"algorithm": "psor", "z0": [1.0]},
+        {"algorithm": "mgs", "omega": [1.0]},
+        {"algorithm": "nobody"},
+    ]
+    for settings in refusals:
+        with pytest.raises(LCPError):
+            solve(Given().plain, callback=lambda sample, z: seen.append(sample), **settings)
+    with pytest.raises(UnsuitableMatrix):
+        solve(with_diagonal(0.0), "psor", callback=lambda sample, z: seen.append(sample))
+    assert seen == []
+
+
+def test_every_error_is_its_builtin_too() -> None:
+    """Each error is an LCPError and the builtin exception that a caller would expect; none is left out."""
+    assert set(BUILTIN_BASE) == set(LCPError.__subclasses__())
+    for error, builtin in BUILTIN_BASE.items():
+        assert issubclass(error, builtin)
+
+
+DAMAGES = {
+    "CSC row beyond n": "M = sp.csc_array(E); M.indices = np.array([0, 2_000_000_000, 2], np.int32)",
+    "CSC row negative": "M = sp.csc_array(E); M.indices = np.array([0, -1, 2], np.int32)",
+    "CSC indptr not monotone": "M = sp.csc_array(E); M.indptr = np.array([0, 2, 1, 3], np.int32)",
+    "CSC indptr beyond the data": "M = sp.csc_array(E); M.indptr = np.array([0, 1, 2, 900_000_000], np.int32)",
+    "CSC data too short": "M = sp.csc_array(E); M.data = np.array([1.0])",
+    "BSR indptr beyond the data": "M = sp.bsr_array(E, blocksize=(1, 1)); M.indptr[3] = 900_000_000",
+    "COO row beyond n": "M = sp.coo_array(E); M.row[1] = 500_000_000",
+    "COO row negative": "M = sp.coo_array(E); M.row[1] = -1",
+    "COO data too short": "M = sp.coo_array(E); M.data = np.array([1.0])",
+    "LIL row with more columns than values": "M = sp.lil_array(E); M.rows[1] = [1, 2]",
+}
+DAMAGE_SCRIPT = """
+import numpy as np, scipy.sparse as sp
+from lcp_plugin import LCP
+from lcp_plugin.core.errors import LCPError
+E = np.diag([1.0, 2.0, 3.0])
+{damage}
+try:
+    print("accepted as", LCP(M, [1.0, 2.0, 3.0]).csr.toarray().tolist())
+except LCPError as error:
+    print(type(error).__name__, error)
+"""
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
+def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
+    """A sparse array whose own arrays contradict each other is an InvalidProblem: no crash, no other matrix.
+
+    In a process of its own, because scipy's conversions read and write beyond the arrays of such a matrix.
+    """
+    script = DAMAGE_SCRIPT.format(damage=damage)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, encoding="utf-8", check=False)
+    assert done.returncode == 0, f"the process died with {done.returncode}: {done.stderr[-500:]}"
+    assert re.match(r"InvalidProblem M is a damaged sparse array", done.stdout), done.stdout
+
+
+# --- Arguments of a wrong kind ------------------------------------------------------------------------------------
+
+WRONG: dict[str, Any] = {
+    "number": 3.5, "bytes": b"x", "object": object(), "array": np.zeros((3, 3)), "sparse": sp.eye_array(3),
+    "complex": 1j, "list": [[1]], "slice": slice(None), "dictionary": {1: 2}, "set": {1, 2},
+}  # fmt: skip
+TAKE: dict[str, Callable[[LCP, Any], object]] = {
+    "solve algorithm": lambda p, wrong: solve(p, wrong),
+    "convergence_guarantee algorithm": lambda p, wrong: convergence_guarantee(p, wrong),
+    "error_bound sharp": lambda p, wrong: error_bound(p, p.q, sharp=wrong),
+    "error_against_time target": lambda p, wrong: error_against_time(wrong),
+    "error_against_time algorithms": lambda p, wrong: error_against_time(p, wrong),
+    "error_against_time one algorithm": lambda p, wrong: error_against_time(p, [wrong]),
+    "error_against_time its options": lambda p, wrong: error_against_time(p, [("psor", wrong)]),
+    "error_against_time references": lambda p, wrong: error_against_time(p, ["psor"], wrong),
+    "error_against_time progress": lambda p, wrong: error_against_time(p, ["psor"], progress=wrong),
+    "cross_validate reference": lambda p, wrong: cross_validate(p, reference=wrong),
+    "cross_validate algorithm": lambda p, wrong: cross_validate(p, algorithm=wrong),
+    "stability_atlas algorithms": lambda p, wrong: stability_atlas(wrong, ["sizes"]),
+    "stability_atlas stresses": lambda p, wrong: stability_atlas(["psor"], wrong),
+    "stability_atlas progress": lambda p, wrong: stability_atlas(["psor"], ["sizes"], progress=wrong),
+    "gallery parse": lambda p, wrong: gallery.parse(wrong),
+    "gallery build": lambda p, wrong: gallery.build(wrong),
+    "report plot": lambda p, wrong: REPORT.plot(wrong),
+    "report against": lambda p, wrong: REPORT.plot(against=wrong),
+    "report csv": lambda p, wrong: REPORT.to_csv(wrong),
+    "report json": lambda p, wrong: REPORT.to_json(wrong),
+    "profile csv": lambda p, wrong: performance_profile([REPORT]).to_csv(wrong),
+    "atlas csv": lambda p, wrong: Atlas((), ()).to_csv(wrong),
+    "ComplementarityProblem": lambda p, wrong: ComplementarityProblem(wrong),
+}
+REPORT = Report("", "", 1, 1, "residual", 1e-8, 1, 0.0, ())
+
+
+@pytest.mark.parametrize("what", TAKE)
+@pytest.mark.parametrize("kind", WRONG)
+def test_an_argument_of_a_wrong_kind_is_refused_in_words(what: str, kind: str) -> None:
+    """Whatever is handed over instead of what is needed ends in an LCPError, not in somebody else's TypeError."""
+    with pytest.raises(LCPError):
+        TAKE[what](Given().plain, WRONG[kind])

@@ -1,0 +1,343 @@
+"""Pieces of work that threads share: in order, whole, ended before anybody goes on, the same bits for any number."""
+
+from __future__ import annotations
+
+import _thread
+import signal
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from test_forks import exit_code_of_a_child
+
+from lcp_plugin import LCP, InvalidOption, NonlinearProblem, gallery, prepare, solve, solve_many, solve_nonlinear
+from lcp_plugin.algorithms import NPGS
+from lcp_plugin.core.certificates import row_residuals
+from lcp_plugin.core.certificates.row_residuals import residual_ends_of
+from lcp_plugin.core.kernels.threads import in_chunks, share, threads_for, threads_now
+from lcp_plugin.core.settings import Settings, checked_threads
+
+TWO = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 1.0])
+
+
+def pieces(count: int, smallest: int) -> list[tuple[int, int]]:
+    """What work is called with."""
+    return share(lambda first, end: (first, end), count, smallest)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 7])
+@pytest.mark.parametrize("smallest", [1, 4, 1000])
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 100, 1001])
+def test_pieces_cover_the_range_in_order(count: int, smallest: int, threads: int) -> None:
+    """Consecutive, none shorter than asked unless all is, no more than threads."""
+    with threads_for(threads):
+        found = pieces(count, smallest)
+    assert [first for first, _ in found] == [0, *(end for _, end in found[:-1])]
+    assert found[-1][1] == count
+    assert len(found) == min(threads, max(count // smallest, 1))
+    assert len(found) == 1 or all(end - first >= smallest for first, end in found)
+
+
+def test_nothing_is_shared_unasked() -> None:
+    """Outside of threads_for there is one piece, in the thread that calls, and after it, even after an error."""
+    assert threads_now() == 1
+    assert share(lambda first, end: threading.get_ident(), 10, 1) == [threading.get_ident()]
+    with threads_for(3):
+        with pytest.raises(ZeroDivisionError):
+            _divide_on_two_threads()
+        assert threads_now() == 3
+    assert threads_now() == 1
+
+
+def _divide_on_two_threads() -> None:
+    with threads_for(2):
+        assert threads_now() == 2
+        raise ZeroDivisionError
+
+
+def test_pieces_run_at_the_same_time() -> None:
+    """Three pieces that wait for each other converge."""
+    together = threading.Barrier(3, timeout=60.0)
+    with threads_for(3):
+        assert sorted(share(lambda first, end: together.wait(), 3, 1)) == [0, 1, 2]
+
+
+def test_an_error_waits_until_every_piece_has_ended() -> None:
+    """Nobody is at work when the error of the first piece that failed comes out; what follows is shared again."""
+    together, ended = threading.Barrier(3, timeout=60.0), []
+
+    def work(first: int, end: int) -> None:
+        together.wait()
+        if first < 2:
+            raise ValueError(f"piece {first}")
+        time.sleep(0.05)
+        ended.append(first)
+
+    with threads_for(3):
+        with pytest.raises(ValueError, match="piece 0"):
+            share(work, 3, 1)
+        assert ended == [2]
+        assert pieces(3, 1) == [(0, 1), (1, 2), (2, 3)]
+
+
+def test_work_inside_a_piece_stays_in_its_thread() -> None:
+    """A piece that shares in turn has one thread, whichever thread it is in; numpy's error state goes with it."""
+
+    def work(first: int, end: int) -> tuple[int, int, str]:
+        together.wait()
+        return threads_now(), len(pieces(100, 1)), np.geterr()["divide"]
+
+    together = threading.Barrier(2, timeout=60.0)
+    with threads_for(2), np.errstate(divide="raise"):
+        assert share(work, 2, 1) == [(1, 1, "raise")] * 2
+        assert threads_now() == 2
+
+
+def test_two_threads_at_once_share_each_with_its_helpers() -> None:
+    """Eight threads that share all the time get their own results, and their own numbers of threads."""
+
+    def one(k: int) -> bool:
+        with threads_for(1 + k % 4):
+            return all(
+                threads_now() == 1 + k % 4 and sum(share(lambda a, b: k * (b - a), 100 + j, 1)) == k * (100 + j)
+                for j in range(300)
+            )
+
+    with ThreadPoolExecutor(8) as pool:
+        assert all(pool.map(one, range(8)))
+
+
+def test_chunks_stop_at_an_error() -> None:
+    """After an error chunks that wait are not begun."""
+    begun = []
+
+    def work(first: int, end: int) -> None:
+        begun.append(first)
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        in_chunks(work, 10_000, 2)
+    assert len(begun) <= 2
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no way to send Ctrl-C to one thread")
+def test_ctrl_c_waits_for_the_pieces_at_work() -> None:
+    """Ctrl-C, in the caller's piece or while it waits for another one, comes out when no piece writes any more."""
+    main = threading.main_thread()
+
+    def work(first: int, end: int) -> None:
+        together.wait()
+        if threading.current_thread() is main:
+            if interrupts_own_piece:
+                signal.raise_signal(signal.SIGINT)
+            own_piece_ends.set()
+        else:
+            if not interrupts_own_piece:
+                own_piece_ends.wait(60.0)
+                time.sleep(0.1)  # by now the caller waits, most likely; if not, the outcome is the same
+                signal.pthread_kill(main.ident, signal.SIGINT)
+            time.sleep(0.2)
+        ended.append(first)
+
+    for interrupts_own_piece in (True, False):
+        together, own_piece_ends, ended = threading.Barrier(2, timeout=60.0), threading.Event(), []
+        with threads_for(2), pytest.raises(KeyboardInterrupt):
+            share(work, 2, 1)
+        assert len(ended) == (1 if interrupts_own_piece else 2)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no fork")
+def test_a_child_of_a_fork_has_helpers_of_its_own() -> None:
+    """A child forked while the helpers are there, and at work, shares its work with new ones."""
+    go_on = threading.Event()
+
+    def shared() -> bool:
+        together = threading.Barrier(3, timeout=60.0)
+        with threads_for(3):
+            return sorted(share(lambda first, end: together.wait(), 3, 1)) == [0, 1, 2]
+
+    def busy() -> None:
+        with threads_for(3):
+            share(lambda first, end: go_on.wait(), 3, 1)
+
+    thread = threading.Thread(target=busy)
+    thread.start()
+    try:
+        assert exit_code_of_a_child(shared) == 0
+    finally:
+        go_on.set()
+        thread.join()
+    assert shared()
+
+
+def test_helpers_end_with_what_they_helped() -> None:
+    """No thread is left when nobody may share any more."""
+    together = threading.Barrier(4, timeout=60.0)
+
+    def work(first: int, end: int) -> int:
+        together.wait()
+        return threading.get_ident()
+
+    with threads_for(4):
+        helpers = {*share(work, 4, 1)} - {threading.get_ident()}
+        assert len(helpers) == 3
+        assert helpers <= sys._current_frames().keys()
+    for _ in range(1000):
+        if not helpers & sys._current_frames().keys():
+            break
+        time.sleep(0.01)
+    assert not helpers & sys._current_frames().keys()
+
+
+def test_jobs_that_nobody_takes_up_hold_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no helper comes up, what a piece worked on is free when it has been done."""
+
+    class Operand:
+        """What a piece of work holds."""
+
+    monkeypatch.setattr(_thread, "start_new_thread", lambda work, given: 0)
+    operand = Operand()
+    alive = weakref.ref(operand)
+    with threads_for(3):
+        share(partial(lambda operand, first, end: operand, operand), 3, 1)
+        del operand
+        assert alive() is None
+
+
+@pytest.mark.parametrize("asks_for", ["nothing", "work"])
+def test_helpers_that_find_no_memory_are_done_without(asks_for: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads that die before their first line, or as they take up work: the caller waits for none of them."""
+
+    def begin(work: Callable[..., None], given: tuple[Any]) -> None:
+        if asks_for == "work":
+            begin_thread(work, (NoMemory(given[0]),))
+
+    begin_thread = _thread.start_new_thread
+    monkeypatch.setattr(_thread, "start_new_thread", begin)
+    with threads_for(3):
+        assert pieces(3, 1) == [(0, 1), (1, 2), (2, 3)]
+        with pytest.raises(ZeroDivisionError):
+            share(lambda first, end: first // 0, 3, 1)
+    assert threads_now() == 1
+
+
+class NoMemory:
+    """A queue that gives nothing."""
+
+    def __init__(self, jobs: Any) -> None:
+        self.jobs = jobs
+
+    def get(self) -> None:
+        """Wait for work."""
+        self.jobs.get()
+        raise MemoryError
+
+
+class Seen(NPGS):
+    """Sweeps that note how many threads they may use."""
+
+    counts: ClassVar[list[int]] = []
+
+    def iterates(self, problem: Any, z0: Any) -> Any:
+        self.counts.append(threads_now())
+        yield from super().iterates(problem, z0)
+
+
+def counted(run: Callable[..., Any], **options: Any) -> int:
+    """How many threads a run may use."""
+    Seen.counts.clear()
+    run(Seen(), **options)
+    return Seen.counts[0]
+
+
+def in_solve(algorithm: Any, **options: Any) -> Any:
+    return solve(TWO, algorithm, **options)
+
+
+def in_solve_many(algorithm: Any, **options: Any) -> Any:
+    return solve_many(TWO, [TWO.q], algorithm, **options)
+
+
+def in_a_nonlinear_solve(algorithm: Any, **options: Any) -> Any:
+    problem = NonlinearProblem(lambda x: TWO.M @ x + TWO.q)
+    return solve_nonlinear(problem, [3.0, 3.0], algorithm, **options)
+
+
+@pytest.mark.parametrize("run", [in_solve, in_solve_many, in_a_nonlinear_solve], ids=lambda run: run.__name__)
+def test_threads_of_a_solve_are_what_was_asked_for(run: Callable[..., Any]) -> None:
+    """So many, all that may be used by default, and one again afterwards."""
+    assert counted(run, threads=3) == 3
+    assert counted(run) == checked_threads(None)
+    assert threads_now() == 1
+
+
+def test_threads_are_restored_after_errors() -> None:
+    """Whatever ends a solve, what was set around it is there again."""
+
+    def refuse(*_: object) -> bool:
+        assert threads_now() == 3
+        raise ZeroDivisionError
+
+    with threads_for(2):
+        with pytest.raises(ZeroDivisionError):
+            solve(TWO, "npgs", threads=3, callback=refuse)
+        assert threads_now() == 2
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "2", np.nan])
+def test_wrong_numbers_of_threads_are_refused(wrong: Any) -> None:
+    """By all who take them, with what was given and what is needed."""
+    problem = NonlinearProblem(lambda x: x)
+    for attempt in (
+        lambda: solve(TWO, threads=wrong), lambda: prepare(TWO, threads=wrong),
+        lambda: solve_many(TWO, [TWO.q], threads=wrong), lambda: solve_nonlinear(problem, [1.0], threads=wrong),
+    ):
+        with pytest.raises(InvalidOption, match=r"threads must be a whole number ≥ 1, or None .* got"):
+            attempt()
+
+
+def test_ranks_may_differ_in_threads() -> None:
+    """What all ranks must ask for alike does not name the threads."""
+    assert repr(Settings(threads=1)) == repr(Settings(threads=2))
+    assert Settings(threads=1) == Settings(threads=2)
+
+
+SCENES = [("obstacle_2d", {"size": 400}, "multigrid"), ("convection_diffusion", {"size": 400}, "multigrid"),
+          ("random_h_plus", {"n": 40_000}, "auto")]
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(("name", "size", "algorithm"), SCENES)
+def test_the_number_of_threads_changes_no_bit(name: str, size: dict[str, int], algorithm: str) -> None:
+    """“The number of threads changes no bit”: z, w, every residual and count, with 1 to 4 threads of one solve."""
+    told = []
+    for threads in (1, 2, 3, 4):
+        result = solve(gallery.build(name, **size).problem, algorithm, threads=threads)
+        certificate = result.certificate
+        numbers = certificate.relative_residual, certificate.scaled_residual, certificate.euclidean_residual
+        told.append((result.z.tobytes(), result.w.tobytes(), numbers, result.status, result.iterations, result.work))
+    assert told.count(told[0]) == 4
+
+
+@pytest.mark.parametrize("name", ["dense", "sparse"])
+def test_enclosed_residuals_are_the_same_in_pieces(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of a dense and of a sparse M, cut anywhere, have the bounds that they have together."""
+    rng = np.random.default_rng(0)
+    M: Any = rng.normal(size=(61, 61))
+    problem = LCP(M, rng.normal(size=61), upper=1.0)
+    z, scale = rng.random(61), problem.residual_scale
+    M = M if name == "dense" else sp.csr_array(M)
+    whole = residual_ends_of(M, z, problem, z, scale)
+    monkeypatch.setattr(row_residuals, "FEWEST", 7)
+    for threads in (2, 3, 8):
+        with threads_for(threads):
+            in_pieces = residual_ends_of(M, z, problem, z, scale)
+        assert [ends.tobytes() for ends in in_pieces] == [ends.tobytes() for ends in whole]

@@ -1,0 +1,211 @@
+"""SOLVED does not depend on units: what M is measured in changes neither the residual nor the status."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns.units import KINDS, answered, jumps, measured, random_units
+from mixed_units import ANSWER, BOUNDS, M, Q
+
+from lcp_plugin import LCP, Certificate, Status, march, solve, solve_batch
+from lcp_plugin.core.matrix.matrix import Matrix
+from lcp_plugin.core.matrix.units import units_of
+from lcp_plugin.problems.batches import batch_run
+
+FAR = 2.0**20  # the units of unknowns are powers of two between its inverse and it
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_powers_of_two_change_no_bit(kind: Any) -> None:
+    """M̂, the relative residual of any z and the status of auto are the same in any two random units."""
+    for seed in range(12):
+        M, q, z = answered(kind, seed)
+        at = z * (1.0 + 1e-4 * np.random.default_rng(seed).standard_normal(z.size))
+        seen = []
+        for k in (seed, seed + 1000):
+            rows, units = random_units(k, z.size)
+            problem = measured(M, q, rows, units)
+            found = units_of(problem.matrix)
+            assert found is not None
+            certificate = Certificate.of(problem, at * units)
+            seen.append((found.matrix.csr.data.tobytes(), certificate.relative_residual, solve(problem).status))
+        assert seen[0] == seen[1]
+        assert seen[0][2] is Status.SOLVED
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_units_change_the_residual_by_less_than_four(kind: Any) -> None:
+    """Units that are no powers of two round to them."""
+    for seed in range(12):
+        M, q, z = answered(kind, seed)
+        at, rng = z + 1e-4, np.random.default_rng(seed)
+        residuals = []
+        for _ in range(2):
+            rows, units = np.exp2(rng.uniform(-20.0, 20.0, (2, z.size)))
+            residuals.append(Certificate.of(measured(M, q, rows, units), at * units).relative_residual)
+        assert residuals[0] <= 4.0 * residuals[1]
+        assert residuals[1] <= 4.0 * residuals[0]
+
+
+@pytest.mark.parametrize("units", ["mixed", "smooth"])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind is not jumps])
+def test_the_residual_tells_right_from_wrong_in_any_units(kind: Any, units: str) -> None:
+    """Wrong by 10⁻³ in one unknown's own unit never passes 10⁻⁶, unless it is an answer too; right to 10⁻¹⁰ passes."""
+    for seed in range(60):
+        M, q, z = answered(kind, seed)
+        rng, (rows, of_z) = np.random.default_rng(seed), random_units(seed, z.size, units)
+        problem, j = measured(M, q, rows, of_z), int(rng.integers(z.size))
+        wrong = z + 1e-3 * np.eye(z.size)[j]
+        shown = Certificate.of(problem, wrong * of_z).relative_residual
+        assert shown > 1e-6 or np.abs(np.minimum(wrong, M @ wrong + q)).max() <= 1e-12, seed
+        right = z * (1.0 + 1e-10 * rng.uniform(-1.0, 1.0, z.size))
+        assert Certificate.of(problem, right * of_z).relative_residual <= 1e-8, seed
+
+
+def test_a_zero_on_the_diagonal_says_nothing_about_units() -> None:
+    """Friction, games, KKT forms and grids in one unit keep it, jumps and dominance too: no bit changes there."""
+    for kind in KINDS:
+        for seed in range(5):
+            assert units_of(Matrix(answered(kind, seed)[0])) is None
+
+
+def planted(seed: int) -> tuple[LCP, np.ndarray]:
+    """A problem in units that are alike, and its only answer: M + Mᵀ is definite, or M strictly dominant."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(5, 31))
+    B = rng.standard_normal((n, n)) * (rng.random((n, n)) < 0.6)
+    if seed % 3 == 1:
+        M = B - np.diag(np.diag(B))
+        M += np.diag(1.1 * np.abs(M).sum(axis=1) + 0.1)
+    else:
+        S = rng.standard_normal((n, n)) * (seed % 3 == 0)
+        M = 0.5 * B @ B.T + 0.5 * np.eye(n) + S - S.T
+    z = np.where(rng.random(n) < 0.4, 0.0, np.abs(rng.standard_normal(n)) + 0.1)
+    w = np.where(z == 0.0, np.abs(rng.standard_normal(n)) + 0.1, 0.0)
+    return LCP(M, w - M @ z, upper=np.where(rng.random(n) < 0.2, 2.0 * z + 1.0, np.inf)), z
+
+
+def in_units(problem: LCP, seed: int) -> tuple[LCP, np.ndarray]:
+    """The same problem in other units of its rows and unknowns, and those of the unknowns."""
+    rng = np.random.default_rng([seed, 1])
+    rows, columns = np.exp2(rng.integers(-20, 21, (2, problem.n)))
+    M = rows[:, None] * (problem.M.toarray() if sp.issparse(problem.M) else problem.M) / columns
+    return LCP(M, rows * problem.q, upper=columns * problem.upper), columns
+
+
+WRONG = np.array([1511.71259, 0.0, 0.0, 1e-4, 423442.392])
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke", "interior_point"])
+def test_no_door_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
+    """solve, watched or not, and solve_batch: a row missed its sign by 0.8 where its terms are 5."""
+    problem = LCP(M, Q, **BOUNDS)
+    results = [solve(problem, algorithm), solve(problem, algorithm, callback=lambda sample, z: False),
+               solve_batch(M[None], Q[None], algorithm=algorithm, **BOUNDS)[0]]
+    for result in results:
+        assert result.is_solved
+        assert result.z == pytest.approx(ANSWER, rel=1e-6)
+
+
+def test_the_residual_shows_a_wrong_row_in_small_units() -> None:
+    """A z that is a third off, with a row wrong by a seventh of its terms, is far from SOLVED."""
+    problem = LCP(M, Q, **BOUNDS)
+    assert Certificate.of(problem, WRONG).relative_residual > 1e-3
+    assert Certificate.of(problem, solve(problem, "lemke").z).relative_residual <= 1e-8
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke", "interior_point", "psor"])
+def test_what_is_solved_in_any_units_is_near_the_answer(algorithm: str) -> None:
+    """Of problems in random units (seeds that were lies among them) what is SOLVED has all unknowns to 1e-3."""
+    solved = 0
+    for seed in (*range(12), 27, 29, 48, 98, 108, 155, 177):
+        problem, z = planted(seed)
+        scaled, units = in_units(problem, seed)
+        result = solve(scaled, algorithm, max_iterations=3000)
+        solved += result.is_solved
+        assert not result.is_solved or np.abs(result.z / units - z).max() <= 1e-3, seed
+    assert solved >= 12
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "lemke"])
+def test_other_units_change_no_status(algorithm: str) -> None:
+    """Rows and unknowns multiplied by powers of two: SOLVED as before, and the same z."""
+    for seed in range(30):
+        problem, z = planted(seed)
+        scaled, units = in_units(problem, seed)
+        before, after = solve(problem, algorithm), solve(scaled, algorithm)
+        assert (before.status, after.status) == (Status.SOLVED, Status.SOLVED), seed
+        assert after.z / units == pytest.approx(z, abs=1e-5), seed
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_units_are_found(seed: int) -> None:
+    """Balancing finds the units of the unknowns to a few powers of two; of a problem in one unit there are none."""
+    problem = planted(seed)[0]
+    scaled, columns = in_units(problem, seed)
+    units = units_of(scaled.matrix)
+    assert units is not None
+    assert np.ptp(units.column - np.log2(columns)) <= 8
+    assert units_of(problem.matrix) is None
+
+
+def test_a_far_field_in_one_unit_stays_in_the_compiled_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a batch no problem is solved by itself."""
+    n = 14
+    near = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    M = 10.0 * np.eye(n) - (near == 1) - 0.1 * (near == 2)
+
+    def alone(*args: Any, **wishes: Any) -> None:
+        raise AssertionError("solved by itself")
+
+    monkeypatch.setattr(batch_run, "solve", alone)
+    batch = solve_batch(M, -np.eye(n)[-3:], tolerance=0.1)
+    assert batch.all_solved
+    assert (batch.z[:, 0] == 0.0).all()  # where the answer is positive
+
+
+def test_what_is_small_by_the_callers_word_is_right() -> None:
+    """A row whose residual is within absolute_tolerance, in the unit of its z, is right."""
+    problem = LCP([[1.0, 2.0**-40], [2.0**40, 2.0]], [-1e-9, -1e3], upper=[np.inf, 1e3])
+    z = [0.0, 500.0]
+    assert Certificate.of(problem, z).relative_residual > 1e-8
+    result = solve(problem, z0=z, absolute_tolerance=1e-3)
+    assert result.is_solved
+
+
+def test_a_march_judges_each_step_in_these_units() -> None:
+    """Tridiagonal, its units 1e±6 in turn: every step is what the march in one unit gives."""
+    n = 40
+    M = sp.diags_array([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    units = np.where(np.arange(n) % 2 == 0, FAR, 1.0 / FAR)
+    forcing = np.random.default_rng(0).standard_normal((4, n))
+    D, inverse = sp.diags_array(units), sp.diags_array(1.0 / units)
+    plain = march(LCP(M, np.zeros(n)), forcing)
+    scaled = march(LCP(sp.csr_array(M @ inverse), np.zeros(n)), forcing, carry=-sp.csr_array(inverse))
+    assert plain.all_solved
+    assert scaled.all_solved
+    for one, other in zip(plain.z, scaled.z, strict=True):
+        assert D @ one == pytest.approx(other, abs=1e-6 / FAR, rel=1e-6)
+
+
+def test_entries_near_the_end_of_the_range_have_units_too() -> None:
+    """What would overflow in other units is no error: the certificate still says what is wrong."""
+    problem = LCP([[1e300, 1e307], [1.0, 1e8]], [-1e307, -1e8])
+    assert units_of(problem.matrix) is not None
+    assert solve(problem, "lemke").is_solved
+    assert Certificate.of(problem, [0.5, 0.5]).relative_residual > 1e-3
+
+
+@pytest.mark.parametrize("algorithm", ["newton", "lemke", "interior_point"])
+def test_a_penalty_row_beside_a_wind_is_no_unit(algorithm: str) -> None:
+    """Upwind differences with one value held by 1e8: the wind grades no units, and nothing else is asked."""
+    n = 200
+    M = sp.diags_array([np.full(n - 1, -61.0), np.full(n, 62.01), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]).tolil()
+    M[0, 0], M[0, 1] = 1e8, 0.0
+    q = np.where(np.arange(n) < n - 2, 0.0, -1.0)
+    result = solve(LCP(sp.csr_array(M), q), algorithm)
+    assert result.is_solved
+    assert result.iterations <= 20

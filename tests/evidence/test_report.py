@@ -1,0 +1,524 @@
+"""The report: one page that needs nothing else, sentences that follow the data, and a run that can be stopped."""
+
+from __future__ import annotations
+
+import functools
+import gc
+import html
+import http.server
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from lcp_plugin import LCP, InvalidOption, gallery
+from lcp_plugin.commands.cli import app
+from lcp_plugin.evidence.curves import Curve, Point, Report
+from lcp_plugin.evidence.error_against_time import best_answer
+from lcp_plugin.evidence.exporting import csv_of
+from lcp_plugin.evidence.report.page import collect, write_report
+from lcp_plugin.evidence.report.scenes import QUICK_SCENES, SCENES
+from lcp_plugin.evidence.report.section import FULL, QUICK, Collected, Finding, Part, Section, claims, plan, sections
+from lcp_plugin.evidence.stability import stability_atlas
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+TINY = ["half_active:n=64", "paper_example_1:n=64", "obstacle_bumps:size=9", "market_equilibrium:goods=4,activities=4"]
+
+
+@pytest.fixture(scope="module")
+def collected() -> Collected:
+    """Every kind of part, each of them small."""
+    found = Collected()
+    parts = plan(TINY, quick=True)
+    whole = plan(quick=True)
+    kinds = ("tables", "check")
+    parts += [next(part for part in whole if part.kind == kind) for kind in kinds]
+    for part in parts:
+        found.contents[part.kind, part.name] = json.loads(json.dumps(part.compute(lambda text: None)))
+    atlas = stability_atlas(["psor", "npsor"], ["far starts", "ranges"], quick=True)
+    found.contents["atlas", "far starts"] = atlas.to_content()
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(collected: Collected, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page and its tables."""
+    path = tmp_path_factory.mktemp("report")
+    write_report(collected, path, is_quick=False)
+    return path
+
+
+# --- The page -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.full
+def test_page_needs_no_other_file(folder: Path) -> None:
+    """No address, script or style sheet is fetched; every picture stands in the page, and no two share an id."""
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    fetched = re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page)
+    assert fetched == []
+    assert page.count("<svg") == 3 * len(TINY) + 3
+    ids = re.findall(r'\bid="([^"]*)"', page)
+    assert len(ids) == len(set(ids))
+    references = set(re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', page))
+    assert {a or b for a, b in references} <= set(ids)
+
+
+@pytest.mark.full
+def test_page_says_everything(folder: Path, collected: Collected) -> None:
+    """Each section stands there, with every claim, every scene, its axis, and why something was left out."""
+    page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
+    parts = [section.anchor for section in sections()]
+    assert parts == [
+        "comparison", "scenes", "profile", "stability", "tables", "checks",
+    ]
+    for anchor in ("summary", *parts, "reading", "machine"):
+        assert f'id="{anchor}"' in page
+    for claim in claims(collected):
+        assert claim.text in page
+    for content in collected.of("scene"):
+        assert content["text"] in page
+        for what, reason in content["report"]["left_out"]:
+            assert f"{what}: {reason}" in page
+
+
+@pytest.mark.full
+def test_tables_lie_beside_the_page(folder: Path) -> None:
+    """The figures are there as CSV and JSON too."""
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {
+        "index.html", "report.json", "curves.csv", "left_out.csv", "profile_work.csv", "profile_seconds.csv",
+        "cross_validation.csv", "paper_tables.csv", "stability.csv",
+    }
+    content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    kinds = {"scene", "tables", "check", "atlas"}
+    assert {part["kind"] for part in content["parts"]} == kinds
+
+
+HARNESS = """<!DOCTYPE html><meta charset="utf-8"><link rel="icon" href="data:,"><body><script>
+const found = {};
+function look(width) {
+  return new Promise(done => {
+    const frame = document.createElement('iframe');
+    frame.style.cssText = `width:${width}px;height:900px;border:0`;
+    frame.onload = () => {
+      const page = frame.contentDocument, root = page.documentElement;
+      page.querySelectorAll('details').forEach(one => one.open = true);
+      const cut = [];
+      page.querySelectorAll('body *').forEach(one => {
+        const box = one.getBoundingClientRect();
+        if (!one.closest('svg') && box.width > 0 && (box.right > width + 1 || box.left < -1))
+          cut.push(one.tagName + '.' + one.className + ' ' + (one.textContent || '').slice(0, 30));
+      });
+      page.querySelectorAll('.scroll').forEach(one => {
+        if (one.scrollWidth > one.clientWidth + 1)
+          cut.push('table ' + one.scrollWidth + ' > ' + one.clientWidth + ' ' + one.textContent.trim().slice(0, 30));
+      });
+      page.querySelectorAll('svg').forEach(svg => {
+        const frame = svg.getBoundingClientRect();
+        svg.querySelectorAll('g[id*="text_"]').forEach(text => {
+          const box = text.getBoundingClientRect();
+          if (box.left < frame.left - 1 || box.right > frame.right + 1 ||
+              box.top < frame.top - 1 || box.bottom > frame.bottom + 1)
+            cut.push('label in ' + svg.getAttribute('aria-label') + ' ' + text.id);
+        });
+      });
+      const svgs = [...page.querySelectorAll('figure svg')];
+      found[width] = {
+        cut, width: root.scrollWidth, figures: svgs.length,
+        empty: svgs.filter(svg => svg.getBoundingClientRect().height < 100).length,
+        fetched: frame.contentWindow.performance.getEntriesByType('resource').map(entry => entry.name),
+      };
+      done();
+    };
+    frame.src = 'index.html';
+    document.body.append(frame);
+  });
+}
+look(1280).then(() => look(390)).then(() => {
+  const answer = document.createElement('pre');
+  answer.id = 'answer';
+  answer.textContent = JSON.stringify(found);
+  document.body.replaceChildren(answer);
+});
+</script></body>"""
+
+
+@pytest.fixture(scope="module")
+def server(folder: Path) -> Iterator[tuple[str, list[str]]]:
+    """The folder on a local port, and the paths that are asked for."""
+    asked: list[str] = []
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, format: str, *args: Any) -> None:
+            asked.append(self.path)
+
+    (folder / "harness.html").write_text(HARNESS, encoding="utf-8")
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Handler, directory=str(folder))) as one:
+        threading.Thread(target=one.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{one.server_port}", asked
+        one.shutdown()
+
+
+@pytest.mark.full
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium installed: apt-get install chromium")
+def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> None:
+    """In Chromium, 1280 and 390 pixels wide: a silent console, nothing fetched, plots there, nothing cut off."""
+    address, asked = server
+    run = subprocess.run(
+        [str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
+         "--disable-background-networking", f"--user-data-dir={tmp_path}",
+         "--window-size=1400,1000", "--enable-logging=stderr", "--v=0",
+         "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", "--virtual-time-budget=20000", "--dump-dom",
+         f"{address}/harness.html"],
+        capture_output=True, text=True, timeout=120, check=True,
+    )
+    answer = re.search(r'<pre id="answer">(.*?)</pre>', run.stdout, re.S)
+    assert answer is not None, run.stdout[-500:]
+    found = json.loads(html.unescape(answer[1]))
+    assert [line for line in run.stderr.splitlines() if "CONSOLE" in line] == []
+    assert set(asked) == {"/harness.html", "/index.html"}
+    for width in ("1280", "390"):
+        assert found[width]["cut"] == [], "\n".join(found[width]["cut"])
+        assert found[width]["fetched"] == []
+        assert found[width]["width"] <= int(width)
+        assert found[width]["figures"] == 3 * len(TINY) + 3
+        assert found[width]["empty"] == 0
+
+
+# --- The sentences --------------------------------------------------------------------------------------------
+
+
+def scene_part(title: str, active: float, dominance: float = 0.5, **works: float) -> dict[str, Any]:
+    """A scene's content made by hand: the work of each algorithm, negative where it was not solved."""
+    family = {"NPGS paper": "projected-type (NP)", "NPSOR": "projected-type (NP)", "PGS": "projected relaxation (P)",
+              "multigrid": "multigrid"}
+    curves = tuple(
+        Curve(
+            label, family[label], "SOLVED" if work >= 0 else "STALLED",
+            (Point(1, abs(work), abs(work), 1.0, 1.0, 0.1, 0.1),),
+        )
+        for label, work in works.items()
+    )
+    report = Report(title, "", 100, 1, "residual", 1e-8, 1, active, curves)
+    return {"text": title, "report": report.to_content(), "dominance": dominance, "sketch": None}
+
+
+def said(*parts: dict[str, Any]) -> str:
+    found = Collected({("scene", str(k)): part for k, part in enumerate(parts)})
+    return " ".join(claim.text for claim in claims(found))
+
+
+@pytest.mark.parametrize(
+    ("pgs", "npgs", "words"),
+    [
+        (10, 20, "(PGS) beats NPGS on the paper's own examples: 10 passes against 20"),
+        (20, 10, "NPGS beats plain projected"),
+    ],
+)
+def test_own_examples_come_out_either_way(pgs: float, npgs: float, words: str) -> None:
+    """Who wins on the paper's own examples is read from the data."""
+    assert words in said(scene_part("paper_example_1:n=100,delta=4.0", 0.0, **{"PGS": pgs, "NPGS paper": npgs}))
+
+
+@pytest.mark.parametrize(
+    ("active", "words"),
+    [(50, "NPGS paper slows down 5.0 times (10 to 50"), (10, "stays as it is"), (5, "2.0 times quicker")],
+)
+def test_active_constraints_come_out_either_way(active: float, words: str) -> None:
+    """Whether active constraints cost anything is read from the same matrix with and without them."""
+    free = scene_part("paper_example_1:n=100,delta=4.0", 0.0, **{"NPGS paper": 10})
+    assert words in said(free, scene_part("half_active:n=100,delta=4.0", 0.5, **{"NPGS paper": active}))
+
+
+@pytest.mark.parametrize(("multigrid", "words"), [(5, "fewest passes on 1"), (500, "fewest passes on 0")])
+def test_multigrid_comes_out_either_way(multigrid: float, words: str) -> None:
+    """Whether multigrid wins where M has no diagonal to spare is read from the data."""
+    assert words in said(scene_part("a", 0.5, 0.0, multigrid=multigrid, PGS=100))
+    assert "multigrid needs" not in said(scene_part("a", 0.5, 0.5, multigrid=multigrid, PGS=100))
+
+
+def test_promise_counts_scenes_with_active_constraints_only() -> None:
+    """The promised comparison leaves out scenes with fewer than 10 or more than 90 % at a bound."""
+    parts = [scene_part(f"s{k}", share, NPSOR=30, PGS=10) for k, share in enumerate((0.0, 0.05, 0.3, 0.95))]
+    text = said(*parts)
+    assert "On 1 scene with" in text
+    assert "is projected-type (NP) on 0, projected relaxation (P) on 1, modulus (M) on 0" in text
+    assert "needs 3.0 times" in text
+
+
+def test_scene_that_no_splitting_solves_is_counted() -> None:
+    """A scene with active constraints that no splitting solves is named, not dropped in silence."""
+    text = said(scene_part("a", 0.5, NPSOR=30, PGS=10), scene_part("b", 0.5, NPSOR=-30, PGS=-10))
+    assert "On 1 scene with" in text
+    assert "On 1 more no splitting converges." in text
+    assert "On 1 more" not in said(scene_part("a", 0.5, NPSOR=30, PGS=10))
+
+
+def test_multigrid_that_fails_does_not_win() -> None:
+    """Where M has no diagonal to spare and multigrid does not converge, the scene counts all the same."""
+    text = said(scene_part("a", 0.5, 0.0, multigrid=5, PGS=100), scene_part("b", 0.5, 0.0, multigrid=-5, PGS=100))
+    assert "On 2 scenes whose matrix" in text
+    assert "fewest passes on 1 " in text
+    assert "The best splitting needs 20.0 times its passes" in text
+
+
+def test_one_scene_has_no_median() -> None:
+    """What was measured on one scene is not called a median; several have one, with its range."""
+    alone, several = (said(*[scene_part(f"s{k}", 0.5, NPSOR=30, PGS=10) for k in range(count)]) for count in (1, 2))
+    assert "passes of the best splitting." in alone
+    assert "median" not in alone
+    assert "in the median (3.0 to 3.0)" in several
+
+
+def test_runs_without_any_work_break_no_sentence() -> None:
+    """Problems whose start is the answer take no pass; every sentence is computed all the same."""
+    idle = dict.fromkeys(("NPGS paper", "NPSOR", "PGS", "multigrid"), 0)
+    titles = ("paper_example_1:n=1,delta=4.0", "half_active:n=1,delta=4.0", "b")
+    parts = [scene_part(title, 0.5, 0.0, **idle) for title in titles]
+    assert "NPGS paper stays as it is" in said(*parts)
+
+
+@pytest.mark.full
+def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
+    """SOLVED speaks of the residual: where the exact answer is far off, summary and page say so, cell by cell."""
+    atlas = stability_atlas(["newton"], ["stiffness"], quick=True)
+    assert atlas.misleading
+    found = Collected({("atlas", "stiffness"): atlas.to_content()})
+    assert f"{len(atlas.misleading)} of the SOLVED ones hide an error" in " ".join(one.text for one in claims(found))
+    write_report(found, tmp_path, is_quick=False)
+    page = html.unescape((tmp_path / "index.html").read_text(encoding="utf-8"))
+    assert f"error above a thousandth ({len(atlas.misleading)})" in page
+    for cell in atlas.misleading:
+        assert page.count(cell.stress) >= 1
+    spotless = Collected({("atlas", "far starts"): stability_atlas(["psor"], ["far starts"], quick=True).to_content()})
+    assert "hide an error" not in " ".join(one.text for one in claims(spotless))
+
+
+def test_rows_that_lack_a_field_keep_their_columns() -> None:
+    """A solver without an answer has fewer figures in the CSV, and none of them under another's heading."""
+    every = [{"solver": "a", "status": "error"}, {"solver": "b", "gap": 0.5, "status": "optimal"}]
+    assert csv_of(every).splitlines() == ["solver,status,gap", "a,error,", "b,optimal,0.5"]
+
+
+def test_nothing_measured_nothing_said() -> None:
+    """Without data there is no claim."""
+    assert claims(Collected()) == []
+
+
+# --- The plan -------------------------------------------------------------------------------------------------
+
+
+def test_default_plan_keeps_the_promise() -> None:
+    """The default report and the quick one hold at least five scenes with 10 to 90 % of the constraints active."""
+    for texts in (SCENES, QUICK_SCENES):
+        shares = []
+        for text in texts:
+            name, _, parameters = text.partition(":")
+            if "delta=0" in parameters:
+                continue
+            answer = best_answer(gallery.build(name, **({"size": 20} if "size" in parameters else {})))
+            assert answer is not None
+            at_bound = (answer.z <= answer.problem.lower) | (answer.z >= answer.problem.upper)
+            shares.append(float(at_bound.mean()))
+        assert sum(0.1 <= share <= 0.9 for share in shares) >= 5
+
+
+def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
+    """A class below `Section` is on the page, in the summary, beside it and in its plan, and nobody lists it."""
+
+    class Sizes(Section):
+        place = 10
+        title = short = "Sizes"
+        template = "<p>{{ largest }} unknowns</p>"
+
+        def parts(self, scenes: Any, effort: Any) -> list[Part]:
+            return [Part("size", name, lambda say: {"n": 7}, effort) for name in scenes]
+
+        def tell(self, collected: Collected) -> list[Finding]:
+            return [Finding("Size", f"The largest has {max(one['n'] for one in collected.of('size'))} unknowns.")]
+
+        def draw(self, collected: Collected) -> dict[str, Any]:
+            return {"largest": 7}
+
+        def files(self, collected: Collected) -> dict[str, str]:
+            return {"sizes.csv": "n\n7\n"}
+
+    found = Collected({("size", "a"): {"n": 7}})
+    assert [part.kind for part in plan(["murty:n=7"], quick=True)] == ["scene", "size"]
+    page = write_report(found, tmp_path, is_quick=True).read_text(encoding="utf-8")
+    del Sizes
+    gc.collect()
+    for words in ("The largest has 7 unknowns.", "<p>7 unknowns</p>", '<a href="#test_report">Sizes</a>'):
+        assert words in page
+    assert (tmp_path / "sizes.csv").exists()
+    assert len(sections()) == 6
+
+
+def test_unknown_scene_is_refused_before_anything_runs() -> None:
+    """A misspelt scene ends the command at once, with a guess."""
+    with pytest.raises(InvalidOption, match="did you mean 'half_active'"):
+        plan(["halfactive"])
+
+
+# --- Stopping and going on ------------------------------------------------------------------------------------
+
+
+def part(name: str, compute: Any) -> Part:
+    return Part("scene", name, compute, QUICK)
+
+
+def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
+    """A second run reads what the first one wrote; a spoilt file and other settings are computed."""
+    count: list[str] = []
+
+    def compute(say: Any) -> dict[str, Any]:
+        count.append("x")
+        return {"value": 1.5}
+
+    parts = [part("a", compute), part("b", compute)]
+    assert collect(parts, tmp_path).contents["scene", "a"] == {"value": 1.5}
+    again = collect(parts, tmp_path)
+    assert (again.found, len(count)) == (2, 2)
+    next(tmp_path.glob("*.json")).write_text("{", encoding="utf-8")
+    assert (collect(parts, tmp_path).found, len(count)) == (1, 3)
+    assert (collect([Part("scene", "a", compute, FULL)], tmp_path).found, len(count)) == (0, 4)
+
+
+@pytest.mark.parametrize("swallowed", [True, False])
+def test_interruption_keeps_what_is_finished(swallowed: bool, tmp_path: Path) -> None:
+    """Ctrl-C gives up the part under way, even where its solver swallows it, keeps the others, and goes on later."""
+
+    def interrupted(say: Any) -> dict[str, Any]:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            if not swallowed:
+                raise
+        return {"is": "half of the truth"}
+
+    parts = [part("a", lambda say: {}), part("b", interrupted), part("c", lambda say: {})]
+    before = signal.getsignal(signal.SIGINT)
+    found = collect(parts, tmp_path)
+    assert found.missing == ["scene b", "scene c"]
+    assert signal.getsignal(signal.SIGINT) is before
+    rest = collect([parts[0], part("b", lambda say: {"is": "whole"}), parts[2]], tmp_path)
+    assert (rest.found, rest.is_complete) == (1, True)
+    assert rest.contents["scene", "b"] == {"is": "whole"}
+
+
+@pytest.mark.full
+def test_command_from_start_to_end(tmp_path: Path) -> None:
+    """The command writes the page, exits with 0, and finds its parts again; a bad name or folder is exit code 2."""
+    run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"])
+    assert run.exit_code == 0, run.output
+    assert (tmp_path / "new" / "r" / "index.html").exists()
+    again = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"])
+    assert "1 of 1 parts found from a former run" in again.output
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    for arguments, words in (
+        (["half_activ"], "did you mean 'half_active'"),
+        (["half_active:n=16", "--out", str(tmp_path / "file")], "--out names a folder"),
+    ):
+        refused = CliRunner().invoke(app, ["report", *arguments])
+        assert refused.exit_code == 2
+        assert words in refused.output
+
+
+@pytest.mark.full
+def test_command_takes_files_as_solve_does(tmp_path: Path) -> None:
+    """A file and a folder get a section each, with a proved bound; another content of the file is computed again."""
+    paths = [tmp_path / "own.npz", tmp_path / "folder"]
+    for path in paths:
+        LCP([[4, -1], [-1, 4]], [-3, 5]).save(path)
+    command = ["report", *map(str, paths), "--out", str(tmp_path / "r"), "--quick"]
+    run = CliRunner().invoke(app, command)
+    assert run.exit_code == 0, run.output
+    page = (tmp_path / "r" / "index.html").read_text(encoding="utf-8")
+    assert all(f"<h3>{path}</h3>" in page for path in paths)
+    assert page.count("axis: rigorous bound") == 2
+    LCP([[4, -1], [-1, 4]], [-3, 6]).save(paths[0])
+    assert "1 of 2 parts found from a former run" in CliRunner().invoke(app, command).output
+    for name, words in (("no.npz", "no such file"), ("own", "neither a file nor a scene")):
+        refused = CliRunner().invoke(app, ["report", name, "--out", str(tmp_path / "r")])
+        assert refused.exit_code == 2
+        assert words in refused.output
+
+
+@pytest.mark.parametrize("when", ["say", "write"])
+def test_interruption_between_two_parts_is_remembered(
+    when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while nothing is computed, a second one too, waits until what is being written is written."""
+    from lcp_plugin.evidence import collecting as module
+
+    def stop() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def write(path: Path, text: str) -> None:
+        if when == "write":
+            stop()
+        path.write_text(text, encoding="utf-8")
+
+    monkeypatch.setattr(module, "write_text", write)
+    found = collect(
+        [part("a", lambda say: {}), part("b", lambda say: {})], tmp_path,
+        lambda done, total, label: stop() if when == "say" else None,
+    )
+    assert found.missing == (["scene a", "scene b"] if when == "say" else ["scene b"])
+
+
+@pytest.mark.full
+def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while the page is written: the parts are kept, the command says how to go on, the exit code is 1."""
+    from lcp_plugin.evidence.report import page as module
+
+    def stop(*args: Any, **options: Any) -> Path:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "write_report", stop)
+        run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
+    assert run.exit_code == 1
+    assert "goes on from here" in run.output
+    again = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
+    assert "1 of 1 parts found from a former run" in again.output
+
+
+def test_parts_of_another_machine_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seconds belong to a processor and its versions: elsewhere a part is not taken over, later on the same it is."""
+    from lcp_plugin.evidence import collecting as module
+
+    parts = [part("a", lambda say: {})]
+    facts = {"processor": "one", "measured": "today"}
+    monkeypatch.setattr(module, "machine", lambda: facts)
+    collect(parts, tmp_path)
+    facts["measured"] = "tomorrow"
+    assert collect(parts, tmp_path).found == 1
+    facts["processor"] = "another"
+    assert collect(parts, tmp_path).found == 0
+
+
+def test_interrupted_command_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After Ctrl-C the page holds what is there and says what is missing; the exit code is 1."""
+    from lcp_plugin.evidence.report import scenes as module
+
+    def stop(*_: Any) -> dict[str, Any]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "measured", stop)
+    run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
+    assert run.exit_code == 1
+    assert "goes on from here" in run.output
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "1 part is missing (scene half_active:n=16)" in page

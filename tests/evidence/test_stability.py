@@ -1,0 +1,539 @@
+"""Stiff and extreme data: the answer survives where it can, and where it cannot the status says so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact_parts import part_of_rows, relative_residual
+from families import BOUNDED, NEEDS_MONOTONE, SPLITTINGS
+from hypothesis import given, settings
+
+from lcp_plugin import LCP, Certificate, Result, Status, gallery, solve
+from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.strategies import h_plus_matrices, solved_lcps
+
+ALL = ["auto", *REGISTRY]
+EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
+EPSILON, SMALLEST = Fraction(1, 2**52), Fraction(1, 2**1074)
+
+
+def scaled_options(name: str) -> dict[str, Any]:
+    """The paper's methods see the size of a row; these tests are about extreme rows."""
+    return {"scaling": "diagonal"} if name.startswith("np") else {}
+
+
+# --- Honesty, in rational arithmetic -----------------------------------------------------------------------
+
+
+def exact_residual(problem: LCP, z: np.ndarray) -> list[tuple[Fraction, Fraction]]:
+    """Row by row |r_i| and what rounding explains, k_i ε (|M||z| + |q|)_i / d_i and underflow, both exact."""
+    M, found = problem.csr, []
+    for i in range(problem.n):
+        entries = range(M.indptr[i], M.indptr[i + 1])
+        terms = [Fraction(M.data[k]) * Fraction(z[M.indices[k]]) for k in entries]
+        q, d, x = Fraction(problem.q[i]), Fraction(problem.residual_scale[i]), Fraction(z[i])
+        target = x - (q + sum(terms)) / d
+        if target < problem.lower[i]:
+            target = Fraction(problem.lower[i])
+        elif target > problem.upper[i]:
+            target = Fraction(problem.upper[i])
+        size = (abs(q) + sum(map(abs, terms))) / d
+        k = len(terms) + 2
+        found.append((abs(x - target), k * EPSILON * size + SMALLEST * (1 + k / d)))
+    return found
+
+
+def assert_honest(result: Result) -> None:
+    """SOLVED and PRECISION_LIMIT hold in exact arithmetic, and z is finite and within the bounds."""
+    problem = result.certificate.problem
+    assert np.isfinite(result.z).all()
+    assert np.array_equal(np.clip(result.z, problem.lower, problem.upper), result.z)
+    rows = exact_residual(problem, result.z)
+    if result.status is Status.SOLVED:
+        at_zero = [r for r, _ in exact_residual(problem, problem.nearest_to_zero)]
+        exact = relative_residual([r for r, _ in rows], at_zero, part_of_rows(problem.csr))
+        assert exact <= Fraction(result.tolerance)
+    if result.status is Status.PRECISION_LIMIT:
+        assert all(r <= 5 * floor for r, floor in rows)
+
+
+# --- Units -------------------------------------------------------------------------------------------------
+
+UNITS = [1e-150, 1.0, 1e150]
+
+
+@pytest.mark.sampled
+@EVERY_ALGORITHM
+@pytest.mark.parametrize("z_unit", UNITS)
+@pytest.mark.parametrize("w_unit", UNITS)
+def test_extreme_units_change_nothing(name: str, z_unit: float, w_unit: float) -> None:
+    """With z in 1e±150 and w in 1e±150 every algorithm finds the same solution in the same iterations, about."""
+    scene = gallery.half_active(n=100, block=5)
+    plain = solve(scene.problem, name, **scaled_options(name))
+    problem = LCP(scene.problem.csr * (w_unit / z_unit), scene.problem.q * w_unit)
+    result = solve(problem, name, **scaled_options(name))
+    assert result.status is Status.SOLVED
+    assert abs(result.z / z_unit - scene.exact).max() < 1e-7
+    assert abs(result.iterations - plain.iterations) <= 1
+    assert_honest(result)
+
+
+@EVERY_ALGORITHM
+def test_rows_of_any_size(name: str) -> None:
+    """Rows multiplied by 1e±100 leave solution and status as they are, where the method needs no monotone M."""
+    scene = gallery.half_active(n=100, block=5)
+    rows = np.resize([1e100, 1.0, 1e-100], 100)
+    problem = LCP(sp.diags_array(rows) @ scene.problem.csr, rows * scene.problem.q)
+    result = solve(problem, name, **scaled_options(name))
+    assert_honest(result)
+    if name not in NEEDS_MONOTONE:
+        assert result.status is Status.SOLVED
+        assert abs(result.z - scene.exact).max() < 1e-7
+
+
+@pytest.mark.sampled
+@EVERY_ALGORITHM
+@pytest.mark.parametrize("exponent", [-700, -30, 30, 700])
+def test_a_power_of_two_as_unit_changes_no_count(name: str, exponent: int) -> None:
+    """With q multiplied by a power of two, iterations and work are the same and z is, exactly, that multiple."""
+    scene = gallery.obstacle_2d(size=10, shifted=True)
+    plain = solve(scene.problem, name)
+    problem = scene.problem
+    scaled = LCP(problem.csr, np.ldexp(problem.q, exponent), lower=problem.lower, upper=problem.upper)
+    result = solve(scaled, name)
+    assert (result.status, result.iterations, result.work) == (plain.status, plain.iterations, plain.work)
+    assert np.array_equal(result.z, np.ldexp(plain.z, exponent))
+
+
+
+
+
+# --- The edge of the number range --------------------------------------------------------------------------
+
+TINY = np.array([[4.0, -1.0], [-1.0, 4.0]])
+
+
+def edge_cases() -> dict[str, tuple[LCP, list[float] | None]]:
+    """Problems and starts at the edge of the number range; most are beyond what any algorithm can solve."""
+    huge, subnormal = 1e308, 5e-324
+    return {
+        "subnormal q": (LCP(TINY, [-1e-310, 1e-310]), None),
+        "smallest q": (LCP(TINY, [-subnormal, subnormal]), None),
+        "subnormal M": (LCP(TINY * 1e-310, [-1.0, 1.0]), None),
+        "subnormal M and q": (LCP(TINY * 1e-310, [-1e-310, 1e-310]), None),
+        "huge q": (LCP(TINY, [-huge / 10.0, huge / 10.0]), None),
+        "largest q": (LCP(TINY, [-huge, huge]), None),
+        "huge M": (LCP(TINY * 1e307, [-1.0, 1.0]), None),
+        "huge M and q": (LCP(TINY * 1e307, [-huge, huge]), None),
+        "slack overflows at the start": (LCP(TINY * 1e200, [-1.0, 1.0]), [1e200, 1e200]),
+        "magnitude overflows at the start": (LCP([[1e10]], [-1.0]), [1e300]),
+        "solution overflows": (LCP(np.eye(2) * 1e-200, [-1e200, 1.0]), None),
+        "huge box": (LCP(TINY, [-1.0, 1.0], lower=-huge, upper=huge), [huge, -huge]),
+        "tiny diagonal": (LCP([[1e-300, 1.0], [1.0, 1e-300]], [-1.0, -1.0]), None),
+        "diverging": (LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0]), None),
+        "negative diagonal": (LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, -1.0]), None),
+        "zero matrix": (LCP(np.zeros((2, 2)), [-1.0, 1.0]), None),
+    }  # fmt: skip
+
+
+EDGES = edge_cases()
+
+
+EXTREME = {"scaling": "diagonal", "scaling_factor": 2.0}
+VARIANTS = [pytest.param(name, {}, id=name) for name in ALL] + [
+    pytest.param(name, EXTREME, id=f"{name}-scaled") for name in ALL if name.startswith("np")
+]
+REFUSED = ("subnormal M", "subnormal M and q", "huge M", "huge M and q", "tiny diagonal", "diverging")
+REFUSED += ("negative diagonal", "zero matrix", "huge box")
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize(("name", "options"), VARIANTS)
+@pytest.mark.parametrize("case", EDGES)
+def test_the_edge_of_the_number_range_is_never_silent(name: str, options: dict[str, Any], case: str) -> None:
+    """Overflow and underflow end in a refusal, an honest status or the right z; no warning, no NaN in z."""
+    problem, z0 = EDGES[case]
+    try:
+        result = solve(problem, name, z0=z0, max_iterations=500, **options)
+    except (UnsuitableMatrix, UnsuitableProblem):
+        assert case in REFUSED
+        return
+    assert_honest(result)
+    assert result.explain()
+    assert result.to_json()
+    if case in ("solution overflows", "diverging", "negative diagonal", "zero matrix"):
+        assert result.status is not Status.SOLVED
+    if case in ("subnormal q", "huge q"):
+        # In units of q, the exact solution is (1/4, 0).
+        assert result.status is Status.SOLVED
+        assert result.z / abs(problem.q[0]) == pytest.approx([0.25, 0.0], abs=1e-7)
+
+
+@pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor"])
+def test_divergence_is_told(name: str) -> None:
+    """Where |z| grows beyond every range the status is DIVERGED, and the point returned is not the last one."""
+    result = solve(LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0]), name)
+    assert result.status is Status.DIVERGED
+    assert abs(result.z).max() < 1e8
+
+
+# --- Right-hand sides --------------------------------------------------------------------------------------
+
+
+@EVERY_ALGORITHM
+@pytest.mark.parametrize("q", [[0.0, 0.0], [0.0, 3.0], [-0.0, 0.0]], ids=["zero", "some zeros", "negative zero"])
+def test_q_without_negative_entries_needs_no_iteration(name: str, q: list[float]) -> None:
+    """For q ≥ 0 the answer is z = 0 at once."""
+    result = solve(LCP(TINY, q), name)
+    assert (result.status, result.iterations) == (Status.SOLVED, 0)
+    assert not result.z.any()
+
+
+@EVERY_ALGORITHM
+@pytest.mark.parametrize("q", [[0.0, 0.0], [0.0, 3.0]], ids=["zero", "some zeros"])
+def test_q_without_negative_entries_is_solved_from_anywhere(name: str, q: list[float]) -> None:
+    """Also from a start elsewhere: the reference residual is 0, which says that z° = 0 is the answer."""
+    result = solve(LCP(TINY, q), name, z0=[1.0, 2.0])
+    assert result.status is Status.SOLVED
+    assert not result.z.any()
+
+
+@EVERY_ALGORITHM
+def test_zeros_in_q_are_nothing_special(name: str) -> None:
+    """Where most of q is zero the solution is found as always."""
+    scene = gallery.obstacle_2d(size=10)
+    assert np.mean(scene.problem.q == 0.0) > 0.5
+    shifted = gallery.obstacle_2d(size=10, shifted=True)
+    problem = scene.problem if name in ("auto", *BOUNDED) else shifted.problem
+    result = solve(problem, name)
+    assert result.status is Status.SOLVED
+    reference = solve(problem, "psor", tolerance=1e-12).z
+    assert abs(result.z - reference).max() < 1e-6
+
+
+@EVERY_ALGORITHM
+def test_a_solution_degenerate_everywhere(name: str) -> None:
+    """With w* = 0 in every row, active or not, every algorithm still converges, and z is accurate."""
+    scene = gallery.half_active(n=100, block=5)
+    problem = LCP(scene.problem.csr, -(scene.problem.csr @ scene.exact))
+    assert not problem.slack(scene.exact).any()
+    result = solve(problem, name)
+    assert result.status is Status.SOLVED
+    assert abs(result.z - scene.exact).max() < 1e-6
+    assert_honest(result)
+
+
+@EVERY_ALGORITHM
+def test_a_start_far_away(name: str) -> None:
+    """From z0 = 1e10 in every component the solution is found, and nothing is left of the start."""
+    scene = gallery.half_active(n=100, block=5)
+    result = solve(scene.problem, name, z0=np.full(100, 1e10))
+    assert result.status is Status.SOLVED
+    assert abs(result.z - scene.exact).max() < 1e-6
+
+
+# --- Tolerances --------------------------------------------------------------------------------------------
+
+
+def inexact() -> LCP:
+    """A problem whose solution is no vector of doubles."""
+    scene = gallery.half_active(n=100, block=5)
+    return LCP(scene.problem.csr / 3.0, scene.problem.q / 7.0)
+
+
+@EVERY_ALGORITHM
+def test_tolerance_zero_ends_at_the_rounding_level(name: str) -> None:
+    """With tolerance 0 the run ends by itself, soon, at PRECISION_LIMIT, or SOLVED at a residual of exactly 0."""
+    problem = inexact()
+    at_default = solve(problem, name)
+    result = solve(problem, name, tolerance=0.0)
+    assert result.status in (Status.PRECISION_LIMIT, Status.SOLVED)
+    assert result.certificate.is_at_rounding_level
+    assert result.iterations <= 4 * at_default.iterations + 100
+    assert_honest(result)
+
+
+@pytest.mark.sampled
+@EVERY_ALGORITHM
+@pytest.mark.parametrize("tolerance", [1e-300, 5e-324])
+def test_a_tolerance_out_of_reach_is_a_precision_limit(name: str, tolerance: float) -> None:
+    """A positive tolerance far below rounding ends like 0."""
+    result = solve(inexact(), name, tolerance=tolerance)
+    assert result.status in (Status.PRECISION_LIMIT, Status.SOLVED)
+    assert_honest(result)
+
+
+@EVERY_ALGORITHM
+def test_a_huge_tolerance_accepts_the_start(name: str) -> None:
+    """With tolerance 1e300 the start is SOLVED after no iteration."""
+    result = solve(inexact(), name, tolerance=1e300)
+    assert (result.status, result.iterations) == (Status.SOLVED, 0)
+
+
+# --- Nearly singular ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.sampled(8)
+@EVERY_ALGORITHM
+def test_nearly_singular_matrices_are_never_lied_about(name: str) -> None:
+    """On H₊-matrices with ρ up to 1 − 1e-6 the status holds in rational arithmetic, whatever the error of z."""
+
+    @settings.get_profile("few")
+    @given(solved_lcps(h_plus_matrices(margin=2.0**-20)))
+    def check(drawn: tuple[LCP, Any]) -> None:
+        problem, _ = drawn
+        assert_honest(solve(problem, name, max_iterations=300, **scaled_options(name)))
+
+    check()
+
+
+def nearly_singular(bits: int) -> tuple[LCP, np.ndarray]:
+    """An H₊-matrix with ρ = 1 − 2⁻ᵇⁱᵗˢ, an answer of moderate size and a q that is tiny beside it."""
+    rho = 1.0 - 2.0**-bits
+    M, exact = np.array([[1.0, -rho], [-rho, 1.0]]), np.array([1.0, 2.0])
+    return LCP(M, -(M @ exact)), exact
+
+
+@pytest.mark.parametrize(("name", "bits"), [("psor", 16), ("auto", 12)])
+def test_automatic_relaxation_survives_a_nearly_singular_matrix(name: str, bits: int) -> None:
+    """Where PGS takes 10⁴ to 10⁵ sweeps, the automatic relaxation solves the problem in two thousand at most."""
+    problem, exact = nearly_singular(bits)
+    result = solve(problem, name)
+    assert result.status is Status.SOLVED
+    assert result.iterations <= 2000
+    # ‖⟨M⟩⁻¹‖ is 1/(1 − ρ): a relative residual of 1e-8, on a q of size 1 + 2(1 − ρ), allows that much.
+    assert abs(result.z - exact).max() < 1e-8 * 2.0**bits
+    assert solve(problem, "pgs", max_iterations=5000).status is not Status.SOLVED
+
+
+def test_automatic_relaxation_goes_very_close_to_two() -> None:
+    """At ρ = 1 − 1e-6 the iteration itself converges within 5000 sweeps, where PGS would take ten million."""
+    problem, exact = nearly_singular(20)
+    for step in islice(create("psor", {}).iterates(problem, np.zeros(2)), 5001):
+        if Certificate.of(problem, step.z).relative_residual <= 1e-8:
+            break
+    assert Certificate.of(problem, step.z).relative_residual <= 1e-8
+    assert abs(step.z - exact).max() < 1e-8 * 2.0**20
+
+
+@EVERY_ALGORITHM
+def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name: str) -> None:
+    """At ρ = 1 − 1e-6 most runs cannot converge; whatever they end with is honest and says how far it came."""
+    problem, exact = nearly_singular(20)
+    result = solve(problem, name, max_iterations=1000)
+    assert_honest(result)
+    assert result.status is not Status.SOLVED or abs(result.z - exact).max() < 1e-8 * 2.0**20
+
+
+# --- Limits ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+@pytest.mark.parametrize("limit", [0, 1, 5, 9, 12])
+def test_a_limit_throws_no_work_away(name: str, limit: int) -> None:
+    """After max_iterations=k the z returned is no worse than iterate k, or the last there was, also in place."""
+    scene = gallery.paper_example_1(n=100)
+    result = solve(scene.problem, name, z0=scene.start, tolerance=1e-14, max_iterations=limit)
+    *_, last = islice(create(name, {}).iterates(scene.problem, scene.start.copy()), result.iterations + 1)
+    assert result.iterations == limit if name in SPLITTINGS else result.iterations <= limit
+    assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("name", ["pgs", "npgs"])
+def test_an_interruption_throws_no_work_away(name: str) -> None:
+    """A callback that stops at step 7 gets an answer no worse than iterate 7."""
+    scene = gallery.paper_example_1(n=100)
+    result = solve(
+        scene.problem, name, z0=scene.start, tolerance=1e-14, callback=lambda sample, z: sample.iteration == 7
+    )
+    *_, last = islice(create(name, {}).iterates(scene.problem, scene.start.copy()), 8)
+    assert result.status is Status.INTERRUPTED
+    assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (1.0 + 1e-12)
+
+
+# --- Algorithms that misbehave -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scripted(Algorithm):
+    """Yields the given steps and then stops."""
+
+    name = "scripted"
+    steps: tuple[Step, ...] = field(default=())
+    after: Any = None
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        """Yield the script."""
+        yield from self.steps
+
+    def finish(self, problem: LCP, z: np.ndarray) -> np.ndarray:
+        """Return what the script says."""
+        return z if self.after is None else np.array(self.after)
+
+
+PROBLEM = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])  # z* = (2.5, 0)
+NAN = math.nan
+
+
+def steps(*points: list[float], **claims: Any) -> tuple[Step, ...]:
+    return tuple(Step(np.array(point), **claims) for point in points)
+
+
+@pytest.mark.parametrize("bad", [NAN, math.inf, -math.inf])
+@pytest.mark.parametrize("claims", [{}, {"residual": NAN}, {"increment": NAN}, {"increment": math.inf}])
+def test_a_nan_on_the_way_is_divergence(bad: float, claims: dict[str, float]) -> None:
+    """An iterate with NaN or ∞ ends the run as DIVERGED, and the best earlier iterate is returned."""
+    script = steps([0.0, 0.0], [2.0, 0.0], [1.0, 1.0]) + steps([bad, 0.0], **claims) + steps([2.5, 0.0])
+    result = solve(PROBLEM, Scripted(steps=script))
+    assert result.status is Status.DIVERGED
+    assert result.z.tolist() == [2.0, 0.0]
+
+
+def test_a_nan_that_comes_first_is_divergence() -> None:
+    """Where even the start is NaN nothing is solved, and no warning is raised."""
+    result = solve(PROBLEM, Scripted(steps=steps([NAN, 0.0], [NAN, NAN])))
+    assert result.status is Status.DIVERGED
+    assert not result.certificate.relative_residual <= 1e300
+
+
+@pytest.mark.parametrize("count", [1, 5, 400])
+def test_a_liar_is_never_solved(count: int) -> None:
+    """An algorithm that claims residual 0 at a wrong z gets any status but SOLVED."""
+    lies = steps(*[[1.0, 1.0]] * count, residual=0.0, euclidean=0.0)
+    result = solve(PROBLEM, Scripted(steps=lies), max_iterations=300)
+    assert result.status in (Status.STALLED, Status.MAX_ITERATIONS)
+    assert result.residual > 0.1
+
+
+def test_a_lie_does_not_hide_the_solution_that_follows() -> None:
+    """A wrong claim of residual 0 is found out at once, and the run goes on to the true solution."""
+    script = steps([0.0, 0.0], residual=5.0) + steps([1.0, 1.0], [2.5, 0.0], residual=0.0)
+    result = solve(PROBLEM, Scripted(steps=script))
+    assert result.status is Status.SOLVED
+    assert result.z.tolist() == [2.5, 0.0]
+
+
+def test_a_liar_by_increments_is_never_solved() -> None:
+    """An algorithm that claims to stand still at a wrong z is measured, and is not SOLVED."""
+    result = solve(PROBLEM, Scripted(steps=steps(*[[1.0, 1.0]] * 500, increment=0.0)), max_iterations=400)
+    assert result.status in (Status.STALLED, Status.MAX_ITERATIONS)
+    assert result.residual > 0.1
+
+
+def test_a_pessimist_is_solved() -> None:
+    """An algorithm that claims a residual of 1 at the solution is SOLVED all the same: the certificate decides."""
+    script = steps([0.0, 0.0], residual=5.0) + steps([2.5, 0.0], residual=1.0)
+    result = solve(PROBLEM, Scripted(steps=script))
+    assert result.status is Status.SOLVED
+    assert result.z.tolist() == [2.5, 0.0]
+
+
+@pytest.mark.parametrize("after", [[NAN, NAN], [1e300, -1e300], [2.0, 0.0]])
+def test_a_spoiled_finish_is_not_taken(after: list[float]) -> None:
+    """What finish() returns is kept only where its certificate is no worse."""
+    result = solve(PROBLEM, Scripted(steps=steps([0.0, 0.0], [2.5, 0.0]), after=after))
+    assert result.status is Status.SOLVED
+    assert result.z.tolist() == [2.5, 0.0]
+
+
+def test_a_finish_that_solves_is_taken() -> None:
+    """A clean-up that reaches the solution makes the run SOLVED."""
+    result = solve(PROBLEM, Scripted(steps=steps([0.0, 0.0], [2.4, 0.0]), after=[2.5, 0.0]))
+    assert result.status is Status.SOLVED
+
+
+@pytest.mark.parametrize("script", [(), steps([1.0, 0.0])], ids=["no step", "one step"])
+def test_an_algorithm_that_gives_up_is_not_solved(script: tuple[Step, ...]) -> None:
+    """Where the iteration ends by itself without a solution, the status is STALLED and z the best there was."""
+    result = solve(PROBLEM, Scripted(steps=script), z0=[1.0, 0.0])
+    assert result.status is Status.STALLED
+    assert result.z.tolist() == [1.0, 0.0]
+
+
+# --- The automatic relaxation where a large one is a trap -------------------------------------------------------
+
+
+def ring(n: int, weight: float) -> LCP:
+    """A strictly dominant M-matrix on which one sweep with a relaxation near 2 can amplify by (2 weight)ⁿ."""
+    M = np.eye(n) - weight * np.roll(np.eye(n), -1, axis=1)
+    return LCP(M, -M @ np.arange(1.0, n + 1.0))
+
+
+def string(n: int) -> LCP:
+    """The README's string over an obstacle: the contraction of the first sweeps says nothing about the later ones."""
+    M = sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    return LCP(M, np.zeros(n), lower=np.where(abs(np.linspace(0, 1, n) - 0.5) < 0.1, 1.0, -1.0))
+
+
+@pytest.mark.parametrize("name", ["psor", "auto"])
+@pytest.mark.parametrize(("n", "weight"), [(3, 0.9), (3, 0.99), (9, 0.99), (100, 0.9), (100, 0.99)])
+def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> None:
+    """Where a large relaxation explodes within a sweep, the automatic one still converges, about as soon as PGS."""
+    problem = ring(n, weight)
+    result, plain = solve(problem, name), solve(problem, "pgs")
+    assert result.status is plain.status is Status.SOLVED
+    assert result.iterations <= 2 * plain.iterations + 40
+
+
+@pytest.mark.parametrize("name", ["psor", "auto"])
+@pytest.mark.parametrize("scene", ["diffusion=1e-6,discount=0", "diffusion=1e-4,discount=0.1"])
+def test_automatic_relaxation_solves_headwind(name: str, scene: str) -> None:
+    """Convection against the sweep direction is solved wherever PGS solves it."""
+    problem = gallery.parse(f"optimal_stopping:size=100,wind_x=-1,wind_y=-1,{scene}").problem
+    assert solve(problem, "pgs").status is Status.SOLVED
+    assert solve(problem, name).status is Status.SOLVED
+
+
+@pytest.mark.parametrize("name", ["psor", "auto"])
+def test_automatic_relaxation_does_not_give_up_on_a_long_string(name: str) -> None:
+    """A string of 1000 nodes needs about 1.5 n sweeps, where PGS needs more than 10⁵."""
+    result = solve(string(1000), name)
+    assert result.status is Status.SOLVED
+    assert result.iterations < 2500
+
+
+@pytest.mark.parametrize("name", ["pj", "mj"])
+def test_a_front_is_no_standstill(name: str) -> None:
+    """Where a front crosses 600 unknowns one a sweep, the run is not called STALLED before it converges."""
+    n = 600
+    M = sp.diags_array([-np.ones(n - 1), np.ones(n)], offsets=[-1, 0])
+    q = np.zeros(n)
+    q[0] = -1.0
+    assert solve(LCP(M, q), name).iterations == n
+
+
+# --- Slacks beyond the number range -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_slack_that_overflows_is_no_solution(name: str) -> None:
+    """Where partial sums of w overflow to +∞ although w is negative, the status is not SOLVED."""
+    M = np.eye(5)
+    M[0] = [1e308, 1e308, 1e308, -1.5e308, -1.5e308]  # true slack of row 0 at z = (0, 1, 1, 1, 1): -1e308
+    try:
+        result = solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, max_iterations=300)
+    except (UnsuitableMatrix, UnsuitableProblem):
+        return
+    assert_honest(result)
+
+
+def test_nothing_is_measured_against_infinity() -> None:
+    """Where ‖r(z°)‖ itself overflows no residual is relative to it, and no z is SOLVED."""
+    problem = LCP(sp.csr_array([[0.1, 1e5], [0.0, 1.0]]), [-1e308, -1e303])
+    assert math.isnan(Certificate.of(problem, [0.0, 1.7e303]).relative_residual)
+    assert solve(problem, "pgs", z0=[0.0, 1.7e303], max_iterations=10).status is not Status.SOLVED
+
+
+def test_rounding_as_large_as_the_problem_is_no_precision_limit() -> None:
+    """On an infeasible problem a start so far out that rounding explains its residual gets no 'accept z'."""
+    result = solve(LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]), "pgs", z0=[1e17, 1e17])
+    assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)

@@ -1,0 +1,496 @@
+"""The stability atlas: exact answers are exact, a lie is found out, and scaling by powers of two changes no bit."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import pickle
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact import exact_solution
+from fresh_process import printed_by
+from hypothesis import given, settings
+
+from lcp_plugin import LCP, InvalidOption, Result, Status, UnknownAlgorithm, gallery, solve
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.core.errors import UnsuitableProblem
+from lcp_plugin.core.solving.result import BoundOrReason
+from lcp_plugin.evidence import exact_answers
+from lcp_plugin.evidence import stability as atlas
+from lcp_plugin.evidence.exact_answers import condition_of_answer, exact_answer, lie_in, relative_error
+from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
+from lcp_plugin.evidence.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
+from lcp_plugin.methods.interior.suited_matrix import monotone_rows
+from lcp_plugin.methods.lemke.canonical_box import canonical_box
+from lcp_plugin.proofs.exact.exactly import is_exact_solution
+from lcp_plugin.strategies import h_plus_matrices, solved_lcps
+
+ALL = ["auto", *REGISTRY]
+EPSILON = 2.0**-52
+SCALE_INVARIANT = [name for name in REGISTRY if name not in ("newton", "interior_point", "lemke")]
+CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family](True)]
+
+
+# --- exact answers ---------------------------------------------------------------------------------------------------
+
+
+@settings.get_profile("few")
+@given(solved_lcps(h_plus_matrices(margin=2.0**-20), bounds=True))
+def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any]) -> None:
+    """From the planted answer, and from z°, the exact answer is that of another exact method."""
+    problem, z = drawn
+    expected = exact_solution(problem).z
+    assert exact_answer(problem, [float(value) for value in z]) == expected
+    assert exact_answer(problem, problem.nearest_to_zero.tolist()) == expected
+
+
+@pytest.mark.sampled(12)
+@pytest.mark.parametrize(("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES])
+def test_every_case_has_a_verified_answer_or_none(family: str, case: Case) -> None:
+    """The answers of all cases solve their problems without rounding, and each has a condition number of 1 or more."""
+    assert (case.exact is None) == (case.stress in ("singular M, no solution", "the answer overflows"))
+    assert case.exact is None or is_exact_solution(case.problem, case.exact)
+    assert case.condition >= 1.0
+    if case.has_line:
+        assert is_exact_solution(case.problem, [value + Fraction(7, 3) for value in case.exact])
+
+
+def test_a_wrong_guess_far_from_any_answer_is_refused() -> None:
+    """Where the exchanges meet a singular block the exact answer is refused in words, not guessed."""
+    with pytest.raises(UnsuitableProblem, match=r"no exact answer .* give one on the right bounds"):
+        exact_answer(LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]), [1.0, 1.0])
+
+
+def test_errors_are_exact() -> None:
+    """An error of one ulp is seen as such, a line of solutions has its nearest point, ∞ stands for x/0."""
+    third = (Fraction(1, 3), Fraction(0))
+    assert relative_error(np.array([1.0 / 3.0, 0.0]), third, np.ones(2)) == pytest.approx(2.0**-54, rel=1e-12)
+    assert relative_error(np.array([3.0, 5.0]), (Fraction(0), Fraction(1)), np.ones(2), has_line=True) == 0.5
+    assert relative_error(np.ones(1), (Fraction(0),), np.ones(1)) == math.inf
+    assert relative_error(np.zeros(1), (Fraction(0),), np.ones(1)) == 0.0
+    assert relative_error(np.array([1e300]), (Fraction(1, 10**300),), np.ones(1)) == math.inf
+
+
+# --- condition numbers -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(6))
+def test_condition_bounds_what_an_ulp_can_do(seed: int) -> None:
+    """No change of all entries by 1 ulp moves the exact answer by more than condition × 2⁻⁵², and some come near."""
+    i = np.arange(4)
+    cases = [mostly_free("", grid(3)), mostly_free("", 1.0 / (i[:, None] + i + 1.0)), half_active("", grid(3, 4.5))]
+    case = cases[seed % 3]
+    problem, exact, condition = case.problem, case.exact, case.condition
+    generator = np.random.default_rng(seed)
+    moves = []
+    for _ in range(40):
+        M = problem.csr.copy()
+        M.data = M.data * (1.0 + EPSILON * generator.choice([-1.0, 1.0], size=M.nnz))
+        q = problem.q * (1.0 + EPSILON * generator.choice([-1.0, 1.0], size=problem.n))
+        moved = exact_answer(LCP(M, q), [float(value) for value in exact])
+        moves.append(max(abs(a - b) for a, b in zip(moved, exact, strict=True)) / max(exact))
+    assert max(moves) <= condition * EPSILON * (1.0 + 1e-9)
+    assert max(moves) >= condition * EPSILON / 30.0
+
+
+@pytest.mark.parametrize("power", [-600, 600])
+def test_condition_knows_no_units(power: int) -> None:
+    """Rows in other units, or columns with z measured in theirs, have the same condition number."""
+    base = mostly_free("", grid(3))
+    factors = np.ldexp(1.0, np.resize([power, -power // 2, 3], 9))
+    assert rescaled("", base, factors, 1.0).condition == pytest.approx(base.condition, rel=1e-12)
+    assert rescaled("", base, 1.0, factors).condition == pytest.approx(base.condition, rel=1e-12)
+
+
+def test_condition_of_a_large_m_matrix_needs_no_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One sparse solve gives the same number as the dense inverse; where it cannot, the answer is NaN."""
+    case = mostly_free("", grid(8))
+    dense = case.condition
+    monkeypatch.setattr(exact_answers, "LARGEST_DENSE", 10)
+    assert condition_of_answer(case.problem, case.exact, case.units) == pytest.approx(dense, rel=1e-12)
+    no_m_matrix = planted("", np.eye(20) + 0.01, np.ones(20), np.zeros(20))
+    assert math.isnan(no_m_matrix.condition)
+
+
+def test_a_singular_free_block_has_no_condition() -> None:
+    """Where w = 0 on a singular block the condition number is ∞."""
+    M = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    assert condition_of_answer(LCP(M, [0.0, 0.0]), (Fraction(1), Fraction(1)), np.ones(2)) > 1e15
+
+
+# --- lies ------------------------------------------------------------------------------------------------------------
+
+PROBLEM = LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])
+EXACT = (Fraction(3, 4), Fraction(0))
+
+
+def forged(**changes: Any) -> Result:
+    """Return a true result with something untrue put in."""
+    result = solve(PROBLEM, "psor", error_bound=True)
+    return replace(result, **changes)
+
+
+def bound_of(result: Result, factor: float) -> Any:
+    return replace(result.error_bound, componentwise=result.error_bound.componentwise * factor)
+
+
+@pytest.mark.parametrize(
+    ("changes", "lie"),
+    [
+        ({}, ""),
+        ({"z": np.array([0.75, 1e-7])}, "SOLVED, but the exact residual is above the tolerance"),
+        ({"z": np.array([0.75, -1e-300])}, "z lies outside its bounds"),
+        ({"z": np.array([math.nan, 0.0])}, "z is not finite"),
+        ({"status": Status.PRECISION_LIMIT, "z": np.array([0.75 + 1e-13, 0.0])}, "PRECISION_LIMIT, but rounding"),
+        ({"status": Status.PRECISION_LIMIT, "z": np.array([0.75 + 1e-16, 0.0])}, ""),
+        ({"status": Status.INFEASIBLE}, "INFEASIBLE, but there is a solution"),
+        ({"status": Status.NO_SOLUTION}, "NO_SOLUTION, but there is a solution"),
+        ({"status": Status.STALLED, "z": np.array([0.0, 0.0])}, ""),
+        ({"z": np.array([0.75 + 1e-9, 0.0]), "_bound": "too small"}, "exceeds its rigorous bound"),
+    ],
+)  # fmt: skip
+def test_a_lie_is_found_out(changes: dict[str, Any], lie: str) -> None:
+    """What a result claims against the exact answer is named; what is true, or admits failure, is not."""
+    if changes.get("_bound") == "too small":
+        changes = changes | {"_bound": BoundOrReason(bound_of(forged(), 1e-6))}
+    found = lie_in(forged(**{"_bound": BoundOrReason()} | changes), EXACT)
+    assert lie in found if lie else found == ""
+
+
+def test_a_lie_needs_no_known_answer() -> None:
+    """Without an exact answer the residual alone convicts."""
+    assert lie_in(forged(z=np.array([0.7, 0.0])), None).startswith("SOLVED, but")
+    assert lie_in(forged(), None) == ""
+
+
+@pytest.mark.parametrize("error", [0.0, 1e-9, 3e-8, 1e-6])
+def test_large_problems_are_judged_alike(error: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bounds that spare large problems their fractions never acquit what the fractions convict."""
+    case = half_active("", grid(6, 5.0))
+    result = solve(case.problem, "psor", tolerance=1e-12)
+    result = replace(result, tolerance=1e-8, z=np.where(result.z > 0.0, result.z * (1.0 + error), 0.0))
+    in_fractions = lie_in(result, None)
+    assert bool(in_fractions) == (error > 2e-8)
+    monkeypatch.setattr(exact_answers, "LARGEST_EXACT", 1)
+    assert lie_in(result, None) == in_fractions
+    if error < 1e-8:
+        monkeypatch.setattr(exact_answers, "exact_residuals", None)  # not needed
+        assert lie_in(result, None) == ""
+
+
+# --- the atlas -------------------------------------------------------------------------------------------------------
+
+SOME = ["npsor", "newton"]
+QUICK_FAMILIES = [family for family in FAMILIES if family != "sizes"]
+
+
+@pytest.fixture(scope="module")
+def some() -> Atlas:
+    return stability_atlas(SOME, QUICK_FAMILIES, quick=True)
+
+
+@pytest.mark.full
+def test_nobody_lies_and_most_is_solved(some: Atlas) -> None:
+    """0 lies, no run that raised, and at least 90 % of the well-posed cells are SOLVED; the campaign runs them all."""
+    assert some.lies == ()
+    assert not [cell for cell in some.cells if cell.status == "ERROR"]
+    assert some.solved_share >= 0.9
+    assert len(some.well_posed) > 0.6 * len(some.cells)
+
+
+@pytest.mark.full
+def test_summary_lists_every_cell_that_is_not_solved(some: Atlas) -> None:
+    """Counts first, then a line for every STALLED, PRECISION_LIMIT … cell, every hidden error, all that is left out."""
+    lines = some.summary().splitlines()
+    assert lines[0].startswith(f"{len(some.cells)} cells: ")
+    assert lines[1] == "0 lies"
+    assert len(lines) == 3 + len(some.unsolved) + len(some.misleading) + len(some.skipped)
+    for cell in some.unsolved:
+        assert any(line.startswith(cell.status) and cell.algorithm in line and cell.stress in line for line in lines)
+    assert any(cell.status == "PRECISION_LIMIT" for cell in some.unsolved)
+    assert any(cell.status == "STALLED" for cell in some.unsolved)
+
+
+def test_what_an_algorithm_cannot_take_is_left_out_with_its_reason() -> None:
+    """A box is no problem for the modulus methods: one line says so, and there is no empty cell."""
+    found = stability_atlas(["mgs"], ["degeneracy"], quick=True)
+    assert [what for what, _ in found.skipped] == ["mgs on degenerate at both bounds of a box"]
+    assert "upper bound" in found.skipped[0][1]
+    assert len(found.cells) == 5
+
+
+@pytest.mark.full
+def test_solved_cells_are_as_accurate_as_their_condition_allows(some: Atlas) -> None:
+    """An error beyond condition × residual is told in digits lost; where rows are alike there is none of size."""
+    for cell in some.cells:
+        if cell.status == "SOLVED" and cell.family in ("degeneracy", "far starts", "one ulp"):
+            assert cell.digits_lost < 2.0, cell
+        if cell.certified:
+            assert cell.told_the_truth
+    stiff = [cell for cell in some.misleading if cell.stress == "contrast=1e+12"]
+    assert stiff
+    assert all(cell.condition > 1e12 for cell in stiff)
+
+
+@pytest.mark.full
+def test_atlas_survives_json_pickle_and_addition(some: Atlas, tmp_path: Path) -> None:
+    """JSON text, pickle and the sum of parts give back every cell; CSV has one row for each."""
+    text = json.dumps(some.to_content(), allow_nan=False)
+    again = Atlas.from_content(json.loads(text))
+    assert repr(again) == repr(some)
+    assert repr(pickle.loads(pickle.dumps(some))) == repr(some)
+    assert repr(Atlas(some.cells[:5]) + Atlas(some.cells[5:], some.skipped)) == repr(some)
+    some.to_csv(tmp_path / "atlas.csv")
+    with (tmp_path / "atlas.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["stress"] for row in rows] == [cell.stress for cell in some.cells]
+    assert set(rows[0]) == set(Cell.__dataclass_fields__)
+
+
+@pytest.mark.full
+def test_a_second_run_gives_the_same_atlas() -> None:
+    """Nothing depends on a clock: the same call gives the same cells; progress counts them."""
+    calls: list[tuple[int, int, str]] = []
+    first = stability_atlas(["auto", "npgs"], ["far starts"], quick=True, progress=lambda *call: calls.append(call))
+    assert repr(stability_atlas(["auto", "npgs"], ["far starts"], quick=True)) == repr(first)
+    assert [call[:2] for call in calls] == [(k, 6) for k in range(1, 7)]
+    assert calls[1][2] == "z0 = 1e10: npgs"
+
+
+def test_an_empty_atlas_is_nothing_to_be_proud_of() -> None:
+    """No cells: no lies, and the summary says 0 cells."""
+    assert Atlas(()).summary().startswith("0 cells")
+    assert Atlas(()).solved_share == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ((["psr"],), UnknownAlgorithm, "unknown algorithm 'psr'; did you mean 'psor'"),
+        ((None, ["stifness"]), InvalidOption, "unknown stress 'stifness'; did you mean 'stiffness'"),
+        (("psor",), InvalidOption, r"algorithms must be a list of names, got the word 'psor'; write \['psor'\]"),
+        ((None, "stiffness"), InvalidOption, "stresses must be a list of names"),
+        ((5,), InvalidOption, "algorithms must be a list of names, got 5"),
+    ],
+)
+def test_wrong_names_are_refused(arguments: tuple[Any, ...], error: type[Exception], message: str) -> None:
+    """An algorithm or stress that does not exist is refused before anything runs."""
+    with pytest.raises(error, match=message):
+        stability_atlas(*arguments)
+
+
+def test_overflow_is_never_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run in which NumPy warns of an overflow is an ERROR and no truth, whatever it would have returned."""
+
+    def careless(*args: Any, **options: Any) -> Any:
+        np.exp(np.array([1e4]))
+        return solve(*args, **options)
+
+    monkeypatch.setattr(atlas, "solve", careless)
+    found = stability_atlas(["psor"], ["far starts"], quick=True)
+    assert {cell.status for cell in found.cells} == {"ERROR"}
+    assert found.lies == found.cells
+    assert "RuntimeWarning: overflow" in found.cells[0].note
+
+
+def test_a_lie_is_a_lie_in_the_atlas(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solver that claims SOLVED for anything is convicted in every cell and first in the summary."""
+
+    def liar(problem: LCP, *args: Any, **options: Any) -> Result:
+        return replace(solve(problem, "pgs", max_iterations=1), status=Status.SOLVED)
+
+    monkeypatch.setattr(atlas, "solve", liar)
+    found = stability_atlas(["psor"], ["far starts"], quick=True)
+    assert found.lies == found.cells
+    assert found.summary().splitlines()[3].startswith("LIE SOLVED")
+
+
+@pytest.mark.full
+def test_the_atlas_loads_nothing_it_does_not_need() -> None:
+    """Sweeps under stress load neither cvxpy, matplotlib, jinja2 nor hypothesis."""
+    code = (
+        "import sys\nfrom lcp_plugin.evidence.stability import stability_atlas\n"
+        "stability_atlas(['pgs'], ['far starts'], quick=True)\n"
+        "print([m for m in ('cvxpy', 'matplotlib', 'jinja2', 'hypothesis', 'pyamg', 'rich') if m in sys.modules])"
+    )
+    assert printed_by(code) == "[]"
+
+
+# --- powers of two ---------------------------------------------------------------------------------------------------
+
+POWERS = (-900, -451, -52, -1, 1, 52, 451, 900)
+
+
+def bases() -> Iterator[LCP]:
+    yield half_active("", grid(4, 4.5)).problem
+    yield mostly_free("", grid(4)).problem
+    yield half_active("", grid(4, 4.0, (-1.5, -1.25), (-0.5, -0.75))).problem
+
+
+BASES = list(bases())
+
+
+def in_powers_of_two(problem: LCP, row: Any, column: int) -> LCP:
+    """Return the problem with rows multiplied by 2^row and all columns by 2^column, exactly."""
+    M = problem.csr.copy()
+    row = np.broadcast_to(row, problem.n)
+    M.data = np.ldexp(M.data, np.repeat(row, np.diff(M.indptr)) + column)
+    return LCP(M, np.ldexp(problem.q, row))
+
+
+def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
+    """Yield (what is scaled, the scaled problem, k with z · 2^k the scaled answer)."""
+    rows = np.random.default_rng(abs(power)).integers(-abs(power), abs(power) + 1, problem.n)
+    yield "M and q", in_powers_of_two(problem, power, 0), 0
+    yield "M", in_powers_of_two(problem, 0, power), -power
+    yield "q", in_powers_of_two(problem, power, -power), power
+    yield "rows", in_powers_of_two(problem, rows, 0), 0
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("name", SCALE_INVARIANT)
+def test_powers_of_two_change_no_bit(name: str) -> None:
+    """M, q and rows times 2^k, k from −900 to 900: the same iterations, and answers that are bit for bit the scaled.
+
+    Of multigrid this holds where one factor multiplies all rows: its grids see the rows beside one another.
+    """
+    for problem in (*BASES, half_active("", grid(12, 4.5)).problem):
+        plain = solve(problem, name)
+        for power in POWERS:
+            for what, scaled, exponent in variants(problem, power):
+                if (name, what) == ("multigrid", "rows"):
+                    continue
+                result = solve(scaled, name)
+                assert np.array_equal(result.z, np.ldexp(plain.z, exponent)), (what, power)
+                assert (result.status, result.iterations) == (plain.status, plain.iterations), (what, power)
+
+
+@pytest.mark.parametrize("size", [4, 12])
+def test_multigrid_tells_the_truth_about_rows_in_other_units(size: int) -> None:
+    """With rows times 2^±900 multigrid takes other steps on more than one grid, and is SOLVED, accurate, and true."""
+    problem = half_active("", grid(size, 4.5)).problem
+    exact = exact_answer(problem, solve(problem, "psor", tolerance=1e-13).z.tolist())
+    for power in POWERS:
+        (scaled,) = (scaled for what, scaled, _ in variants(problem, power) if what == "rows")
+        result = solve(scaled, "multigrid")
+        assert lie_in(result, exact) == ""
+        assert result.status is Status.SOLVED
+        assert relative_error(result.z, exact, np.ones(problem.n)) < 1e-7
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("name", [name for name in ALL if name not in SCALE_INVARIANT])
+def test_elsewhere_powers_of_two_change_no_truth(name: str) -> None:
+    """Methods that factorise: other bits in other units, but SOLVED, accurate, and the status is true."""
+    for problem in BASES:
+        exact = exact_answer(problem, solve(problem, "psor", tolerance=1e-13).z.tolist())
+        for power in POWERS:
+            for what, scaled, exponent in variants(problem, power):
+                result = solve(scaled, name)
+                answer = tuple(value * Fraction(2) ** exponent for value in exact)
+                assert lie_in(result, answer) == "", (what, power)
+                assert result.status is Status.SOLVED, (what, power)
+                assert relative_error(result.z, answer, np.ones(problem.n)) < 1e-7
+
+
+# --- defects that the atlas found ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("power", [30, 100, 140])
+def test_lemke_solves_rows_of_any_size(power: int) -> None:
+    """Rows multiplied by 10^±140 stay out of the unit of z: the path is that of the plain problem."""
+    base = half_active("", grid(4, 5.0))
+    rows = 10.0 ** np.resize([power, -power, 0, power / 2], 16)
+    case = rescaled("", base, rows, 1.0)
+    result = solve(case.problem, "lemke")
+    assert result.status is Status.SOLVED
+    assert relative_error(result.z, case.exact, case.units) < 1e-12
+    box = canonical_box(case.problem)
+    assert np.abs(box.q).min() > 1e-3
+
+
+def test_lemke_keeps_a_symmetric_matrix_symmetric() -> None:
+    """With the same factors of 10^±60 on rows and columns the canonical matrix of a symmetric one is symmetric."""
+    factors = 10.0 ** np.resize([60.0, -60.0, 0.0, 30.0], 16)
+    M = sp.csr_array(sp.diags_array(factors) @ grid(4, 5.0) @ sp.diags_array(factors))
+    M = sp.csr_array((M + M.T) / 2.0)
+    box = canonical_box(LCP(M, -np.ones(16)))
+    assert np.array_equal(box.M, box.M.T)
+
+
+@pytest.mark.parametrize("power", [-900, 900])
+def test_interior_steps_work_in_any_unit_of_q(power: int) -> None:
+    """On a nonsymmetric matrix with q of 2^±900 no product of z and w leaves the number range."""
+    problem = BASES[2]
+    plain, result = solve(problem, "interior_point"), solve(in_powers_of_two(problem, power, -power), "interior_point")
+    assert result.status is plain.status is Status.SOLVED
+    assert np.allclose(np.ldexp(result.z, -power), plain.z, rtol=1e-7, atol=1e-9)
+
+
+def test_rows_are_made_monotone_where_they_can_be() -> None:
+    """The factors undo rows in other units, bit for bit; where M may be monotone, or never can, there are none."""
+    generator = np.random.default_rng(0)
+    jumps = gallery.build("coefficient_jumps", size=9, contrast=1e6).problem.csr
+    for M in (jumps, grid(4)):
+        assert monotone_rows(M) is None
+        exponents = generator.integers(-300, 301, size=M.shape[0])
+        r = monotone_rows(in_powers_of_two(LCP(M, np.zeros(M.shape[0])), exponents, 0).csr)
+        assert np.ptp(r + exponents) == 0.0  # on a connected grid they are known but for a common one
+    for column in (-7, 7):
+        windy = in_powers_of_two(BASES[2], np.resize([column, 0], 16), 0).csr
+        assert monotone_rows(sp.csr_array(sp.diags_array(np.ldexp(1.0, monotone_rows(windy))) @ windy)) is None
+    assert monotone_rows(np.array([[1.0, 5.0], [5.0, 1.0]])) is None
+    assert monotone_rows(np.array([[0.0, 5.0], [-5.0, 1.0]])) is None
+    assert monotone_rows(np.zeros((0, 0))) is None
+
+
+@pytest.mark.parametrize("text", ["coefficient_jumps:size=9,contrast=1e4", "obstacle_2d:size=9", "murty:n=1"])
+def test_interior_steps_see_through_the_units_of_rows(text: str) -> None:
+    """Rows multiplied by 10^±50 leave a monotone problem solvable, dense or sparse, with the same answer."""
+    problem = gallery.parse(text).problem
+    rows = 10.0 ** np.resize([50.0, -50.0, 0.0, 25.0], problem.n)
+    scaled = LCP(sp.diags_array(rows) @ problem.csr, rows * problem.q, lower=problem.lower, upper=problem.upper)
+    result = solve(scaled, "interior_point")
+    assert result.status is Status.SOLVED
+    assert np.allclose(result.z, solve(problem, "newton").z, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor", "npsplitting"])
+def test_projected_type_methods_see_through_the_units_of_columns(name: str) -> None:
+    """Columns in units of 10^±8 leave an H₊-matrix one; it takes more sweeps only for losing sight of dominance."""
+    base = half_active("", grid(4, 5.0))
+    case = rescaled("", base, 1.0, 10.0 ** np.resize([8.0, -8.0, 0.0, 4.0], 16))
+    plain, result = solve(base.problem, name), solve(case.problem, name)
+    assert plain.status is result.status is Status.SOLVED
+    assert result.iterations <= 2.5 * plain.iterations
+
+
+@pytest.mark.parametrize("M", [[[1.0, -9.0], [-9.0, 1.0]], [[-1.0, 0.0], [0.0, 1.0]]])
+def test_newton_returns_a_point_within_the_bounds(M: list[list[float]]) -> None:
+    """Where Newton fails, as where it succeeds, the z that is returned obeys its bounds."""
+    result = solve(LCP(M, [-1.0, -1.0]), "newton")
+    assert result.status is not Status.SOLVED
+    assert result.z.min() >= 0.0
+
+
+@pytest.mark.parametrize("name", ["newton", "lemke", "multigrid", "auto"])
+def test_no_overflow_is_silent_at_the_edge(name: str) -> None:
+    """In a box of ±1e308, and where partial sums overflow, no run warns and none claims what it cannot know."""
+    M = np.eye(5)
+    M[0] = [1e308, 1e308, 1e308, -1.5e308, -1.5e308]
+    box = LCP([[4.0, -1.0], [-1.0, 4.0]], [-1.0, 1.0], lower=-1e308, upper=1e308)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert lie_in(solve(box, name, z0=[1e308, -1e308], max_iterations=300), None) == ""
+        if name != "multigrid":
+            assert lie_in(solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, max_iterations=300), None) == ""

@@ -1,0 +1,684 @@
+"""The gallery: what its scenes declare is true, and what they cannot build they refuse in words."""
+
+from __future__ import annotations
+
+import pickle
+import pkgutil
+import time
+import tracemalloc
+from importlib import import_module
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import scenes
+import scipy.sparse as sp
+from collection.truth import ExactData
+from scipy.ndimage import label
+from scipy.sparse.linalg import spsolve
+
+from lcp_plugin import LCP, gallery
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem
+from lcp_plugin.gallery.obstacle import CONE_BEGINS, CONTACT_RADIUS, sphere_obstacle, sphere_solution
+from lcp_plugin.gallery.stencil import dirichlet_terms, nodes, stencil_matrix
+
+# Every scene, and one line per variant, small enough for dense linear algebra and rational arithmetic.
+SMALL = [
+    *scenes.SMALL,
+    "american_put:size=60",
+    "american_put:size=60,volatility=0.05,rate=0.3",
+    "american_put:size=60,volatility=0.5,rate=0.125",
+    "american_put_march:size=60,steps=5",
+    "bimatrix_game:game=prisoners_dilemma",
+    "bimatrix_game:game=matching_pennies",
+    "bimatrix_game:game=chicken",
+    "bimatrix_game:game=stag_hunt",
+    "bimatrix_game:game=rock_paper_scissors",
+    "bimatrix_game:game=shapley",
+    "bimatrix_game:game=indifferent",
+    "diode_bridge:current=-2",
+    "diode_bridge:current=0",
+    "elastic_plastic_torsion:size=11",
+    "elastic_plastic_torsion:size=10,section=disc,plastic_share=0.75",
+    "elastic_plastic_torsion:size=11,plastic_share=0,mixed=true",
+    "elastic_plastic_torsion:size=1,section=disc",
+    "half_active:n=100",
+    "half_active:n=81,delta=0,block=2,degenerate=false",
+    "market_equilibrium:goods=6,activities=9",
+    "market_equilibrium:goods=5,activities=3,running=1,seed=2",
+    "market_equilibrium:goods=1,activities=0",
+    "coefficient_jumps:size=11",
+    "coefficient_jumps:size=3,contrast=1,seed=2",
+    "convection_diffusion:size=11",
+    "convection_diffusion:size=6,diffusion=0,wind_angle=3.6",
+    "journal_bearing:size=11",
+    "journal_bearing:size=10,eccentricity=0.99,half_length=0.5",
+    "murty:n=7",
+    "murty:n=7,orientation=lower",
+    "murty:n=1",
+    "obstacle_2d:size=12",
+    "obstacle_2d:size=12,shifted=true",
+    "obstacle_3d:size=6",
+    "obstacle_bumps:size=12,bumps=3,seed=4",
+    "optimal_stopping:size=11",
+    "optimal_stopping:size=11,diffusion=1e-8,swirl=-7,discount=0",
+    "optimal_stopping:size=11,wind_x=0,wind_y=0",
+    "paper_example_1:n=49,delta=0",
+    "paper_example_1:n=1",
+    "paper_example_2:n=49",
+    "random_h_plus:n=40",
+    "random_h_plus:n=40,entries_per_row=60,row_scale=100,column_scale=100,active_share=0.8,seed=3",
+    "random_h_plus:n=2,active_share=0",
+    "relay_control:n=7",
+    "relay_control:n=1,seed=4",
+    "rigid_stack:blocks=3",
+    "rigid_stack:blocks=4,points=2",
+    "rigid_stack:blocks=2,points=3,mass_ratio=100,push=3",
+    "rotated_anisotropy:size=11",
+    "rotated_anisotropy:size=6,ratio=0.01",
+]
+
+PLANTED = [text for text in SMALL if gallery.parse(text).exact is not None and not text.startswith("bimatrix")]
+OF_GRIDS = ("american", "coefficient", "convection", "half", "journal", "obstacle", "optimal", "paper")
+M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
+
+
+@pytest.fixture(params=SMALL)
+def scene(request: pytest.FixtureRequest) -> gallery.Scene:
+    return gallery.parse(request.param)
+
+
+def active_set(problem: LCP) -> np.ndarray:
+    """Return z for an M-matrix and finite lower bounds: monotone active-set steps, each one sparse solve."""
+    A, lower = problem.csr, problem.lower
+    free = np.ones(problem.n, dtype=bool)
+    for _ in range(200):
+        z = np.where(free, 0.0, lower)
+        inside = np.flatnonzero(free)
+        z[inside] = spsolve(A[inside][:, inside].tocsc(), -problem.slack(z)[inside])
+        now_free = np.where(free, z > lower, problem.slack(z) < 0.0)
+        if np.array_equal(free, now_free):
+            return z
+        free = now_free
+    raise AssertionError("the reference did not settle")
+
+
+def eliminate_with_maximum(problem: LCP) -> np.ndarray:
+    """Return z for a tridiagonal M-matrix whose contact set is an initial interval (Brennan and Schwartz)."""
+    A, lower = problem.csr, problem.lower
+    below, diagonal, above, right = A.diagonal(-1), A.diagonal().copy(), A.diagonal(1), -problem.q
+    for i in range(problem.n - 2, -1, -1):
+        factor = above[i] / diagonal[i + 1]
+        diagonal[i] -= factor * below[i]
+        right[i] -= factor * right[i + 1]
+    z = np.maximum(lower, right / diagonal)
+    for i in range(1, problem.n):
+        z[i] = max(lower[i], (right[i] - below[i - 1] * z[i - 1]) / diagonal[i])
+    return z
+
+
+def march(scene: gallery.Scene) -> tuple[LCP, np.ndarray]:
+    """Return the last problem of a scene's march and its solution."""
+    problem = scene.problem
+    for _ in range(scene.steps - 1):
+        problem = problem.with_q(scene.advance(eliminate_with_maximum(problem)))
+    return problem, eliminate_with_maximum(problem)
+
+
+def projected_type_sweeps(scene: gallery.Scene, relaxation: float, scaled: bool) -> int | None:
+    """Return after how many sweeps the projected-type iteration reaches 1e-10, or None in 3000."""
+    M, q = scene.problem.csr.toarray(), scene.problem.q
+    if scaled:
+        M, q = M / M.diagonal()[:, None], q / M.diagonal()
+    d = M.diagonal()
+    splitting = np.diag(d / relaxation + d + 2.0) + np.tril(M, -1)
+    z = scene.start.copy()
+    for sweep in range(3000):
+        residual = np.minimum(z, M @ z + q)
+        if np.abs(residual).max() < 1e-10:
+            return sweep
+        z = np.maximum(z - 2.0 * np.linalg.solve(splitting, residual), 0.0)
+    return None
+
+
+# --- The registry -----------------------------------------------------------------------------------------
+
+
+def test_every_builder_is_reachable() -> None:
+    """A builder in any module of the package is registered and exported without further imports."""
+    known = gallery.names()
+    for module in pkgutil.iter_modules(gallery.__path__):
+        if module.name == "on_ranks":  # it needs MPI
+            continue
+        import_module(f"{gallery.__name__}.{module.name}")
+    assert gallery.names() == known
+    assert set(known) <= set(gallery.__all__)
+    assert all(isinstance(getattr(gallery, name)().problem, LCP) for name in known)
+
+
+def test_description_is_one_line_and_every_parameter_is_documented() -> None:
+    """Each scene has a one-line description ending in a full stop and documents all of its parameters."""
+    for name, summary, parameters in gallery.describe():
+        documentation = getattr(gallery, name).__doc__
+        assert summary.endswith(".")
+        assert documentation.startswith(summary + "\n")
+        documented = documentation.partition("Parameters\n")[2].partition("Notes\n")[0]
+        for parameter in parameters:
+            assert parameter in documented.replace(",", " ").split(), (name, parameter)
+
+
+def test_defaults_are_quick_and_of_moderate_size() -> None:
+    """Every scene builds with its defaults in less than half a second and at most 40 000 unknowns."""
+    for name in gallery.names():
+        begin = time.process_time()
+        scene = gallery.build(name)
+        assert time.process_time() - begin < 0.5, name
+        assert scene.n <= 40_000
+
+
+def test_three_ways_to_build_agree() -> None:
+    """By text, by name and by function the same scene results, with the values actually used."""
+    by_text = gallery.parse(" half_active : n=25, delta=1e0, degenerate=False ")
+    by_name = gallery.build("half_active", n=np.int64(25), delta=1, degenerate=np.False_)
+    by_function = gallery.half_active(n=25, delta=1.0, degenerate=False)
+    for scene in (by_text, by_name, by_function):
+        assert scene.parameters == {"n": 25, "delta": 1.0, "block": 5, "degenerate": False}
+        assert [type(value) for value in scene.parameters.values()] == [int, float, int, bool]
+        assert scene.name == "half_active"
+        assert np.array_equal(scene.problem.q, by_text.problem.q)
+    assert repr(by_text) == "Scene(half_active: n=25, delta=1.0, block=5, degenerate=False)"
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "message"),
+    [
+        ("obstacle2d", {}, r"unknown scene 'obstacle2d'; did you mean 'obstacle_2d'\? \(\d+ are known"),
+        (
+            "obstacle_2d",
+            {"siez": 9},
+            r"scene 'obstacle_2d' has no parameter 'siez'; did you mean 'size'\?.*shifted",
+        ),
+        ("scaling_trap", {"n": 3}, "scene 'scaling_trap' has no parameter 'n'; it takes none"),
+        ("obstacle_2d", {"size": 0}, "scene 'obstacle_2d': size must be an integer, ≥ 1, got 0"),
+        ("obstacle_2d", {"size": 9.0}, "size must be an integer, ≥ 1, got 9.0"),
+        ("obstacle_2d", {"size": True}, "size must be an integer, ≥ 1, got True"),
+        ("obstacle_2d", {"shifted": 1}, "shifted must be True or False, got 1"),
+        ("paper_example_1", {"n": 99}, "n must be an integer, a perfect square ≥ 1, got 99"),
+        ("paper_example_2", {"n": -4}, "n must be an integer, a perfect square ≥ 1, got -4"),
+        ("paper_example_1", {"delta": -0.1}, "delta must be a finite number, ≥ 0, got -0.1"),
+        ("paper_example_1", {"delta": float("nan")}, "delta must be a finite number, ≥ 0, got nan"),
+        ("paper_example_1", {"delta": 10**400}, "delta must be a finite number, ≥ 0, got 1000"),
+        ("paper_example_1", {"delta": "4"}, "delta must be a finite number, ≥ 0, got '4'"),
+        (
+            "random_h_plus",
+            {"active_share": 1.5},
+            "active_share must be a finite number, between 0 and 1, got 1.5",
+        ),
+        ("random_h_plus", {"n": 1}, "n must be an integer, ≥ 2, got 1"),
+        ("random_h_plus", {"row_scale": 101}, "row_scale must be an integer, between 0 and 100, got 101"),
+        ("murty", {"orientation": "left"}, "orientation must be a word, 'upper' or 'lower', got 'left'"),
+        ("bimatrix_game", {"game": "poker"}, "game must be a word, 'battle_of_the_sexes' or .*, got 'poker'"),
+        ("rigid_stack", {"points": 1}, "points must be an integer, ≥ 2, got 1"),
+        ("american_put", {"volatility": 0.0}, "volatility must be a finite number, > 0, got 0.0"),
+        (
+            "obstacle_bumps",
+            {"load": float("inf")},
+            r"load must be a finite number, got inf \(the default is -5.0\)",
+        ),
+    ],
+)
+def test_bad_parameters_are_refused_by_name_and_value(name: str, parameters: dict, message: str) -> None:
+    """A wrong scene, parameter, type or range is an InvalidOption that says what is right."""
+    with pytest.raises(InvalidOption, match=message):
+        gallery.build(name, **parameters)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nothing_like_it:size=3", r"unknown scene 'nothing_like_it'; \d+ are known"),
+        ("obstacle_2d:size", "'size' in 'obstacle_2d:size' has no '='; write scene:parameter=value"),
+        ("obstacle_2d:size=3,size=4", "'size=4' in .* repeats a parameter"),
+        ("obstacle_2d:size=3.5", "size must be an integer, ≥ 1, got '3.5'"),
+        ("obstacle_2d:shifted=perhaps", "shifted must be True or False, got 'perhaps'"),
+        ("paper_example_1:delta=four", "delta must be a finite number, ≥ 0, got 'four'"),
+        ("paper_example_1:delta=inf", "delta must be a finite number, ≥ 0, got inf"),
+        ("murty:m=3", r"scene 'murty' has no parameter 'm'"),
+    ],
+)
+def test_bad_texts_are_refused(text: str, message: str) -> None:
+    """A text that denotes no scene is an InvalidOption that says where."""
+    with pytest.raises(InvalidOption, match=message):
+        gallery.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("facts", "message"),
+    [
+        ({"exact": np.ones(3)}, r"exact must have shape \(2,\) like z, got \(3,\)"),
+        ({"grid": (3,), "axis_labels": ("x",)}, r"grid must hold n = 2 nodes, got \(3,\)"),
+        ({"grid": (2,)}, "axis_labels must match grid"),
+        ({"grid": (2,), "axis_labels": ("x",), "coordinates": (np.ones(3),)}, "axes of length"),
+        ({"steps": 2}, "a march of 2 steps needs advance, got None"),
+    ],
+)
+def test_scene_refuses_facts_that_do_not_fit(facts: dict, message: str) -> None:
+    """A builder that declares a fact of the wrong size fails at once."""
+    with pytest.raises(InvalidProblem, match=message):
+        gallery.Scene(problem=LCP(np.eye(2), np.zeros(2)), **facts)
+
+
+def test_picture_needs_a_grid_and_the_right_length() -> None:
+    """A scene without a grid, or a vector of another length, gives no picture."""
+    with pytest.raises(InvalidProblem, match="'scaling_trap' has no grid"):
+        gallery.build("scaling_trap").picture(np.zeros(3))
+    with pytest.raises(InvalidProblem, match=r"z must have shape \(9,\), got \(8,\)"):
+        gallery.build("obstacle_2d", size=3).picture(np.zeros(8))
+
+
+# --- What every scene declares ----------------------------------------------------------------------------
+
+
+def test_symmetry_is_as_declared(scene: gallery.Scene) -> None:
+    """M equals its transpose exactly where the scene says so, and nowhere else in this table."""
+    M = scene.problem.csr.toarray()
+    assert np.array_equal(M, M.T) == scene.is_symmetric
+
+
+def test_h_plus_is_as_declared(scene: gallery.Scene) -> None:
+    """The diagonal is positive and ρ(D⁻¹|B|) < 1 exactly where the scene says H+, and nowhere else in this table."""
+    M = scene.problem.csr.toarray()
+    diagonal = M.diagonal()
+    is_h_plus = bool(diagonal.min() > 0.0)
+    if is_h_plus:
+        jacobi = np.abs(M) / diagonal[:, None] - np.eye(scene.n)
+        is_h_plus = bool(np.abs(np.linalg.eigvals(jacobi)).max() < 1.0)
+    assert is_h_plus == scene.is_h_plus
+
+
+@pytest.mark.parametrize("text", M_MATRICES)
+def test_differential_scenes_have_m_matrices(text: str) -> None:
+    """Scenes from differential equations and the paper have no positive off-diagonal entry."""
+    M = gallery.parse(text).problem.csr.toarray()
+    assert (M - np.diag(M.diagonal())).max() <= 0.0
+
+
+@pytest.mark.parametrize("text", PLANTED)
+def test_exact_answers_are_exact(text: str) -> None:
+    """In rational arithmetic on the stored data every planted answer is complementary without any error."""
+    scene = gallery.parse(text)
+    assert ExactData(scene.problem).is_solution(scene.exact)
+
+
+def test_active_share_is_as_declared(scene: gallery.Scene) -> None:
+    """The declared share of active components is that of the declared answer."""
+    answer = scene.exact if scene.exact is not None else scene.continuum
+    if answer is None:
+        assert scene.active_share is None
+    else:
+        is_active = (answer == scene.problem.lower) | (answer == scene.problem.upper)
+        assert scene.active_share == pytest.approx(np.mean(is_active), abs=1e-15)
+
+
+def test_facts_cannot_be_overwritten(scene: gallery.Scene) -> None:
+    """Reference vectors are read-only, and the picture of z is z."""
+    for values in (scene.exact, scene.continuum, scene.start):
+        if values is not None:
+            assert not values.flags.writeable
+    if scene.grid is not None:
+        z = np.arange(float(scene.n))
+        assert np.array_equal(scene.picture(z).ravel(), z)
+
+
+def test_scenes_travel_between_processes(scene: gallery.Scene) -> None:
+    """A scene survives pickling with its data and its march."""
+    copy = pickle.loads(pickle.dumps(scene))
+    assert repr(copy) == repr(scene)
+    assert np.array_equal(copy.problem.csr.data, scene.problem.csr.data)
+    if scene.advance is not None:
+        assert np.array_equal(copy.advance(scene.problem.lower), scene.advance(scene.problem.lower))
+
+
+# --- Assembly ---------------------------------------------------------------------------------------------
+
+
+def test_stencil_agrees_with_kronecker_products() -> None:
+    """The stencil with different legs equals the sum of Kronecker products, on uneven grids too."""
+    for shape in [(1,), (4,), (3, 5), (1, 4), (4, 1), (2, 3, 4)]:
+        below, above = [-1.0, -3.0, -5.0][: len(shape)], [-2.0, -4.0, -6.0][: len(shape)]
+        expected = 7.0 * np.eye(np.prod(shape))
+        for axis, size in enumerate(shape):
+            factors = [np.eye(length) for length in shape]
+            factors[axis] = below[axis] * np.eye(size, k=-1) + above[axis] * np.eye(size, k=1)
+            product = np.ones((1, 1))
+            for factor in factors:
+                product = np.kron(product, factor)
+            expected += product
+        M = stencil_matrix(shape, 7.0, below, above)
+        assert np.array_equal(M.toarray(), expected)
+        assert M.has_canonical_format
+        assert M.indices.dtype == M.indptr.dtype == np.int32
+
+
+def test_stencil_and_boundary_terms_together_are_the_operator() -> None:
+    """With coefficients that vary from node to node, M u + boundary terms is the stencil applied to u."""
+    generator = np.random.default_rng(1)
+    u = generator.normal(size=(5, 6))
+    below, above = generator.normal(size=(2, 2, 3, 4))
+    centre = generator.normal(size=(3, 4))
+    inner = u[1:-1, 1:-1]
+    expected = centre * inner + below[0] * u[:-2, 1:-1] + above[0] * u[2:, 1:-1]
+    expected += below[1] * u[1:-1, :-2] + above[1] * u[1:-1, 2:]
+    result = stencil_matrix((3, 4), centre, below, above) @ inner.ravel() + dirichlet_terms(u, below, above)
+    assert np.allclose(result, expected.ravel(), rtol=0.0, atol=1e-14)
+
+
+def test_paper_matrices_are_the_printed_ones_corrected() -> None:
+    """Both examples equal blocktridiag(·, L₁, ·) + δI with the corrected blocks, start (1, 0, …)."""
+    blocks = {"paper_example_1": (-1.0, -1.0), "paper_example_2": (-1.5, -0.5)}
+    for name, (sub, sup) in blocks.items():
+        scene = gallery.build(name, n=25, delta=3.0)
+        line = sp.diags_array([sub, 4.0, sup], offsets=[-1, 0, 1], shape=(5, 5))
+        neighbours = sp.diags_array([sub, sup], offsets=[-1, 1], shape=(5, 5))
+        expected = (
+            sp.kron(sp.eye_array(5), line) + sp.kron(neighbours, sp.eye_array(5)) + 3.0 * sp.eye_array(25)
+        )
+        assert np.array_equal(scene.problem.csr.toarray(), expected.toarray())
+        assert scene.exact[:3].tolist() == [1.0, 2.0, 1.0]
+        assert scene.start[:3].tolist() == [1.0, 0.0, 1.0]
+        assert not scene.problem.slack(scene.exact).any()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "text",
+    ["paper_example_1:n=250000", "half_active:n=250000", "obstacle_2d:size=500", "obstacle_3d:size=63"],
+)
+def test_a_quarter_of_a_million_unknowns_are_cheap(text: str) -> None:
+    """Assembly takes less than two seconds and less than three times the memory of the matrix."""
+    tracemalloc.start()
+    begin = time.process_time()
+    problem = gallery.parse(text).problem
+    seconds = time.process_time() - begin
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    matrix = problem.csr
+    assert seconds < 2.0
+    assert peak < 3 * (matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes)
+
+
+def test_problems_use_the_assembled_matrix_itself() -> None:
+    """The stencil's arrays are canonical, so the problem keeps them without a copy."""
+    M = stencil_matrix((30, 30), 4.0, [-1.0, -1.0], [-1.0, -1.0])
+    assert np.shares_memory(LCP(M, np.zeros(900)).csr.data, M.data)
+
+
+# --- Single scenes ----------------------------------------------------------------------------------------
+
+
+def test_half_active_is_half_active_and_degenerate_on_request() -> None:
+    """Exactly half of the nodes are active where the blocks fit; degenerate ones appear only on request."""
+    for degenerate, count in [(True, 200), (False, 0)]:
+        scene = gallery.build("half_active", n=10_000, degenerate=degenerate)
+        w = scene.problem.slack(scene.exact)
+        assert scene.active_share == 0.5
+        assert np.count_nonzero((scene.exact == 0.0) & (w == 0.0)) == count
+
+
+def test_random_scene_has_every_kind_of_index_and_no_dominance() -> None:
+    """Active, inactive and degenerate indices occur, the share is met, and M is not dominant as it stands."""
+    scene = gallery.build("random_h_plus", n=1000, active_share=0.3)
+    w = scene.problem.slack(scene.exact)
+    assert np.count_nonzero(scene.exact == 0.0) == 300
+    assert np.count_nonzero((scene.exact == 0.0) & (w == 0.0)) == 30
+    M = abs(scene.problem.csr)
+    assert np.mean(M.sum(axis=1) > 2.0 * M.diagonal()) > 0.2
+    assert np.mean(M.sum(axis=0) > 2.0 * M.diagonal()) > 0.2
+    other = gallery.build("random_h_plus", n=1000, active_share=0.3, seed=1)
+    assert not np.array_equal(other.exact, scene.exact)
+
+
+def test_scaling_trap_traps() -> None:
+    """Unscaled NPSOR(1.7) never converges, NPGS takes over 1000 sweeps, scaled NPSOR(1.7) at most thirty."""
+    scene = gallery.build("scaling_trap")
+    assert projected_type_sweeps(scene, 1.7, scaled=False) is None
+    assert 1000 < projected_type_sweeps(scene, 1.0, scaled=False) < 3000
+    assert projected_type_sweeps(scene, 1.7, scaled=True) <= 30
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_sphere_solution_meets_the_obstacle_smoothly(dimension: int) -> None:
+    """At r* value and slope agree, the equation for r* holds, u > ψ beyond, and ψ is concave."""
+    contact = CONTACT_RADIUS[dimension]
+    equation = (
+        contact**2 * (1.0 - np.log(contact / 2.0)) if dimension == 2 else 2 * contact**2 - contact**3 / 2
+    )
+    assert equation == pytest.approx(1.0, abs=4e-16)
+
+    around = contact + np.array([-1e-4, -5e-5, 0.0, 5e-5, 1e-4])
+    u = sphere_solution(around, dimension)
+    assert u[2] == pytest.approx(np.sqrt(1.0 - contact**2), abs=1e-15)
+    assert u[2] - u[1] == pytest.approx(u[3] - u[2], rel=1e-3)
+
+    beyond = np.linspace(contact, 4.0, 2001)[1:]
+    assert np.all(sphere_solution(beyond, dimension) > sphere_obstacle(beyond))
+    everywhere = np.linspace(0.0, 4.0, 2001)
+    assert np.diff(sphere_obstacle(everywhere), 2).max() < 1e-13
+    assert contact < CONE_BEGINS
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("name", "sizes"), [("obstacle_2d", (15, 30, 60)), ("obstacle_3d", (8, 18))])
+def test_obstacle_converges_to_the_analytic_solution(name: str, sizes: tuple[int, ...]) -> None:
+    """Refining the grid shrinks the error fast, and the free boundary is met within one mesh width."""
+    dimension = int(name[-2])
+    errors = []
+    for size in sizes:
+        scene = gallery.build(name, size=size)
+        z = active_set(scene.problem)
+        errors.append(np.abs(z - scene.continuum).max())
+        r = np.sqrt(sum(x**2 for x in np.ix_(*scene.coordinates))).ravel()
+        touching, mesh_width = z <= scene.problem.lower, 4.0 / (size + 1)
+        assert r[touching].max() < CONTACT_RADIUS[dimension] + mesh_width
+        assert r[~touching].min() > CONTACT_RADIUS[dimension] - mesh_width
+        assert np.mean(touching) == pytest.approx(scene.active_share, abs=mesh_width / 2)
+    assert all(fine < coarse / 1.5 for coarse, fine in pairwise(errors))
+    assert errors[-1] < 1.0 / sizes[-1] ** 1.5
+
+
+def test_shifted_obstacle_is_the_same_problem() -> None:
+    """In the unknown u − ψ the problem is plain and has the shifted solution."""
+    bounded, shifted = (
+        gallery.build("obstacle_2d", size=20),
+        gallery.build("obstacle_2d", size=20, shifted=True),
+    )
+    assert shifted.problem.is_plain
+    expected = active_set(bounded.problem) - bounded.problem.lower
+    assert np.allclose(active_set(shifted.problem), expected, rtol=0.0, atol=1e-13)
+    assert np.array_equal(shifted.continuum, bounded.continuum - bounded.problem.lower)
+
+
+def test_bumps_have_several_contact_sets() -> None:
+    """The membrane rests on several bumps, hangs between them, and the bumps end inside the square."""
+    scene = gallery.build("obstacle_bumps", size=60)
+    z = active_set(scene.problem)
+    touching = scene.picture(z <= scene.problem.lower)
+    assert label(touching)[1] >= 3
+    assert 0.05 < touching.mean() < 0.5
+    rim = np.ones(scene.grid, dtype=bool)
+    rim[1:-1, 1:-1] = False
+    # One mesh width inside the boundary no bump is higher than its steepest slope allows.
+    assert scene.picture(scene.problem.lower)[rim].max() < 2.0 * 0.5 / 0.08 / 61
+
+
+def test_stopping_operator_is_exact_on_linear_functions() -> None:
+    """Inside the square the scaled rows give h² (b·∇u + r u) for u = 2x − 3y, upwind or not."""
+    size, wind_x, wind_y, swirl, discount = 9, 0.4, -0.3, 5.0, 2.0
+    scene = gallery.build(
+        "optimal_stopping", size=size, wind_x=wind_x, wind_y=wind_y, swirl=swirl, discount=discount
+    )
+    x, y = np.ix_(*scene.coordinates)
+    u = 2.0 * x - 3.0 * y
+    expected = 2.0 * (wind_x - swirl * (y - 0.5)) - 3.0 * (wind_y + swirl * (x - 0.5)) + discount * u
+    computed = scene.picture(scene.problem.csr @ u.ravel()) * (size + 1) ** 2
+    assert np.allclose(computed[1:-1, 1:-1], expected[1:-1, 1:-1], rtol=0.0, atol=1e-12)
+
+
+def test_stopping_value_grows_with_gain_and_patience() -> None:
+    """More running gain or less discounting never lowers the value, and there are both regions."""
+    value = active_set(gallery.build("optimal_stopping", size=30).problem)
+    richer = active_set(gallery.build("optimal_stopping", size=30, gain=0.5).problem)
+    patient = active_set(gallery.build("optimal_stopping", size=30, discount=0.1).problem)
+    lower = gallery.build("optimal_stopping", size=30).problem.lower
+    assert np.all(richer >= value - 1e-12)
+    assert np.all(patient >= value - 1e-12)
+    assert richer.sum() > value.sum()
+    assert 0.1 < np.mean(value <= lower) < 0.9
+
+
+def test_american_put_march_agrees_with_the_binomial_tree() -> None:
+    """Marched back to today, prices at and around the strike agree with the tree to 2e-4 of the strike."""
+    scene = gallery.build("american_put_march", size=501)
+    problem, z = march(scene)
+    assert np.abs(np.minimum(z - problem.lower, problem.slack(z))).max() < 1e-10
+
+    data = {key: scene.parameters[key] for key in ("strike", "rate", "volatility", "maturity")}
+    spots = data["strike"] * np.array([0.8, 0.9, 1.0, 1.1, 1.3])
+    tree = gallery.binomial_put(spots, **data)
+    assert np.interp(spots, scene.coordinates[0], z) == pytest.approx(tree, abs=2e-4 * data["strike"])
+    assert tree[0] == pytest.approx(20.0, abs=1e-12)
+    assert gallery.binomial_put(100.0, **data).shape == ()
+
+
+def test_american_put_march_shares_its_matrix() -> None:
+    """Every step of the march has the same matrix object's data; the first step is the scene american_put."""
+    scene = gallery.build("american_put_march", size=51, steps=3)
+    single = gallery.build("american_put", size=51, steps=3)
+    following = scene.problem.with_q(scene.advance(eliminate_with_maximum(scene.problem)))
+    assert following.csr.data is scene.problem.csr.data
+    assert (scene.steps, single.steps, single.advance) == (3, 1, None)
+    assert np.array_equal(single.problem.csr.toarray(), scene.problem.csr.toarray())
+    assert np.array_equal(single.problem.q, scene.problem.q)
+
+
+def test_both_put_scenes_have_the_same_defaults() -> None:
+    """The defaults stand in two signatures, and they agree."""
+    defaults = {name: parameters for name, _, parameters in gallery.describe()}
+    assert defaults["american_put"] == defaults["american_put_march"]
+
+
+def test_binomial_tree_refuses_what_gives_no_probability() -> None:
+    """No steps, or steps too long for the drift, are refused; the latter with the number that suffices."""
+    data = {"strike": 100.0, "rate": 0.5, "volatility": 0.05, "maturity": 1.0}
+    with pytest.raises(InvalidOption, match="steps must be at least 101 at this rate and volatility, got 50"):
+        gallery.binomial_put(100.0, **data, steps=50)
+    assert gallery.binomial_put(100.0, **data, steps=101) == pytest.approx(0.0, abs=0.1)
+    with pytest.raises(InvalidOption, match="steps must be positive, got 0"):
+        gallery.binomial_put(100.0, **data, steps=0)
+
+
+def test_nodes_include_both_ends() -> None:
+    """The axis holds its interior nodes and the two ends."""
+    assert nodes(-1.0, 1.0, 3).tolist() == [-1.0, -0.5, 0.0, 0.5, 1.0]
+
+
+def test_unique_equilibria_are_equilibria() -> None:
+    """The equilibria declared for games leave nobody anything to gain."""
+    declared = 0
+    for game in ("prisoners_dilemma", "matching_pennies", "rock_paper_scissors", "shapley"):
+        scene = gallery.build("bimatrix_game", game=game)
+        equilibrium = scene.problem.origin.recover(scene.exact)
+        assert equilibrium.regret == pytest.approx(0.0, abs=4e-16)
+        assert np.abs(np.minimum(scene.exact, scene.problem.slack(scene.exact))).max() <= 4e-16
+        declared += 1
+    assert declared == 4
+
+
+def test_market_clears_and_nobody_runs_at_a_loss() -> None:
+    """At the planted answer paid goods are in balance, running activities break even, and some goods are free."""
+    scene = gallery.build("market_equilibrium", running=0.2)
+    w = scene.problem.slack(scene.exact)
+    assert w.min() == 0.0
+    assert not (w * scene.exact).any()
+    assert np.any(scene.exact[:30] == 0.0)
+    assert np.count_nonzero(scene.exact[30:]) == 6
+    assert np.linalg.eigvalsh(scene.problem.csr.toarray() + scene.problem.csr.toarray().T).min() > -1e-9
+
+
+def test_stack_carries_its_weight() -> None:
+    """The impulses of any interface at rest add up to the momentum of all blocks above it."""
+    scene = gallery.build("rigid_stack", blocks=5, points=3)
+    momentum = np.repeat(np.arange(5, 0, -1) / 3.0, 3)
+    assert np.abs(scene.problem.slack(momentum)).max() < 1e-14
+    assert np.linalg.matrix_rank(scene.problem.csr.toarray()) == 10
+    heavy = gallery.build("rigid_stack", blocks=5, points=3, mass_ratio=100.0)
+    assert np.linalg.cond(heavy.problem.csr.toarray()[::2, ::2]) > 1e3
+
+
+def test_bridge_rectifies() -> None:
+    """With either sign of the current the load sees the same voltage, and half of the diodes conduct."""
+    for current in (3.0, -3.0):
+        scene = gallery.build("diode_bridge", current=current)
+        z = scene.exact
+        assert (z[2], z[3]) == (6.0, 0.0)
+        assert np.count_nonzero(z[4:]) == 2
+        assert z[0] - z[1] == 2.0 * current
+
+
+def test_relays_saturate_slide_and_switch() -> None:
+    """There are saturated, sliding and just switching relays, and M is positive definite but not dominant."""
+    scene = gallery.build("relay_control")
+    w, saturated = scene.problem.slack(scene.exact), np.abs(scene.exact) == 1.0
+    assert np.any(saturated & (w != 0.0))
+    assert np.any(saturated & (w == 0.0))
+    assert not np.all(saturated)
+    M = scene.problem.csr.toarray()
+    assert np.linalg.eigvalsh(M + M.T).min() > 0.0
+    assert np.any(np.abs(M).sum(axis=1) > 2.0 * M.diagonal())
+
+
+def plastic(scene: gallery.Scene, z: np.ndarray) -> np.ndarray:
+    """Return which of the nodes that can move are at a bound."""
+    lower, upper = scene.problem.lower, scene.problem.upper
+    return ((z <= lower) | (z >= upper))[lower < upper]
+
+
+def twisted(text: str) -> tuple[gallery.Scene, np.ndarray]:
+    """Return a scene of torsion in one direction and its answer: −u is a membrane above −dist."""
+    scene = gallery.parse(f"elastic_plastic_torsion:{text}")
+    return scene, -active_set(LCP(scene.problem.csr, -scene.problem.q, lower=scene.problem.lower))
+
+
+def test_torsion_of_a_disc_converges_to_the_analytic_solution() -> None:
+    """On the disc refinement shrinks the error, and the declared share of it yields."""
+    errors = []
+    for size in (15, 30, 60):
+        scene, z = twisted(f"size={size},section=disc,plastic_share=0.75")
+        errors.append(np.abs(z - scene.continuum).max())
+    assert all(fine < coarse / 1.5 for coarse, fine in pairwise(errors))
+    assert errors[-1] < 1e-3
+    assert np.mean(plastic(scene, z)) == pytest.approx(0.75, abs=0.02)
+
+
+def test_torsion_is_nowhere_steeper_than_the_yield_stress() -> None:
+    """|u| ≤ dist, neighbours differ by a mesh width at most, more twist yields more, and corners stay elastic."""
+    shares = []
+    for share in (0.0, 0.5, 0.9):
+        scene, z = twisted(f"size=30,plastic_share={share}")
+        u = np.pad(scene.picture(z), 1)
+        assert max(np.abs(np.diff(u, axis=axis)).max() for axis in (0, 1)) <= 2.0 / 31.0 * (1.0 + 1e-12)
+        shares.append(np.mean(plastic(scene, z)))
+        assert scene.picture(z)[0, 0] < scene.picture(scene.problem.upper)[0, 0]
+    assert 0.1 < shares[0] < shares[1] < shares[2] < 0.8
+
+
+@pytest.mark.parametrize("size", [30, 31])
+def test_mixed_torsion_touches_both_bounds(size: int) -> None:
+    """With the halves twisted in opposite directions u is odd and rests on −dist as often as on dist."""
+    from lcp_plugin import solve
+
+    scene = gallery.build("elastic_plastic_torsion", size=size, plastic_share=0.9, mixed=True)
+    z = solve(scene.problem, "psor", tolerance=1e-12).require_solved().z
+    assert np.allclose(scene.picture(z), -scene.picture(z)[::-1], rtol=0.0, atol=1e-9)
+    at_lower, at_upper = np.mean(z <= scene.problem.lower), np.mean(z >= scene.problem.upper)
+    assert at_lower == at_upper > 0.1

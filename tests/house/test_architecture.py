@@ -1,0 +1,234 @@
+"""The picture in the README is the import graph, and importing the package loads nothing heavy."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from fresh_process import printed_by
+
+from lcp_plugin import algorithms
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
+from lcp_plugin.core import registry
+from lcp_plugin.core.errors import InvalidOption
+from lcp_plugin.rooms import OFFERS
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "lcp_plugin"
+FLOORS = 14
+HEAVY = (
+    "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
+    "qpsolvers", "quantecon", "cvxpylayers",
+)
+FRONT_DOORS = ("__init__", "__main__", "rooms")
+
+
+def rooms_by_line() -> dict[str, int]:
+    """The picture: room → line, counted from the top."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## How it is built")[1]
+    picture = re.search(r"```text\n(.*?)```", text, re.S)
+    assert picture is not None
+    return {room: k for k, line in enumerate(picture[1].splitlines()) for room in line.split()}
+
+
+def room_of(file: Path) -> str:
+    return file.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def module_of(file: Path) -> str:
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+FILES = sorted(file for file in PACKAGE.rglob("*.py") if room_of(file) not in FRONT_DOORS)
+MODULES = {module_of(file): file for file in FILES}
+
+
+def imported_modules(file: Path) -> set[str]:
+    """Modules of this package that a file imports, at the top or inside a function, but for types alone."""
+    package = ["lcp_plugin", *file.relative_to(PACKAGE).parts[:-1]]
+    found: set[str] = set()
+    waiting: list[ast.AST] = [ast.parse(file.read_text(encoding="utf-8"))]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            waiting += node.orelse
+            continue
+        waiting += ast.iter_child_nodes(node)
+        if isinstance(node, ast.Import):
+            targets = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            prefix = ".".join([*base, node.module] if node.module else base)
+            targets = [name if (name := f"{prefix}.{alias.name}") in MODULES else prefix for alias in node.names]
+        else:
+            continue
+        found |= {target for target in targets if target in MODULES}
+    return found - {module_of(file)}
+
+
+IMPORTS = {module: imported_modules(file) for module, file in MODULES.items()}
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_arrows_point_up_the_picture(file: Path) -> None:
+    """A file imports only from its own line or lines above it, inside functions too."""
+    lines = rooms_by_line()
+    module = module_of(file)
+    for target in IMPORTS[module]:
+        assert lines[room_of(MODULES[target])] <= lines[room_of(file)], f"{module} → {target}"
+
+
+def test_no_two_files_import_each_other() -> None:
+    """The files can be put in an order in which each imports only earlier ones, inside functions too."""
+    waiting = {module: set(targets) for module, targets in IMPORTS.items()}
+    while waiting:
+        ready = {module for module, targets in waiting.items() if not targets & waiting.keys()}
+        assert ready, f"in a circle: {sorted(waiting)}"
+        waiting = {module: targets for module, targets in waiting.items() if module not in ready}
+
+
+def test_the_front_door_offers_a_file_nothing_but_the_version() -> None:
+    """Inside the package nobody imports from the package itself but its version; the rest is asked of the registry."""
+    asked: set[str] = set()
+    for file in FILES:
+        depth = len(file.relative_to(PACKAGE).parts)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module is None and node.level == depth:
+                asked |= {alias.name for alias in node.names}
+    assert asked - {room_of(file) for file in FILES} == {"__version__"}
+
+
+@pytest.mark.parametrize(
+    ("what", "name"), [(what, name) for what in OFFERS for name in OFFERS[what] if what != "ranks"]
+)
+def test_what_a_room_offers_is_there(what: str, name: str) -> None:
+    """Everything on the front door's list can be had, but what needs ranks."""
+    assert registry.ask(what, name) is not None
+
+
+def test_a_room_that_is_not_here_is_named() -> None:
+    """What a room offers that this installation lacks is refused with the room's name, and offered to nobody."""
+    registry.offer("picture", {"lost": "lost.pictures:plot"})
+    assert "lost" not in registry.offered("picture")
+    assert registry.ask_or_none("picture", "lost") is None
+    with pytest.raises(InvalidOption, match=r"offered by lost\.pictures, which this installation of lcp_plugin"):
+        registry.ask("picture", "lost")
+
+
+def test_the_house_has_few_floors() -> None:
+    """The picture has at most 14 lines."""
+    assert len(set(rooms_by_line().values())) <= FLOORS
+
+
+def test_picture_shows_every_room() -> None:
+    """The picture names every module and folder of the package, and nothing else."""
+    assert set(rooms_by_line()) == {room_of(file) for file in FILES}
+
+
+def test_table_below_the_picture_explains_every_room() -> None:
+    """The table explains each room of the picture once."""
+    section = (ROOT / "README.md").read_text(encoding="utf-8").split("| room | what is in it |")[1].split("\n\n")[0]
+    explained = [room for row in section.splitlines()[2:] for room in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert sorted(explained) == sorted(rooms_by_line())
+
+
+def test_modules_stay_short() -> None:
+    """No module exceeds 400 lines."""
+    long = {file.name: n for file in FILES if (n := len(file.read_text(encoding="utf-8").splitlines())) > 400}
+    assert not long
+
+
+def test_import_loads_nothing_heavy() -> None:
+    """``import lcp_plugin`` and building, certifying and pickling a problem load no heavy package."""
+    code = (
+        "import sys, lcp_plugin\n"
+        f"heavy = {HEAVY!r}\n"
+        "assert not [m for m in heavy if m in sys.modules], 'import'\n"
+        "p = lcp_plugin.LCP([[2, 1], [1, 2]], [-1, 1]); lcp_plugin.Certificate.of(p, [0.5, 0])\n"
+        "print([m for m in heavy if m in sys.modules])"
+    )
+    assert printed_by(code) == "[]"
+
+
+def test_a_solve_loads_no_package_it_does_not_use() -> None:
+    """``solve`` loads numba and none of the other heavy packages."""
+    code = (
+        "import sys\nfrom lcp_plugin import LCP, solve\n"
+        "solve(LCP([[2, 1], [1, 2]], [-1, 1])).require_solved()\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules])"
+    )
+    assert printed_by(code) == "['numba']"
+
+
+def test_public_names_resolve() -> None:
+    """Every name in ``__all__`` can be had, also after the submodules were imported."""
+    import lcp_plugin.core.solving.driver
+
+    for name in lcp_plugin.__all__:
+        assert getattr(lcp_plugin, name) is not None
+    assert callable(lcp_plugin.solve)
+    with pytest.raises(AttributeError, match="no attribute 'sovle'"):
+        lcp_plugin.sovle  # noqa: B018
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_classes_are_had_where_readme_says(name: str) -> None:
+    """``from lcp_plugin.algorithms import NPSOR`` gives the registered class, so for all; a wrong name is refused."""
+    kind = algorithm_class(name)
+    assert getattr(algorithms, kind.__name__) is kind
+    with pytest.raises(AttributeError, match=f"no attribute '{kind.__name__}s'"):
+        getattr(algorithms, f"{kind.__name__}s")
+
+
+@pytest.mark.full
+def test_star_import_needs_no_hypothesis() -> None:
+    """``from lcp_plugin import *`` works without the extras; the strategies alone ask for hypothesis, in words."""
+    code = (
+        "import sys\nsys.modules['hypothesis'] = sys.modules['matplotlib'] = None\nfrom lcp_plugin import *\n"
+        "print(solve(LCP([[2, 1], [1, 2]], [-1, 1])).status.name)\n"
+        "import importlib, pydoc, lcp_plugin\n"
+        "for ask in (lambda: lcp_plugin.strategies, lambda: importlib.import_module('lcp_plugin.strategies'),\n"
+        "            lambda: pydoc.locate('lcp_plugin.strategies')):\n"
+        "    try:\n        ask()\n    except Exception as error:\n        print(str(error).split('ImportError: ')[-1])"
+    )
+    solved, *asked = printed_by(code).splitlines()
+    assert solved == "SOLVED"
+    assert asked == 3 * ["lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"]
+
+
+def test_layers_ask_for_their_frameworks() -> None:
+    """The help of ``lcp_plugin.doors.learn`` needs none of them; each layer says in words what to install."""
+    code = (
+        "import sys, importlib\nsys.modules['torch'] = sys.modules['jax'] = None\n"
+        "import lcp_plugin.doors.learn\n"
+        "for name in ('torch', 'jax'):\n"
+        "    try:\n        importlib.import_module(f'lcp_plugin.doors.learn.{name}')\n"
+        "    except ImportError as error:\n        print(error)"
+    )
+    needed = "lcp_plugin.doors.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
+    assert printed_by(code).splitlines() == [needed.format("torch", "PyTorch"), needed.format("jax", "JAX")]
+
+
+def table_rows() -> dict[str, list[str]]:
+    """The README's algorithm table: name → cells."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## The algorithms")[1].split("\n## ")[0]
+    lines = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("| `")]
+    return {cells[0].strip().strip("`"): [cell.strip() for cell in cells[1:]] for cells in lines}
+
+
+def test_readme_table_is_the_registry() -> None:
+    """The README's algorithm table has one row a registered algorithm, in order, and says what the class says."""
+    from dataclasses import fields
+
+    rows = table_rows()
+    assert list(rows) == list(REGISTRY)
+    for name, cells in rows.items():
+        kind = algorithm_class(name)
+        written = {option.strip() for option in cells[-1].split(",") if option.strip()}
+        own = {field.name for field in fields(kind)}
+        assert written == own, name
+        assert cells[1:4] == [kind.assumption, kind.converges_on, kind.cost], name
+        assert all((kind.__doc__, kind.assumption, kind.converges_on, kind.cost, kind.reference))

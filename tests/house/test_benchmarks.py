@@ -1,0 +1,91 @@
+"""Benchmarks run; what they measure is read by people, not asserted here."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks import BENCHMARKS, load
+from benchmarks.crossovers import MEASURED
+from benchmarks.paper_at_scale import factorised, scipy_npsor, substituted
+
+from lcp_plugin import gallery
+from lcp_plugin.core import crossovers
+from lcp_plugin.evidence.paper_tables import cells, published
+
+QUICK = ("sweeps", "paper-at-scale", "programs", "certificates")  # half a second together
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in BENCHMARKS]
+)
+def test_benchmark_runs(name: str) -> None:
+    """A benchmark in its quick form prints lines with measured figures."""
+    lines = list(load(name)(quick=True))
+    assert any(re.search(r"\d+\.?\d* (products|µs|s |× )", line) for line in lines)
+
+
+def benchmarks(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """What ``python tests/benchmarks`` does with these arguments."""
+    return subprocess.run(
+        [sys.executable, str(Path(__file__).parents[1] / "benchmarks"), *arguments], capture_output=True, text=True
+    )
+
+
+def test_benchmarks_are_listed() -> None:
+    """Without a name each benchmark is printed with its purpose."""
+    done = benchmarks()
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line.split()[0] for line in done.stdout.splitlines()] == list(BENCHMARKS)
+    assert all(purpose in done.stdout for purpose in BENCHMARKS.values())
+
+
+def test_a_benchmark_runs_by_its_name() -> None:
+    """A named benchmark prints its lines and exits with 0."""
+    done = benchmarks("sweeps", "--quick")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "products" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ("smal", r"unknown benchmark 'smal'; did you mean 'small'\?"),
+        ("nothing", r"unknown benchmark 'nothing'.*sweeps"),
+        ("sweeps one.npz", "sweeps takes no files"), ("programs none.npz", "none.npz"), ("small --slow", "--slow"),
+    ],
+)
+def test_what_is_wrong_is_said_without_a_traceback(arguments: str, told: str) -> None:
+    """A wrong name, option or file: exit code 2, and what is wrong in words."""
+    done = benchmarks(*arguments.split())
+    assert done.returncode == 2
+    assert re.search(told, done.stderr)
+    assert "Traceback" not in done.stderr
+
+
+def test_scipy_baselines_compute_the_same_iterates() -> None:
+    """Both scipy implementations stop at the paper's count and at our iterate: the comparison is fair."""
+    scene = gallery.build("paper_example_1", n=900)
+    M, q, start = scene.problem.csr, np.array(scene.problem.q), np.array(scene.start)
+    (first, k), (second, m) = (scipy_npsor(M, q, start, prepare) for prepare in (factorised, substituted))
+    assert (k, m) == (16, 16)
+    np.testing.assert_allclose(first, second, rtol=0, atol=1e-14)
+
+
+def test_paper_tables_are_reproduced() -> None:
+    """All 48 iteration counts equal the paper's, and at least 44 residuals to the printed digits."""
+    computed = list(cells())
+    assert len(computed) == 48
+    assert [cell for cell in computed if not cell.same_iterations] == []
+    assert sum(cell.same_residual for cell in computed) >= 44
+    assert published()["n"] == sorted({cell.n for cell in computed})
+
+
+def test_every_crossover_is_measured() -> None:
+    """Each constant of `crossovers` has its line in the benchmark, and nothing else has."""
+    constants = {name for name in vars(crossovers) if name.isupper()}
+    assert set(MEASURED) == constants

@@ -1,0 +1,100 @@
+"""Every example runs without a warning, draws its picture, and agrees with what it compares itself with."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import warnings
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+NUMBER = r"([\d.]+(?:e[+-]\d+)?%?)"
+
+# What each example promises on a line "check: …": a pattern for its number, and the largest that is right.
+CHECKS = [
+    ("two_by_two_in_cvxpy", f"all four cases by hand differ by {NUMBER}", 1e-9),
+    ("obstacle_problem", f"the heights differ from the closed form by {NUMBER}", 1e-3),
+    ("obstacle_with_scikit_fem", f"the heights differ from the closed form by {NUMBER} in L²", 1e-5),
+    ("obstacle_with_scikit_fem", f"off 2 and 2.5 by {NUMBER}", 0.1),
+    ("american_put", f"the prices differ from a binomial tree by at most {NUMBER} EUR", 0.02),
+    ("journal_bearing", f"the largest pressure differs from quadrature by {NUMBER}", 0.002),
+    ("spatial_price_equilibrium", f"the prices of the greatest surplus differ by {NUMBER} EUR/t", 1e-4),
+    ("bimatrix_game", f"7 equilibria here, 7 by supports; the same up to {NUMBER}", 1e-12),
+    ("stack_of_blocks", f"the forces of the standing tower differ from the lever rule by {NUMBER} N", 1e-9),
+    ("nnls_svm_portfolio", f"least squares differ from scipy's nnls by {NUMBER}", 1e-9),
+    ("nnls_svm_portfolio", f"the classifier's duality gap is {NUMBER}", 1e-9),
+    ("nnls_svm_portfolio", f"the portfolios differ from those of a conic solver by {NUMBER}", 1e-4),
+    ("denoise_picture", rf"the energy [\d.]+ is at most {NUMBER} above the least, relatively", 1e-5),
+    ("error_against_time", rf"with the same [1-9]\d* hottest points a linear solve differs by {NUMBER}", 1e-8),
+    ("paper_study", f"a loop in NumPy takes as many sweeps up to {NUMBER}", 1.0),
+    ("add_an_algorithm", f"the largest error on random problems with exact answers is {NUMBER}", 1e-6),
+    ("parameter_study", f"the first torque differs from the elastic one by {NUMBER}, ", 0.005),
+    ("parameter_study", f"the last from the fully plastic one by {NUMBER}", 0.01),
+    ("option_greeks", f"delta differs from the tree's by {NUMBER}, ", 1e-4),
+    ("option_greeks", f"vega by {NUMBER}, ", 1e-4),
+    ("option_greeks", f"rho by {NUMBER}, relatively", 1e-4),
+    ("option_greeks", f"backwards they are the same at the money to {NUMBER}", 1e-8),
+    ("designed_contact", f"in a random direction the gradient differs from a difference by {NUMBER}, ", 1e-6),
+    ("learn_friction", f"without noise the coefficients differ from the planted ones by {NUMBER}, ", 1e-9),
+    ("learn_friction", f"10 mm of noise by {NUMBER}", 0.01),
+    ("general_equilibrium", f"markets differ from cleared ones by {NUMBER} units", 1e-3),
+    ("cournot_oligopoly", f"the published outputs differ by {NUMBER}", 1e-4),
+    ("cournot_oligopoly", f"alone no firm could earn more than {NUMBER} besides", 1e-6),
+    ("elastic_transport", f"sales differ from those of the greatest surplus by {NUMBER} cases", 0.02),
+    ("self_heating", f"which differs from the integral by {NUMBER}", 1e-4),
+    ("network_tolls", f"the income of an integer program differs by {NUMBER};", 1e-4),
+    ("network_tolls", f"tolls lower by a millionth earn less by {NUMBER}, relatively", 1e-5),
+    ("cheapest_bolts", f"the same lift up to {NUMBER} mm", 1e-8),
+    ("cheapest_bolts", f"the cost of an integer program differs by {NUMBER}", 1e-5),
+]
+NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
+NUMBERS = {19: "Nineteen", 20: "Twenty", 21: "Twenty-one", 22: "Twenty-two", 23: "Twenty-three"}
+
+
+def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run an example as a script, every warning an error."""
+    import matplotlib.pyplot as plt
+
+    plt.switch_backend("agg")
+    monkeypatch.setattr("sys.argv", [f"{name}.py", "--out", str(folder)])
+    with plt.rc_context(), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    plt.close("all")
+    assert not ended.value.code
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", NAMES)
+def test_example_keeps_its_promise(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An example ends well, saves one picture and nothing else, and its printed comparison is as close as it should."""
+    run(name, tmp_path, monkeypatch)
+    printed = capsys.readouterr().out
+    for _, pattern, largest in (check for check in CHECKS if check[0] == name):
+        found = re.search(f"^check: .*?{pattern}", printed, re.M)
+        assert found, printed
+        value = float(found[1].rstrip("%")) / (100 if found[1].endswith("%") else 1)
+        assert value <= largest, printed
+    assert [file.name for file in tmp_path.iterdir()] == [f"{name}.png"]
+    picture = (tmp_path / f"{name}.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+    assert len(picture) > 20_000
+
+
+def test_every_example_is_tested_and_in_the_readme() -> None:
+    """The folder, the table above and that of its README name the same examples, the last two in the same order."""
+    readme = EXAMPLES.joinpath("README.md").read_text(encoding="utf-8")
+    assert sorted(file.stem for file in EXAMPLES.glob("*.py")) == sorted(NAMES)
+    assert re.findall(r"^\| `(\w+)\.py`", readme, re.M) == NAMES
+
+
+def test_the_number_of_examples_in_the_readme_is_right() -> None:
+    """The README counts the examples, and the script that it names is one."""
+    readme = EXAMPLES.parent.joinpath("README.md").read_text(encoding="utf-8")
+    assert f"{NUMBERS[len(NAMES)]} scripts in `examples/`" in readme
+    assert {*re.findall(r"examples/(\w+)\.py", readme)} <= {*NAMES}

@@ -1,0 +1,172 @@
+"""The manual in a browser is made of every public name and example, and each of its links leads somewhere."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import shutil
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from manual import site
+from manual.contents import EXAMPLES, SUBJECTS, Example, examples, is_member, subject_of
+from manual.docstrings import CODE, render, to_markdown
+from manual.formulas import HIGH, LOW, mathml, set_formulas
+from public_names import PUBLIC
+
+PICTURE = EXAMPLES / "pictures" / "obstacle_problem.png"
+NOT_SHOWN = re.compile(r"[_{}^\s]")
+
+
+class Page(HTMLParser):
+    """What a page links to, what it loads, and its anchors."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.loaded: list[str] = []
+        self.anchors: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Keep what the page refers to."""
+        told = {name: value or "" for name, value in attrs}
+        if "id" in told:
+            self.anchors.append(told["id"])
+        if tag == "a":
+            self.links.append(told["href"])
+        elif tag in ("img", "script", "link", "iframe"):
+            self.loaded.append(told.get("src") or told.get("href") or "")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A manual whose examples have one picture, since drawing all takes minutes."""
+    folder = tmp_path_factory.mktemp("manual")
+    (folder / "examples").mkdir()
+    for example in examples():
+        shutil.copy(PICTURE, folder / "examples" / f"{example.name}.png")
+        (folder / "examples" / f"{example.name}.txt").write_text("check: 0 < 1\n", encoding="utf-8")
+    site.write(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(folder: Path) -> dict[Path, Page]:
+    """Every page by its file."""
+    return {file: Page(file.read_text(encoding="utf-8")) for file in folder.rglob("*.html")}
+
+
+def test_every_link_leads_to_a_page_and_an_anchor_of_it(pages: dict[Path, Page]) -> None:
+    """Of more than 1000 links none is broken; those that leave the manual, as to a doi, are not followed."""
+    followed = 0
+    for file, page in pages.items():
+        assert len(page.anchors) == len({*page.anchors}), file
+        for link in page.links:
+            if link.startswith("https://"):
+                continue
+            name, _, anchor = link.partition("#")
+            target = pages[(file.parent / name).resolve() if name else file]
+            assert not anchor or anchor in target.anchors, f"{file.name} → {link}"
+            followed += 1
+    assert followed > 1000
+
+
+def test_no_page_needs_a_network(pages: dict[Path, Page]) -> None:
+    """What a page loads lies beside it, and no script is among it."""
+    for file, page in pages.items():
+        for name in page.loaded:
+            assert (file.parent / name).is_file(), f"{file.name} loads {name}"
+        assert not re.search(r"<script|@import|url\(", file.read_text(encoding="utf-8"))
+
+
+def test_every_public_name_has_its_place(folder: Path) -> None:
+    """A page or an anchor of its own tells each; no two files differ by case alone."""
+    addresses = site.Site().addresses
+    for name, thing in PUBLIC.items():
+        if not (inspect.isclass(thing) or inspect.ismodule(thing) or is_member(thing)):
+            continue  # a field, of which its class tells; or the version, which stands on every page
+        own = getattr(thing, "__name__", name).rpartition(".")[2] if inspect.isclass(thing) else name
+        address = addresses.get(name) or addresses[own]
+        assert (folder / address.partition("#")[0]).is_file()
+    files = [file.name.lower() for file in folder.iterdir()]
+    assert len(files) == len({*files})
+
+
+def test_every_example_has_its_picture_its_code_and_what_it_printed(folder: Path) -> None:
+    """Beside the story; the start page shows all of them."""
+    start = Page((folder / "index.html").read_text(encoding="utf-8"))
+    for example in examples():
+        page = folder.joinpath(example.address)
+        text = page.read_text(encoding="utf-8")
+        assert f"{example.name}.png" in Page(text).loaded
+        assert "check: 0 &lt; 1" in text
+        code = unescape(re.sub("<[^>]*>", "", text))
+        assert 'if __name__ == "__main__":' in code
+        assert example.address in start.links
+
+
+def test_a_name_without_a_subject_is_an_error() -> None:
+    """Every room of a public name belongs to a subject, the longest match first; the message says what to do."""
+    assert [subject_of(room) for room in ("core.solving.driver", "problems.sensitivity.derivative", "doors")] == [
+        "solve", "differentiate", "doors",
+    ]
+    with pytest.raises(LookupError, match=r"no subject of the manual shows lcp_plugin\.bathroom: add it to SUBJECTS"):
+        subject_of("bathroom")
+    assert list(SUBJECTS) == ["solve", "model", "prove", "batch", "differentiate", "measure", "doors"]
+
+
+def test_help_that_is_nowhere_is_an_error() -> None:
+    """A docstring that names a page which is none stops the build."""
+    with pytest.raises(ValueError, match="nowhere"):
+        render('See ``help("lcp_plugin.nowhere")``.', {"lcp_plugin.modeling": "modeling.html"}.get)
+
+
+def formulas_in(text: str) -> list[str]:
+    """Return the formulas of a text, which is otherwise left as it is."""
+    found: list[str] = []
+
+    def put(formula: str) -> str:
+        found.append(formula)
+        return formula
+
+    assert set_formulas(text, put) == text
+    return found
+
+
+@pytest.mark.parametrize(("text", "formulas"), [
+    ("z with lower ≤ z ≤ upper and w = M z + q complementary", ["z", "lower ≤ z ≤ upper", "w = M z + q"]),
+    ("where ‖z_k − z_{k−1}‖_v ≤ cᵏ, n = 20 000 rows", ["‖z_k − z_{k−1}‖_v ≤ cᵏ", "n = 20 000"]),
+    ("the largest of max_j |a_ij| + |b_i| is a bound of A", ["max_j |a_ij| + |b_i|", "A"]),
+    ("A put of 10 s, a P-matrix, M's rows, J. Finance 3, and/or 2-D; (n, 5) and 40 % more", ["n"]),
+    ("−∇·(h³ ∇p) ≥ ε sin θ,   and at every point", ["−∇·(h³ ∇p) ≥ ε sin θ"]),
+    ("a utility of d_ch = α_ch p_c^−σ_h, say", ["d_ch = α_ch p_c^−σ_h"]),
+    ("x below √tolerance, and mid(lower, upper, z − w/d)", ["x", "√tolerance", "mid(lower, upper, z − w/d)"]),
+    ("*z* is printed in italics, **n** in bold", []),
+])
+def test_formulas_are_found_in_sentences(text: str, formulas: list[str]) -> None:
+    """From the first operand to the last, and no word, unit or initial beside."""
+    assert formulas_in(text) == formulas
+
+
+def test_a_formula_keeps_its_characters() -> None:
+    """MathML of each of the hundreds in our docstrings shows the same signs; a root is drawn."""
+    plain = str.maketrans({**HIGH, **LOW, "*": "∗"})
+    texts = (text for thing in PUBLIC.values() for text in CODE.split(to_markdown(inspect.getdoc(thing) or ""))[::2])
+    found = {formula for text in texts for formula in formulas_in(text)}
+    assert len(found) > 300
+    for formula in found:
+        shown = unescape(re.sub(r"<[^>]*>", "", mathml(formula).replace("<msqrt>", "√")))
+        assert sorted(NOT_SHOWN.sub("", shown)) == sorted(NOT_SHOWN.sub("", formula).translate(plain)), formula
+
+
+@pytest.mark.full
+def test_the_command_draws_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An example runs where its picture is not there yet, and not a second time."""
+    monkeypatch.setattr(site, "examples", lambda: [Example("two_by_two_in_cvxpy", "", "")])
+    assert list(site.run_examples(tmp_path)) == ["python examples/two_by_two_in_cvxpy.py"]
+    assert (tmp_path / "examples" / "two_by_two_in_cvxpy.png").read_bytes().startswith(b"\x89PNG")
+    assert "check: " in (tmp_path / "examples" / "two_by_two_in_cvxpy.txt").read_text(encoding="utf-8")
+    assert not list(site.run_examples(tmp_path))

@@ -1,0 +1,420 @@
+"""The README's section "What is promised", line by line: each test quotes the words that it keeps."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.sparse as sp
+from exact import exact_solution
+from families import BOUNDED, SPLITTINGS
+from relations import bits, data_of, surroundings
+
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    LCPError,
+    QuadraticProgram,
+    Status,
+    UnreadableFile,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    analyze,
+    convergence_guarantee,
+    error_bound,
+    gallery,
+    prepare,
+    solve,
+    solve_many,
+)
+from lcp_plugin.algorithms import REGISTRY, Algorithm, Step
+
+TESTS = Path(__file__).parents[1]
+README = TESTS.parent.joinpath("README.md").read_text(encoding="utf-8")
+ALL = ["auto", *REGISTRY]
+EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
+TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+
+
+def promises() -> list[str]:
+    """The words in bold that begin each line of the section."""
+    section = README.split("## What is promised\n")[1].split("\n## ")[0]
+    found: list[str] = re.findall(r"^- \*\*(.*?)\*\*", section, re.M | re.S)
+    assert len(found) == section.count("\n- ")
+    return [" ".join(words.split()).rstrip(":,.") for words in found]
+
+
+def quoted() -> list[str]:
+    """What the tests of this file quote."""
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    texts = [ast.get_docstring(node) or "" for node in tree.body if isinstance(node, ast.FunctionDef)]
+    return [words for text in texts for words in re.findall(r"“(.*?)”", text)]
+
+
+def test_every_promise_has_its_test_and_every_test_its_promise() -> None:
+    """The section and this file change together: the same words in both."""
+    assert len(promises()) >= 10
+    assert {*promises()} == {*quoted()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claiming(Algorithm):
+    """Stands still and claims a residual of zero."""
+
+    name: ClassVar[str] = "claiming"
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        for _ in range(5):
+            yield Step(np.full(problem.n, 0.25), residual=0.0, euclidean=0.0, increment=0.0)
+
+
+def test_solved_is_measured() -> None:
+    """“SOLVED is proved, never believed”: claims change nothing; the residual is that of z on the caller's data."""
+    assert not solve(TWO, Claiming()).is_solved
+    result = solve(TWO)
+    w = np.array([[2.0, 1.0], [1.0, 2.0]]) @ result.z + [-5.0, 1.0]
+    r = result.z - np.maximum(result.z - w / 2.0, 0.0)
+    assert result.is_solved
+    assert abs(r).max() <= result.tolerance * 2.5  # r(0) = (−2.5, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarAway(Algorithm):
+    """Goes to a point where doubles cannot see the residual."""
+
+    name: ClassVar[str] = "far away"
+    is_monotone: ClassVar[bool] = False
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        yield Step(z0)
+        yield Step(np.array([2001613005325266.0, 6004839015975798.0, 0.0]))
+
+
+def test_rounding_hides_no_residual() -> None:
+    """“SOLVED is proved, never believed”: not where z is so large that M z + q is 0 in doubles and 2 in truth."""
+    infeasible = LCP([[9.0, -3.0, 6.0], [-3.0, 1.0, -2.0], [6.0, -2.0, 4.0]], [-2.0, 0.0, 0.0])
+    far = np.array([2001613005325266.0, 6004839015975798.0, 0.0])
+    assert Certificate.of(infeasible, far).relative_residual > 0.4  # whatever BLAS makes of w
+    result = solve(infeasible, FarAway())
+    assert not result.is_solved
+    assert result.status is not Status.PRECISION_LIMIT
+    nearly_singular = LCP([[1.0, -1.0], [-1.0, 1.0 + 2.0**-50]], [0.0, -1.0])  # here the large z is right
+    right = solve(nearly_singular, "newton")
+    assert right.is_solved
+    assert right.z.tolist() == [2.0**50, 2.0**50]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bounds_hold_exactly(seed: int) -> None:
+    """“A rigorous bound holds for the exact solution”: in fractions, for near and far points, the last bit included."""
+    from campaigns import error_bounds
+
+    generator = np.random.default_rng([3, seed])
+    problem = error_bounds.random_problem(generator, error_bounds.CLASSES[seed])
+    exact = exact_solution(problem)
+    for _, z in error_bounds.points(generator, problem, exact):
+        bound = error_bound(problem, z)
+        assert bound.kind == "rigorous"
+        assert error_bounds.violations(problem, z, exact, bound) == (0, 0)
+
+
+@pytest.mark.parametrize("last", [0.0, 2.0**-52, -(2.0**-52)])
+def test_verdicts_are_proved(last: float) -> None:
+    """“A verdict is proved or None”: one ulp from singular, where a floating-point test guesses, none is wrong."""
+    M = np.array([[1.0, -1.0], [-1.0, 1.0 + last]])
+    determinant = Fraction(M[0, 0]) * Fraction(M[1, 1]) - Fraction(M[0, 1]) * Fraction(M[1, 0])
+    truth = determinant > 0
+    report = analyze(M)
+    for verdict in ("is_h_plus", "is_p_matrix", "is_positive_definite"):
+        assert getattr(report, verdict) in (truth, None)
+    if report.v is not None:
+        rows = zip(np.diag(M).tolist(), report.v.tolist(), report.v[::-1].tolist(), strict=True)
+        assert all(Fraction(d) * Fraction(x) > Fraction(y) for d, x, y in rows)
+
+
+def test_refutations_are_proofs() -> None:
+    """“INFEASIBLE, NO_SOLUTION and UNBOUNDED come with a proof”: it verifies, and what is solved has none."""
+    infeasible = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0]))
+    nothing = solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [1.0, -1.0], upper=[np.inf, np.inf]))
+    assert infeasible.status is Status.INFEASIBLE
+    assert infeasible.proof.verify()
+    assert nothing.status in (Status.INFEASIBLE, Status.NO_SOLUTION)
+    assert nothing.proof.verify()
+    assert solve(TWO).proof is None
+    falls = solve(QuadraticProgram(None, [-1.0, 0.0], lower=0.0))
+    assert falls.status is Status.UNBOUNDED
+    assert falls.proof.verify()
+
+
+# --- Bits -----------------------------------------------------------------------------------------------------------
+
+BITS = """
+import hashlib, json, sys, warnings
+warnings.simplefilter("ignore")
+from lcp_plugin import LCP, analyze, error_bound, solve
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin import gallery
+def bits(array):
+    return hashlib.sha256(array.tobytes()).hexdigest()
+found = {}
+def all_bits():
+    problem = gallery.build("obstacle_2d", size=24, shifted=True).problem
+    for name in ("auto", *REGISTRY):
+        result = solve(problem, name, max_iterations=100, record=True)
+        samples = [(s.iteration, s.work, s.residual) for s in result.history]
+        found[name] = [bits(result.z), result.status.name, result.iterations, result.work, repr(samples)]
+    scene = gallery.build("random_h_plus", n=60).problem
+    found["bound"] = [bits(error_bound(scene, solve(scene).z).componentwise)]
+    found["analyze"] = [bits(analyze(scene.M).v)]
+    return found
+"""
+
+
+def bits_in_a_process(**environment: str) -> dict[str, Any]:
+    path = os.pathsep.join([str(TESTS.parent), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", f"{BITS}\nprint(json.dumps(all_bits()))"],
+        capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": path, **environment},
+    )  # fmt: skip
+    return json.loads(done.stdout)  # type: ignore[no-any-return]
+
+
+@pytest.fixture(scope="module")
+def own_bits() -> dict[str, Any]:
+    namespace: dict[str, Any] = {}
+    exec(BITS.replace('warnings.simplefilter("ignore")', ""), namespace)
+    return json.loads(json.dumps(namespace["all_bits"]()))  # type: ignore[no-any-return]
+
+
+@pytest.fixture(scope="module")
+def others_bits() -> list[dict[str, Any]]:
+    """Of two processes at once, the second with three threads for numba and BLAS."""
+    settings = [
+        {"PYTHONHASHSEED": "12345"},
+        {"OMP_NUM_THREADS": "3", "OPENBLAS_NUM_THREADS": "3", "NUMBA_NUM_THREADS": "3"},
+    ]
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(lambda environment: bits_in_a_process(**environment), settings))
+
+
+def test_processes_agree(own_bits: dict[str, Any], others_bits: list[dict[str, Any]]) -> None:
+    """“The same call gives the same bits”: z, status, counts, samples, bounds and reports of a process started anew."""
+    assert others_bits[0] == own_bits
+
+
+def test_thread_counts_agree(own_bits: dict[str, Any], others_bits: list[dict[str, Any]]) -> None:
+    """“The number of threads changes no bit”: sweeps with three threads for numba and BLAS, and with ours."""
+    three = others_bits[1]
+    sweeps = [name for name in SPLITTINGS if name.startswith(("np", "p", "m", "g")) and name != "multigrid"]
+    assert len(sweeps) == 14
+    assert {name: three[name] for name in sweeps} == {name: own_bits[name] for name in sweeps}
+
+
+@EVERY_ALGORITHM
+def test_runs_agree(name: str) -> None:
+    """“The same call gives the same bits”: prepared, in a batch, recorded, or after other runs."""
+    problem = gallery.build("random_h_plus", n=20).problem
+    if name not in ("auto", *BOUNDED):
+        problem = problem.with_q(problem.q, lower=0.0, upper=np.inf)
+    first = bits(solve(problem, name).z)
+    shared = prepare(problem)
+    solve(shared.with_q(-2.0 * problem.q), name)
+    assert bits(solve(shared, name, record=True).z) == first
+    (answer,) = solve_many(shared, [problem.q], name)
+    assert bits(answer.z) == first
+
+
+def test_threads_agree() -> None:
+    """“Threads may share a problem”: eight at once, with different algorithms, on one whose cache is empty."""
+    names = [*BOUNDED, "auto"] * 3
+    alone = {name: bits(solve(gallery.build("random_h_plus", n=30).problem, name).z) for name in {*names}}
+    shared = gallery.build("random_h_plus", n=30).problem
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda name: bits(solve(shared, name).z), names))
+    assert answers == [alone[name] for name in names]
+
+
+# --- What stays as it is --------------------------------------------------------------------------------------------
+
+
+def given_matrices() -> dict[str, Any]:
+    """One matrix in every form that a caller may have it in."""
+    M = np.array([[4, -1, 0], [-1, 4, -1], [0, -1, 4]])
+    csr = sp.csr_array(M.astype(float))
+    columns = np.array([1, 0, 2, 1, 0, 1, 2])
+    unsorted = sp.csr_array((np.array([-1.0, 4, -1, 4, -1, -1, 4]), columns, csr.indptr), (3, 3))
+    wide = csr.copy()
+    wide.indices, wide.indptr = wide.indices.astype(np.int64), wide.indptr.astype(np.int64)
+    zeros = sp.csr_array((np.append(csr.data, 0.0), np.append(csr.indices, 0), np.append(csr.indptr[:3], 8)), (3, 3))
+    forms = {"list": M.tolist(), "integers": M, "single": M.astype(np.float32), "double": M.astype(float)}
+    forms |= {"Fortran": np.asfortranarray(M.astype(float)), "view": np.kron(M, np.eye(2))[::2, ::2]}
+    forms |= {"csr": csr, "unsorted": unsorted, "wide": wide, "stored zeros": zeros}
+    return forms | {form: sp.coo_array(M.astype(float)).asformat(form) for form in ("csc", "coo", "dia", "bsr")}
+
+
+@pytest.mark.parametrize("form", given_matrices())
+def test_nothing_given_changes(form: str) -> None:
+    """“Nothing you hand over is modified”: matrix, q, bounds, start and batch, in any form, by any call."""
+    M = given_matrices()[form]
+    q, lower, upper = np.array([-3.0, 5.0, -1.0]), np.zeros(3), np.full(3, 9.0)
+    z0, Q = np.array([7.0, -7.0, 0.5]), np.array([[1.0, -1.0], [0.0, np.nan], [-2.0, -3.0]])
+    everything = (M, q, lower, upper, z0, Q)
+    before = bits(*everything)
+    problem = LCP(M, q, lower=lower, upper=upper)
+    inner = data_of(problem)
+    for name in ("auto", *BOUNDED):
+        solve(problem, name, z0=z0, record=True, error_bound=True)
+    solve_many(prepare(problem), Q)
+    analyze(M)
+    error_bound(problem, z0)
+    convergence_guarantee(problem, "npsor")
+    solve(LCP(M, q, lower=lower), "mgs", z0=z0)
+    assert bits(*everything) == before
+    assert data_of(problem) == inner
+    for array in (q, lower, upper, z0, Q):
+        assert array.flags.writeable
+
+
+@EVERY_ALGORITHM
+def test_nothing_global_changes(name: str) -> None:
+    """“Nothing global is touched”: solved, stopped, refused or in flames, the surroundings are what they were."""
+    assert scipy.optimize is not None  # loaded: its filter is not ours
+
+    def raises(sample: Any, z: np.ndarray) -> None:
+        raise ZeroDivisionError
+
+    before = surroundings()
+    threads = blas_threads()
+    problem = gallery.build("random_h_plus", n=20).problem
+    for call in (
+        lambda: solve(problem, name, max_iterations=30),
+        lambda: solve(problem, name, callback=raises),
+        lambda: solve(problem, name, callback=lambda sample, z: True),
+        lambda: solve(LCP(-np.eye(3), [-1.0, -2.0, 3.0]), name, max_iterations=30),
+    ):
+        with suppress(ZeroDivisionError, UnsuitableMatrix, UnsuitableProblem):
+            call()
+        assert surroundings() == before
+        assert blas_threads() == threads
+
+
+def blas_threads() -> Any:
+    """How many threads BLAS takes, where somebody can tell."""
+    try:
+        from threadpoolctl import threadpool_info
+    except ImportError:
+        return None
+    return [(library["prefix"], library["num_threads"]) for library in threadpool_info()]
+
+
+# --- What goes wrong ------------------------------------------------------------------------------------------------
+
+
+@EVERY_ALGORITHM
+def test_callbacks_may_raise(name: str) -> None:
+    """“What your callback raises reaches you”: the same object, an LCPError and a SystemExit, too."""
+    for error in (ZeroDivisionError("mine"), UnsuitableMatrix("mine"), SystemExit(3), MemoryError("mine")):
+
+        def raises(sample: Any, z: np.ndarray, error: BaseException = error) -> None:
+            raise error
+
+        with pytest.raises(type(error)) as caught:
+            solve(TWO, name, callback=raises)
+        assert caught.value is error
+
+
+@pytest.mark.parametrize("kind", [UnsuitableMatrix, UnsuitableProblem])
+def test_callbacks_may_raise_in_a_later_stage(kind: type[LCPError]) -> None:
+    """“What your callback raises reaches you”: what a method would refuse a matrix with is no refusal here."""
+    problem = gallery.build("bimatrix_game").problem
+    first = solve(problem).stages[0].name
+
+    def raises(sample: Any, z: np.ndarray) -> None:
+        if sample.label != first:
+            raise kind("mine")
+
+    with pytest.raises(kind, match=r"^mine$"):
+        solve(problem, callback=raises)
+
+
+@EVERY_ALGORITHM
+def test_an_ended_run_keeps_what_it_has(name: str) -> None:
+    """“Ctrl-C and `max_seconds` keep the best iterate”: no worse than any that the callback has seen measured."""
+    problem = gallery.build("half_active", n=100).problem
+    seen: list[float] = []
+
+    def interrupts(sample: Any, z: np.ndarray) -> None:
+        if sample.residual is not None:
+            seen.append(sample.residual)
+        if sample.iteration == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    result = solve(problem, name, callback=interrupts)
+    assert result.status in (Status.INTERRUPTED, Status.SOLVED)
+    assert result.residual <= min(seen) * (1.0 + 1e-12)
+    late = solve(problem, name, max_seconds=0.0)
+    assert late.status in (Status.MAX_SECONDS, Status.SOLVED)
+    assert late.residual <= 1.0 + 1e-12  # that of z°, where it begins
+    assert bits(solve(problem, name).z) == bits(solve(LCP(problem.csr.copy(), problem.q), name).z)
+
+
+def test_refusals_are_ours(tmp_path: Path) -> None:
+    """“What is refused is an `LCPError`”: bad data, options, names, matrices and files, each in more than a word."""
+    calls: list[Any] = [
+        lambda: LCP([[np.nan]], [1.0]),
+        lambda: LCP([[1.0]], [1.0, 2.0]),
+        lambda: LCP("M", [1.0]),
+        lambda: LCP([[1.0]], [1.0], lower=2.0, upper=1.0),
+        lambda: solve(TWO, "no such"),
+        lambda: solve(TWO, tolerance="x"),
+        lambda: solve(TWO, callback=3),
+        lambda: solve(TWO, "psor", relax=1.0),
+        lambda: solve(LCP([[0.0]], [1.0]), "psor"),
+        lambda: solve_many(TWO, 7),
+        lambda: solve_many(7, [[1.0]]),
+        lambda: analyze([[1.0, 2.0]]),
+        lambda: error_bound(TWO, [1.0]),
+        lambda: LCP.load(tmp_path / "nothing.npz"),
+        lambda: LCP.load(tmp_path),
+        lambda: LCP.load(None),
+        lambda: LCP.load(b"p.npz"),
+        lambda: TWO.save(3),
+        lambda: TWO.save("p\0.npz"),
+        lambda: TWO.save(tmp_path / "no" / "p.npz"),
+    ]
+    for call in calls:
+        with pytest.raises(LCPError, match=r".{15,}"):
+            call()
+    assert issubclass(UnreadableFile, OSError)
+
+
+def test_caches_are_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """“Compiled code needs no place on disk”: a cache that fails in any way; test_faults.py does it with real disks."""
+    from lcp_plugin.core.kernels.compilation import compiled
+
+    for error in (OSError(28, "No space left on device"), PermissionError(13, "denied"), EOFError("truncated")):
+
+        def fails(*_: object, error: Exception = error) -> None:
+            raise error
+
+        dispatcher = compiled(lambda x: x + 1.0)
+        monkeypatch.setattr(dispatcher._cache._cache, "load_overload", fails)
+        if isinstance(error, OSError):
+            monkeypatch.setattr(dispatcher._cache._cache, "save_overload", fails)
+        assert dispatcher(1.0) == 2.0

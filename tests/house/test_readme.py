@@ -1,0 +1,102 @@
+"""Every code block of the README runs, and what it names is there."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from lcp_plugin.algorithms import ENTRY_POINT_GROUP
+from lcp_plugin.commands.cli import app
+
+ROOT = Path(__file__).parents[2]
+README = ROOT.joinpath("README.md").read_text(encoding="utf-8")
+LONGEST = 300
+
+
+def blocks(language: str) -> list[str]:
+    found: list[str] = re.findall(rf"^```{language}\n(.*?)^```", README, re.S | re.M)
+    return found
+
+
+def commands() -> list[str]:
+    """Every call of lcp-plugin in a shell block; the installation before it is what .ci/run does."""
+    lines = "\n".join(blocks("bash") + blocks("sh")).splitlines()
+    return [part.strip() for line in lines for part in line.split("&&") if part.strip().startswith("lcp-plugin")]
+
+
+@pytest.mark.parametrize("k", range(len(blocks("python"))))
+def test_python_blocks_run(k: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """A Python block runs as it stands and says SOLVED, from a status."""
+    namespace: dict[str, object] = {"__name__": "readme"}
+    exec(compile(blocks("python")[k], f"README block {k}", "exec", dont_inherit=True), namespace)
+    assert "SOLVED" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", commands())
+def test_commands_run(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command of the README does what it says and exits with 0."""
+    monkeypatch.chdir(tmp_path)
+    outcome = CliRunner().invoke(app, shlex.split(command)[1:])
+    assert outcome.exit_code == 0, outcome.output
+    if "--plot" in command:
+        assert (tmp_path / "obstacle.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_first_two_shell_blocks_install_and_test() -> None:
+    """The first shell block installs and solves with a picture, the second runs the quick tests and nothing else."""
+    first, second = blocks("bash")[:2]
+    assert "pip install" in first
+    assert "--plot" in first
+    assert [part.strip() for part in second.split("&&")][1:] == ["pip install '.[test]'", "python -m pytest -n 2"]
+
+
+def pages(text: str) -> list[str]:
+    """The modules whose help a text names, as in help("lcp_plugin.modeling")."""
+    return re.findall(r'help\("(lcp_plugin[\w.]*)"\)', text)
+
+
+def page(module: str) -> str:
+    """What help() shows first of a module; "" where there is none."""
+    path = ROOT.joinpath(*module.split("."))
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    return ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+
+
+@pytest.mark.parametrize("module", pages(README))
+def test_pages_are_there(module: str) -> None:
+    """A page that the README names is one, and help(lcp_plugin) lists it."""
+    assert len(page(module).splitlines()) > 10
+    assert module in pages(page("lcp_plugin"))
+
+
+@pytest.mark.parametrize("module", pages(page("lcp_plugin")))
+def test_pages_open_without_extras(module: str) -> None:
+    """Each page that help(lcp_plugin) lists opens, and is one."""
+    assert len((importlib.import_module(module).__doc__ or "").splitlines()) > 10
+
+
+def test_the_example_of_an_algorithm_says_how_to_offer_it() -> None:
+    """The TOML in the docstring that "Add an algorithm" leads to is the entry point that this package reads."""
+    assert "examples/add_an_algorithm.py" in README
+    told = ast.get_docstring(ast.parse(ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")))
+    block = re.search(r"^ +(\[project.*?)\n\n", told or "", re.S | re.M)
+    assert block is not None
+    groups = tomllib.loads(block[1])["project"]["entry-points"]
+    assert list(groups) == [ENTRY_POINT_GROUP]
+
+
+def test_it_stays_short() -> None:
+    """What is looked up stands where it is looked up: the README has at most 300 lines."""
+    assert len(README.splitlines()) <= LONGEST
+
+
+def test_every_kind_of_block_is_known() -> None:
+    """No block has a language that none of these tests runs."""
+    assert set(re.findall(r"^```(\w+)$", README, re.M)) <= {"bash", "sh", "python", "text"}

@@ -1,0 +1,587 @@
+"""Every kind of problem through every way in and out: each works, or is refused in the words of the table."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import signal
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from kinds_of_problems import SAMPLES, Sample
+from test_ampl_command import content_of
+from typer.testing import CliRunner
+
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    InvalidOption,
+    LCPError,
+    NotConverged,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    Status,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    all_solutions,
+    analyze,
+    certify,
+    convergence_guarantee,
+    cross_validate,
+    derivative,
+    error_against_time,
+    error_bound,
+    march,
+    march_many,
+    prepare,
+    register_with_qpsolvers,
+    solve,
+    solve_batch,
+    solve_many,
+    study,
+)
+from lcp_plugin.commands import ampl
+from lcp_plugin.commands.cli import app
+from lcp_plugin.core.kinds import COMMANDS, WAYS, kind_of, kinds
+from lcp_plugin.core.settings import OF_SOLVE
+from lcp_plugin.core.solving.answer import Answer
+from lcp_plugin.doors.nl import read_sol, write_nl
+from lcp_plugin.doors.nl.answers import CODES
+from lcp_plugin.methods.presolve.presolve import presolve
+from lcp_plugin.modeling._compat import CVXPY_STATUS
+
+CLOSE = 1e-5
+
+
+def confirm(answer: Any, sample: Sample) -> None:
+    """Everything that an answer has of its kind, and that it is the right one."""
+    assert isinstance(answer, Answer)
+    assert answer.status in sample.ends, answer
+    assert answer.is_solved == (answer.status is Status.SOLVED)
+    assert answer.is_refuted == (answer.status in (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED))
+    assert isinstance(answer.algorithm, str)
+    assert answer.seconds >= 0.0
+    assert answer.iterations >= 0
+    assert len(answer.advice) > 10
+    assert answer.status.name in repr(answer)
+    assert "\n" not in repr(answer)
+    assert str(answer) == answer.explain()
+    assert answer.status.name in str(answer)
+    assert json.loads(answer.to_json())["status"] == answer.status.name
+    if answer.is_refuted:
+        assert answer.proof.verify()
+    if answer.is_solved:
+        assert answer.require_solved() is answer
+        if sample.x is not None:
+            np.testing.assert_allclose(answer.x[:2], sample.x, atol=CLOSE)
+        is_complementarity = sample.kind in ("LCP", "NonlinearProblem")
+        assert (answer.objective is None) == is_complementarity
+    else:
+        with pytest.raises(NotConverged, match=answer.status.name):
+            answer.require_solved()
+
+
+def solved(sample: Sample, **wishes: Any) -> Any:
+    return solve(sample.problem, **sample.start, **wishes)
+
+
+# --- Ways that take a kind -------------------------------------------------------------------------------------------
+
+
+def by_solve(sample: Sample, folder: Path) -> None:
+    confirm(solved(sample), sample)
+
+
+def by_batch(sample: Sample, folder: Path) -> None:
+    batches = [solve_batch([sample.problem, sample.problem])]
+    if sample.kind == "QuadraticProgram":
+        P, c, G, h, A, b, lower, upper = sample.program
+        stack = QuadraticProgramBatch(P, np.stack([c, c]), G, h, A, b, lower=lower, upper=upper)
+        batches.append(solve_batch(stack))
+    for batch in batches:
+        assert len(batch) == len(list(batch.status)) == 2
+        assert batch.all_solved == batch.is_solved == (batch.status[0] is Status.SOLVED)
+        assert f"2 {batch.status[0].name}" in repr(batch)
+        assert batch.status[0].name in str(batch)
+        for answer, status in zip(batch, batch.status, strict=True):
+            assert answer.status is status
+            confirm(answer, sample)
+
+
+def by_many(sample: Sample, folder: Path) -> None:
+    for answer in solve_many(sample.problem, [sample.problem.q, sample.problem.q]):
+        confirm(answer, sample)
+
+
+def by_prepare(sample: Sample, folder: Path) -> None:
+    confirm(solve(prepare(sample.problem)), sample)
+
+
+def by_march(sample: Sample, folder: Path) -> None:
+    done = march(sample.problem, np.stack([sample.problem.q] * 3), 0.0)
+    confirm(done[0], sample)
+    assert len(done) == (3 if done.all_solved else 1)
+    assert done.status[-1].name in repr(done)
+    assert "of 3 steps" in str(done)
+    assert done.seconds > 0.0
+
+
+def by_marches(sample: Sample, folder: Path) -> None:
+    for done in march_many(sample.problem, np.stack([[sample.problem.q] * 2] * 2), 0.0):
+        confirm(done[0], sample)
+
+
+def by_derivative(sample: Sample, folder: Path) -> None:
+    answer = solved(sample)
+    if answer.is_solved:
+        assert derivative(answer).jvp(dq=np.ones(2)).shape == (2,)
+    else:
+        with pytest.raises(UnsuitableProblem, match=answer.status.name):
+            derivative(answer)
+
+
+def by_certify(sample: Sample, folder: Path) -> None:
+    answer = solved(sample)
+    if answer.is_solved:
+        for given in (answer.x, answer.solution, answer):
+            assert certify(sample.problem, given).verdict == "proved"
+    else:
+        assert certify(sample.problem, claim=answer.status.name.lower()).verdict == "proved"
+
+
+def by_certificate(sample: Sample, folder: Path) -> None:
+    answer = solved(sample)
+    certificate = Certificate.of(sample.problem, answer.z)
+    assert answer.is_solved == (certificate.relative_residual <= 1e-8)
+
+
+def by_bound(sample: Sample, folder: Path) -> None:
+    try:
+        bound = error_bound(sample.problem, solved(sample).z)
+    except UnsuitableMatrix as error:
+        assert "H₊-matrix" in str(error)  # noqa: PT017 - one of two ends
+    else:
+        assert sample.x is not None
+        assert bound.infinity <= CLOSE
+
+
+def by_analyze(sample: Sample, folder: Path) -> None:
+    M = sample.problem.csr.toarray()
+    assert analyze(sample.problem).is_symmetric == np.array_equal(M, M.T)
+
+
+def by_all_solutions(sample: Sample, folder: Path) -> None:
+    found = all_solutions(sample.problem)
+    assert bool(found) == solved(sample).is_solved
+
+
+def by_guarantee(sample: Sample, folder: Path) -> None:
+    assert convergence_guarantee(sample.problem, "lemke").theorem
+
+
+def by_cross_validation(sample: Sample, folder: Path) -> None:
+    assert cross_validate(sample.problem).verdict in ("agree", "not comparable")
+
+
+def by_curves(sample: Sample, folder: Path) -> None:
+    assert error_against_time(sample.problem, ["lemke"], repeats=1).curves
+
+
+def by_study(sample: Sample, folder: Path) -> None:
+    assert [row.curve.label for row in study(sample.problem, ["lemke"], repeats=1).rows] == ["lemke"]
+
+
+def by_presolve(sample: Sample, folder: Path) -> None:
+    presolve(sample.problem)
+
+
+def by_files(sample: Sample, folder: Path) -> None:
+    for target in (folder / "p.npz", folder / "p"):
+        sample.problem.save(target)
+        confirm(solve(LCP.load(target)), sample)
+
+
+def by_pickle(sample: Sample, folder: Path) -> None:
+    confirm(solve(pickle.loads(pickle.dumps(sample.problem)), **sample.start), sample)
+    confirm(pickle.loads(pickle.dumps(solved(sample))), sample)
+
+
+def by_cvxpy(sample: Sample, folder: Path) -> None:
+    problem = sample.in_cvxpy()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # cvxpy's, of an answer that may be inaccurate
+        problem.solve(method="LCP")
+    assert problem.status in {CVXPY_STATUS[status] for status in sample.ends}
+    answer = problem.solver_stats.extra_stats
+    assert isinstance(answer, Answer)
+    assert answer.status in sample.ends
+    if sample.x is not None:
+        values = np.concatenate([np.ravel(one.value) for one in problem.variables()])
+        np.testing.assert_allclose(values, sample.x, atol=CLOSE)
+
+
+def by_pyomo(sample: Sample, folder: Path) -> None:
+    import pyomo.environ as pe
+
+    import lcp_plugin.pyomo  # noqa: F401 - registers it
+
+    model, x = sample.in_pyomo()
+    found = pe.SolverFactory("lcp_plugin").solve(model, load_solutions=False)
+    condition = str(found.solver.termination_condition)
+    assert condition in {PYOMO_ENDS[status] for status in sample.ends}, found
+    if sample.x is not None:
+        model.solutions.load_from(found)
+        np.testing.assert_allclose([pe.value(one) for one in x], sample.x, atol=CLOSE)
+
+
+PYOMO_ENDS = {
+    Status.SOLVED: "optimal", Status.INFEASIBLE: "infeasible", Status.NO_SOLUTION: "infeasible",
+    Status.UNBOUNDED: "unbounded", Status.STALLED: "noSolution", Status.MAX_ITERATIONS: "maxIterations",
+}
+
+
+def nl_of(sample: Sample, folder: Path) -> Path:
+    """Return the problem as an .nl file: an LCP by our writer, whatever else by Pyomo's."""
+    import pyomo.environ as pe
+
+    if sample.kind == "LCP":
+        problem = sample.problem
+        sides = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
+        rows = content_of(problem.csr.toarray(), list(problem.q), lower=problem.lower, upper=problem.upper,
+                          partner_bounds=sides)  # fmt: skip
+        write_nl(rows, folder / "m.nl")
+        return folder / "m.nl"
+    model, _ = sample.in_pyomo()
+    pe.TransformationFactory("mpec.nl").apply_to(model)
+    model.write(str(folder / "m.nl"), format="nl")
+    return folder / "m.nl"
+
+
+def by_ampl(sample: Sample, folder: Path) -> None:
+    path = nl_of(sample, folder)
+    assert ampl.main([str(path), "-AMPL"]) == 0
+    found = read_sol(path.with_suffix(".sol"))
+    assert found.code in {CODES[status] for status in sample.ends}, found.message
+    assert found.message
+
+
+def by_qpsolvers(sample: Sample, folder: Path) -> None:
+    import qpsolvers
+
+    register_with_qpsolvers()
+    P, c, G, h, A, b, lower, upper = sample.program
+    problem = qpsolvers.Problem(P, c, G, h, A, b, lower, upper)
+    if Status.UNBOUNDED in sample.ends:
+        with pytest.raises(qpsolvers.ProblemError, match="unbounded"):
+            qpsolvers.solve_problem(problem, "lcp_plugin")
+        return
+    found = qpsolvers.solve_problem(problem, "lcp_plugin")
+    assert found.extras["status"] in sample.ends
+    assert found.found == (Status.SOLVED in sample.ends)
+    if sample.x is not None:
+        np.testing.assert_allclose(found.x, sample.x, atol=CLOSE)
+
+
+def files_of(sample: Sample, folder: Path) -> list[Path]:
+    """Return the problem in every format of files that holds it."""
+    paths = [nl_of(sample, folder)]
+    if sample.kind == "LCP":
+        for name in ("p.npz", "folder"):
+            sample.problem.save(folder / name)
+            paths.append(folder / name)
+    elif sample.kind == "QuadraticProgram":
+        names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
+        np.savez(folder / "p.npz", **dict(zip(names, sample.program, strict=True)))
+        paths.append(folder / "p.npz")
+    elif sample.kind == "BoundedLeastSquares":
+        np.savez(folder / "p.npz", A=sample.problem.A, b=sample.problem.b, lower=sample.problem.lower,
+                 upper=sample.problem.upper)  # fmt: skip
+        paths.append(folder / "p.npz")
+    return paths
+
+
+def command(*words: Any) -> Any:
+    """The command in this process, which ends without a traceback."""
+    found = CliRunner().invoke(app, list(map(str, words)))
+    assert found.exception is None or isinstance(found.exception, SystemExit), repr(found.exception)
+    return found
+
+
+def by_command_solve(sample: Sample, folder: Path) -> None:
+    for path in files_of(sample, folder):
+        found = command("solve", path, "--json", "--out", folder / "out.npz")
+        assert found.exit_code == (0 if Status.SOLVED in sample.ends else 1), found.output
+        assert any(f'"{status.name}"' in found.output for status in sample.ends), found.output
+        told = command("solve", path)
+        assert any(status.name in told.output for status in sample.ends), told.output
+        if sample.x is not None:
+            with np.load(folder / "out.npz") as kept:
+                x = kept["z" if "z" in kept else "x"]
+            for value in sample.x:  # an .nl file has an order of its own, and variables of its own
+                assert np.abs(x - value).min() <= CLOSE
+
+
+def by_command_check(sample: Sample, folder: Path) -> None:
+    sample.problem.save(folder / "p.npz")
+    assert command("check", folder / "p.npz").exit_code in (0, 1)
+
+
+def by_command_certify(sample: Sample, folder: Path) -> None:
+    for path in files_of(sample, folder):
+        found = command("certify", path)
+        assert found.exit_code == 0, found.output
+        assert "proved" in found.output
+
+
+def by_command_analyze(sample: Sample, folder: Path) -> None:
+    sample.problem.save(folder / "p.npz")
+    assert command("analyze", folder / "p.npz", "--json").exit_code == 0
+
+
+def by_command_study(sample: Sample, folder: Path) -> None:
+    sample.problem.save(folder / "p.npz")
+    done = command("study", folder / "p.npz", "-a", "lemke", "--out", folder / "s.csv")
+    assert done.exit_code == 0, done.output
+    assert "1 rows" in done.output
+
+
+def by_command_report(sample: Sample, folder: Path) -> None:
+    """That the report takes files is tested with the report; here, that the name is known."""
+    assert command("report", "--help").exit_code == 0
+
+
+TRIALS: dict[str, Callable[[Sample, Path], None]] = {
+    "solve": by_solve, "solve_batch": by_batch, "solve_many": by_many, "prepare": by_prepare, "march": by_march,
+    "march_many": by_marches, "derivative": by_derivative, "certify": by_certify, "Certificate.of": by_certificate,
+    "error_bound": by_bound, "analyze": by_analyze, "all_solutions": by_all_solutions,
+    "convergence_guarantee": by_guarantee,
+    "cross_validate": by_cross_validation, "error_against_time": by_curves, "study": by_study,
+    "presolve": by_presolve,
+    "save": by_files, "pickle": by_pickle, "cvxpy": by_cvxpy, "Pyomo": by_pyomo, "AMPL": by_ampl,
+    "qpsolvers": by_qpsolvers, "lcp-plugin solve": by_command_solve, "lcp-plugin check": by_command_check,
+    "lcp-plugin certify": by_command_certify, "lcp-plugin analyze": by_command_analyze,
+    "lcp-plugin study": by_command_study, "lcp-plugin report": by_command_report,
+}
+REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
+    "solve_batch": lambda p, _: solve_batch([p]), "solve_many": lambda p, _: solve_many(p, [[1.0, 1.0]]),
+    "prepare": lambda p, _: prepare(p), "march": lambda p, _: march(p, [[1.0, 1.0]]),
+    "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]), "derivative": lambda _, answer: derivative(answer()),
+    "certify": lambda p, answer: certify(p, answer().x), "Certificate.of": lambda p, _: Certificate.of(p, [1.0, 1.0]),
+    "error_bound": lambda p, _: error_bound(p, [1.0, 1.0]), "all_solutions": lambda p, _: all_solutions(p),
+    "analyze": lambda p, _: analyze(p),
+    "convergence_guarantee": lambda p, _: convergence_guarantee(p), "cross_validate": lambda p, _: cross_validate(p),
+    "error_against_time": lambda p, _: error_against_time(p), "study": lambda p, _: study(p, ["lemke"]),
+    "presolve": lambda p, _: presolve(p),
+}
+CELLS = [pytest.param(sample, way, id=f"{sample} × {way}") for sample in SAMPLES for way in WAYS]
+
+
+def test_every_kind_and_every_way_has_its_row() -> None:
+    """A kind without samples, or a way without a trial, is found here."""
+    assert {sample.kind for sample in SAMPLES} == {kind.word for kind in kinds()}
+    assert TRIALS.keys() == set(WAYS)
+    for kind in kinds():
+        assert set(kind.ways) <= set(WAYS)
+        assert {name for name in kind.instead if not name.endswith("=")} <= set(WAYS) - set(kind.ways)
+        assert all(kind.words(way) for way in WAYS if way not in kind.ways), kind
+        assert {f"lcp-plugin {one.name}" for one in app.registered_commands} >= set(COMMANDS)
+
+
+def test_readme_shows_the_table_in_small() -> None:
+    """Its rows are the kinds, a mark stands where all ways of a column take the kind."""
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    head, _, *rows = next(part for part in text.split("\n\n") if part.startswith("| kind |")).splitlines()
+    columns = [cell.replace("`", "").split(", ") for cell in map(str.strip, head.split("|")[2:-1])]
+    assert [row.split("`")[1].partition("(")[0] for row in rows] == [kind.word for kind in kinds()]
+    for row, kind in zip(rows, kinds(), strict=True):
+        marks = [cell.strip() for cell in row.rsplit("|", len(columns) + 1)[1:-1]]
+        assert marks == ["✓" * all(way in kind.ways for way in ways) for ways in columns], kind.word
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize(("sample", "way"), CELLS)
+def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_path: Path) -> None:
+    """The answer of a way that takes the kind is right; any other way says what to write instead."""
+    kind = kind_of(sample.problem)
+    assert kind is not None
+    if way in kind.ways:
+        TRIALS[way](sample, tmp_path)
+    elif way in REFUSALS:
+        with pytest.raises(LCPError) as caught:
+            REFUSALS[way](sample.problem, lambda: solved(sample))
+        assert kind.words(way) in str(caught.value)
+    elif way in COMMANDS:
+        for path in files_of(sample, tmp_path):
+            if sample.kind == "BoundedLeastSquares" and path.suffix == ".nl":
+                continue  # where it is a program
+            found = command(way.split()[1], path)
+            assert found.exit_code == 2, found.output
+            assert any(f"lcp-plugin {one}" in found.output for one in ("solve", "certify")), found.output
+    else:
+        assert kind.words(way)
+
+
+# --- Options of solve, Ctrl-C ----------------------------------------------------------------------------------------
+
+WISHES: dict[str, Any] = {
+    "tolerance": 1e-7, "tolerance_on": "error", "max_iterations": 10_000, "max_seconds": 60.0,
+    "absolute_tolerance": 1e-12, "record": True, "error_bound": True, "threads": 1, "verbose": True, "refute": False,
+    "z0": np.ones(2), "x0": np.ones(2), "callback": lambda *given: None, "algorithm": "lemke", "max_nodes": 1000,
+}
+SOLVABLE = [sample for sample in SAMPLES if Status.SOLVED in sample.ends]
+
+
+def test_every_option_of_solve_is_walked() -> None:
+    """An option without a value to try is found here."""
+    named = {"algorithm", "x0", "max_nodes", *OF_SOLVE}
+    assert named == WISHES.keys()
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("name", WISHES)
+@pytest.mark.parametrize("sample", SOLVABLE, ids=repr)
+def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, capsys: Any) -> None:
+    """What an option promises happens; one that a kind does not take is refused by its name."""
+    kind, wish = kind_of(sample.problem), WISHES[name]
+    assert kind is not None
+    is_taken = name in OF_SOLVE or name == "algorithm" if kind.options is None else name in kind.options
+    if name == "z0" and is_taken:
+        wish = solved(sample).z
+    try:
+        answer = solve(sample.problem, **{**sample.start, name: wish})
+    except UnsuitableMatrix as error:
+        assert name == "tolerance_on"
+        assert "rigorous bound" in str(error)  # noqa: PT017
+        return
+    except InvalidOption as error:
+        assert not is_taken or f"{name}=" in kind.instead
+        assert name in str(error)  # noqa: PT017
+        return
+    assert is_taken
+    confirm(answer, sample)
+    if name == "record":
+        assert answer.history
+    assert bool(capsys.readouterr().out) == (name == "verbose")
+
+
+def kinds_with_callback() -> list[Sample]:
+    return [sample for sample in SOLVABLE if sample.kind != "BoundedLeastSquares"]
+
+
+@pytest.mark.parametrize("sample", kinds_with_callback(), ids=repr)
+@pytest.mark.parametrize("how", ["a true value", "Ctrl-C"])
+def test_a_callback_ends_the_run(sample: Sample, how: str) -> None:
+    """By something true, or by Ctrl-C: INTERRUPTED, with what there is; or the answer, where it was there before."""
+    seen: list[Any] = []
+
+    def callback(*given: Any) -> bool:
+        seen.append(given)
+        if how == "Ctrl-C":
+            signal.raise_signal(signal.SIGINT)
+        return how != "Ctrl-C"
+
+    answer = solved(sample, callback=callback)
+    assert answer.status in (Status.INTERRUPTED, *sample.ends)
+    assert seen or sample.kind == "EquilibriumProgram"  # whose root may settle it
+    assert answer.status.name in str(answer)
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=repr)
+def test_without_time_the_start_is_returned(sample: Sample) -> None:
+    """max_seconds=0 ends with MAX_SECONDS, or with what is known without a step."""
+    answer = solved(sample, max_seconds=0.0)
+    assert answer.status in (Status.MAX_SECONDS, *sample.ends)
+    assert answer.x is None if sample.kind == "EquilibriumProgram" else answer.x.shape[0] >= 2
+
+
+# --- Sequences of answers --------------------------------------------------------------------------------------------
+
+
+def one_of_each_kind() -> list[Any]:
+    """Return a problem of each kind that solve_batch takes."""
+    return list({one.kind: one.problem for one in SOLVABLE if one.kind != "NonlinearProblem"}.values())
+
+
+def test_time_ends_a_batch_of_several_kinds() -> None:
+    """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time."""
+    problems = one_of_each_kind() * 500
+    answers = solve_batch(problems, max_seconds=0.2)
+    assert len(answers) == len(answers.status) == len(problems)
+    assert answers.seconds < 5.0
+    assert answers.status[-1] is answers[-1].status is Status.MAX_SECONDS
+    assert not answers.is_solved
+    assert "MAX_SECONDS" in repr(answers)
+    assert {answers[-k].status for k in (1, 2, 3, 4)} == {Status.MAX_SECONDS}
+
+
+def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was solved is kept, and those left are INTERRUPTED."""
+    _, two, *_ = problems = one_of_each_kind()
+
+    def interrupted(problem: Any, **wishes: Any) -> Any:
+        if problem is two and not wishes:
+            raise KeyboardInterrupt
+        return solve(problem, **wishes)
+
+    monkeypatch.setattr("lcp_plugin.problems.batches.batch.solve", interrupted)
+    answers = solve_batch(problems)
+    assert len(answers) == len(problems)
+    assert [status.name for status in answers.status] == ["SOLVED"] + ["INTERRUPTED"] * (len(problems) - 1)
+    assert answers[-1].status is Status.INTERRUPTED
+
+
+def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
+    """Its errors and its story name the reason."""
+    bent = QuadraticProgram([[-1.0]], [0.0])
+    for answers in (solve_batch([one_of_each_kind()[0], bent]), solve_batch([[[np.nan]]], [[1.0]])):
+        k = len(answers) - 1
+        assert answers.status[k] is None
+        assert str(answers.errors[k]) in answers.explain()
+        with pytest.raises(NotConverged, match=r"no problem: .*(convex|finite|NaN)"):
+            answers.require_solved()
+
+
+def test_a_batch_names_what_is_no_problem() -> None:
+    """By its number, before anything is solved."""
+    with pytest.raises(LCPError, match=r"item 1 of the batch: solve_batch needs .* got int; write"):
+        solve_batch([QuadraticProgram([[1.0]], [0.0]), 3])
+
+
+@pytest.mark.parametrize("no", [
+    solve_batch([]), solve_batch(np.eye(2), np.zeros((0, 2))), march(LCP(np.eye(2), [0, 0]), np.zeros((0, 2))),
+    solve_batch(QuadraticProgramBatch(np.eye(2), np.zeros((0, 2)))),
+], ids=lambda answers: type(answers).__name__)  # fmt: skip
+def test_a_sequence_of_no_answers(no: Any) -> None:
+    """It is solved, and says that there is none."""
+    assert len(no) == len(no.status) == 0
+    assert no.is_solved
+    assert no.require_solved() is no
+    assert "none" in repr(no)
+    assert "none" in no.explain()
+
+
+def test_no_marches() -> None:
+    """They have no answer, as a batch of no problems has none."""
+    assert march_many(LCP(np.eye(2), [0, 0]), np.zeros((0, 3, 2))) == []
+
+
+def test_derivative_names_the_answer_that_it_takes() -> None:
+    """An answer of another kind is not called no result; of a list it takes those to LCPs."""
+    answers = solve_batch(one_of_each_kind())
+    with pytest.raises(InvalidOption, match=r"needs the answer to an LCP or NonlinearProblem, .*answers\[k\]"):
+        derivative(answers)
+    assert derivative(answers[0]).jvp(dq=np.ones(2)).shape == (2,)
+
+
+def test_a_start_is_refused_in_words_that_say_what_it_is_called() -> None:
+    """x0 of an LCP is called z0; a z0 with NaN is an InvalidOption for every kind that takes one."""
+    by_name = {sample.name: sample.problem for sample in SAMPLES}
+    with pytest.raises(InvalidOption, match="solve takes no x0 for an LCP; a start is called z0 here"):
+        solve(by_name["LCP"], x0=[1.0, 1.0])
+    for name in ("LCP", "QP"):
+        with pytest.raises(InvalidOption, match=r"z0 must be finite|z0 must be a finite vector|z0\[0\] = nan"):
+            solve(by_name[name], z0=[np.nan, 1.0])

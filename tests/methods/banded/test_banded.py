@@ -1,0 +1,458 @@
+"""Banded problems: tridiagonal M-matrices, whose contacts are found directly, and rounds on other narrow bands."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact import exact_solution
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+
+from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableMatrix, gallery, march, prepare, solve
+from lcp_plugin.algorithms import Step
+from lcp_plugin.methods.banded.banded import Banded
+from lcp_plugin.methods.banded.kernels import bands as kernels
+from lcp_plugin.methods.banded.kernels.tridiagonal import find_contacts
+from lcp_plugin.systems.factors import bands
+
+Generator = np.random.Generator
+MANY = 10_000
+
+
+def tridiagonal_m(n: int, rng: Generator) -> sp.csr_array:
+    """A nonsymmetric M-matrix of small integers, not dominant in its rows: A v > 0 for a v > 0 of them."""
+    below, above = (rng.integers(0, 9, n - 1) * (rng.random(n - 1) < 0.9) for _ in range(2))
+    v = rng.integers(1, 9, n)
+    sums = np.append(0, below * v[:-1]) + np.append(above * v[1:], 0)
+    return sp.csr_array(sp.diags_array([-1.0 * below, sums // v + 1.0, -1.0 * above], offsets=[-1, 0, 1]))
+
+
+def planted(M: Any, rng: Generator, *, boxes: bool) -> tuple[LCP, np.ndarray]:
+    """The problem whose solution is chosen first: z and w are small integers, so that q is exact.
+
+    In every tenth row both z is at its bound and w = 0.
+    """
+    n = M.shape[0]
+    lower, upper = rng.integers(-9, 9, n).astype(float), np.full(n, np.inf)
+    if boxes:
+        upper = np.where(rng.random(n) < 0.9, lower + rng.integers(0, 9, n), np.inf)
+        lower = np.where(rng.random(n) < 0.8, lower, -np.inf)
+    share = rng.random(2)
+    at_lower = (rng.random(n) < share[0]) & (lower > -np.inf)
+    at_upper = (rng.random(n) < share[1]) & (upper < np.inf) & ~at_lower
+    base = np.where(lower > -np.inf, lower, np.where(upper < np.inf, upper - 99.0, 0.0))
+    z = np.where(at_lower, lower, np.where(at_upper, upper, np.minimum(base + rng.integers(0, 99, n), upper)))
+    sign = np.where(z == lower, 1.0, 0.0) - np.where((z == upper) & (lower < upper), 1.0, 0.0)
+    w = np.where(lower == upper, rng.integers(-9, 9, n), sign * rng.integers(0, 9, n) * (rng.random(n) < 0.9))
+    return LCP(M, w - M @ z, lower=lower, upper=upper), z
+
+
+def band(n: int, below: int, above: int, rng: Generator) -> np.ndarray:
+    """Random entries within the band."""
+    entries = rng.normal(size=(n, n))
+    return np.triu(np.tril(entries, above), -below)
+
+
+def dominant(n: int, below: int, above: int, rng: Generator) -> sp.csr_array:
+    """A nonsymmetric H₊-matrix within the band."""
+    M = band(n, below, above, rng)
+    np.fill_diagonal(M, 1.01 * abs(M).sum(axis=1) + 0.1)
+    return sp.csr_array(M)
+
+
+def definite(n: int, below: int, above: int, rng: Generator) -> sp.csr_array:
+    """A strongly nonsymmetric positive definite matrix within the band, neither M nor H₊."""
+    del above
+    skew, factor = band(n, below, 0, rng), band(n, below // 2, 0, rng)
+    return sp.csr_array(skew - skew.T + factor @ factor.T + 0.1 * np.eye(n))
+
+
+# --- Tridiagonal M-matrices -----------------------------------------------------------------------------------
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("boxes", [False, True])
+def test_ten_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: bool) -> None:
+    """Many contact intervals, free rows, degenerate rows, boxes: z is the exact one, and one round without boxes."""
+    rng = np.random.default_rng(18)
+    for _ in range(MANY // 2):
+        n = int(rng.integers(14, 60))
+        problem, z = planted(tridiagonal_m(n, rng), rng, boxes=boxes)
+        result = solve(problem, "banded")
+        assert result.status is Status.SOLVED
+        assert np.abs(result.z - z).max() <= 1e-9 * max(1.0, np.abs(z).max())
+        assert boxes or result.iterations <= 1
+
+
+@settings.get_profile("many")
+@given(seed=st.integers(0, 2**32), n=st.integers(1, 13), boxes=st.booleans())
+def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(seed: int, n: int, boxes: bool) -> None:
+    """Also where nobody chose the answer: it agrees with exact rational arithmetic."""
+    rng = np.random.default_rng(seed)
+    M = tridiagonal_m(n, rng) if n > 1 else sp.csr_array([[2.0]])
+    lower = rng.integers(-3, 1, n).astype(float)
+    upper = np.where(rng.random(n) < 0.5, lower + rng.integers(0, 4, n), np.inf) if boxes else np.inf
+    problem = LCP(M, rng.integers(-20, 20, n).astype(float), lower=lower, upper=upper)
+    exact = exact_solution(problem).z
+    z = solve(problem, "banded").require_solved().z
+    size = max(1, *map(abs, exact))
+    assert all(abs(Fraction(mine) - right) <= Fraction(1, 10**9) * size for mine, right in zip(z, exact, strict=True))
+
+
+@njit(error_model="numpy")
+def contacts(  # type: ignore[no-untyped-def]
+    M, q, sign, value, is_held, is_free, stops, slack, blocks
+):
+    return find_contacts(M, q, sign, value, is_held, is_free, stops, slack, blocks)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_contacts_are_those_of_the_exact_answer(sign: float) -> None:
+    """Every row in contact, and no other, is found in one pass; rows that are held stay at their value."""
+    rng = np.random.default_rng(7)
+    for _ in range(300):
+        n = int(rng.integers(2, 40))
+        M = tridiagonal_m(n, rng)
+        held = rng.random(n) < 0.1
+        value = np.where((rng.random(n) < 0.8) | held, rng.integers(-9, 9, n), -np.inf)
+        contact = ((rng.random(n) < 0.5) & (value > -np.inf)) | held
+        z = np.where(contact, value, np.where(value > -np.inf, value, 0.0) + rng.integers(1, 99, n))
+        w = np.where(held, rng.integers(-9, 9, n), np.where(contact, rng.integers(1, 9, n), 0))
+        is_free = np.empty(n, dtype=np.bool_)
+        room = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
+        assert contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *room)
+        np.testing.assert_array_equal(is_free, ~contact)
+
+
+def band_of(M: Any) -> Any:
+    found = bands(LCP(sp.csr_array(M), np.zeros(M.shape[0])).matrix)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_bounds_on_one_side_take_one_round(upside_down: bool) -> None:
+    """Of 10 000 rows with thousands of contact intervals, whichever side the bounds are on: O(n)."""
+    rng = np.random.default_rng(0)
+    problem, z = planted(tridiagonal_m(10_000, rng), rng, boxes=False)
+    if upside_down:
+        problem, z = LCP(problem.M, -problem.q, lower=-np.inf, upper=-problem.lower), -z
+    assert np.count_nonzero(np.diff(z == (problem.upper if upside_down else problem.lower))) > 1000
+    result = solve(problem, "banded")
+    assert result.is_solved
+    assert result.iterations == 1
+    assert result.work < 6.0
+    np.testing.assert_allclose(result.z, z, atol=1e-9)
+
+
+@pytest.mark.full
+def test_boxes_take_few_rounds_from_any_start() -> None:
+    """The rows at the other side only leave it after the first round: seldom more than five rounds."""
+    rng = np.random.default_rng(1)
+    rounds = []
+    for _ in range(200):
+        problem, z = planted(tridiagonal_m(300, rng), rng, boxes=True)
+        for start in (None, rng.normal(scale=50.0, size=300)):
+            result = solve(problem, "banded", z0=start)
+            np.testing.assert_allclose(result.require_solved().z, z, atol=1e-8)
+            rounds.append(result.iterations)
+    assert np.median(rounds) <= 3
+    assert max(rounds) <= 12
+
+
+def test_two_obstacles_take_few_rounds_however_fine_the_grid_is() -> None:
+    """A string between two walls, 20 000 nodes: the sides take turns, and no front moves row by row."""
+    n = 20_000
+    x = np.linspace(0.0, 1.0, n + 2)[1:-1]
+    M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (n + 1.0) ** 2
+    for q, lower, upper in ((-200.0 * np.sin(9.0 * np.pi * x), -0.05, 0.05), (-30.0, -0.3, np.minimum(x, 1.0 - x))):
+        problem = LCP(M, np.full(n, q), lower=lower, upper=upper)
+        result = solve(problem, "banded").require_solved()
+        assert result.iterations <= 10
+        assert 0.1 < np.mean((result.z == problem.lower) | (result.z == problem.upper)) < 0.95
+
+
+def test_one_side_alone_ends_too() -> None:
+    """What comes after 30 turns: rows only leave the side that is held, and not more than n + 2 rounds are needed."""
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        problem, z = planted(tridiagonal_m(30, rng), rng, boxes=True)
+        band, scale = band_of(problem.csr), problem.residual_scale
+        vectors, sets, memory = np.empty((4, 30)), np.empty((2, 30), np.int8), np.empty(kernels.SLOTS, np.int64)
+        data = problem.q, problem.lower, problem.upper
+        now = rng.normal(scale=50.0, size=30)
+        given = band.entries, 1, True, band.weights, scale, *data, now, vectors, sets, memory, np.empty((30, 3))
+        memory[kernels.WAY] = kernels.BEGINNING
+        kernels.step(*given)
+        memory[kernels.TURNS_LEFT], side = 0, memory[kernels.SIDE]
+        held: list[int] = []
+        while not held or not np.allclose(now, z, atol=1e-9):
+            kernels.step(*given)
+            assert memory[kernels.SIDE] == side
+            assert memory[kernels.LAST_WAY] == kernels.DIRECT
+            held.append(int(np.count_nonzero(sets[1] == side)))
+        assert held == sorted(held, reverse=True)
+        assert len(held) <= 32
+
+
+@pytest.mark.full
+def test_without_an_m_matrix_nothing_false_is_said() -> None:
+    """Where a pivot is not positive, rounds go on without the direct way, or the run ends unsolved."""
+    rng = np.random.default_rng(5)
+    for _ in range(300):
+        n = int(rng.integers(14, 40))
+        M = tridiagonal_m(n, rng) - 3.0 * sp.eye_array(n)
+        result = solve(LCP(M, rng.integers(-9, 9, n).astype(float)), "banded")
+        if result.status is Status.INFEASIBLE:
+            assert result.infeasibility.verify()
+        elif result.is_solved:
+            assert np.abs(np.minimum(result.z, result.w)).max() <= 1e-6
+
+
+@pytest.mark.parametrize("name", ["auto", "banded"])
+@pytest.mark.parametrize(("right", "status"), [(0.5, Status.INFEASIBLE), (1.0, Status.SOLVED), (2.0, Status.SOLVED)])
+def test_a_string_without_hold_is_refuted_or_solved(name: str, right: float, status: Status) -> None:
+    """Singular, pulled up by 1 at one end and down at the other: no huge z makes its rounding an excuse."""
+    diagonal = np.full(30, 2.0)
+    diagonal[[0, -1]] = 1.0
+    M = sp.diags_array([-np.ones(29), diagonal, -np.ones(29)], offsets=[-1, 0, 1])
+    q = np.zeros(30)
+    q[[0, -1]] = -1.0, right
+    assert solve(LCP(M, q), name).status is status
+
+
+# --- Other bands ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("make", [dominant, definite])
+@pytest.mark.parametrize(("below", "above"), [(1, 1), (2, 2), (4, 4), (0, 3), (3, 0), (1, 5)])
+@pytest.mark.parametrize("boxes", [False, True])
+def test_other_bands_take_rounds(make: Any, below: int, above: int, boxes: bool) -> None:
+    """Boxes, more bands, not M: solved to seven digits, by few rounds or, where all wrong rows cycle, by lots."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        problem, z = planted(make(int(rng.integers(20, 200)), below, above, rng), rng, boxes=boxes)
+        result = solve(problem, "banded")
+        assert result.is_solved or result.certificate.is_limited_by_rounding  # of a part that z° solves to rounding
+        assert np.abs(result.z - z).max() <= 1e-6 * max(1.0, np.abs(z).max())
+        assert result.iterations <= 200
+
+
+def test_a_beam_over_an_obstacle() -> None:
+    """The biharmonic operator, condition 1e9, two bands on either side: few rounds."""
+    n = 400
+    second = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n))
+    problem, z = planted(sp.csr_array(second @ second), np.random.default_rng(0), boxes=True)
+    result = solve(problem, "banded")
+    assert result.require_solved().iterations <= 30
+    assert np.abs(result.z - z).max() <= 1e-3 * np.abs(z).max()
+
+
+def test_the_band_is_solved_without_its_zeros_being_kept() -> None:
+    """A factor that would be too large is refused, with what to do."""
+    n = 300_000
+    M = sp.csr_array(sp.eye_array(n) + sp.coo_array(([0.5], ([0], [n - 1])), shape=(n, n)))
+    with pytest.raises(UnsuitableMatrix, match=r'banded needs a narrow band.*300000 rows.*try algorithm="auto"'):
+        solve(LCP(M, -np.ones(n)), "banded")
+
+
+def test_a_start_says_which_bounds_hold() -> None:
+    """From the answer of a near problem two rounds fewer are needed than from nowhere; from the answer itself none."""
+    rng = np.random.default_rng(2)
+    warm, cold = [], []
+    for _ in range(50):
+        problem, z = planted(dominant(200, 2, 2, rng), rng, boxes=True)
+        near = problem.with_q(problem.q + 1e-3 * rng.normal(size=200))
+        assert solve(problem, "banded", z0=z).iterations == 0
+        cold.append(solve(near, "banded").require_solved().iterations)
+        warm.append(solve(near, "banded", z0=z).require_solved().iterations)
+    assert np.mean(warm) < np.mean(cold)
+
+
+# --- All rounds at once ---------------------------------------------------------------------------------------
+
+
+def problems(boxes: bool) -> list[LCP]:
+    rng = np.random.default_rng(9)
+    made = [planted(tridiagonal_m(50, rng), rng, boxes=boxes)[0] for _ in range(20)]
+    matrices = [make(60, 2, 3, rng) for make in (dominant, definite) for _ in range(10)]
+    return made + [planted(M, rng, boxes=boxes)[0] for M in matrices]
+
+
+@pytest.mark.parametrize("boxes", [False, True])
+def test_all_rounds_at_once_are_the_rounds_one_by_one(boxes: bool) -> None:
+    """With a callback, which needs every step, z, w, iterations and work are the same bit for bit."""
+    for problem in problems(boxes):
+        for tolerance in (1e-8, 1e-3):
+            once = solve(problem, "banded", tolerance=tolerance)
+            stepwise = solve(problem, "banded", tolerance=tolerance, callback=lambda sample, z: False)
+            assert np.array_equal(once.z, stepwise.z)
+            assert np.array_equal(once.w, stepwise.w)
+            assert (once.status, once.iterations, once.work) == (stepwise.status, stepwise.iterations, stepwise.work)
+            assert once.certificate.relative_residual == stepwise.certificate.relative_residual
+            assert [stage[:4] for stage in once.stages] == [stage[:4] for stage in stepwise.stages]
+
+
+def test_steps_are_within_the_bounds_and_know_their_residual() -> None:
+    """As the driver asks: z is never outside, and the residual that goes with it is that of this z."""
+    for problem in problems(True):
+        steps: list[Step] = []
+        for step in Banded().iterates(problem, problem.nearest_to_zero.copy()):
+            assert np.array_equal(step.z, np.clip(step.z, problem.lower, problem.upper))
+            r = step.z - np.clip(step.z - problem.slack(step.z) / problem.residual_scale, problem.lower, problem.upper)
+            assert step.residual == pytest.approx(np.abs(r).max(), abs=1e-9 * (1.0 + np.abs(problem.q).max()))
+            steps.append(step)
+        assert len(steps) >= 2
+
+
+def test_a_limit_of_iterations_holds_for_all_rounds_at_once() -> None:
+    """Where more rounds are needed than allowed, the run ends after those with MAX_ITERATIONS."""
+    for problem in problems(True):
+        needed = solve(problem, "banded").iterations
+        if needed > 1:
+            result = solve(problem, "banded", max_iterations=needed - 1)
+            assert (result.status, result.iterations) == (Status.MAX_ITERATIONS, needed - 1)
+
+
+# --- Marches in time ------------------------------------------------------------------------------------------
+
+
+def test_one_round_a_step_prices_an_american_put() -> None:
+    """Auto takes one round a step, from the last price or from nowhere, to the bits of an answer of its own."""
+    scene = gallery.build("american_put_march", size=301, steps=30)
+    problem, z = prepare(scene.problem), np.array(scene.problem.lower)
+    for _ in range(scene.steps):
+        result = solve(problem, z0=z).require_solved()
+        assert [(stage.name, stage.iterations) for stage in result.stages] == [("banded", 1)]
+        assert np.array_equal(result.z, solve(problem).z)
+        z = result.z
+        problem = problem.with_q(scene.advance(z))
+    assert 0.1 < np.mean(z == problem.lower) < 0.9
+
+
+def test_a_march_is_its_steps_one_by_one() -> None:
+    """Where all steps run in one loop, and where another method drives each, bit for bit; results included."""
+    scene = gallery.build("american_put_march", size=101, steps=25)
+    assert scene.advance is not None
+    forcing = np.broadcast_to(scene.advance(np.zeros(101)), (25, 101))
+    for algorithm in ("auto", "banded", "psor"):
+        steps = march(scene.problem, forcing, z0=scene.problem.lower, algorithm=algorithm)
+        problem, z = scene.problem, np.array(scene.problem.lower)
+        for step, state in zip(steps, steps.z, strict=True):
+            alone = solve(problem, algorithm, z0=z)
+            assert np.array_equal(step.certificate.problem.q, problem.q)
+            assert np.array_equal(state, step.z)
+            assert np.array_equal(step.z, alone.z)
+            assert np.array_equal(step.w, alone.w)
+            assert (step.status, step.iterations, step.work) == (alone.status, alone.iterations, alone.work)
+            assert step.certificate.relative_residual == alone.certificate.relative_residual
+            z = step.z
+            problem = problem.with_q(scene.advance(z))
+        assert steps[-1].is_solved
+        assert [step.iterations for step in steps[:3]] == [steps[k].iterations for k in range(3)]
+
+
+def test_a_march_carries_a_matrix_and_forces_that_change() -> None:
+    """Crank–Nicolson: (2I + A) z = (2I − A) z_before + f_k, between bounds; each step solves its own problem."""
+    rng = np.random.default_rng(4)
+    n, k = 60, 30
+    A = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n))
+    explicit = sp.csr_array(2.0 * sp.eye_array(n) - A)
+    problem = LCP(2.0 * sp.eye_array(n) + A, np.zeros(n), lower=-1.0, upper=1.0)
+    force = rng.normal(scale=3.0, size=(k, n)).cumsum(axis=0)
+    z = rng.normal(scale=5.0, size=n)  # outside the bounds
+    for before in (explicit, explicit.toarray()):
+        steps = march(problem, -force, -before, z0=z)
+        state = z
+        for step, f in zip(steps, force, strict=True):
+            np.testing.assert_allclose(step.certificate.problem.q, -f - explicit @ state, atol=1e-12)
+            state = step.require_solved().z
+        assert all(0.0 < np.mean(np.abs(state) == 1.0) < 1.0 for state in steps.z[3:])
+
+
+def test_a_march_takes_what_a_solve_takes() -> None:
+    """Other options, a callback, a measure and a limit in seconds are those of `solve`, step by step and for all."""
+    scene = gallery.build("american_put_march", size=31, steps=4)
+    forcing, heard = np.broadcast_to(scene.problem.q, (4, scene.problem.n)), []
+    plain = march(scene.problem, forcing, z0=scene.problem.lower)
+    watched = march(
+        scene.problem, forcing, z0=scene.problem.lower, algorithm="psor", relaxation=1.2, record=True,
+        callback=lambda sample, z: heard.append(sample.iteration),
+    )
+    assert watched.all_solved
+    assert len(watched) == 4
+    assert len(heard) == sum(len(result.history) > 0 and result.iterations + 1 for result in watched)
+    for ours, theirs in zip(watched.z, plain.z, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
+    late = march(scene.problem, forcing, z0=scene.problem.lower, algorithm="psor", tolerance=0.0, max_seconds=0.0)
+    assert [result.status for result in late] == [Status.MAX_SECONDS]
+    with pytest.raises(InvalidOption, match="has no option 'relaxaton'; did you mean 'relaxation'"):
+        march(scene.problem, forcing, algorithm="psor", relaxaton=1.2)
+
+
+def test_a_march_ends_where_a_step_is_not_solved() -> None:
+    """The steps after it would start from nothing; what cannot be taken in one loop is taken by itself."""
+    problem = LCP(sp.diags_array([0.5, 1.0, 0.5], offsets=[-1, 0, 1], shape=(30, 30)), np.zeros(30), upper=1.0)
+    forcing = np.random.default_rng(0).normal(size=(5, 30))
+    assert len(march(problem, forcing, 0.0)) == 5
+    cut = march(problem, forcing, 0.0, max_iterations=1)
+    assert len(cut) == 1
+    assert not cut.all_solved
+    assert cut[0].status is Status.MAX_ITERATIONS
+    idle = march(problem, np.vstack([forcing[:2], np.ones((1, 30)), forcing[2:]]), 0.0)  # z° solves the third
+    assert idle.all_solved
+    assert len(idle) == 6
+    assert not idle.z[2].any()
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"forcing": np.zeros(3)}, r"forcing must be .* \(k, n\), n = 3, a row a step, got shape \(3,\)"),
+    ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair that entry"),
+    ({"carry": np.eye(2)}, r"carry must be a number or a finite array of shape \(3, 3\), got shape \(2, 2\)"),
+    ({"carry": np.full((3, 3), np.inf)}, "carry must be .* got NaN or infinite entries; repair them"),
+    ({"z0": np.zeros(2)}, "z0 must be"),
+])
+def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
+    """Data of another shape, or not finite, in words and before the first step."""
+    with pytest.raises(InvalidProblem, match=message):
+        march(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((1, 3)), **given})
+    with pytest.raises(InvalidOption, match="march needs an LCP, got ndarray"):
+        march(np.eye(3), np.zeros((1, 3)))
+
+
+def test_many_offsets_of_one_matrix_in_one_loop() -> None:
+    """Row k is what the fused solve of problem k alone is, each with bounds of its own, or None."""
+    rng = np.random.default_rng(6)
+    for M in (tridiagonal_m(40, rng), dominant(40, 2, 2, rng)):
+        made = [planted(M, rng, boxes=True)[0] for _ in range(8)]
+        made[3] = made[3].with_q(np.full(40, 1e308), lower=made[3].lower, upper=made[3].upper)
+        names = ("q", "lower", "upper", "nearest_to_zero")
+        Q, lower, upper, Z = (np.array([getattr(problem, name) for problem in made]) for name in names)
+        together = Banded().fused_solves(made[0], Q, Z, 1e-8, 100, bounds=(lower, upper))
+        for problem, solve_fused in zip(made, together, strict=True):
+            alone = Banded().solve_fused(problem, problem.nearest_to_zero, 1e-8, 100)
+            assert (solve_fused is None) == (alone is None)
+            if solve_fused is not None and alone is not None:
+                assert np.array_equal(solve_fused.z, alone.z)
+                assert (solve_fused.residual, solve_fused.parts) == (alone.residual, alone.parts)
+        assert sum(solve_fused is not None for solve_fused in together) >= 7
+
+
+def test_a_run_of_each_kind_compiles_all_there_is() -> None:
+    """Single steps, all rounds at once and marches run what one run of either kind has compiled."""
+    problem = gallery.build("american_put", size=40).problem
+    for record in (False, True):
+        solve(problem, Banded(), record=record)
+    compiled = [kernels.run_all, kernels.step]
+    before = [len(kernel.signatures) for kernel in compiled]
+    Banded().solve_fused(problem, problem.nearest_to_zero, 1e-8, 10)
+    list(Banded().iterates(problem, problem.nearest_to_zero.copy()))
+    march(problem, np.zeros((2, 40)))
+    solve(problem.with_q(np.array(problem.q), upper=np.full(40, 200.0)), z0=np.ones(40))
+    assert [len(kernel.signatures) for kernel in compiled] == before

@@ -1,0 +1,394 @@
+"""Lemke: textbook problems, games, boxes, free rows, degenerate and exponential families, exact random answers."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from campaigns import small_lcps
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, Certificate, Status, solve
+from lcp_plugin.core.algorithms.base import Step
+from lcp_plugin.core.errors import InvalidOption, UnsuitableProblem
+from lcp_plugin.methods.lemke.canonical_box import canonical_box, equilibrated
+from lcp_plugin.methods.lemke.covering_vectors import bimatrix_players, starts
+from lcp_plugin.methods.lemke.lemke import Lemke, connected_parts
+from lcp_plugin.methods.lemke.pivoting_path import Path
+from lcp_plugin.methods.small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
+from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
+from lcp_plugin.strategies import solved_lcps
+
+INF = np.inf
+
+
+def steps(problem: LCP, z0: Any = None, **options: Any) -> list[tuple[Step, np.ndarray]]:
+    start = problem.nearest_to_zero.copy() if z0 is None else np.array(z0, dtype=float)
+    return [(step, step.z.copy()) for step in Lemke(**options).iterates(problem, start)]
+
+
+def best(problem: LCP, **options: Any) -> Certificate:
+    return min(
+        (Certificate.of(problem, z) for _, z in steps(problem, **options)), key=lambda found: found.relative_residual
+    )
+
+
+def planted(M: np.ndarray, seed: int = 0, share: float = 0.5) -> LCP:
+    """Integer z* and w*, some rows degenerate; q = w* − M z*."""
+    generator = np.random.default_rng(seed)
+    n = M.shape[0]
+    u = generator.random(n)
+    z = np.where(u < share, generator.integers(1, 10, size=n), 0.0)
+    w = np.where(u > share + 0.1, generator.integers(1, 10, size=n), 0.0)
+    return LCP(M, w - M @ z)
+
+
+# --- published problems ---------------------------------------------------------------------------------------
+
+TEXTBOOK: dict[str, tuple[Any, Any]] = {
+    # Cottle, Pang, Stone, The Linear Complementarity Problem: Examples 1.2 (P), 4.4.7, 4.4.16 kinds and Kostreva's.
+    "2 × 2 P": ([[2, 1], [1, 2]], [-5, -6]),
+    "Kostreva cycling, P": ([[1, 2, 0], [0, 1, 2], [2, 0, 1]], [-1, -1, -1]),
+    "Murty, P": ([[1, 0, 0], [2, 1, 0], [2, 2, 1]], [-8, -12, -14]),
+    "Csizmadia, 5": (np.eye(5) - np.tril(np.ones((5, 5)), -1), -np.ones(5)),
+    "zero diagonal, skew": ([[0, -1, 2], [1, 0, -1], [-2, 1, 0]], [3, -1, 1]),
+    "degenerate q": ([[1, -1, -1], [-1, 1, -1], [-1, -1, 4]], [0, 3, -3]),
+    "copositive": ([[1, 2, 0], [0, 1, 2], [2, 0, 0.5]], [-1, -2, 1]),
+    "only one of many pieces": ([[-1, 2], [2, -1]], [1, -3]),
+    "negative scalar": ([[-2]], [3]),
+}
+
+
+@pytest.mark.parametrize("name", TEXTBOOK)
+def test_textbook_problems(name: str) -> None:
+    """Small published kinds of problems are solved to rounding level."""
+    assert best(LCP(*TEXTBOOK[name])).relative_residual <= 1e-14
+
+
+def circuit() -> LCP:
+    """A diode bridge: two node voltages and an equation are free, four diodes complementary."""
+    M = np.zeros((7, 7))
+    M[0, [1, 2, 4, 6]] = -1e-3, 1e-3, 1.0, 1.0
+    M[1, [1, 2, 3, 5]] = 1e-3, -1e-3, -1.0, -1.0
+    M[2, [0, 5, 6]] = -1.0, 10.0, -10.0
+    M[3, 2], M[4, 1] = -1.0, 1.0
+    M[5, [0, 2]], M[6, [0, 1]] = (1.0, -1.0), (-1.0, 1.0)
+    return LCP(M, [0, 0, 1, 0, 0, 0, 0], lower=[-INF, -INF, -INF, 0, 0, 0, 0])
+
+
+MIXED: dict[str, Callable[[], LCP]] = {
+    "circuit": circuit,
+    "relays": lambda: LCP(np.eye(4), [-5, -0.5, 0.5, 5], lower=-1, upper=1),
+    "relays, coupled, indefinite": lambda: LCP(
+        [[0, 2, -1], [2, 0, 3], [1, -3, -1]], [0.5, -1, 1], lower=-1, upper=1
+    ),
+    "upper bounds only": lambda: LCP([[2, 1], [-1, 3]], [4, 5], lower=-INF, upper=[0, 1]),
+    "fixed row": lambda: LCP([[0, 1], [-1, 2]], [1, -1], lower=[2, 0], upper=[2, INF]),
+    "all fixed": lambda: LCP([[0, 1], [-1, 2]], [1, -1], lower=[2, 3], upper=[2, 3]),
+    "linear system": lambda: LCP([[0, 1], [2, 0]], [1, -4], lower=-INF),
+    "singular system": lambda: LCP([[1, 1], [1, 1]], [-2, -2], lower=-INF),
+    "singular system, shifted": lambda: LCP([[0, 3], [0, 0]], [2, 0], lower=-INF),
+    "linear program, free x": lambda: LCP(
+        [[0, 0, -1, 1], [0, 0, -1, -1], [1, 1, 0, 0], [-1, 1, 0, 0]], [1, 2, -1, 1], lower=[-INF, -INF, 0, 0]
+    ),
+    "row without effect": lambda: LCP([[2, 0, 0], [1, 0, 2], [0, 0, 0]], [1, -5, 0]),
+}
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_boxes_and_free_rows(name: str) -> None:
+    """Box, one-sided, fixed and free rows are solved, singular free blocks included."""
+    assert best(MIXED[name]()).relative_residual <= 1e-14
+
+
+GAMES = {
+    "matching pennies": ([[1, -1], [-1, 1]], [[-1, 1], [1, -1]]),
+    "prisoners": ([[-1, -3], [0, -2]], [[-1, 0], [-3, -2]]),
+    "battle of the sexes": ([[2, 0], [0, 1]], [[1, 0], [0, 2]]),
+    "rock paper scissors": ([[0, -1, 1], [1, 0, -1], [-1, 1, 0]], [[0, 1, -1], [-1, 0, 1], [1, -1, 0]]),
+    "all alike": (np.ones((4, 3)), np.ones((4, 3))),
+    "duplicated actions": ([[1, 1, 0], [1, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 0, 1], [1, 1, 0]]),
+    "one action": ([[3, 1, 2]], [[0, 1, 1]]),
+}
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_games(name: str) -> None:
+    """An equilibrium without regret comes out of small games, degenerate ones included."""
+    problem = lcp_from_bimatrix_game(*GAMES[name])
+    found = best(problem)
+    assert found.relative_residual <= 1e-14
+    assert problem.origin.recover(found.z).regret <= 1e-12
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("degenerate", [False, True])
+def test_random_games(degenerate: bool) -> None:
+    """Games of 2 × 2 to 8 × 8 actions have an equilibrium, and the first label finds one."""
+    generator = np.random.default_rng(0)
+    for m, k in itertools.product(range(2, 9), repeat=2):
+        A, B = generator.integers(0, 3 if degenerate else 100, size=(2, m, k))
+        found = steps(lcp_from_bimatrix_game(A, B))
+        assert min(Certificate.of(lcp_from_bimatrix_game(A, B), z).relative_residual for _, z in found) <= 1e-13
+        assert len(found) <= 5  # the start, what the compiled path ends with, the start again, two of the first label
+
+
+def test_games_have_no_path_from_a_positive_covering_vector() -> None:
+    """On a game every covering vector r > 0 ends on its first ray, and every label of Lemke–Howson in a solution."""
+    problem = lcp_from_bimatrix_game(*GAMES["battle of the sexes"])
+    box = canonical_box(problem)
+    path = Path(box.M, box.q, box.upper)
+    assert path.start_along(np.ones(4))
+    assert path.advance(100) == RAY
+    assert bimatrix_players(box.M, box.q).tolist() == [True, True, False, False]
+    for start in itertools.islice(starts(path, np.zeros(4), 0), 4):
+        assert start(path)
+        assert path.advance(100) == SOLVED
+    assert bimatrix_players(np.eye(2), -np.ones(2)) is None
+
+
+# --- families ---------------------------------------------------------------------------------------------------
+
+def murty(n: int) -> np.ndarray:
+    return np.eye(n) + 2.0 * np.tril(np.ones((n, n)), -1)
+
+
+FAMILIES: dict[str, Callable[[int], np.ndarray]] = {
+    "Murty": murty,
+    "Murty, transposed": lambda n: murty(n).T.copy(),
+    "Fathi": lambda n: murty(n) @ murty(n).T,
+    "Csizmadia": lambda n: np.eye(n) - np.tril(np.ones((n, n)), -1),
+}
+
+
+@pytest.mark.parametrize("n", [1, 5, 20, 60])
+@pytest.mark.parametrize("name", FAMILIES)
+def test_exponential_families(name: str, n: int) -> None:
+    """Where one covering vector needs 2ⁿ pivots another needs few."""
+    M = FAMILIES[name](n)
+    # Csizmadia's answer to q = −1 is 2ⁱ, whose w no double can check at n = 60.
+    problem = planted(M) if name == "Csizmadia" else LCP(M, -np.ones(n))
+    found = steps(problem)
+    assert min(Certificate.of(problem, z).relative_residual for _, z in found) <= 1e-12
+    assert len(found) <= 90
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_degenerate_integers_end(seed: int) -> None:
+    """With ties at every pivot the lexicographic rule ends each path long before the limit, and numerically sound."""
+    generator = np.random.default_rng(seed)
+    n = 12
+    M = generator.integers(-1, 2, size=(n, n)).astype(float)
+    q = generator.integers(-1, 1, size=n).astype(float)
+    path = Path(M, q, np.full(n, INF))
+    for start in starts(path, np.zeros(n), 12):
+        if start(path):
+            outcome = GOING_ON
+            while outcome == GOING_ON and path.pivots < 2000:
+                outcome = path.advance(25)
+            assert outcome not in (GOING_ON, LOST)
+
+
+def rank_deficient(g: np.random.Generator, n: int) -> np.ndarray:
+    J = g.integers(-2, 3, size=(n, n // 3)).astype(float)
+    return J @ J.T
+
+
+def skew(g: np.random.Generator, n: int) -> np.ndarray:
+    S = g.integers(-3, 4, size=(n, n)).astype(float)
+    return S - S.T
+
+
+def ill_conditioned(g: np.random.Generator, n: int) -> np.ndarray:
+    Q = np.linalg.qr(g.standard_normal((n, n)))[0]
+    return (Q * np.logspace(-8, 0, n)) @ Q.T
+
+
+MONOTONE: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
+    "rank-deficient": rank_deficient,
+    "skew": skew,
+    "ill-conditioned": ill_conditioned,
+    "strictly copositive": lambda g, n: g.integers(0, 4, size=(n, n)) + np.eye(n),
+}
+
+
+@pytest.mark.parametrize("n", [3, 40, 150])
+@pytest.mark.parametrize("kind", MONOTONE)
+def test_classes_with_a_guarantee(kind: str, n: int) -> None:
+    """Monotone and strictly copositive problems with a solution are solved along the first path."""
+    problem = planted(MONOTONE[kind](np.random.default_rng(n), n), seed=n)
+    assert best(problem, restarts=0).relative_residual <= 1e-10
+
+
+def test_wild_units() -> None:
+    """Rows scaled by 1e±150 and unknowns by 1e±30 make no difference."""
+    generator = np.random.default_rng(0)
+    B = generator.standard_normal((6, 6))
+    rows, columns = 10.0 ** generator.integers(-150, 150, size=6), 10.0 ** generator.integers(-30, 30, size=6)
+    problem = LCP((B @ B.T) * rows[:, None] * columns, generator.standard_normal(6) * rows)
+    assert best(problem).relative_residual <= 1e-12
+
+
+@settings.get_profile("many")
+@given(solved_lcps())
+def test_problems_with_a_known_answer(drawn: tuple[LCP, Any]) -> None:
+    """Problems whose answer was chosen first are solved."""
+    assert best(drawn[0]).relative_residual <= 1e-9
+
+
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_a_finite_box_always_has_an_answer(n: int, seed: int) -> None:
+    """Any matrix with finite bounds: the path from r > 0 cannot escape and ends in a solution."""
+    generator = np.random.default_rng(seed)
+    lower = generator.integers(-3, 2, size=n)
+    problem = LCP(
+        generator.integers(-3, 4, size=(n, n)), generator.integers(-5, 6, size=n),
+        lower=lower, upper=lower + generator.integers(0, 4, size=n),
+    )
+    assert best(problem, restarts=0).relative_residual <= 1e-10
+
+
+# --- the contract -----------------------------------------------------------------------------------------------
+
+def test_empty_and_scalar() -> None:
+    """With n = 0 the run ends after its start, and n = 1 is right for either sign of M."""
+    assert len(steps(LCP(np.zeros((0, 0)), []))) == 1
+    assert best(LCP([[4.0]], [-2.0])).z.tolist() == [0.5]
+    assert best(LCP([[-4.0]], [2.0])).relative_residual == 0.0
+    assert best(LCP([[0.0]], [-2.0], upper=3.0)).z.tolist() == [3.0]
+
+
+def test_no_false_success() -> None:
+    """Without a solution no step passes; a ray of a monotone problem proves it: y ≥ 0, Mᵀy ≤ 0, qᵀy < 0."""
+    M, q = np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([1.0, -2.0])
+    problem = LCP(M[::-1, ::-1], [-2.0, -1.0])
+    found = steps(problem)
+    assert min(Certificate.of(problem, z).relative_residual for _, z in found) > 1e-3
+    rays = [step.ray for step, _ in found if getattr(step, "ray", None) is not None]
+    assert rays
+    assert any(np.all(y >= 0) and np.all(problem.M.T @ y <= 0) and problem.q @ y < 0 for y in rays)
+    assert best(LCP(M, q)).relative_residual <= 1e-14
+
+
+def test_parts_are_solved_one_by_one() -> None:
+    """Connected parts of the matrix are found and each is solved, whatever the order of the rows."""
+    order = np.random.default_rng(0).permutation(30)
+    M = np.kron(np.eye(10), [[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])[np.ix_(order, order)]
+    problem = planted(M)
+    assert sorted(rows.size for rows in connected_parts(problem)) == [3] * 10
+    assert best(problem).relative_residual <= 1e-14
+
+
+def test_warm_start_shortens_the_path() -> None:
+    """From a point near the answer a few pivots do."""
+    generator = np.random.default_rng(1)
+    B = generator.standard_normal((100, 100))
+    problem = LCP(B @ B.T, generator.standard_normal(100))
+    answer = best(problem).z
+    cold = sum(step.work for step, _ in steps(problem))
+    near = steps(problem, z0=np.where(answer > 0.0, answer * 1.001, 0.0))
+    assert min(Certificate.of(problem, z).relative_residual for _, z in near) <= 1e-12
+    path_work = len(steps(problem))
+    assert len(near) <= path_work
+    assert sum(step.work for step, _ in near) <= 2 * cold
+
+
+def test_same_call_same_answer() -> None:
+    """Two runs agree bit for bit, and the problem stays as it was."""
+    generator = np.random.default_rng(3)
+    problem = LCP(generator.standard_normal((12, 12)), generator.standard_normal(12))
+    before = problem.M.copy(), problem.q.copy()
+    first, second = steps(problem), steps(problem)
+    assert len(first) == len(second)
+    assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(first, second, strict=True))
+    assert np.array_equal(before[0], problem.M)
+    assert np.array_equal(before[1], problem.q)
+
+
+def test_pivots_are_bounded() -> None:
+    """No path makes more pivots than it may."""
+    problem = LCP(murty(30), -np.ones(30))
+    box = canonical_box(problem)
+    path = Path(box.M, box.q, box.upper)
+    assert path.start_along(np.ones(30))
+    assert path.advance(100) == GOING_ON
+    assert path.pivots == 100
+    assert len(steps(problem, max_pivots=5, restarts=0)) <= 3
+
+
+@pytest.mark.parametrize("options", [{"max_pivots": -1}, {"restarts": 1.5}, {"max_pivots": True}])
+def test_options_are_checked(options: dict[str, Any]) -> None:
+    """Counts are whole numbers."""
+    with pytest.raises(InvalidOption, match="must be a whole number ≥ 0"):
+        Lemke(**options)
+
+
+def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A connected part that is too large for a dense inverse is refused by its size."""
+    monkeypatch.setattr("lcp_plugin.methods.lemke.lemke.PIVOTED_UP_TO", 3)
+    with pytest.raises(UnsuitableProblem, match=r"up to n = 3, got one of 4"):
+        steps(LCP(np.ones((4, 4)), -np.ones(4)))
+
+
+# --- the canonical problem ----------------------------------------------------------------------------------
+
+def test_equilibration_keeps_symmetry() -> None:
+    """Powers of two bring rows and columns to about 1 and leave a symmetric matrix symmetric."""
+    generator = np.random.default_rng(0)
+    d = 10.0 ** generator.uniform(-8, 8, size=20)
+    B = generator.standard_normal((20, 20))
+    M = (B @ B.T) * d[:, None] * d
+    rows, columns = equilibrated(M)
+    scaled = np.ldexp(M, rows[:, None] + columns)
+    assert np.array_equal(rows, columns)
+    assert np.all(np.abs(scaled).max(axis=1) <= 2.0)
+    assert np.all(np.abs(scaled).max(axis=1) >= 0.25)
+
+
+@given(st.integers(1, 7), st.integers(0, 2**32 - 1))
+def test_canonical_problem_is_the_problem(n: int, seed: int) -> None:
+    """A solution of the canonical problem is one of the problem, and bounds and free rows come back."""
+    generator = np.random.default_rng(seed)
+    B = generator.integers(-3, 4, size=(n, n))
+    lower = np.where(generator.random(n) < 0.4, -INF, generator.integers(-3, 1, size=n))
+    upper = np.where(generator.random(n) < 0.6, INF, generator.integers(1, 4, size=n))
+    problem = LCP(B @ B.T + np.eye(n), generator.integers(-9, 9, size=n), lower=lower, upper=upper)
+    box = canonical_box(problem)
+    inner = LCP(box.M, box.q, upper=box.upper) if box.q.size else None
+    z = box.recover(best(inner).z if inner is not None else np.zeros(0))
+    assert Certificate.of(problem, np.clip(z, lower, upper)).scaled_residual <= 1e-9
+
+
+EXTREME = {
+    "q beyond its row": ([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0]),
+    "q beyond, and no matter": ([[1e-145, 0.0], [0.0, 1.0]], [1e278, -1.0]),
+    "a product that overflows": ([[1e-200, 1e200], [1e200, 1e-200]], [-1e300, 1e-300]),
+    "subnormal": ([[5e-324, 0.0], [1.0, 5e-324]], [-1.0, -1e-310]),
+    "a solution of 1e600": ([[1e-300, 0.0], [0.0, 1.0]], [-1e300, -1.0]),
+}
+
+
+@pytest.mark.parametrize("name", EXTREME)
+def test_numbers_at_the_edge_raise_nothing(name: str) -> None:
+    """Data whose scaled tableau leaves the range of doubles end a run in words, with a finite z."""
+    problem = LCP(*EXTREME[name])
+    result = solve(problem, "lemke")
+    assert np.isfinite(result.z).all()
+    assert result.status in (Status.SOLVED, Status.STALLED, Status.PRECISION_LIMIT)
+
+
+def test_a_huge_q_that_does_not_matter_is_no_obstacle() -> None:
+    """A row far from being active whose q overflows in the scale of the row leaves the others solvable."""
+    result = solve(LCP(*EXTREME["q beyond, and no matter"]), "lemke")
+    assert result.status is Status.SOLVED
+    assert result.z.tolist() == [0.0, 1.0]
+
+
+def test_blocks_whose_condition_overflows_warn_nobody() -> None:
+    """Where the condition of a block of a start exceeds the doubles, the path is another one, without a warning."""
+    problem = small_lcps.extreme_problem("squares overflow", np.random.default_rng(2029000011871))
+    assert solve(problem, "lemke").status is Status.STALLED

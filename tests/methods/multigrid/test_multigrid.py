@@ -1,0 +1,592 @@
+"""Projected multigrid and batches: answers against direct active sets and planted ones, honesty, limits."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+
+from lcp_plugin import (
+    LCP,
+    InvalidOption,
+    InvalidProblem,
+    Result,
+    Status,
+    UnknownAlgorithm,
+    UnsuitableMatrix,
+    gallery,
+    solve,
+)
+from lcp_plugin.core.kernels import threads
+from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.gallery.stencil import balanced_matrix
+from lcp_plugin.methods.multigrid.multigrid import SMOOTHERS, Multigrid
+from lcp_plugin.problems.batches.batch import prepare, solve_many
+from lcp_plugin.systems.hierarchy import galerkin, grids, levels, sweeps, vectors
+from lcp_plugin.systems.hierarchy.levels import hierarchy_of
+from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
+
+SCENES = [
+    "obstacle_2d:size=60",
+    "obstacle_3d:size=14",
+    "obstacle_bumps:size=60",
+    "coefficient_jumps:size=59,contrast=1e2",
+    "coefficient_jumps:size=59,contrast=1e6",
+    "coefficient_jumps:size=59,contrast=1e10",
+    "convection_diffusion:size=60,diffusion=1",
+    "convection_diffusion:size=60,diffusion=1e-3",
+    "convection_diffusion:size=60,diffusion=1e-5",
+    "rotated_anisotropy:size=60",
+    "journal_bearing:size=60,eccentricity=0.99",
+    "optimal_stopping:size=50,swirl=-7",
+    "paper_example_1:n=3600,delta=0",
+]
+
+
+def active_set(problem: LCP, z: np.ndarray) -> np.ndarray:
+    """Return the answer by primal-dual active-set steps from z, each one sparse direct solve."""
+    M, lower, upper, known = problem.csr, problem.lower, problem.upper, None
+    for _ in range(100):
+        step = z - problem.slack(z) / problem.diagonal
+        sides = (step >= upper).astype(int) - (step <= lower)
+        if known is not None and np.array_equal(sides, known):
+            return z
+        known = sides
+        z = np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0))
+        free = np.flatnonzero(sides == 0)
+        z[free] = spsolve(M[free][:, free].tocsc(), -problem.slack(z)[free])
+    raise AssertionError("the reference did not settle")
+
+
+def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
+    expected = active_set(problem, result.z.copy())
+    assert np.abs(result.z - expected).max() <= relative * np.abs(expected).max()
+
+
+# --- Answers ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", SCENES)
+def test_the_answer_is_that_of_the_direct_active_set(text: str) -> None:
+    """At the default tolerance z is within 1e-6 of the direct answer, in at most 40 iterations."""
+    problem = gallery.parse(text).problem
+    result = solve(problem, "multigrid", max_iterations=40)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
+@pytest.mark.parametrize("smoother", SMOOTHERS[1:])
+@pytest.mark.parametrize("text", [SCENES[0], SCENES[4], SCENES[7], SCENES[9]])
+def test_every_smoother_arrives(smoother: str, text: str) -> None:
+    """Any projected sweep can be the smoother."""
+    problem = gallery.parse(text).problem
+    relaxation = 1.7 if smoother.startswith("np") else 1.2
+    result = solve(problem, "multigrid", smoother=smoother, relaxation=relaxation, max_iterations=60)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
+def jumps_by_edge(kind: str, decades: int, *, size: int = 60, seed: int = 0) -> LCP:
+    """Return a membrane whose every edge, or cell, has a stiffness of its own."""
+    generator = np.random.default_rng(seed)
+
+    def stiffness(*shape: int) -> np.ndarray:
+        share = generator.random(shape)
+        return 10.0 ** (decades * {"all": share - 0.5, "half": share < 0.5, "tenth": share < 0.1}[kind])
+
+    across, along = stiffness(size + 1, size), stiffness(size, size + 1)
+    M = balanced_matrix((size, size), ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]))
+    return LCP(M, gallery.build("coefficient_jumps", size=size).problem.q)
+
+
+@pytest.mark.parametrize("kind", ["all", "half", "tenth"])
+@pytest.mark.parametrize("decades", [3, 6, 10])
+def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
+    """Contrasts up to 1e10 between neighbouring edges are SOLVED, and up to 1e6 the error is small as well."""
+    problem = jumps_by_edge(kind, decades)
+    result = solve(problem, "multigrid", max_iterations=60)
+    assert result.status is Status.SOLVED
+    if decades <= 6:
+        assert_same(problem, result)
+
+
+@pytest.mark.parametrize("on", ["stones", "posts"])
+@pytest.mark.parametrize("width", [4, 12])
+def test_a_long_strip_that_lies_on_few_points(width: int, on: str) -> None:
+    """Held at its far ends only, where a free strip falls far below all contacts: SOLVED within 60 cycles."""
+    generator, length = np.random.default_rng(1), 2000
+    across, along = np.ones((width + 1, length)), np.ones((width, length + 1))
+    across[[0, -1]] = 0.0
+    M = balanced_matrix((width, length), ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]))
+    ground = -generator.random(width * length)
+    lower = ground if on == "stones" else np.where(generator.random(ground.size) < 0.01, ground, -np.inf)
+    problem = LCP(M, np.full(ground.size, 1e-4), lower=lower)
+    result = solve(problem, "multigrid", max_iterations=60)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jumps_between_clusters_that_hang_together_by_weak_edges(seed: int) -> None:
+    """At contrast 1e8 a cut correction has an energy far above all: rounds on one free set after the other arrive."""
+    result = solve(jumps_by_edge("half", 8, size=100, seed=seed), "multigrid", max_iterations=80)
+    assert result.status is Status.SOLVED
+
+
+@pytest.mark.parametrize("kind", ["all", "half", "tenth"])
+@pytest.mark.parametrize("decades", [3, 6, 10])
+def test_conjugate_gradients_on_free_rows_do_not_feel_jumps(kind: str, decades: int) -> None:
+    """Every tenth unknown fixed, they take no more than 20 V-cycles: what a fixed one holds follows nothing else."""
+    problem = jumps_by_edge(kind, decades)
+    truncation, generator = Truncation(hierarchy_of(problem.matrix, Multigrid.coarsest)), np.random.default_rng(1)
+    top, is_fixed = truncation.grids[0], generator.random(problem.n) < 0.1
+    top.is_free[:], top.free_changed[:] = ~is_fixed, is_fixed
+    truncation.update()
+    right = np.where(is_fixed, 0.0, generator.normal(size=problem.n) * problem.diagonal)
+    correction, steps = KrylovCorrection(truncation, right, True), 0
+    begun = correction.largest()
+    while correction.largest() > 1e-8 * begun:
+        assert correction.step()
+        steps += 1
+    assert steps <= 20
+
+
+@pytest.mark.full
+def test_energy_that_falls_is_progress() -> None:
+    """Where blocks land one after the other the residual stands still for long, and the run goes on."""
+    problem = jumps_by_edge("half", 6, size=100, seed=1)
+    result = solve(problem, "multigrid")
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
+@pytest.mark.parametrize("decades", [1, 3, 10])
+@pytest.mark.parametrize("scaled", ["rows", "columns", "both alike", "both"])
+def test_the_units_of_single_rows_and_columns_hardly_matter(scaled: str, decades: int) -> None:
+    """Rows and columns times random powers of ten: the same answer in its units, with at most 8 cycles more."""
+    problem = gallery.build("obstacle_2d", size=60).problem
+    plain = solve(problem, "multigrid")
+    rows, columns = 10.0 ** np.rint(np.random.default_rng(0).uniform(-decades, decades, (2, problem.n)))
+    rows = np.ones(problem.n) if scaled == "columns" else rows
+    columns = np.ones(problem.n) if scaled == "rows" else rows if scaled == "both alike" else columns
+    M = sp.csr_array(sp.diags_array(rows) @ problem.csr @ sp.diags_array(columns))
+    result = solve(LCP(M, rows * problem.q, lower=problem.lower / columns), "multigrid", tolerance=1e-10)
+    assert result.status is Status.SOLVED
+    assert result.iterations <= plain.iterations + 8
+    z = result.z * columns
+    expected = active_set(problem, plain.z.copy())
+    largest = np.abs(result.z * (1.0 - expected / np.where(z != 0.0, z, 1.0))).max() / np.abs(result.z).max()
+    assert largest <= 1e-6  # the unknowns with the largest unit decide what SOLVED means
+
+
+def plate(size: int) -> LCP:
+    """Return a simply supported plate above a paraboloid: thirteen points, no M-matrix."""
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(size, size))
+    laplacian = sp.kron(line, sp.eye_array(size)) + sp.kron(sp.eye_array(size), line)
+    axis = np.linspace(-0.5, 0.5, size + 2)[1:-1]
+    obstacle = (0.1 - 2.0 * np.add.outer(axis**2, axis**2)).ravel()
+    return LCP(sp.csr_array(laplacian @ laplacian), np.full(size**2, 20.0 / (size + 1) ** 4), lower=obstacle)
+
+
+def test_a_plate_above_an_obstacle() -> None:
+    """The biharmonic operator is SOLVED in at most 60 cycles."""
+    problem = plate(50)
+    result = solve(problem, "multigrid", max_iterations=60)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result, 1e-5)
+
+
+def planted(seed: int) -> tuple[LCP, np.ndarray]:
+    """Return a small H₊ or SPD problem with bounds of every kind, and its answer."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(1, 41))
+    B = generator.normal(size=(n, n)) * (generator.random((n, n)) < generator.uniform(0.05, 1.0))
+    if seed % 2:
+        M = B @ B.T + np.diag(generator.uniform(0.1, 1.0, n))
+    else:
+        M = B if seed % 4 else -np.abs(B)
+        np.fill_diagonal(M, 0.0)
+        np.fill_diagonal(M, np.abs(M).sum(axis=1) * generator.uniform(1.01, 2.0) + 0.1)
+        M *= 10.0 ** generator.uniform(-3.0, 3.0, n)[:, None]
+    z, w = generator.normal(size=n), np.zeros(n)
+    lower, upper = z - generator.uniform(0.1, 2.0, n), z + generator.uniform(0.1, 2.0, n)
+    kind = generator.integers(0, 6, n)
+    lower[kind == 0], w[kind == 0] = z[kind == 0], M.diagonal()[kind == 0] * generator.uniform(0, 2, n)[kind == 0]
+    upper[kind == 1], w[kind == 1] = z[kind == 1], -M.diagonal()[kind == 1] * generator.uniform(0, 2, n)[kind == 1]
+    lower[kind == 2] = upper[kind == 2] = z[kind == 2]
+    lower[kind == 3], upper[kind >= 3] = -np.inf, np.inf
+    return LCP(M, w - M @ z, lower=lower, upper=upper), z
+
+
+def second_order(cells: int) -> LCP:
+    """Return a pulled membrane above the ground by finite elements of second order on right triangles."""
+    stiffness = np.array([
+        [6, 1, 1, -4, 0, -4], [1, 3, 0, -4, 0, 0], [1, 0, 3, 0, 0, -4], [-4, -4, 0, 16, -8, 0], [0, 0, 0, -8, 16, -8],
+        [-4, 0, -4, 0, -8, 16],
+    ]) / 6.0
+    corners = np.array([[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1]])  # and middles of edges, in half cells
+    size, (x, y) = 2 * cells + 1, 2 * np.indices((cells, cells)).reshape(2, -1)
+    places = [(x + i) * size + y + j for i, j in corners], [(x + 2 - i) * size + y + 2 - j for i, j in corners]
+    elements = np.concatenate([np.stack(one, axis=1) for one in places])
+    rows, columns = np.repeat(elements, 6, axis=1).ravel(), np.tile(elements, 6).ravel()
+    M = sp.csr_array((np.tile(stiffness.ravel(), len(elements)), (rows, columns)), shape=(size**2, size**2))
+    inside = np.arange(size**2).reshape(size, size)[1:-1, 1:-1].ravel()
+    axis = np.linspace(0.0, 1.0, size)[1:-1]
+    force = np.multiply.outer(np.sin(3.0 * np.pi * axis), np.sin(2.0 * np.pi * axis)).ravel()
+    return LCP(sp.csr_array(M[inside][:, inside]), -force / cells**2)
+
+
+def test_elements_of_second_order_need_few_cycles() -> None:
+    """Positive couplings end with the finest grid: coarser ones shrink as usual, and 10 cycles do."""
+    problem = second_order(60)
+    sizes = [grid.n for grid in hierarchy_of(problem.matrix, Multigrid.coarsest).grids]
+    assert sizes[2] <= 0.3 * sizes[1]
+    assert sizes[3] <= 0.3 * sizes[2]
+    result = solve(problem, "multigrid", max_iterations=10)
+    assert result.status is Status.SOLVED
+    assert_same(problem, result)
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("block", range(10))
+def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
+    """200 small H₊ and SPD problems with boxes, free and fixed rows agree with their planted answers."""
+    for seed in range(20 * block, 20 * block + 20):
+        problem, z = planted(seed)
+        result = solve(problem, "multigrid", coarsest=2, tolerance=1e-11, max_iterations=5000)
+        assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, result.status, result.residual)
+        condition = np.linalg.cond(problem.csr.toarray() / problem.diagonal[:, None])
+        assert np.abs(result.z - z).max() <= 1e-8 * condition, seed
+
+
+@pytest.mark.parametrize(
+    ("problem", "z"),
+    [
+        (LCP([[2.0]], [-4.0]), [2.0]),
+        (LCP([[2.0]], [4.0]), [0.0]),
+        (LCP(np.eye(3), [-1.0, 0.0, 1.0]), [1.0, 0.0, 0.0]),
+        (LCP(np.eye(200) * 3.0, np.full(200, -6.0)), [2.0] * 200),
+        (LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), [2.5, 0.0]),
+        (LCP(np.eye(2), [5.0, -5.0], lower=-1.0, upper=1.0), [-1.0, 1.0]),
+        (LCP(np.eye(2), [5.0, -5.0], lower=-np.inf), [-5.0, 5.0]),
+        (LCP(np.zeros((0, 0)), np.zeros(0)), []),
+    ],
+    ids=["positive", "zero", "diagonal", "many", "pair", "box", "free", "empty"],
+)
+def test_problems_without_coarser_grids(problem: LCP, z: list[float]) -> None:
+    """One unknown, a diagonal, boxes and equations need no hierarchy."""
+    result = solve(problem, "multigrid")
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.z, z, atol=1e-7)
+
+
+@pytest.mark.parametrize("scale", [1e-280, 1e-30, 1e30, 1e280])
+def test_the_unit_of_m_and_q_does_not_matter(scale: float) -> None:
+    """Entries far from 1 in size do not overflow and do not change the answer."""
+    problem = gallery.build("obstacle_2d", size=30).problem
+    scaled = LCP(problem.csr * scale, problem.q * scale, lower=problem.lower)
+    answers = [solve(case, "multigrid") for case in (problem, scaled)]
+    assert answers[1].status is Status.SOLVED
+    np.testing.assert_allclose(answers[1].z, answers[0].z, rtol=1e-6)
+
+
+def test_wide_indices() -> None:
+    """A matrix with 64-bit indices gives the same answer."""
+    problem = gallery.build("obstacle_2d", size=25).problem
+    M = problem.csr.copy()
+    wide = LCP(M, problem.q, lower=problem.lower)
+    wide._csr = sp.csr_array(M)
+    wide._csr.indices, wide._csr.indptr = M.indices.astype(np.int64), M.indptr.astype(np.int64)
+    for array in (wide._csr.indices, wide._csr.indptr, wide._csr.data):
+        array.flags.writeable = False
+    z = [solve(case, "multigrid").z for case in (problem, wide)]
+    assert np.array_equal(*z)
+
+
+# --- Cycles, work, starts -----------------------------------------------------------------------------------
+
+
+def test_cycles_hardly_grow_with_the_grid() -> None:
+    """16 times the unknowns cost at most 6 more cycles, for each of four families."""
+    for name, facts in [
+        ("obstacle_2d", {}), ("coefficient_jumps", {"contrast": 100.0}), ("convection_diffusion", {}),
+        ("obstacle_bumps", {}),
+    ]:
+        cycles = [solve(gallery.build(name, size=size, **facts).problem, "multigrid").iterations for size in (45, 180)]
+        assert cycles[1] <= cycles[0] + 6, (name, cycles)
+
+
+def test_work_is_the_same_every_time_and_includes_the_set_up() -> None:
+    """Two runs count and compute the same, bit for bit; a prepared problem is spared the set-up's work."""
+    def fresh() -> LCP:
+        return gallery.build("coefficient_jumps", size=60).problem
+
+    one, other = solve(fresh(), "multigrid"), solve(fresh(), "multigrid")
+    assert (one.work, one.iterations) == (other.work, other.iterations)
+    assert np.array_equal(one.z, other.z)
+    problem = prepare(fresh())
+    assert hierarchy_of.is_known(problem.matrix, Multigrid.coarsest)
+    hierarchy = hierarchy_of(problem.matrix, Multigrid.coarsest)
+    prepared = solve(problem, "multigrid")
+    assert np.array_equal(prepared.z, one.z)
+    assert one.work - prepared.work >= hierarchy.work / problem.nonzeros > 10.0
+
+
+def test_a_warm_start_pays() -> None:
+    """From its own answer a run ends at once, from a near one it needs less than from nothing."""
+    problem = prepare(gallery.build("obstacle_2d", size=80).problem)
+    cold = solve(problem, "multigrid", tolerance=1e-10)
+    again = solve(problem, "multigrid", z0=cold.z)
+    assert again.iterations == 0
+    near = problem.with_q(problem.q + 1e-7)
+    warm, anew = solve(near, "multigrid", z0=cold.z), solve(near, "multigrid")
+    assert warm.is_solved
+    assert warm.iterations < anew.iterations
+    assert np.abs(warm.z - anew.z).max() <= 1e-6
+
+
+def test_a_march_in_time_needs_few_corrections() -> None:
+    """Where the free boundary moves by many rows a step, a warm start still ends within 6 corrections on average."""
+    scene = gallery.build("american_put_march", size=20_001, steps=20)
+    problem, z, corrections = prepare(scene.problem), np.array(scene.problem.lower), 0
+    for step in range(20):
+        before = np.count_nonzero(z > problem.lower)
+        result = solve(problem, "multigrid", z0=z, max_iterations=12)
+        assert result.is_solved
+        moved = np.count_nonzero(result.z > problem.lower) - before
+        assert step > 3 or moved > 20
+        z, corrections = result.z, corrections + result.iterations - 1
+        problem = problem.with_q(scene.advance(z))
+    assert corrections <= 6 * 20
+
+
+def test_runs_in_threads_share_the_hierarchy_and_nothing_else() -> None:
+    """Eight runs at once on one prepared matrix give what they give one after the other."""
+    problem = prepare(gallery.build("coefficient_jumps", size=70).problem)
+    problems = [problem.with_q(problem.q * (1.0 + 0.1 * k)) for k in range(8)]
+    alone = [solve(case, "multigrid").z for case in problems]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda case: solve(case, "multigrid").z, problems))
+    for one, other in zip(alone, together, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_a_run_leaves_the_data_alone() -> None:
+    """Neither the matrix of the problem nor the caller's start is written to."""
+    problem = gallery.build("obstacle_2d", size=20).problem
+    data, start = problem.csr.data.copy(), np.full(problem.n, 3.0)
+    solve(problem, "multigrid", z0=start)
+    assert np.array_equal(problem.csr.data, data)
+    assert np.array_equal(start, np.full(problem.n, 3.0))
+
+
+# --- Where it is no help ------------------------------------------------------------------------------------
+
+
+def random_sparse(margin: float, *, n: int = 1000, positive: bool = False) -> LCP:
+    generator = np.random.default_rng(5)
+    B = sp.csr_array(
+        (generator.random(n * 7), (np.repeat(np.arange(n), 7), generator.integers(0, n, n * 7))), shape=(n, n)
+    )
+    M = sp.csr_array(sp.diags_array(B.sum(axis=1) * margin) + (B if positive else -B))
+    M.sum_duplicates()
+    return LCP(M, generator.normal(size=n))
+
+
+@pytest.mark.full
+def test_a_matrix_without_geometry_is_left_to_sweeps() -> None:
+    """Where no coarser grid pays, sweeps go on as long as they contract, and the run ends where they do not."""
+    assert solve(random_sparse(1.4), "multigrid").status is Status.SOLVED
+    slow = solve(random_sparse(1.0001), "multigrid")
+    assert slow.status is Status.STALLED
+    assert slow.work <= 150
+
+
+def test_an_indefinite_matrix_ends_the_run() -> None:
+    """On a matrix that is neither definite nor H₊ the run ends by itself, with the best iterate it had."""
+    M = random_sparse(0.3, n=800, positive=True).csr
+    shifted = LCP(sp.csr_array(M - 0.9 * M.T + sp.eye_array(800)), np.random.default_rng(0).normal(size=800))
+    result = solve(shifted, "multigrid", max_iterations=2000)
+    assert result.iterations < 1000
+    assert np.isfinite(result.residual)
+
+
+@pytest.mark.parametrize("entry", [0.0, -1.0])
+def test_a_diagonal_entry_that_is_not_positive_is_refused(entry: float) -> None:
+    """The row is named, before the first step."""
+    with pytest.raises(UnsuitableMatrix, match=r"multigrid needs a positive diagonal, but M\[1, 1\]"):
+        solve(LCP([[2.0, -1.0], [-1.0, entry]], [-1.0, 1.0]), "multigrid")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"smoother": "psr"}, "smoother='psr' is not offered; did you mean 'psor'"),
+        ({"relaxation": 0.0}, "relaxation must be a positive finite number, got 0.0"),
+        ({"nested": 1}, "nested must be True or False, got 1"),
+        ({"coarsest": 0}, "coarsest must be a whole number ≥ 1, got 0"),
+        ({"coarsest": 2.5}, "coarsest must be a whole number ≥ 1, got 2.5"),
+        ({"coarsest": True}, "coarsest must be a whole number ≥ 1, got True"),
+    ],
+)
+def test_bad_options_are_refused(options: dict, message: str) -> None:
+    """A wrong option is an InvalidOption that says what is right."""
+    with pytest.raises(InvalidOption, match=message):
+        Multigrid(**options)
+
+
+# --- Batches ------------------------------------------------------------------------------------------------
+
+
+def test_prepare_fills_the_cache_that_with_q_shares() -> None:
+    """The prepared problem is the same object, and a problem with another q finds its hierarchy there."""
+    problem = gallery.build("obstacle_2d", size=30).problem
+    assert prepare(problem) is problem
+    assert hierarchy_of.is_known(problem.with_q(problem.q + 1.0).matrix, Multigrid.coarsest)
+    assert prepare(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0])).n == 2  # no positive diagonal: no hierarchy, no error
+    with pytest.raises(InvalidOption, match="prepare needs an LCP, got list"):
+        prepare([1.0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "multigrid", "npsor"])
+def test_solve_many_answers_every_column(algorithm: str) -> None:
+    """Each column gets what a solve of its own gets; NaN and a wrong length stay in their places."""
+    problem = LCP([[4.0, -1.0], [-1.0, 4.0]], [0.0, 0.0])
+    columns = [[-3.0, 5.0], [np.nan, 0.0], [1.0, 2.0, 3.0], [-1.0, -1.0], "no vector"]
+    answers = solve_many(problem, columns, algorithm)
+    assert [isinstance(answer, Result) for answer in answers] == [True, False, False, True, False]
+    assert all(isinstance(answers[k], InvalidProblem) for k in (1, 2, 4))
+    assert "length 2" in str(answers[2])
+    for k in (0, 3):
+        assert np.array_equal(answers[k].z, solve(problem.with_q(columns[k]), algorithm).z)
+
+
+def test_solve_many_takes_an_array_by_columns() -> None:
+    """Column k of an (n, k) array is the k-th q; options reach every solve; a callback can end the batch."""
+    problem = LCP(np.diag([1.0, 2.0, 4.0]), np.zeros(3))
+    Q = -np.arange(12.0).reshape(3, 4)
+    answers = solve_many(problem, Q, "multigrid", tolerance=1e-12)
+    for k, answer in enumerate(answers):
+        np.testing.assert_allclose(answer.z, -Q[:, k] / problem.diagonal, rtol=1e-12)
+    stopped = solve_many(problem, Q[:, 1:], "npsor", callback=lambda sample, z: True)
+    assert [answer.status for answer in stopped] == [Status.INTERRUPTED]
+    assert solve_many(problem, np.zeros((3, 0))) == []
+
+
+@pytest.mark.parametrize("Q", [np.zeros(3), np.zeros((3, 2, 1)), 7.0, "text", {1: 2}])
+def test_solve_many_refuses_what_is_no_collection(Q: object) -> None:
+    """One vector, a number or a text is refused as a whole."""
+    with pytest.raises(InvalidProblem, match=r"shape \(n, k\), n = 3, or a list of vectors of length 3, got"):
+        solve_many(LCP(np.eye(3), np.zeros(3)), Q)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("Q", "words"),
+    [
+        (np.ones((25, 3)), r"got an array of shape \(25, 3\); its rows are vectors of that length: give Q\.T"),
+        (np.ones((4, 5)), r"n = 3, or a list .* of length 3, got an array of shape \(4, 5\)$"),
+        (list(np.ones((3, 25))), r"got a list of 3 with lengths 25; they are as many as rows: give the columns"),
+        ([[1.0, 2.0], np.ones(4)], r"got a list of 2 with lengths 2, 4$"),
+    ],
+)
+def test_solve_many_says_where_no_column_fits(Q: Any, words: str) -> None:
+    """A transposed Q, or one of another problem, is refused once and in words, not with an error a column."""
+    with pytest.raises(InvalidProblem, match=words):
+        solve_many(LCP(np.eye(3), np.zeros(3)), Q)
+
+
+def test_solve_many_keeps_the_error_of_one_column_in_its_place() -> None:
+    """A vector of another length, or with NaN, does not stop the rest."""
+    answers = solve_many(LCP(np.eye(3), np.zeros(3)), [-np.ones(3), np.ones(2), np.full(3, np.nan)])
+    assert [type(answer).__name__ for answer in answers] == ["Result", "InvalidProblem", "InvalidProblem"]
+
+
+def test_solve_many_raises_what_concerns_all_columns() -> None:
+    """A wrong algorithm or option is raised, not repeated in every place."""
+    problem = LCP(np.eye(2), np.zeros(2))
+    with pytest.raises(UnknownAlgorithm):
+        solve_many(problem, np.ones((2, 2)), "multigird")
+    with pytest.raises(InvalidOption):
+        solve_many(problem, np.ones((2, 2)), "multigrid", smother="pgs")
+    answers = solve_many(LCP([[0.0, 1.0], [1.0, 0.0]], [0.0, 0.0]), np.ones((2, 2)), "psor")
+    assert all(isinstance(answer, UnsuitableMatrix) for answer in answers)
+
+
+BLOCKS = [(grids, "SMALLEST_BLOCK", 64), (grids, "SHARED_FROM", 64), (grids, "SMALLEST_PIECE", 64)]
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("text", [
+    "obstacle_2d:size=60", "obstacle_3d:size=14", "convection_diffusion:size=60,diffusion=1e-3",
+    "coefficient_jumps:size=59,contrast=1e6", "rotated_anisotropy:size=60",
+])
+def test_neither_threads_nor_records_change_a_bit(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows are shared here as they are from 10⁵ on; z, iterations and work are those of one thread."""
+    for room, name, value in BLOCKS:
+        for module in (room, sweeps, vectors, galerkin, levels):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, value)
+    shared: list[int] = []
+    monkeypatch.setattr(threads._Job, "__init__", noted(threads._Job.__init__, shared))
+    problem = gallery.parse(text).problem
+    expected = solve(fresh(problem), "multigrid", threads=1)
+    assert not shared
+    for count in (2, 3, 4):
+        for record in (False, True):
+            result = solve(fresh(problem), "multigrid", threads=count, record=record)
+            np.testing.assert_array_equal(result.z, expected.z)
+            assert (result.iterations, result.work) == (expected.iterations, expected.work)
+    assert len(shared) > 100
+
+
+def noted(method: Any, calls: list[int]) -> Any:
+    """The method, which notes that it was called."""
+
+    def noting(*args: Any) -> None:
+        calls.append(1)
+        method(*args)
+
+    return noting
+
+
+@pytest.mark.parametrize(("n", "contrast"), [(1000, 1e4), (1000, 1e6), (3000, 1e6), (20_000, 1.0)])
+def test_stiff_layers_and_long_chains_need_no_more_cycles_than_in_double(n: int, contrast: float) -> None:
+    """Twenty layers, every other one stiff: what single precision would not see is seen in double from the start."""
+    edges = np.where(np.arange(n + 1) // (n // 20) % 2 == 0, 1.0, contrast)
+    M = sp.diags_array([-edges[1:-1], edges[1:] + edges[:-1], -edges[1:-1]], offsets=[-1, 0, 1], format="csr")
+    problem = LCP(M, -np.sign(np.sin(np.arange(n) * 6.0 / n) + 0.2) / n)
+    result = solve(problem, "multigrid")
+    assert result.is_solved
+    assert result.iterations <= 20
+    assert not hierarchy_of(problem.matrix, Multigrid.coarsest).is_single
+
+
+def test_residuals_near_the_smallest_numbers_are_restricted() -> None:
+    """The inverse of such a unit would not be finite."""
+    M = gallery.build("obstacle_2d", size=30).problem.csr
+    assert solve(LCP(M, np.full(900, -1e-308)), "multigrid").is_solved
+    assert solve(LCP(1e-300 * M, np.full(900, -1e-300)), "multigrid").is_solved
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_run_that_single_precision_fails_goes_on_in_double(nested: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Coarser grids that lead astray are noticed, and those in double precision take over."""
+    problem = gallery.build("obstacle_2d", size=40).problem
+    single = grids.Transfer.single
+
+    def astray(transfer: grids.Transfer) -> grids.Transfer:
+        way = single(transfer)
+        data = np.full_like(way.prolongation.data, np.nan)
+        return replace(way, prolongation=replace(way.prolongation, data=data))
+
+    monkeypatch.setattr(grids.Transfer, "single", astray)
+    monkeypatch.setattr(levels, "SINGLE_FROM", 0)
+    result = solve(problem, Multigrid(nested=nested))
+    assert result.is_solved
+    assert hierarchy_of.is_known(problem.matrix, Multigrid.coarsest, False)
+    assert not hierarchy_of(problem.matrix, Multigrid.coarsest, False).is_single

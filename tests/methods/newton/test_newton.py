@@ -1,0 +1,371 @@
+"""Newton and the active-set linear algebra under it: exact where it should be, and safe where full steps cycle."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from fractions import Fraction
+from itertools import islice, product
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, Certificate, Status, gallery, solve
+from lcp_plugin.methods.newton.active_set import NewtonState, classify, solve_active_set
+from lcp_plugin.methods.newton.semismooth_newton import Newton, fischer_burmeister, full_steps
+from lcp_plugin.strategies import h_plus_matrices, solved_lcps
+from lcp_plugin.systems.factors import diagonal_pivot_factor, factorise
+
+TOLERANCE = 1e-9
+
+
+def lower_triangle(n: int) -> np.ndarray:
+    """Murty's matrix: 1 on the diagonal, 2 below."""
+    return 2.0 * np.tril(np.ones((n, n)), -1) + np.eye(n)
+
+
+def five_point(m: int) -> sp.csr_array:
+    line = sp.diags_array([-np.ones(m - 1), 2.0 * np.ones(m), -np.ones(m - 1)], offsets=[-1, 0, 1])
+    return sp.csr_array(sp.kron(line, sp.eye_array(m)) + sp.kron(sp.eye_array(m), line))
+
+
+def planted(M: object, seed: int) -> tuple[LCP, np.ndarray]:
+    """Boxed, one-sided, free and fixed rows with integer z* and w*, degenerate rows among them."""
+    rng = np.random.default_rng(seed)
+    n = M.shape[0]  # type: ignore[attr-defined]
+    lower = np.where(rng.random(n) < 0.3, -np.inf, -2.0)
+    upper = np.where(rng.random(n) < 0.3, np.inf, 3.0)
+    lower, upper = np.where(rng.random(n) < 0.1, 1.0, lower), np.where(rng.random(n) < 0.1, 1.0, np.maximum(upper, 1.0))
+    z = np.clip(rng.choice([-2.0, 0.0, 3.0], n), lower, upper)
+    w = rng.integers(0, 4, n) * ((z == lower).astype(float) - (z == upper))
+    w = np.where(lower == upper, rng.integers(-3, 4, n), w)
+    return LCP(M, w - M @ z, lower=lower, upper=upper), z  # type: ignore[operator]
+
+
+# --- Newton ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("kind", ["dense SPD", "sparse SPD", "banded", "nonsymmetric P"])
+def test_newton_finds_the_planted_answer_with_bounds_of_every_kind(kind: str, seed: int) -> None:
+    """Boxed, one-sided, free, fixed and degenerate rows come out right on each of the four kinds of factor."""
+    rng = np.random.default_rng(100 + seed)
+    B = rng.integers(-3, 4, (40, 40)).astype(float)
+    M = {
+        "dense SPD": lambda: B @ B.T + np.eye(40),
+        "sparse SPD": lambda: five_point(15),
+        "banded": lambda: sp.diags_array([-np.ones(299), np.full(300, 4.0), -2.0 * np.ones(299)], offsets=[-1, 0, 1]),
+        "nonsymmetric P": lambda: B @ B.T + np.eye(40) + 9.0 * (np.triu(B, 1) - np.triu(B, 1).T),
+    }[kind]()
+    problem, z = planted(M, seed)
+    result = solve(problem, Newton(), tolerance=1e-12, z0=rng.integers(-5, 6, problem.n).astype(float))
+    assert result.status is Status.SOLVED
+    assert np.allclose(result.z, z, atol=1e-8)
+
+
+@given(solved_lcps(h_plus_matrices(size=5), bounds=True))
+def test_newton_solves_every_h_plus_problem(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+    """On H₊-matrices Newton reaches the exact solution, whatever the bounds."""
+    problem, exact = drawn
+    result = solve(problem, Newton(), tolerance=1e-12)
+    assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT)
+    assert np.allclose(result.z, [float(value) for value in exact], rtol=1e-6, atol=1e-6)
+
+
+# The shape of the matrix is that of Ben Gharbia, Gilbert 2012, doi:10.1007/s10107-010-0439-6: P for odd n.
+CYCLES = ([2.75, 2.5, 2.8], [-5.0, -3.0, -3.0], [0.0, 5.0, 4.0])  # entries, q, z₀
+
+
+def cyclic(entries: list[float]) -> np.ndarray:
+    """I plus a cyclic subdiagonal: entries[i] in row i, column i − 1 (mod n)."""
+    M = np.eye(len(entries))
+    for i, entry in enumerate(entries):
+        M[i, i - 1] += entry
+    return M
+
+
+def test_full_steps_cycle_on_a_p_matrix_and_newton_arrives_all_the_same() -> None:
+    """On a 3×3 P-matrix plain active-set steps run in a circle; the safeguarded method solves it from there."""
+    entries, q, z0 = CYCLES
+    problem = LCP(cyclic(entries), q)
+    state = NewtonState(problem, np.array(z0))
+    steps = len(list(islice(full_steps(state), 100)))
+    assert steps < 9
+    assert state.best > 0.1
+    result = solve(problem, Newton(), z0=z0, tolerance=1e-13)
+    assert result.status is Status.SOLVED
+
+
+@pytest.mark.parametrize("n", [3, 5, 7, 25])
+def test_newton_arrives_from_every_start_on_cyclic_matrices(n: int) -> None:
+    """Random cyclic P-matrices of odd order, signs and starts: always solved."""
+    rng = np.random.default_rng(n)
+    for _ in range(30):
+        signs = rng.choice([-1.0, 1.0], n)
+        M = cyclic(list(rng.uniform(1.0, 3.0, n))) * np.outer(signs, signs)
+        problem = LCP(M, rng.integers(-5, 6, n).astype(float))
+        result = solve(problem, Newton(), z0=rng.integers(0, 6, n).astype(float), tolerance=TOLERANCE)
+        assert result.status is Status.SOLVED
+
+
+@pytest.mark.parametrize("n", [1, 2, 50, 200])
+@pytest.mark.parametrize("family", ["murty", "murty transposed", "fathi", "fathi transposed"])
+def test_exponential_families_take_at_most_one_step_a_row(family: str, n: int) -> None:
+    """On Murty's and Fathi's matrices, exponential for pivoting, Newton needs at most n + 1 steps."""
+    L = lower_triangle(n)
+    M = {"murty": L, "murty transposed": L.T, "fathi": L @ L.T, "fathi transposed": L.T @ L}[family]
+    result = solve(LCP(M, -np.ones(n)), Newton(), tolerance=TOLERANCE)
+    assert result.status is Status.SOLVED
+    assert result.iterations <= n + 1
+
+
+def test_csizmadia_is_solved_exactly_where_doubles_can_state_the_answer() -> None:
+    """The triangular matrix of minus ones is almost singular, but z = 1, 2, 4, … is found to the last bit."""
+    for n in (10, 50):
+        M = np.eye(n) - np.tril(np.ones((n, n)), -1)
+        result = solve(LCP(M, -np.ones(n)), Newton(), tolerance=0.0)
+        assert np.array_equal(result.z, 2.0 ** np.arange(n))
+
+
+def test_contact_with_more_contacts_than_freedoms_is_solved() -> None:
+    """A rank-deficient M = J Jᵀ has many z but one w, and Newton finds that w."""
+    rng = np.random.default_rng(0)
+    J = rng.integers(-2, 3, (60, 20)).astype(float)
+    z = np.where(rng.random(60) < 0.4, 1.0, 0.0)
+    w = np.where(z == 0.0, rng.integers(0, 3, 60), 0)
+    result = solve(LCP(J @ J.T, w - J @ (J.T @ z)), Newton(), tolerance=TOLERANCE)
+    assert result.status is Status.SOLVED
+    assert np.allclose(result.w, w, atol=1e-6)
+
+
+def test_saddle_points_and_linear_programs_are_solved() -> None:
+    """Zero diagonal blocks are no obstacle: a quadratic and a linear program with equations as free rows."""
+    rng = np.random.default_rng(1)
+    H, A = np.diag(rng.random(30) + 0.1), rng.standard_normal((10, 30))
+    for P in (H, 0.0 * H):
+        M = np.block([[P, -A.T], [A, np.zeros((10, 10))]])
+        z, s = np.where(rng.random(40) < 0.3, 1.0, 0.0), rng.random(40)
+        w = np.where((z == 0.0) & (np.arange(40) < 30), s, 0.0)
+        lower = np.r_[np.zeros(30), np.full(10, -np.inf)]
+        result = solve(LCP(M, w - M @ z, lower=lower), Newton(), tolerance=TOLERANCE)
+        assert result.status is Status.SOLVED
+
+
+def test_rows_of_any_scale_change_nothing() -> None:
+    """Rows scaled by up to 1e±150 give the same iterates."""
+    rng = np.random.default_rng(2)
+    M, q = five_point(8), rng.standard_normal(64)
+    scale = 2.0 ** rng.integers(-500, 500, 64)
+    plain = solve(LCP(M, q), Newton(), tolerance=1e-12)
+    scaled = solve(LCP(sp.diags_array(scale) @ M, scale * q), Newton(), tolerance=1e-12)
+    assert scaled.status is Status.SOLVED
+    assert scaled.iterations == plain.iterations
+    assert np.allclose(scaled.z, plain.z, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("m", "q"), list(product([-1.0, 0.0, 1.0], repeat=2)))
+def test_one_unknown(m: float, q: float) -> None:
+    """One unknown is solved exactly where it has a solution, and never otherwise."""
+    result = solve(LCP([[m]], [q]), Newton())
+    is_solvable = q >= 0.0 or m > 0.0
+    assert (result.status is Status.SOLVED) == is_solvable
+
+
+def test_no_unknown() -> None:
+    """An empty problem is solved."""
+    assert solve(LCP(np.zeros((0, 0)), []), Newton()).status is Status.SOLVED
+
+
+def test_the_generator_ends_and_yields_ever_better_iterates() -> None:
+    """Where there is no solution the steps end by themselves, and their residuals never rise."""
+    problem = LCP([[-1.0, 0.0], [1.0, -2.0]], [-1.0, -1.0])
+    residuals = [step.residual for step in Newton().iterates(problem, np.zeros(2))]
+    assert residuals == sorted(residuals, reverse=True)
+    assert len(residuals) < 2000
+
+
+def test_two_runs_agree_bit_for_bit() -> None:
+    """The same call gives the same answer, random signs and orders included."""
+    problem = gallery.build("obstacle_2d", size=30).problem
+    first, second = (solve(problem, Newton(), tolerance=1e-12) for _ in range(2))
+    assert np.array_equal(first.z, second.z)
+    assert (first.iterations, first.work) == (second.iterations, second.work)
+
+
+# --- Active sets and factors ---------------------------------------------------------------------------------
+
+
+def test_classify_agrees_with_the_solution() -> None:
+    """At a strictly complementary solution the classification is the solution's, fixed rows at their lower bound."""
+    problem = LCP(np.eye(5), np.zeros(5), lower=[0, 0, 0, -np.inf, 2], upper=[1, 1, 1, np.inf, 2])
+    z, w = np.array([0.0, 1.0, 0.5, 7.0, 2.0]), np.array([1.0, -1.0, 0.0, 0.0, -3.0])
+    at_lower, at_upper = classify(problem, z, w)
+    assert at_lower.tolist() == [True, False, False, False, True]
+    assert at_upper.tolist() == [False, True, False, False, False]
+
+
+MATRICES = {
+    "Cholesky": (lambda: np.array([[4.0, 1.0], [1.0, 3.0]]), True),
+    "LU": (lambda: np.array([[0.0, 1.0], [2.0, 3.0]]), False),
+    "banded LU": (lambda: sp.diags_array([np.ones(99), np.full(100, 3.0), -np.ones(99)], offsets=[-1, 0, 1]), False),
+    "sparse LU": (lambda: five_point(12), True),
+}
+
+
+@pytest.mark.parametrize("kind", MATRICES)
+def test_each_structure_gets_its_factor(kind: str) -> None:
+    """Dense, banded and sparse matrices get their kind of factor, and each solves its system."""
+    build, is_symmetric = MATRICES[kind]
+    matrix = build()
+    matrix = sp.csr_array(matrix) if sp.issparse(matrix) else matrix
+    factor = factorise(matrix, is_symmetric=is_symmetric, bandwidth=(1, 1) if kind == "banded LU" else None)
+    assert factor is not None
+    assert factor.kind == kind
+    x = np.arange(1.0, matrix.shape[0] + 1.0)
+    assert np.allclose(factor.solve(matrix @ x), x, rtol=1e-12)
+    assert factor.work > 0.0
+
+
+def test_a_singular_matrix_has_no_factor() -> None:
+    """An exactly zero pivot gives None in every format."""
+    assert factorise(np.zeros((2, 2)), is_symmetric=True) is None
+    assert factorise(sp.csr_array((100, 100))) is None
+    assert factorise(sp.csr_array((100, 100)), bandwidth=(0, 0)) is None
+
+
+@pytest.mark.parametrize("is_sparse", [False, True])
+def test_a_singular_block_is_flagged_and_solved_where_it_is_consistent(is_sparse: bool) -> None:
+    """w_F = 0 holds on a singular but consistent block, close to the point asked for; the flag says so."""
+    M = sp.kron(sp.eye_array(60), np.ones((2, 2))).toarray()
+    problem = LCP(sp.csr_array(M) if is_sparse else M, -2.0 * np.ones(120))
+    none = np.zeros(120, dtype=bool)
+    near = np.tile([5.0, 1.0], 60)
+    solution = solve_active_set(problem, none, none, near=near)
+    assert solution is not None
+    assert solution.is_singular
+    assert np.allclose(problem.slack(solution.z), 0.0, atol=1e-12)
+    assert np.allclose(solution.z, np.tile([3.0, -1.0], 60), atol=1e-6)
+
+
+@pytest.mark.parametrize("shift", [0.0, np.nan])
+def test_superlu_is_never_given_a_block_that_it_cannot_take(shift: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Structurally singular blocks, stored zeros included, and those that are not finite have no factor."""
+    from scipy.sparse import linalg
+
+    monkeypatch.setattr(linalg, "splu", lambda *_, **__: pytest.fail("splu was called"))
+    wide = sp.random_array((60, 140), density=0.1, rng=np.random.default_rng(3))
+    saddle = sp.csr_array(sp.block_array([[None, wide.T], [-wide, None]]) + sp.diags_array(np.full(200, shift)))
+    assert factorise(saddle) is None
+    stored_zeros = sp.csr_array(five_point(20))
+    stored_zeros.data[stored_zeros.indices == 7] = 0.0
+    assert factorise(stored_zeros) is None
+    assert diagonal_pivot_factor(stored_zeros) is None
+
+
+def test_a_permuted_diagonal_is_regular() -> None:
+    """A zero diagonal alone is no obstacle: the solution of a shifted identity is right."""
+    shifted = sp.csr_array(five_point(20)[np.roll(np.arange(400), 200)])
+    assert not shifted.diagonal().any()
+    right = shifted @ np.arange(400.0)
+    factor = factorise(shifted)
+    assert factor is not None
+    assert np.allclose(factor.solve(right), np.arange(400.0))
+
+
+TRANSPORT = """
+import sys
+import numpy as np, scipy.sparse as sp
+from itertools import islice
+from lcp_plugin import LCP
+from lcp_plugin.methods.newton.semismooth_newton import Newton
+a, b = int(sys.argv[1]), int(sys.argv[2])
+cost = np.random.default_rng(5).uniform(1, 10, a * b)
+sums = [sp.kron(sp.eye_array(a), np.ones((1, b))), sp.kron(np.ones((1, a)), sp.eye_array(b))]
+supply = np.r_[np.full(a, float(b)), np.full(b, float(a))]
+free = sp.csr_array((a * b, a * b))
+problem = LCP.from_qp(free, cost, A=sp.vstack(sums).tocsr(), b=supply, lower=np.zeros(a * b))
+print(sum(1 for _ in islice(Newton().iterates(problem, np.zeros(problem.n)), 40)))
+"""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("size", [(55, 60), (50, 70)])
+def test_transport_programs_leave_the_interpreter_alive(size: tuple[int, int]) -> None:
+    """Free blocks of a transport program are structurally singular: Newton goes on, and SuperLU prints nothing."""
+    command = [sys.executable, "-c", TRANSPORT, *map(str, size)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert not ended.stderr
+    assert ended.stdout.strip().isdigit()
+
+
+@pytest.mark.full
+def test_full_steps_without_gain_end_soon_on_large_problems() -> None:
+    """Where full steps gain nothing, more than 3000 rows cost a few dozen factorisations, 3000 cost hundreds."""
+    rng = np.random.default_rng(0)
+    steps = []
+    for copies in (375, 376):
+        blocks = sp.csr_array(sp.block_diag([sp.coo_array(rng.standard_normal((8, 8))) for _ in range(copies)]))
+        problem = LCP(blocks, rng.standard_normal(8 * copies))
+        steps.append(sum(1 for _ in full_steps(NewtonState(problem, np.zeros(problem.n)))))
+    assert steps[0] > 250
+    assert steps[1] < 60
+
+
+def test_the_system_of_a_free_set_serves_again() -> None:
+    """A second solve with the same free rows costs only solves, another q included."""
+    problem = LCP(five_point(12), -np.ones(144))
+    at_lower = np.arange(144) % 3 == 0
+    none = np.zeros(144, dtype=bool)
+    first = solve_active_set(problem, at_lower, none)
+    assert first is not None
+    other = problem.with_q(-2.0 * np.ones(144))
+    second = solve_active_set(other, at_lower, none, system=first.system)
+    assert second is not None
+    assert second.work < 0.5 * first.work
+    assert np.allclose(second.z, 2.0 * first.z)
+
+
+@settings.get_profile("many")
+@given(st.integers(0, 10_000))
+def test_fischer_burmeister_vanishes_exactly_at_solutions(seed: int) -> None:
+    """Φ = 0 at a planted answer, and Φ ≠ 0 wherever the certificate sees a residual."""
+    rng = np.random.default_rng(seed)
+    B = rng.integers(-3, 4, (5, 5)).astype(float)
+    problem, z = planted(B @ B.T + np.eye(5), seed)
+    assert np.abs(fischer_burmeister(problem, z, problem.slack(z)).value).max() <= 1e-12
+    elsewhere = z + rng.integers(-1, 2, 5)
+    residual = Certificate.of(problem, elsewhere).scaled_residual
+    value = fischer_burmeister(problem, elsewhere, problem.slack(elsewhere)).norm
+    assert (value > 1e-10) == (residual > 1e-10)
+
+
+@given(st.integers(0, 10_000))
+def test_the_derivative_of_fischer_burmeister_is_that_of_differences(seed: int) -> None:
+    """The diagonals of the Jacobian agree with central differences, bounds of every kind."""
+    rng = np.random.default_rng(seed)
+    problem, _ = planted(np.eye(6) * 2.0, seed)
+    z, w, h = rng.uniform(-3, 4, 6), rng.uniform(-3, 3, 6), 1e-6
+    phi = fischer_burmeister(problem, z, w)
+    by_z = (fischer_burmeister(problem, z + h, w).value - fischer_burmeister(problem, z - h, w).value) / (2 * h)
+    d = problem.residual_scale
+    by_w = (fischer_burmeister(problem, z, w + h * d).value - fischer_burmeister(problem, z, w - h * d).value) / (2 * h)
+    assert np.allclose(phi.by_z, by_z, atol=1e-4)
+    assert np.allclose(phi.by_w, by_w, atol=1e-4)
+
+
+@pytest.mark.parametrize("wind", [0.0, 0.3, 0.9])
+def test_a_wind_makes_a_factor_no_larger(wind: float) -> None:
+    """A nonsymmetric M of a symmetric pattern is ordered as a symmetric one: the same fill, the same work."""
+    line = sp.diags_array([np.full(59, -1.0 - wind), np.full(60, 2.0), np.full(59, wind - 1.0)], offsets=[-1, 0, 1])
+    identity = sp.eye_array(60)
+    M = sp.csr_array(sp.kron(line, identity) + sp.kron(identity, line))
+    ordered, found = factorise(M, is_symmetric=True), factorise(M)
+    assert found is not None
+    assert ordered is not None
+    assert found.work <= ordered.work
+    assert found.solve_work <= ordered.solve_work
+    assert np.abs(M @ found.solve(M @ np.ones(3600)) - M @ np.ones(3600)).max() < 1e-10

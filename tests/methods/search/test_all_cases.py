@@ -1,0 +1,184 @@
+"""The look at all cases in doubles, and what is asked of it: solutions, verified proofs, or neither (refute=False)."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from campaigns.search import random_problem
+
+from lcp_plugin import LCP, InvalidOption, Status, solve, solve_batch
+from lcp_plugin.methods.search import NoSolution, explore, search
+from lcp_plugin.methods.search.stages import FIRST_ENTRIES, outline
+from lcp_plugin.proofs.exact.simplex import Effort
+
+PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION)
+
+
+def solved_exactly(A: list[list[Fraction]], b: list[Fraction]) -> list[Fraction] | None:
+    """The solution of A x = b by elimination in fractions; None where A is singular."""
+    n = len(b)
+    rows = [[*row, value] for row, value in zip(A, b, strict=True)]
+    for k in range(n):
+        pivot = next((i for i in range(k, n) if rows[i][k]), None)
+        if pivot is None:
+            return None
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [value / rows[k][k] for value in rows[k]]
+        for i in range(n):
+            if i != k and rows[i][k]:
+                rows[i] = [a - rows[i][k] * p for a, p in zip(rows[i], rows[k], strict=True)]
+    return [row[n] for row in rows]
+
+
+def has_solution(M: np.ndarray, q: np.ndarray) -> bool:
+    """Whether one of the 2ⁿ complementary bases has a nonnegative solution, in fractions; none may be singular."""
+    n = q.size
+    exact = [[Fraction(float(value)) for value in row] for row in M]
+    right = [Fraction(float(value)) for value in q]
+    for is_free in product((False, True), repeat=n):
+        columns = [[-exact[i][j] if is_free[j] else Fraction(int(i == j)) for j in range(n)] for i in range(n)]
+        x = solved_exactly(columns, right)
+        assert x is not None
+        if min(x) >= 0:
+            return True
+    return False
+
+
+def drawn(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Standard normal M and q."""
+    rng = np.random.default_rng([31, seed, n])
+    return rng.standard_normal((n, n)), rng.standard_normal(n)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
+def test_the_status_agrees_with_all_complementary_bases(n: int) -> None:
+    """SOLVED where one of the 2ⁿ bases solves in exact arithmetic, else a proof that verifies; never neither."""
+    for seed in range(60 if n < 5 else 25):
+        M, q = drawn(seed, n)
+        problem = LCP(M, q)
+        result = solve(problem)
+        if has_solution(M, q):
+            assert result.is_solved
+        else:
+            assert result.status in PROVEN
+            assert result.infeasibility.verify()
+        assert solve(problem, refute=False).is_solved is result.is_solved
+
+
+@pytest.mark.parametrize("block", range(6))
+def test_what_doubles_exclude_is_never_believed_unverified(block: int) -> None:
+    """Degenerate problems with boxes, free and fixed rows: the tree, repaired exactly, ends as the search does."""
+    for case in range(60):
+        M, q, lower, upper = random_problem(np.random.default_rng([31, block, case]), largest=4)
+        problem = LCP(M, q, lower=lower, upper=upper)
+        seen, truth = outline(problem, FIRST_ENTRIES), search(problem)
+        if seen.tree is not None and NoSolution(problem, seen.tree).verify():
+            assert isinstance(truth, NoSolution)
+        repaired = [outcome for outcome in explore(problem, Effort(), tree=seen.tree) if outcome is not None][-1]
+        assert type(repaired) is type(truth)
+        if isinstance(repaired, NoSolution):
+            assert repaired.verify()
+
+
+@pytest.mark.parametrize("n", [3, 6, 8, 12])
+def test_planted_problems_are_never_refuted(n: int) -> None:
+    """Integer data, a solution with active, inactive and degenerate rows: solved, with refute and without."""
+    for seed in range(40):
+        rng = np.random.default_rng([32, seed, n])
+        M = rng.integers(-4, 5, (n, n)).astype(float)
+        z = np.where(rng.random(n) < 0.5, rng.integers(1, 4, n), 0).astype(float)
+        w = np.where((z == 0) & (rng.random(n) < 0.7), rng.integers(1, 4, n), 0).astype(float)
+        problem = LCP(M, w - M @ z)
+        seen = outline(problem, FIRST_ENTRIES)
+        assert seen.tree is None or not NoSolution(problem, seen.tree).verify()
+        for refute in (True, False):
+            result = solve(problem, refute=refute)
+            assert result.is_solved
+            assert result.infeasibility is None
+
+
+def test_random_problems_are_decided() -> None:
+    """Of 200 standard normal 8×8 each is SOLVED or proved to have no solution, and every proof verifies."""
+    rng = np.random.default_rng(7)
+    batch = solve_batch(rng.standard_normal((200, 8, 8)), rng.standard_normal((200, 8)))
+    assert set(batch.status) <= {Status.SOLVED, *PROVEN}
+    assert all(batch[k].infeasibility.verify() for k in range(200) if batch.status[k] in PROVEN)
+
+
+@pytest.mark.parametrize("name", ["auto", "newton", "lemke", "interior_point"])
+def test_without_refute_nothing_is_proved(name: str) -> None:
+    """STALLED with words that say why, and no proof, where refute=True ends INFEASIBLE."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
+    assert solve(problem, name).status is Status.INFEASIBLE
+    result = solve(problem, name, refute=False)
+    assert result.status is Status.STALLED
+    assert result.infeasibility is None
+    assert "not refuted: you asked for none" in result.advice
+
+
+def test_a_watched_run_without_refute_ends_alike() -> None:
+    """With a record of the steps the run is driven, and ends after the look at all cases as well."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
+    result = solve(problem, refute=False, record=True)
+    assert np.array_equal(result.z, solve(problem, refute=False).z)
+    assert result.status is Status.STALLED
+    assert result.stages[-1].name == "search"
+    assert "not refuted: you asked for none" in result.advice
+    assert "in double precision every case contradicts" in result.advice
+
+
+@pytest.mark.parametrize("refute", [True, False])
+def test_a_batch_answers_as_solve_does(refute: bool) -> None:
+    """Status, z and iterations, bit for bit; of boxes and warm starts too."""
+    rng = np.random.default_rng(5)
+    M, q, upper, z0 = *(rng.standard_normal(s) for s in ((40, 5, 5), (40, 5))), rng.random((40, 5)), rng.random((40, 5))
+    for more in ({}, {"upper": upper}, {"upper": upper, "z0": z0}):
+        batch = solve_batch(M, q, refute=refute, **more)
+        for k in range(40):
+            bounds = {"upper": upper[k]} if more else {}
+            start: Any = z0[k] if "z0" in more else None
+            alone = solve(LCP(M[k], q[k], **bounds), refute=refute, z0=start)
+            assert alone.status is batch.status[k] is batch[k].status
+            assert np.array_equal(alone.z, batch.z[k])
+            assert alone.iterations == batch.iterations[k]
+
+
+def test_a_contradiction_within_the_tolerance_ends_nothing() -> None:
+    """What contradicts by 5e-7 in every case is excluded at 1e-8, and solved at 1e-5, with refute=False as well."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
+    assert solve(problem, refute=False).status is Status.STALLED
+    assert solve(problem, refute=False, tolerance=1e-5).is_solved
+
+
+def test_the_look_ends_by_counted_work() -> None:
+    """No case is begun after so many entries of the tableau, and nothing is concluded then."""
+    rng = np.random.default_rng(0)
+    problem = LCP(rng.standard_normal((24, 24)), rng.standard_normal(24))
+    assert outline(problem, FIRST_ENTRIES).entries > 1e4
+    cut = outline(problem, 1.0)
+    assert (cut.z, cut.tree, cut.least_residual, cut.cases) == (None, None, 0.0, 2)
+
+
+def test_refute_is_true_or_false() -> None:
+    """Anything else is refused by name."""
+    for call in (lambda: solve(LCP([[1.0]], [1.0]), refute="no"), lambda: solve_batch([[[1.0]]], [[1.0]], refute=1)):
+        with pytest.raises(InvalidOption, match="refute must be True or False"):
+            call()
+
+
+@pytest.mark.full
+def test_beyond_the_exact_search_what_doubles_exclude_is_proved_or_left_open() -> None:
+    """More than 24 rows with a choice: a tree of doubles that cannot be verified is no proof, and nothing is raised."""
+    n, random = 40, np.random.default_rng(40)
+    M = random.standard_normal((n, n))
+    M[:2] = 0.0
+    M[0, 0], M[1, 0] = 1.0, -1.0  # z₀ ≥ 1, z₀ ≤ 1 − ε
+    for gap in (1e-3, 1e-16, 1e-18):
+        q = random.standard_normal(n)
+        q[:2] = -1.0, 1.0 - gap
+        result = solve(LCP(M, q))
+        assert not result.is_refuted or result.infeasibility.verify()

@@ -1,0 +1,308 @@
+"""Exhaustive search: every solution, or a proof of none, against an enumeration written for the campaign."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+from itertools import combinations
+
+import numpy as np
+import pytest
+from campaigns.search import Enumeration, random_problem, violations
+
+from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
+from lcp_plugin.methods.search import Effort, Found, GaveUp, all_solutions, explore, search
+from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
+from lcp_plugin.proofs.exact.exactly import is_exact_solution
+from lcp_plugin.proofs.exact.simplex import QUANTUM
+from lcp_plugin.proofs.no_solution.infeasibility import Case, NoSolution
+from lcp_plugin.proofs.no_solution.refutation import row_choices
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("block", range(8))
+def test_random_problems_agree_with_an_enumeration(block: int) -> None:
+    """Verdicts, solutions, faces, flags and proofs agree with Fourier–Motzkin over all patterns."""
+    for case in range(10):
+        bad, *_ = violations(*random_problem(np.random.default_rng([7, block, case]), largest=3))
+        assert not bad
+
+
+@pytest.mark.parametrize("n", [6, 8])
+def test_isolated_solutions_agree_with_plain_enumeration(n: int) -> None:
+    """On nondegenerate integer problems the solutions are those of all 2ⁿ nonsingular bases."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        M = rng.integers(-9, 10, (n, n)) + 9 * np.eye(n, dtype=int)
+        q = rng.integers(-9, 10, n)
+        expected = set()
+        for mask in range(2**n):
+            F = [i for i in range(n) if mask >> i & 1]
+            block = M[np.ix_(F, F)]
+            if round(np.linalg.det(block)) == 0:
+                continue
+            z = np.zeros(n)
+            z[F] = np.linalg.solve(block, -q[F])
+            if np.all(z >= -1e-9) and np.all(M @ z + q >= -1e-9):
+                expected.add(tuple(np.round(z, 7) + 0.0))
+        found = all_solutions(LCP(M, q))
+        assert {tuple(np.round(s.z, 7) + 0.0) for s in found} == expected
+        assert all(is_exact_solution(LCP(M, q), s.exact_z) for s in found)
+
+
+GAMES = {
+    "battle of the sexes": ([[2, 0], [0, 1]], [[1, 0], [0, 2]], 3),
+    "matching pennies": ([[1, -1], [-1, 1]], [[-1, 1], [1, -1]], 1),
+    "prisoner's dilemma": ([[3, 0], [5, 1]], [[3, 5], [0, 1]], 1),
+    "rock paper scissors": ([[0, -1, 1], [1, 0, -1], [-1, 1, 0]], [[0, 1, -1], [-1, 0, 1], [1, -1, 0]], 1),
+    "coordination of three": (np.eye(3), np.eye(3), 7),
+    "chicken": ([[0, 7], [2, 6]], [[0, 2], [7, 6]], 3),
+}
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_known_games_have_their_equilibria(name: str) -> None:
+    """Textbook games have as many equilibria as the textbooks say, each without regret."""
+    A, B, count = GAMES[name]
+    problem = lcp_from_bimatrix_game(A, B)
+    solutions = all_solutions(problem)
+    assert len(solutions) == count
+    for solution in solutions:
+        assert solution.is_isolated
+        assert problem.origin.recover(solution.z).regret < 1e-14
+
+
+def test_a_degenerate_game_reports_a_face() -> None:
+    """In a game without any payoff every pair of strategies is an equilibrium: one face of dimension 2."""
+    problem = lcp_from_bimatrix_game(np.zeros((2, 2)), np.zeros((2, 2)))
+    (face,) = all_solutions(problem)
+    assert face.dimension == 2
+    assert not face.is_isolated
+    assert "face of dimension 2" in str(face)
+    assert problem.origin.recover(face.z).regret == 0.0
+
+
+def test_every_pure_equilibrium_is_a_vertex_of_a_face() -> None:
+    """Where the row player gets the same everywhere, both pure equilibria are among the vertices of three segments."""
+    problem = lcp_from_bimatrix_game([[1, 1], [1, 1]], [[1, 0], [0, 1]])
+    faces = all_solutions(problem)
+    assert [face.dimension for face in faces] == [1, 1, 1]
+    assert all(tuple(face.exact_z) in face.exact_vertices for face in faces)
+    assert all(is_exact_solution(problem, vertex) for face in faces for vertex in face.exact_vertices)
+    equilibria = [problem.origin.recover(vertex) for face in faces for vertex in face.vertices]
+    assert all(equilibrium.regret == 0.0 for equilibrium in equilibria)
+    strategies = {(*e.row_strategy.tolist(), *e.column_strategy.tolist()) for e in equilibria}
+    assert strategies == {(1, 0, 1, 0), (0, 1, 0, 1), (0.5, 0.5, 1, 0), (0.5, 0.5, 0, 1)}
+    assert str(faces[0]) == "z = (1/3, 1/3, 0, 1), a vertex of a face of dimension 1; others: (0, 1, 0, 1)"
+
+
+def corners(problem: LCP, pattern: tuple[str, ...]) -> set[tuple[float, ...]]:
+    """The extreme points of a pattern's polyhedron by trying all sets of n active constraints."""
+    M, n = problem.csr.toarray(), problem.n
+    fixed, free = [], []  # rows (a, b) of a @ z = b, and of a @ z ≥ b
+    for i, choice in enumerate(pattern):
+        unit = np.eye(n)[i]
+        bounds = [(unit, problem.lower[i])] + ([(-unit, -problem.upper[i])] if problem.upper[i] < np.inf else [])
+        slack = (M[i], -problem.q[i])
+        if choice == "zero":
+            fixed.append(slack)
+            free += bounds
+        else:
+            fixed.append(bounds[choice == "upper"])
+            free.append(slack if choice == "lower" else (-M[i], problem.q[i]))
+    found = set()
+    for others in combinations(free, n - np.linalg.matrix_rank(np.array([a for a, _ in fixed]))):
+        rows = np.array([a for a, _ in [*fixed, *others]])
+        right = np.array([b for _, b in [*fixed, *others]])
+        z, _, rank, _ = np.linalg.lstsq(rows, right, rcond=None)
+        meets_all = all(a @ z >= b - 1e-9 for a, b in free)
+        if rank == n and meets_all and np.allclose(rows @ z, right, atol=1e-9):
+            found.add(tuple(np.round(z, 6) + 0.0))
+    return found
+
+
+def test_vertices_are_those_of_a_plain_enumeration() -> None:
+    """On singular integer problems, boxes and degenerate ones among them, each face has exactly its vertices."""
+    rng, faces = np.random.default_rng(5), 0
+    for _ in range(150):
+        n = int(rng.integers(2, 5))
+        M = rng.integers(-1, 2, (n, 1)) * rng.integers(-1, 2, (1, n))
+        q, upper = rng.integers(-1, 2, n), rng.choice([1.0, 2.0, np.inf], n)
+        problem = LCP(M, q, upper=upper)
+        for face in all_solutions(problem):
+            faces += face.dimension > 1
+            assert {tuple(np.round(vertex, 6) + 0.0) for vertex in face.vertices} == corners(problem, face.pattern)
+            assert len(face.vertices) == len(set(face.exact_vertices))
+    assert faces > 15
+
+
+def test_vertices_of_faces_without_and_with_an_end() -> None:
+    """A line has no vertex, a ray one; of many only some are printed, and an isolated solution is its own."""
+    (line,) = all_solutions(LCP([[0.0]], [0.0], lower=-np.inf))
+    assert line.exact_vertices == ()
+    assert line.vertices.shape == (0, 1)
+    (ray,) = all_solutions(LCP([[0.0]], [0.0]))
+    assert ray.exact_vertices == ((0,),)
+    assert str(ray) == "z = (0), a vertex of a face of dimension 1"
+    (cube,) = all_solutions(LCP(np.zeros((5, 5)), np.zeros(5), upper=1.0))
+    assert cube.vertices.shape == (32, 5)
+    assert str(cube).endswith("), …")
+    (point,) = all_solutions(LCP([[3.0]], [-1.0]))
+    assert point.exact_vertices == ((Fraction(1, 3),),)
+
+
+def test_an_isolated_solution_beside_a_continuum_is_told_apart() -> None:
+    """A block with a ray of solutions and a block with two points give two faces, in lexicographic order."""
+    M = np.array([[0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+    found = all_solutions(LCP(M, [0.0, 1.0, -1.0]))
+    assert [s.exact_z for s in found] == [(0, 0, 1), (0, 1, 1)]
+    assert [s.dimension for s in found] == [1, 1]
+
+
+def test_a_feasible_problem_without_solution_is_proven() -> None:
+    """Feasible constraints, no solution: the tree covers all cases, verifies, and a damaged tree does not."""
+    problem = LCP([[1.0, -2.0, 1.0], [-3.0, 2.0, -2.0], [1.0, -2.0, 0.0]], [-1.0, 2.0, 2.0])
+    truth = Enumeration(problem.csr.toarray(), problem.q, problem.lower, problem.upper)
+    proof = search(problem)
+    assert truth.solvable_patterns() == []
+    assert isinstance(proof, NoSolution)
+    assert truth.is_linearly_feasible()
+    assert proof.infeasibility is None
+    assert proof.leaves > 1
+    assert proof.verify()
+    assert f"{proof.leaves} cases" in str(proof)
+    branch = next(iter(proof.tree.branches))
+    shortened = {key: case for key, case in proof.tree.branches.items() if key != branch}
+    assert not NoSolution(problem, Case(proof.tree.row, shortened)).verify()
+    assert not NoSolution(problem, Case(y=[Fraction(1)] * 3)).verify()
+    assert not NoSolution(problem.with_q([1.0, 1.0, 1.0]), proof.tree).verify()
+
+
+def test_a_linear_contradiction_is_found_by_the_search_too() -> None:
+    """Where the linear constraints contradict, the proof is one Farkas vector."""
+    proof = search(LCP([[0.0]], [-1.0]))
+    assert isinstance(proof, NoSolution)
+    assert proof.leaves == 1
+    assert proof.infeasibility is not None
+    assert proof.infeasibility.verify()
+
+
+def test_the_answer_is_the_rounding_of_the_exact_one() -> None:
+    """The answer is a third where 3 z = 1: exact in fractions, nearest in doubles."""
+    (solution,) = all_solutions(LCP([[3.0]], [-1.0]))
+    assert solution.exact_z == (Fraction(1, 3),)
+    assert solution.z.tolist() == [1 / 3]
+    assert solution.exact_w == (0,)
+    assert solution.pattern == ("zero",)
+
+
+def test_boxes_free_and_fixed_rows_take_part() -> None:
+    """Three points on a box with M = −1; equations and fixed entries keep their place."""
+    box = all_solutions(LCP([[-1.0]], [0.5], lower=[0.0], upper=[1.0]))
+    assert [s.exact_z for s in box] == [(0,), (Fraction(1, 2),), (1,)]
+    mixed = LCP([[2.0, 1.0], [0.0, 0.0]], [1.0, -7.0], lower=[-np.inf, 3.0], upper=[np.inf, 3.0])
+    (solution,) = all_solutions(mixed)
+    assert solution.exact_z == (-2, 3)
+    assert solution.pattern == ("zero", "fixed")
+
+
+def test_results_do_not_depend_on_the_run() -> None:
+    """Two runs give the same solutions in the same order; `limit` keeps the first."""
+    problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
+    first, second = all_solutions(problem), all_solutions(problem)
+    assert [s.exact_z for s in first] == [s.exact_z for s in second] == sorted(s.exact_z for s in first)
+    assert [s.exact_z for s in all_solutions(problem, limit=2)] == [s.exact_z for s in first[:2]]
+
+
+def test_limits_end_the_search_honestly() -> None:
+    """Too few nodes decide nothing; a problem too large is refused with its size."""
+    problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
+    assert search(problem, first_only=False, max_nodes=3) == GaveUp(3)
+    with pytest.raises(UnsuitableProblem, match="max_nodes=3"):
+        all_solutions(problem, max_nodes=3)
+    with pytest.raises(UnsuitableProblem, match=r"got 30 and n = 30"):
+        search(LCP(np.eye(30), np.ones(30)))
+    with pytest.raises(UnsuitableProblem, match=r"got 0 and n = 80"):
+        search(LCP(np.eye(80), np.ones(80), lower=-np.inf))
+    with pytest.raises(InvalidOption, match="limit"):
+        all_solutions(problem, limit=0)
+    with pytest.raises(InvalidProblem, match="LCP"):
+        search(np.eye(2))  # type: ignore[arg-type]
+
+
+def test_the_search_can_be_stopped_between_cases() -> None:
+    """`explore` gives the clock back after each case and the outcome last."""
+    steps = list(explore(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), Effort()))
+    assert steps[:-1] == [None] * (len(steps) - 1)
+    assert isinstance(steps[-1], Found)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "choices"),
+    [((0.0, np.inf), 2), ((-np.inf, 0.0), 2), ((0.0, 1.0), 3), ((-np.inf, np.inf), 1), ((1.0, 1.0), 1)],
+)
+def test_every_row_has_its_choices(bounds: tuple[float, float], choices: int) -> None:
+    """One-sided rows have two choices, boxes three, free and fixed rows one."""
+    assert len(row_choices(*bounds)) == choices
+
+
+BEYOND_DOUBLES = LCP([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0])  # its solution: (1, 1e423)
+
+
+def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
+    """Where z leaves the range of doubles, the fractions hold it and the rounded z is refused in words."""
+    (solution,) = all_solutions(BEYOND_DOUBLES)
+    assert is_exact_solution(BEYOND_DOUBLES, solution.exact_z)
+    assert solution.exact_z == (1, Fraction(1e278) / Fraction(1e-145))
+    with pytest.raises(UnsuitableProblem, match=r"z\[1\] of the exact solution is about 2\^140[56], .* exact_z"):
+        solution.z  # noqa: B018
+    assert solution.w.tolist() == [0.0, 0.0]
+
+
+def test_auto_says_that_the_solution_is_beyond_the_doubles() -> None:
+    """A run whose search finds a solution that no doubles can hold ends STALLED and says so."""
+    result = solve(BEYOND_DOUBLES)
+    assert result.status is Status.STALLED
+    assert np.isfinite(result.z).all()
+    assert "a search of all cases found a solution, but z[1] of the exact solution" in result.advice
+
+
+def busy(seed: int) -> LCP:
+    """17 free rows of 36 or so: a tableau of long numbers."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(35, 38))
+    M, q, lower = rng.standard_normal((n, n)), rng.standard_normal(n), np.zeros(n)
+    lower[rng.permutation(n)[:17]] = -np.inf
+    return LCP(M, q, lower=lower)
+
+
+@pytest.mark.full
+def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Auto stops an exact search by counted work, the same in every run, and says how far it came."""
+    monkeypatch.setattr("lcp_plugin.methods.search.stages.MOST_PRODUCTS", 4 * QUANTUM)
+    runs = [solve(busy(0)) for _ in range(2)]
+    for result in runs:
+        assert result.status is Status.STALLED
+        assert result.stages[-1].name == "search"
+        assert re.search(r"not decided in \d+ cases of an exact search; all_solutions goes on$", result.advice)
+    assert runs[0].stages == runs[1].stages
+
+
+@pytest.mark.full
+def test_a_search_yields_within_its_cases() -> None:
+    """However long the numbers are, no more than a few quanta of products lie between two yields."""
+    effort, longest, before = Effort(), 0, 0
+    for _ in explore(busy(0), effort):
+        longest, before = max(longest, effort.products - before), effort.products
+        if effort.products > 40 * QUANTUM:
+            break
+    assert effort.products > 40 * QUANTUM > 5 * QUANTUM * effort.cases
+    assert longest < 2 * QUANTUM
+
+
+def test_yields_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The answers are the same, bit for bit, however often the search yields."""
+    problem = LCP(*random_problem(np.random.default_rng([7, 1, 3]), largest=4)[:2])
+    plain = [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)]
+    monkeypatch.setattr("lcp_plugin.proofs.exact.simplex.QUANTUM", 1)
+    assert [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)] == plain

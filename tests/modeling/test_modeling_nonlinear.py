@@ -1,0 +1,796 @@
+"""complements() with smooth nonlinear sides: derivatives, intervals, published problems, and what is refused."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+import warnings
+from collections.abc import Callable
+from decimal import Decimal, localcontext
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import root
+
+from lcp_plugin import ComplementarityProblem, NonlinearProblem, Status, box, complements, is_complementarity_problem
+from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
+from lcp_plugin.modeling.expressions import functions
+from lcp_plugin.modeling.expressions import intervals as iv
+from lcp_plugin.modeling.expressions.program import Program
+from lcp_plugin.modeling.reading import Reader
+from lcp_plugin.modeling.registration import build
+
+WIDTH = 2 * (2 * iv.ULPS + 2)  # units in the last place: ε|y| is one or two of them
+STEP = 1e-200  # of complex differentiation: no subtraction, hence no rounding of one
+B = np.array([[1.0, 0.5, 0.0], [-0.25, 2.0, 1.0], [0.0, 1.0, 3.0]])
+S = sp.csr_array(B)
+
+
+def compiled(expression: Any) -> Program:
+    """The program of an expression over its variables, in the order of cvxpy."""
+    first, count = {}, 0
+    for variable in expression.variables():
+        first[variable.id], count = count, count + variable.size
+    reader = Reader()
+    return Program.of(reader.compiler, [reader.rows(expression)], first, count)
+
+
+class Unknowns:
+    """x of shape (3,), X of shape (2, 3), s a number; as cvxpy has them, and as numpy has them."""
+
+    def __init__(self) -> None:
+        self.x, self.X, self.s = cp.Variable(3), cp.Variable((2, 3)), cp.Variable()
+        self.everything = 0 * cp.sum(self.x) + 0 * cp.sum(self.X) + 0 * self.s
+
+    @staticmethod
+    def split(v: Any) -> tuple[Any, Any, Any]:
+        return v[:3], v[3:9].reshape((2, 3), order="F"), v[9]
+
+
+def shared(e: Any, x: Any) -> Any:
+    return cp.multiply(e, e + x) + e
+
+
+def softplus(u: Any) -> Any:
+    return np.log(1.0 + np.exp(u))
+
+
+#: How it is written in cvxpy, and the same in numpy, which takes complex numbers.
+FORMS: dict[str, tuple[Callable[[Unknowns], Any], Callable[..., Any]]] = {
+    "exp": (lambda u: cp.exp(u.x), lambda x, X, s: np.exp(x)),
+    "log": (lambda u: cp.log(u.X), lambda x, X, s: np.log(X)),
+    "log1p": (lambda u: cp.log1p(u.x + u.s), lambda x, X, s: np.log(1.0 + x + s)),
+    "logistic": (lambda u: cp.logistic(u.x - u.s), lambda x, X, s: softplus(x - s)),
+    "entr": (lambda u: cp.entr(u.x), lambda x, X, s: -x * np.log(x)),
+    "xexp": (lambda u: cp.xexp(u.x), lambda x, X, s: x * np.exp(x)),
+    "square": (lambda u: cp.square(u.x - 1), lambda x, X, s: (x - 1) ** 2),
+    "cube": (lambda u: (u.x - 2) ** 3, lambda x, X, s: (x - 2) ** 3),
+    "fourth power": (lambda u: (u.x - 2) ** 4, lambda x, X, s: (x - 2) ** 4),
+    "real power": (lambda u: cp.power(u.x, 1.7), lambda x, X, s: x**1.7),
+    "negative power": (lambda u: cp.power(u.X, -0.6), lambda x, X, s: X**-0.6),
+    "sqrt": (lambda u: cp.sqrt(u.x + 2 * u.s), lambda x, X, s: np.sqrt(x + 2 * s)),
+    "inv_pos": (lambda u: cp.inv_pos(u.x), lambda x, X, s: 1 / x),
+    "constant over variable": (lambda u: np.array([1.0, 2.0, 3.0]) / u.x, lambda x, X, s: np.array([1, 2, 3]) / x),
+    "multiply": (lambda u: cp.multiply(u.x, u.X[0] - u.s), lambda x, X, s: x * (X[0] - s)),
+    "multiply broadcasts": (lambda u: cp.multiply(u.s, u.X), lambda x, X, s: s * X),
+    "scalar times vector": (lambda u: u.s * u.x, lambda x, X, s: s * x),
+    "quotient": (lambda u: u.x / (u.X[1] + 1), lambda x, X, s: x / (X[1] + 1)),
+    "quotient by a scalar": (lambda u: u.X / u.s, lambda x, X, s: X / s),
+    "square of itself": (lambda u: cp.multiply(u.x, u.x), lambda x, X, s: x * x),
+    "inner product": (lambda u: u.x @ u.X[0], lambda x, X, s: x @ X[0]),
+    "matrix of variables times vector": (lambda u: u.X @ u.x, lambda x, X, s: X @ x),
+    "product of matrices": (lambda u: u.X @ u.X.T, lambda x, X, s: X @ X.T),
+    "x @ x": (lambda u: u.x @ u.x, lambda x, X, s: x @ x),
+    "matrix @ nonlinear": (lambda u: S @ cp.exp(u.x) - B @ u.x, lambda x, X, s: B @ np.exp(x) - B @ x),
+    "nonlinear @ matrix": (lambda u: cp.log(u.X) @ B, lambda x, X, s: np.log(X) @ B),
+    "sum along an axis": (lambda u: cp.sum(cp.exp(u.X), axis=0), lambda x, X, s: np.exp(X).sum(axis=0)),
+    "index, stack, transpose": (
+        lambda u: cp.vstack([cp.exp(u.x)[::-1], cp.square(u.X)[1], u.x]).T,
+        lambda x, X, s: np.vstack([np.exp(x)[::-1], X[1] ** 2, x]).T,
+    ),
+    "reshape": (
+        lambda u: cp.reshape(cp.exp(u.X), (3, 2), order="F"), lambda x, X, s: np.exp(X).reshape((3, 2), order="F")
+    ),
+    "cumsum": (lambda u: cp.cumsum(cp.exp(u.x)), lambda x, X, s: np.cumsum(np.exp(x))),
+    "sum_squares": (lambda u: cp.sum_squares(u.X), lambda x, X, s: (X**2).sum()),
+    "quad_over_lin": (lambda u: cp.quad_over_lin(u.x, u.s), lambda x, X, s: (x**2).sum() / s),
+    "quad_form": (lambda u: cp.quad_form(u.x, B + B.T), lambda x, X, s: x @ (B + B.T) @ x),
+    "geo_mean": (lambda u: cp.geo_mean(u.x, [1, 0, 2]), lambda x, X, s: x[0] ** (1 / 3) * x[2] ** (2 / 3)),
+    "prod": (lambda u: cp.prod(u.x), lambda x, X, s: x[0] * x[1] * x[2]),
+    "prod along an axis": (lambda u: cp.prod(u.X, axis=1), lambda x, X, s: np.prod(X, axis=1)),
+    "log_sum_exp": (lambda u: cp.log_sum_exp(u.x), lambda x, X, s: np.log(np.exp(x).sum())),
+    "log_sum_exp along an axis": (
+        lambda u: cp.log_sum_exp(u.X, axis=1), lambda x, X, s: np.log(np.exp(X).sum(axis=1))
+    ),
+    "rel_entr": (lambda u: cp.rel_entr(u.x, u.X[0]), lambda x, X, s: x * np.log(x / X[0])),
+    "kl_div": (lambda u: cp.kl_div(u.x, u.X[0]), lambda x, X, s: x * np.log(x / X[0]) - x + X[0]),
+    "deep": (
+        lambda u: cp.exp(-cp.square(cp.log(u.x) + u.s)) / (1 + cp.sum(cp.sqrt(u.X))),
+        lambda x, X, s: np.exp(-((np.log(x) + s) ** 2)) / (1 + np.sqrt(X).sum()),
+    ),
+    "shared": (
+        lambda u: shared(cp.exp(u.x), u.x),
+        lambda x, X, s: np.exp(x) * (np.exp(x) + x) + np.exp(x),
+    ),
+}
+
+
+def flat(value: Any) -> Any:
+    return np.ravel(np.asarray(value), order="F")
+
+
+@cache
+def compiled_form(name: str) -> tuple[Program, Callable[[Any], Any], Any, Unknowns]:
+    unknowns = Unknowns()
+    form, reference = FORMS[name]
+    expression = form(unknowns) + unknowns.everything
+    order = {variable.id: variable for variable in expression.variables()}
+    places = np.concatenate([
+        {unknowns.x.id: np.arange(3), unknowns.X.id: np.arange(3, 9), unknowns.s.id: np.arange(9, 10)}[key]
+        for key in order
+    ])
+    back = np.argsort(places)
+    return compiled(expression), lambda v: flat(reference(*Unknowns.split(v[back]))), expression, unknowns
+
+
+def points(seed: int, count: int) -> Any:
+    return np.random.default_rng(seed).uniform(0.3, 2.5, size=(count, 10))
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_values_and_derivatives_are_those_of_the_function(name: str) -> None:
+    """Value and Jacobian agree with numpy's, differentiated along the imaginary axis, up to rounding."""
+    program, reference, _, _ = compiled_form(name)
+    for v in points(1, 5):
+        np.testing.assert_allclose(program.value(v), reference(v), rtol=1e-13, atol=1e-13)
+        columns = [reference(v + 1j * STEP * unit).imag / STEP for unit in np.eye(10)]
+        np.testing.assert_allclose(program.jacobian(v).toarray(), np.array(columns).T, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_cvxpy_evaluates_to_the_same(name: str) -> None:
+    """The program gives what the expression's own ``value`` is, and nothing warns."""
+    program, _, expression, _ = compiled_form(name)
+    v = points(2, 1)[0]
+    first = 0
+    for variable in expression.variables():
+        variable.value = v[first : first + variable.size].reshape(variable.shape, order="F")
+        first += variable.size
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        np.testing.assert_allclose(program.value(v), flat(expression.value), rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.sampled(8)
+@pytest.mark.parametrize("name", FORMS)
+@settings.get_profile("few")
+@given(seed=st.integers(0, 2**32 - 1), width=st.floats(0.0, 0.6))
+def test_intervals_hold_values_and_difference_quotients(name: str, seed: int, width: float) -> None:
+    """No value leaves its interval, no difference F(y) − F(x) the interval Jacobian times y − x, inside a box."""
+    program, _, _, _ = compiled_form(name)
+    generator = np.random.default_rng(seed)
+    low = generator.uniform(0.3, 2.5, size=10)
+    high = low + width * generator.random(10)
+    value, slope = program.interval_F(low, high), program.interval_jacobian(low, high)
+    assert np.isfinite(value).all()
+    assert (slope[0].indices == slope[1].indices).all()
+    assert (slope[0].data <= slope[1].data).all()
+    inside = low + (high - low) * generator.random((20, 10))
+    inside = np.clip(np.vstack([inside, low, high]), low, high)
+    values = np.array([program.value(v) for v in inside])
+    assert (value[0] <= values).all()
+    assert (values <= value[1]).all()
+    for v in inside[::7]:
+        derivative = program.jacobian(v)
+        assert (slope[0].data <= derivative.data).all()
+        assert (derivative.data <= slope[1].data).all()
+    steps = np.diff(inside, axis=0)
+    up, down = np.maximum(steps, 0.0), np.minimum(steps, 0.0)
+    least, most = up @ slope[0].T + down @ slope[1].T, up @ slope[1].T + down @ slope[0].T
+    slack = 1e-13 * (1.0 + np.abs(values).max())
+    differences = np.diff(values, axis=0)
+    assert (least - slack <= differences).all()
+    assert (differences <= most + slack).all()
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("name", ["exp", "log", "log1p", "power", "root", "softplus"])
+def test_elementary_intervals_hold_the_true_values(name: str) -> None:
+    """At 2000 doubles of all sizes the true value, to 50 digits, lies in the interval, which is a few ulps wide."""
+    generator = np.random.default_rng(3)
+    u = np.exp(generator.uniform(-30, 6, size=2000))
+    if name in ("exp", "softplus"):
+        u *= generator.choice([-1.0, 1.0], size=2000)
+        u = np.maximum(u, -60.0)  # 1 + exp(u) takes digits from then on
+    of_doubles = {
+        "exp": iv.exponential, "log": iv.logarithm, "log1p": iv.logarithm_of_one_more, "root": iv.root,
+        "softplus": iv.softplus, "power": lambda a: iv.power(a, 0.37),
+    }
+    with localcontext() as context:
+        context.prec = 80
+        exponent = Decimal.from_float(0.37)
+        of_decimals: dict[str, Callable[[Decimal], Decimal]] = {
+            "exp": Decimal.exp, "log": Decimal.ln, "log1p": lambda d: (1 + d).ln(), "root": Decimal.sqrt,
+            "softplus": lambda d: (1 + d.exp()).ln(), "power": lambda d: (exponent * d.ln()).exp(),
+        }
+        lower, upper = of_doubles[name]((u, u))
+        for k in range(u.size):
+            assert Decimal(lower[k]) <= of_decimals[name](Decimal(u[k])) <= Decimal(upper[k])
+    widest = {"root": 2, "softplus": 3 * WIDTH}.get(name, WIDTH)
+    assert ((upper - lower) <= widest * np.spacing(np.maximum(np.abs(lower), np.abs(upper)))).all()
+
+
+@pytest.mark.parametrize("name", ["log add exp", "sigmoid", "relative entropy"])
+def test_intervals_of_two_arguments_hold_the_true_values(name: str) -> None:
+    """At 1000 pairs of doubles of all sizes the true value lies in the interval, which is a few ulps of a term wide."""
+    generator = np.random.default_rng(4)
+    u, v = np.exp(generator.uniform(-30, 6, size=(2, 1000)))
+    v[::5] = u[::5] * (1 + 1e-12)
+    if name != "relative entropy":
+        u, v = np.array([u, v]) * generator.choice([-1.0, 1.0], size=(2, 1000))
+        v[:3] = u[:3] = -math.log(2.0), 700.0, -700.0
+    lower, upper = {
+        "log add exp": iv.log_add_exp, "sigmoid": lambda a, b: functions.LOG_ADD_EXP.interval_derivatives(a, b)[0],
+        "relative entropy": functions.RELATIVE_ENTROPY.interval,
+    }[name]((u, u), (v, v))
+    with localcontext() as context:
+        context.Emin, context.Emax = -(10**6), 10**6
+        of_decimals: dict[str, Callable[[Decimal, Decimal], Decimal]] = {
+            "log add exp": lambda a, b: max(a, b) + (1 + (-abs(a - b)).exp()).ln(),
+            "sigmoid": lambda a, b: 1 / (1 + (b - a).exp()), "relative entropy": lambda a, b: a * (a / b).ln(),
+        }
+        for k in range(u.size):
+            context.prec = 80 if abs(u[k] - v[k]) < 60.0 or name == "relative entropy" else 500
+            assert Decimal(lower[k]) <= of_decimals[name](Decimal(u[k]), Decimal(v[k])) <= Decimal(upper[k])
+    sizes = {
+        "log add exp": np.abs([u, v]).max(axis=0) + 1.0, "sigmoid": np.ones_like(u),
+        "relative entropy": u * (1.0 + np.abs(np.log(np.abs(u / v)))),
+    }[name]
+    assert (upper - lower <= 50 * np.spacing(sizes)).all()
+
+
+def test_the_slope_of_a_power_with_a_huge_exponent_is_not_held_positive_at_negative_arguments() -> None:
+    """The exponent less one is odd, and none of the doubles next to it is."""
+    (lower, _), = functions.power(1e17).interval_derivatives((np.array([-1.0]), np.array([-1.0])))
+    assert lower[0] <= -1e17  # 1e17 (-1)^(1e17 - 1)
+
+
+#: Where exponentials, quotients or their sums overflow, and the atom does not; and the point.
+FAR_OUT: dict[str, tuple[Callable[[Any], Any], list[float]]] = {
+    "log_sum_exp of thousands": (lambda x: cp.log_sum_exp(x + 5000), [1.0, 2.0, 3.0]),
+    "log_sum_exp of minus thousands": (lambda x: cp.log_sum_exp(x), [-5000.0, -4999.0, -6000.0]),
+    "log_sum_exp of both": (lambda x: cp.log_sum_exp(x), [-5000.0, 0.0, 5000.0]),
+    "logistic": (lambda x: cp.logistic(x), [1000.0, -1000.0, 0.0]),
+    "rel_entr": (lambda x: cp.rel_entr(x[0], x[1:]), [1e-160, 1.0, 1e150]),
+    "rel_entr of the huge": (lambda x: cp.rel_entr(x, x[::-1]), [1e306, 1e306, 2e306]),
+    "kl_div": (lambda x: cp.kl_div(x, x[::-1]), [1e306, 3e305, 2e306]),
+    "xexp": (lambda x: cp.xexp(x), [-1000.0, -1e300, 0.0]),
+    "geo_mean": (lambda x: cp.geo_mean(x), [1e300, 1e300, 1e200]),
+}
+
+
+@pytest.mark.parametrize("name", FAR_OUT)
+def test_atoms_overflow_only_where_their_values_do(name: str) -> None:
+    """Far out the value is cvxpy's, the derivatives are finite, and the intervals of both are narrow and hold them."""
+    form, point = FAR_OUT[name]
+    x = cp.Variable(3)
+    expression, x.value = form(x), np.array(point)
+    program = compiled(expression)
+    value, derivative = program.value(x.value), program.jacobian(x.value)
+    np.testing.assert_allclose(value, flat(expression.value), rtol=1e-12)
+    assert np.isfinite(derivative.data).all()
+    for inside, (low, high) in (
+        (value, program.interval_F(x.value, x.value)),
+        (derivative.data, tuple(end.data for end in program.interval_jacobian(x.value, x.value))),
+    ):
+        assert (low <= inside).all()
+        assert (inside <= high).all()
+        assert (high - low <= 1e-11 * (np.abs(inside) + np.abs(x.value).max())).all()
+
+
+def test_relative_entropy_is_defined_where_cvxpy_has_it() -> None:
+    """0 log 0 is 0, and 0 log(0/y) too; of negative numbers there is none, whatever their quotient."""
+    x = cp.Variable(2)
+    for atom in (cp.rel_entr, cp.kl_div):
+        program = compiled(atom(x[0], x[1]))
+        assert [program.value(np.array(point))[0] for point in ((0.0, 0.0), (0.0, 2.0))] == [0.0, atom(0, 2).value]
+        assert not np.isfinite(program.value(np.array([-1.0, -1.0]))).any()
+
+
+def test_log_sum_exp_of_thousands_is_solved() -> None:
+    """log_sum_exp(x + 5000) + x = 6000: the solution is proved nearby, and the shares are those of the softmax."""
+    x = cp.Variable(2)
+    x.value = np.zeros(2)
+    F = cp.log_sum_exp(x + 5000) + x - [6000, 6001]
+    problem = solved([complements(x >= 0, F >= 0)], error_bound=True)
+    other = 500.5 - math.log(1 + math.exp(-1.0)) / 2
+    np.testing.assert_allclose(x.value, [other - 1, other], atol=1e-8)
+    assert problem.solver_stats.extra_stats.error_bound.infinity < 1e-7
+
+
+def kojima_shindo(x: Any, stack: Callable[..., Any]) -> Any:
+    """Kojima and Shindo's problem; its solutions are (√6/2, 0, 0, 1/2), degenerate, and (1, 0, 3, 0)."""
+    a, b, c, d = (x[k] for k in range(4))
+    return stack([
+        3 * a**2 + 2 * a * b + 2 * b**2 + c + 3 * d - 6, 2 * a**2 + a + b**2 + 10 * c + 2 * d - 2,
+        3 * a**2 + a * b + 2 * b**2 + 2 * c + 9 * d - 9, a**2 + 3 * b**2 + 2 * c + 3 * d - 3,
+    ])
+
+
+@cache
+def compiled_polynomials() -> Program:
+    return compiled(kojima_shindo(cp.Variable(4), cp.hstack))
+
+
+@settings.get_profile("few")
+@given(st.lists(st.floats(-8.0, 8.0), min_size=4, max_size=4))
+def test_intervals_of_polynomials_hold_the_exact_values(z: list[float]) -> None:
+    """At a point the interval of a polynomial and of its derivatives hold the rational values."""
+    program = compiled_polynomials()
+    a, b, c, d = map(Fraction, z)
+    exact = kojima_shindo([a, b, c, d], list)
+    v = np.array(z)
+    for low, value, high in zip(*(program.interval_F(v, v)[0], exact, program.interval_F(v, v)[1]), strict=True):
+        assert Fraction(low) <= value <= Fraction(high)
+    slopes = [
+        [6 * a + 2 * b, 2 * a + 4 * b, 1, 3], [4 * a + 1, 2 * b, 10, 2], [6 * a + b, a + 4 * b, 2, 9],
+        [2 * a, 6 * b, 2, 3],
+    ]
+    low, high = (matrix.toarray() for matrix in program.interval_jacobian(v, v))
+    assert all(Fraction(low[i, j]) <= slopes[i][j] <= Fraction(high[i, j]) for i in range(4) for j in range(4))
+
+
+def test_nothing_is_known_outside_a_domain() -> None:
+    """Where a box leaves the domain, nothing is claimed; a point outside gives no number, and no exception."""
+    x = cp.Variable(4)
+    program = compiled(cp.hstack([cp.log(x[0]), cp.sqrt(x[1]), 1 / x[2], x[3] ** -1.5]))
+    low, high = program.interval_F(np.full(4, -1.0), np.full(4, 1.0))
+    assert (low == -np.inf).all()
+    assert (high == np.inf).all()
+    assert not np.isfinite(program.value(np.array([-1.0, -1.0, 0.0, -1.0]))).any()
+    assert not np.isfinite(program.jacobian(np.array([0.0, 0.0, 0.0, 0.0])).data).any()
+
+
+def test_jacobians_keep_their_pattern_and_are_sparse() -> None:
+    """The pattern is the same everywhere, and holds no entry that is not on the stencil."""
+    n = 400
+    A = sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    x = cp.Variable(n)
+    program = compiled(A @ cp.power(1 + x**2, 0.7) + cp.multiply(x, cp.exp(-x)))
+    first, second = program.jacobian(np.zeros(n)), program.jacobian(np.ones(n))
+    assert first.nnz == 3 * n - 2
+    np.testing.assert_array_equal(first.indices, second.indices)
+
+
+def solved(constraints: list[Any], **options: Any) -> cp.Problem:
+    problem = cp.Problem(cp.Minimize(0), constraints)
+    assert is_complementarity_problem(problem)
+    assert problem.solve(method="LCP", tolerance=1e-11, **options) == 0.0
+    assert problem.status == cp.OPTIMAL
+    return problem
+
+
+def agrees_with_scipy(F: Callable[[Any], Any], x: Any, lower: Any = 0.0) -> None:
+    """Compare with the root of F on the entries above the lower bound, found by scipy from nearby."""
+    active = np.isclose(x, lower, rtol=0.0, atol=1e-9)
+
+    def rows(free: Any) -> Any:
+        whole = np.array(np.broadcast_to(lower, x.shape), dtype=float)
+        whole[~active] = free
+        return F(whole)
+
+    found = root(lambda free: rows(free)[~active], 1.001 * x[~active], tol=1e-13)
+    np.testing.assert_allclose(x[~active], found.x, rtol=1e-8)
+    assert (rows(found.x)[active] >= -1e-9).all()
+
+
+def test_kojima_shindo_as_published() -> None:
+    """A published solution is found, with its w; status, duals, statistics and violation as for affine models."""
+    x = cp.Variable(4)
+    pair = complements(x >= 0, kojima_shindo(x, cp.hstack) >= 0)
+    problem = solved([pair])
+    solutions = np.array([[math.sqrt(6) / 2, 0.0, 0.0, 0.5], [1.0, 0.0, 3.0, 0.0]])
+    assert np.abs(x.value - solutions).max(axis=1).min() < 1e-8
+    np.testing.assert_allclose(pair.dual_value, kojima_shindo(x.value, np.array), atol=1e-9)
+    assert pair.violation() < 1e-9
+    result = problem.solver_stats.extra_stats
+    assert result.status is Status.SOLVED
+    assert problem.solver_stats.num_iters == result.iterations
+    assert problem.solver_stats.solver_name == "LCP"
+
+
+def test_cournot_oligopoly_as_published() -> None:
+    """Murphy, Sherali and Soyster's five firms with isoelastic demand: the published quantities."""
+    c, K, beta = np.array([10.0, 8, 6, 4, 2]), 5.0, np.array([1.2, 1.1, 1.0, 0.9, 0.8])
+    gamma = 1.1
+    q = cp.Variable(5)
+    total = cp.sum(q)
+    price = 5000 ** (1 / gamma) * cp.power(total, -1 / gamma)
+    costs = cp.hstack([c[i] + cp.power(q[i] / K, 1 / beta[i]) for i in range(5)])
+    q.value = np.full(5, 10.0)
+    pair = complements(q >= 0, costs - price + (1 / gamma) * cp.multiply(price / total, q))
+    solved([pair])
+    np.testing.assert_allclose(q.value, [36.9325, 41.8181, 43.7066, 42.6592, 39.1790], atol=2e-4)
+
+
+def test_total_quantity_may_be_a_variable_of_its_own() -> None:
+    """The same firms with their total as a variable and an equation: the same quantities, a sparse Jacobian."""
+    n, gamma = 60, 1.1
+    c = np.linspace(2.0, 10.0, n)
+    answers = []
+    for is_variable in (False, True):
+        q, total = cp.Variable(n), cp.Variable(pos=True)
+        Q = total if is_variable else cp.sum(q)
+        price = 5000 ** (1 / gamma) * cp.power(Q, -1 / gamma)
+        q.value, total.value = np.full(n, 3.0), 3.0 * n
+        F = c + cp.multiply(q, 0.2) - price + cp.multiply(q, price / Q) / gamma
+        solved([complements(q >= 0, F), *([total == cp.sum(q)] if is_variable else [])])
+        answers.append(q.value)
+        jacobian = build([complements(q >= 0, F), *([total == cp.sum(q)] if is_variable else [])]).problem.jacobian
+        assert jacobian(np.ones(n + is_variable)).nnz <= (4 * n + 1 if is_variable else n * n)
+    np.testing.assert_allclose(answers[0], answers[1], rtol=1e-7)
+
+
+def test_ces_exchange_economy_clears_its_markets() -> None:
+    """Prices of an economy with CES demand: each market clears, and a good that nobody wants is free."""
+    generator = np.random.default_rng(5)
+    share, endowment = generator.random((3, 3)), 1.0 + generator.random((3, 4))
+    sigma = np.array([0.5, 1.5, 0.8])
+
+    def demand(prices: Any, income: Any, power: Any, times: Any) -> Any:
+        bundles = [times(share[k], power(prices, -sigma[k])) * (income[k] / (share[k] @ power(prices, 1 - sigma[k])))
+                   for k in range(3)]
+        return bundles[0] + bundles[1] + bundles[2]
+
+    p = cp.Variable(4)  # relative prices: the first good is the measure, and its market clears by Walras' law
+    p.value = np.ones(4)
+    wanted = demand(p[:3], endowment @ p, cp.power, cp.multiply)
+    supply = endowment.sum(axis=0)
+    solved([
+        complements(p[1:3] >= 0, supply[1:3] - wanted[1:] >= 0), complements(p[3] >= 0, supply[3] + 0 * p[3] >= 0),
+        p[0] == 1,
+    ])
+    np.testing.assert_allclose(demand(p.value[:3], endowment @ p.value, np.power, np.multiply), supply[:3], rtol=1e-8)
+    assert p.value[3] == 0.0
+
+
+def test_elastic_transport_equilibrium() -> None:
+    """Flows between factories and cities with power-law demand: as scipy finds them on the same active set."""
+    cost = np.array([[2.0, 4.0, 9.0], [5.0, 1.0, 3.0]])
+    flow, supply_price, demand_price = cp.Variable((2, 3)), cp.Variable(2), cp.Variable(3)
+    flow.value, supply_price.value, demand_price.value = np.ones((2, 3)), np.ones(2), np.full(3, 4.0)
+    sent = 0.5 * cp.power(supply_price, 1.5)
+    wanted = np.array([30.0, 40.0, 50.0])
+    bought = cp.multiply(wanted, cp.power(demand_price, -1.2))
+    margin = cp.vstack([supply_price[i] + cost[i] - demand_price for i in range(2)])
+    solved([
+        complements(flow >= 0, margin >= 0),
+        complements(supply_price >= 0, sent - cp.sum(flow, axis=1) >= 0),
+        complements(demand_price >= 0, cp.sum(flow, axis=0) - bought >= 0),
+    ])
+
+    def F(v: Any) -> Any:
+        f, s, d = v[:6].reshape((2, 3)), v[6:8], v[8:]
+        gap = s[:, None] + cost - d
+        return np.concatenate([gap.ravel(), 0.5 * s**1.5 - f.sum(axis=1), f.sum(axis=0) - wanted * d**-1.2])
+
+    agrees_with_scipy(F, np.concatenate([flow.value.ravel(), supply_price.value, demand_price.value]))
+
+
+def test_semilinear_obstacle() -> None:
+    """−u″ + exp(u) = 6 above an obstacle: as scipy finds it on the same contact set, and twice the same bits."""
+    n = 40
+    h = 1.0 / (n + 1)
+    A = sp.csr_array(sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1]) / h**2)
+    obstacle = 0.35 - 4.0 * (np.linspace(h, 1 - h, n) - 0.4) ** 2
+    u = cp.Variable(n)
+    solved([complements(u >= obstacle, A @ u + cp.exp(u) - 3 >= 0)])
+    first = u.value
+    agrees_with_scipy(lambda v: A @ v + np.exp(v) - 3, first, obstacle)
+    assert 2 < np.isclose(first, obstacle, atol=1e-9).sum() < n - 2
+    solved([complements(u >= obstacle, A @ u + cp.exp(u) - 3 >= 0)], warm_start=False)
+    np.testing.assert_array_equal(u.value, first)
+
+
+@settings.get_profile("few")
+@given(st.integers(0, 2**32 - 1))
+def test_planted_answers_are_found(seed: int) -> None:
+    """A monotone F with x and w chosen first, bounds on both sides and free rows: x is found."""
+    generator = np.random.default_rng(seed)
+    n = 6
+    lower, upper = generator.choice([-1.0, -np.inf], size=n), generator.choice([2.0, np.inf], size=n)
+    low, high = np.where(np.isfinite(lower), lower, -0.5), np.where(np.isfinite(upper), upper, 0.7)
+    where = generator.integers(0, 3, size=n)
+    planted = np.where(where == 0, low, np.where(where == 1, high, low + (high - low) * generator.random(n)))
+    is_low, is_high = planted == lower, planted == upper
+    w = np.where(is_low, 1.0, np.where(is_high, -1.0, 0.0)) * generator.random(n)
+    A = generator.standard_normal((n, n))
+    M = A @ A.T + (A - A.T)
+    x = cp.Variable(n)
+    F = M @ x + cp.exp(x) + x**3
+    shift = w - (M @ planted + np.exp(planted) + planted**3)
+    pair = complements(box(x, lower, upper), F + shift)
+    solved([pair])
+    np.testing.assert_allclose(x.value, planted, atol=1e-6)
+    np.testing.assert_allclose(pair.dual_value, w, atol=1e-6)
+
+
+def test_equations_pairs_and_slacks_may_be_nonlinear() -> None:
+    """An equation with a product, a definition, and two nonlinear sides without a variable."""
+    x, y, w = cp.Variable(2), cp.Variable(), cp.Variable(2, nonneg=True)
+    x.value, y.value, w.value = np.ones(2), 1.0, np.ones(2)
+    pair = complements(cp.exp(x) - 1 >= 0, w >= 0)
+    solved([pair, w == cp.multiply(x, 1 + x**2) + y - [3, -1], cp.exp(y) * y == math.e])
+    assert y.value == pytest.approx(1.0)
+    np.testing.assert_allclose(x.value, [1.0, 0.0], atol=1e-8)
+    np.testing.assert_allclose(w.value, [0.0, 2.0], atol=1e-8)
+
+
+def test_both_sides_without_a_variable_get_a_slack() -> None:
+    """G(x) ≥ 0 ⟂ F(x) ≥ 0 with both nonlinear."""
+    x = cp.Variable()
+    x.value = 2.0
+    solved([complements(x**2 - 1 >= 0, cp.exp(x) + x - 1 >= 0)])
+    assert x.value == pytest.approx(1.0)
+
+
+#: Sides with their zeros and whether they increase; of two that do, the larger zero solves the pair.
+SIDES: dict[str, tuple[Callable[[Any], Any], float, bool]] = {
+    "exp": (lambda x: cp.exp(x) - 3, math.log(3.0), True),
+    "low exp": (lambda x: cp.exp(x) - 1, 0.0, True),
+    "log": (lambda x: cp.log(x) + 1, math.exp(-1.0), True),
+    "cube": (lambda x: x**3 - 2, 2.0 ** (1 / 3), True),
+    "root": (lambda x: cp.sqrt(x) - 1.5, 2.25, True),
+    "softplus": (lambda x: 2 * cp.logistic(x) - 3, math.log(math.exp(1.5) - 1.0), True),
+    "affine": (lambda x: 2 * x - 1, 0.5, True),
+    "power": (lambda x: cp.power(x, -0.6) - 0.5, 0.5 ** (-1 / 0.6), False),
+    "falling exp": (lambda x: 12 - cp.exp(x), math.log(12.0), False),
+}
+
+
+#: In both orders; where both sides fall, or are one, the answer is not unique.
+PAIRS = [(a, b) for a in SIDES for b in SIDES if a != b and (SIDES[a][2] or SIDES[b][2])]
+
+
+@pytest.mark.sampled(10)
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_two_sides_may_be_nonlinear(first: str, second: str) -> None:
+    """One of the sides is zero at the answer, whichever stands first; each side is the other's dual."""
+    (G, zero_of_G, rises), (F, zero_of_F, also_rises) = SIDES[first], SIDES[second]
+    x = cp.Variable(2)
+    x.value = np.array([1.0, 2.0])
+    sides = G(x) >= 0, F(x) >= 0
+    pair = complements(*sides)
+    solved([pair])
+    answers = [max(zero_of_G, zero_of_F)] if rises and also_rises else [zero_of_G, zero_of_F]
+    assert np.abs(x.value[:, None] - answers).min(axis=1).max() <= 1e-8
+    assert pair.violation() <= 1e-9
+    w = G(x) if second == "affine" else F(x)  # of a side that is a variable, w is the other one
+    np.testing.assert_allclose(pair.dual_value, w.value, atol=1e-9)
+    np.testing.assert_allclose(sides[0].dual_value, F(x).value, atol=1e-9)
+    np.testing.assert_allclose(sides[1].dual_value, G(x).value, atol=1e-9)
+
+
+def test_a_second_solve_of_two_expressions_starts_from_the_first() -> None:
+    """The unknown behind a side, affine or not, begins at the side's value: nothing is left to do."""
+    x = cp.Variable(2)
+    for first in (cp.exp(x) - 1, 3 * x + x[::-1] - 1):
+        problem = solved([complements(first >= 0, cp.exp(x) - 3 >= 0)])
+        problem.solve(method="LCP", tolerance=1e-11)
+        assert problem.solver_stats.num_iters == 0
+
+
+def test_two_nonlinear_sides_have_derivatives_by_parameters() -> None:
+    """S = p eˣ − 9 ⟂ F = eˣ − 1: p eˣ = 9, so that dx/dp = −1/p and dF/dp = −9/p²; so with the sides exchanged."""
+    for swap in (False, True):
+        x, p = cp.Variable(), cp.Parameter(value=3.0)
+        sides = [p * cp.exp(x) - 9 >= 0, cp.exp(x) - 1 >= 0]
+        pair = complements(*(sides[::-1] if swap else sides))
+        problem = solved([pair], requires_grad=True)
+        problem.backward()
+        assert p.gradient == pytest.approx(-1 / 3)
+        p.delta = 1.0
+        problem.derivative()
+        assert x.delta == pytest.approx(-1 / 3)
+        assert pair.dual_variables[0].delta == pytest.approx(0.0 if swap else -1.0, abs=1e-9)
+
+
+def test_existence_is_proved_where_both_sides_are_nonlinear() -> None:
+    """error_bound=True encloses ln 3, the unknown behind the first side included."""
+    x = cp.Variable(2)
+    problem = solved([complements(cp.exp(x) - 1 >= 0, cp.exp(x) - 3 >= 0)], error_bound=True)
+    bound = problem.solver_stats.extra_stats.error_bound
+    assert bound.kind == "rigorous"
+    assert np.abs(x.value - math.log(3.0)).max() <= bound.infinity <= 1e-9
+
+
+def test_an_exponent_may_become_one_and_another_again() -> None:
+    """Where a parameter makes a power affine, what was read then is not taken for the power of the next value."""
+    x, exponent = cp.Variable(2), cp.Parameter(nonneg=True)
+    problem = ComplementarityProblem(complements(x >= 0, cp.power(x, exponent) - np.array([4.0, 9.0]) >= 0))
+    for power, answer in ((1.0, [4.0, 9.0]), (2.0, [2.0, 3.0]), (1.0, [4.0, 9.0]), (0.5, [16.0, 81.0])):
+        exponent.value = power
+        problem.solve()
+        assert np.allclose(x.value, answer)
+
+
+def test_parameters_are_read_at_every_solve() -> None:
+    """A factor, an exponent and a bound are parameters: each solve has their present values."""
+    x, factor, exponent, bound = cp.Variable(), cp.Parameter(), cp.Parameter(), cp.Parameter()
+    problem = ComplementarityProblem(complements(box(x, bound, np.inf), factor * cp.power(x, exponent) - 8))
+    x.value = 1.0
+    for a, p, low, answer in ((1.0, 3, 0.0, 2.0), (2.0, 2, 0.0, 2.0), (2.0, 2, 3.0, 3.0), (4.0, 1, 0.0, 2.0)):
+        factor.value, exponent.value, bound.value = a, p, low
+        problem.solve(tolerance=1e-12)
+        assert x.value == pytest.approx(answer, abs=1e-9)
+
+
+def test_solved_problems_are_copied_and_pickled() -> None:
+    """A solved problem, with its result, can be pickled and copied, and the copy be solved."""
+    x = cp.Variable(2)
+    F = cp.exp(x) - cp.power(x + 1.0, 0.3) / (2.0 + cp.sqrt(x + 1.0)) - 2.0 + cp.square(x)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, F >= 0)])
+    problem.solve(method="LCP")
+    for other in (pickle.loads(pickle.dumps(problem)), copy.deepcopy(problem)):
+        assert other.solver_stats.extra_stats.certificate.relative_residual <= 1e-8
+        other.solve(method="LCP")
+        np.testing.assert_array_equal(other.variables()[0].value, x.value)
+
+
+def test_violation_is_measured_on_the_expressions() -> None:
+    """After a solve the violation is the residual of F; outside a domain it is NaN, and nothing warns."""
+    x = cp.Variable()
+    pair = complements(x >= 0, cp.log(x) - 1 >= 0)
+    x.value = 4.0
+    assert pair.violation() == pytest.approx(math.log(4.0) - 1)
+    x.value = -1.0
+    assert math.isnan(pair.violation())
+
+
+def test_start_is_the_value_of_the_variables() -> None:
+    """Of two solutions the one near the start is found; a start where F is not defined is replaced."""
+    x = cp.Variable()
+    problem = ComplementarityProblem(complements(box(x, -10, 10), x**2 - 4))
+    x.value = 1.0
+    problem.solve()
+    assert x.value == pytest.approx(2.0)
+    problem.solve(warm_start=False, z0=[-10.0])
+    assert x.value == pytest.approx(-10.0)
+    other = ComplementarityProblem(complements(x >= 0, cp.log(x) + 1 >= 0))
+    x.value = -1.0
+    other.solve()
+    assert x.value == pytest.approx(math.exp(-1))
+
+
+def test_solutions_have_derivatives_by_parameters() -> None:
+    """Backward and derivative agree with differences of solutions; a parameter stands in every kind of atom."""
+    x, y, p, r = cp.Variable(2, nonneg=True), cp.Variable(), cp.Parameter(2), cp.Parameter()
+    x.value, y.value = np.ones(2), 1.0
+    pair = complements(x, cp.exp(cp.multiply(p, x)) + x**3 / r - 3 * y)
+    problem = ComplementarityProblem([pair, y**3 + r * y == 2 * r + cp.sum(x) * cp.exp(-r)])
+
+    def solution(at: Any) -> Any:
+        p.value, r.value = at[:2], at[2]
+        problem.solve(tolerance=1e-13, requires_grad=True)
+        return np.append(x.value, y.value)
+
+    at, step = np.array([0.5, 0.8, 1.3]), 1e-5
+    slopes = np.array([(solution(at + e) - solution(at - e)) / (2 * step) for e in step * np.eye(3)])
+    solution(at)
+    problem.backward()
+    np.testing.assert_allclose(np.append(p.gradient, r.gradient), slopes.sum(axis=1), rtol=1e-7)
+    p.delta, r.delta = np.array([0.3, -1.0]), 0.5
+    problem.derivative()
+    np.testing.assert_allclose(np.append(x.delta, y.delta), [0.3, -1.0, 0.5] @ slopes, rtol=1e-7)
+
+
+def test_existence_is_proved_through_the_intervals() -> None:
+    """error_bound=True proves a solution near x, and the true one is within the bound."""
+    x = cp.Variable(2)
+    x.value = np.ones(2)
+    F = cp.hstack([cp.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2])
+    problem = solved([complements(x >= 0, F >= 0)], error_bound=True)
+    bound = problem.solver_stats.extra_stats.error_bound
+    assert bound is not None
+    assert bound.kind == "rigorous"
+    assert abs(x.value[0] - math.log(3)) <= bound.infinity <= 1e-8
+
+
+def test_affine_models_stay_lcps() -> None:
+    """A constant exponential, a product with a parameter and a first power are affine."""
+    x, p = cp.Variable(3), cp.Parameter(value=2.0)
+    model = build([complements(x >= 0, cp.exp(p) * x + cp.power(x, 1) - cp.square(p) >= 0)])
+    assert not isinstance(model.problem, NonlinearProblem)
+
+
+def integer_pair() -> Any:
+    x = cp.Variable(2, integer=True)
+    return complements(x >= 0, cp.exp(x) - 1 >= 0)
+
+
+def with_parameter(value: Any) -> Any:
+    x, p = cp.Variable(2), cp.Parameter(2)
+    p._value = value
+    return complements(x >= 0, cp.exp(x) - p >= 0)
+
+
+X, P = cp.Variable(2), cp.Variable(2, nonneg=True)
+REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
+    "absolute value": (lambda: complements(X >= 0, cp.abs(X) - 1 >= 0), r"abs\(.*not smooth.*of its own"),
+    "maximum": (lambda: complements(X >= 0, cp.maximum(X, 1) - 2 >= 0), "not smooth"),
+    "norm": (lambda: complements(X[0] >= 0, cp.norm(X, 2) - 2 >= 0), "not smooth"),
+    "unknown atom": (lambda: complements(X[0] >= 0, cp.lambda_max(cp.diag(X)) >= 0), "lambda_max.*no derivative"),
+    "shapes": (lambda: complements(X >= 0, cp.sum(cp.exp(X)) >= 0), "same shape"),
+    "integer": (integer_pair, "integer"),
+    "NaN parameter": (lambda: with_parameter(np.array([np.nan, 1.0])), "finite"),
+    "parameter without value": (lambda: with_parameter(None), "no value"),
+    "nonlinear variable side": (lambda: complements(box(cp.exp(X), 0, 1), X), "must be a variable"),
+    "two expressions of too many variables": (
+        lambda: complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3), "2 unknowns.*1 equations, 1 of them from pairs"
+    ),
+    "two expressions, bounded": (
+        lambda: complements(cp.exp(P) >= 1, cp.exp(P) + P >= 4), "has bounds that the rest.*variable of a pair"
+    ),
+    "two values": (lambda: complements(cp.exp(X) - 1, cp.exp(X) - 3), "must be a variable.*y == side"),
+    "not square": (lambda: complements(X[0] >= 0, cp.exp(X[0]) + X[1] >= 0), "unknowns without"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_refused_is_refused_in_words(case: str) -> None:
+    """Names the culprit, and says what to do."""
+    make, pattern = REFUSED[case]
+    with pytest.raises(UnsupportedModel, match=pattern):
+        ComplementarityProblem([make()]).solve()
+
+
+def test_roads_for_affine_models_refuse_nonlinear_ones() -> None:
+    """solve_batch and LCP.from_cvxpy say that they need affine sides; a wrong option is named."""
+    from lcp_plugin import LCP
+
+    x, p = cp.Variable(), cp.Parameter(value=1.0)
+    problem = ComplementarityProblem(complements(x >= 0, cp.exp(x) - 2 * p >= 0))
+    for road in (lambda: problem.solve_batch({p: [1.0, 2.0]}), lambda: LCP.from_cvxpy(problem)):
+        with pytest.raises(UnsupportedModel, match="affine sides"):
+            road()
+    with pytest.raises(InvalidOption, match=r"'relaxation'.*tolerance"):
+        problem.solve(relaxation=1.7)
+
+
+def test_no_start_is_said_in_words() -> None:
+    """Where F is defined neither at the values nor at 0 nor at 1, the refusal asks for a start."""
+    x = cp.Variable()
+    x.value = -1.0
+    with pytest.raises(LCPError, match=r"start|x0"):
+        ComplementarityProblem(complements(x >= -10, cp.log(x - 5))).solve()
+
+
+def test_a_model_without_solution_is_not_called_solved() -> None:
+    """exp(x) + 1 = 0 has none: the status is honest, and x keeps the best iterate."""
+    x = cp.Variable()
+    problem = ComplementarityProblem([cp.exp(x) + 1 == 0])
+    with pytest.warns(UserWarning, match="inaccurate"):
+        problem.solve(max_iterations=30)
+    assert problem.status in ("user_limit", "optimal_inaccurate")
+    assert x.value is not None
+
+
+def test_a_wrong_rule_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An atom whose rule disagrees with cvxpy's value ends in an error, not in a solution."""
+    double = lambda u: 2 * np.exp(u)  # noqa: E731
+    wrong = functions.Function("exp", 1, double, lambda u: (double(u),), functions.EXP.interval, None)
+    from lcp_plugin.modeling import atom_rules
+
+    monkeypatch.setitem(atom_rules.SMOOTH, type(cp.exp(X)), atom_rules._elementary(wrong))
+    x = cp.Variable()
+    with pytest.raises(cp.error.SolverError, match="contradicts its own answer"):
+        ComplementarityProblem(complements(x >= 0, cp.exp(x) - 3 >= 0)).solve()
+    assert x.value is None

@@ -1,0 +1,425 @@
+"""Batches of quadratic programs: answers known before, the same as one by one, judged on each program."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from fractions import Fraction
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+
+from lcp_plugin import (
+    InvalidOption,
+    InvalidProblem,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    Status,
+    UnknownAlgorithm,
+    UnsupportedModel,
+    solve,
+    solve_batch,
+    strategies,
+)
+from lcp_plugin.problems.batches import program_batch
+from lcp_plugin.problems.batches.program_batch import ProgramBatchResult, ProgramBatchRun
+from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
+from lcp_plugin.strategies.programs import QPAnswer
+
+INF = np.inf
+KINDS = ("definite", "semidefinite", "linear", "integer", "dependent", "graded")
+
+
+def planted(kind: str, count: int, seed: int = 0) -> tuple[QuadraticProgramBatch, np.ndarray]:
+    """Stacked programs of a kind, and their least values: x and multipliers are drawn first, then c, h, b and bounds.
+
+    Among their rows are active, inactive and degenerate ones, without a limit, equations; variables are free, boxed,
+    bounded on one side, and fixed.
+    """
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    n = int(rng.integers(1, 11))
+    m, p = int(rng.integers(0, 2 * n + 3)), int(rng.integers(0, n // 2 + 1))
+    factor = rng.normal(size=(count, n, {"semidefinite": n // 2, "linear": 0}.get(kind, n + 2)))
+    G, A, x = rng.normal(size=(count, m, n)), rng.normal(size=(count, p, n)), rng.normal(size=(count, n))
+    if kind == "integer":
+        factor, G, A, x = (np.round(array) for array in (factor, G, A, x))
+    if kind == "dependent" and m > 2:
+        G[:, 1], G[:, 2] = G[:, 0], -G[:, 0]
+    if kind == "graded":
+        G, A = (rows * 10.0 ** rng.uniform(-5, 5, (count, len(rows[0]), 1)) for rows in (G, A))
+    P = factor @ factor.transpose(0, 2, 1)
+    P = (P + P.transpose(0, 2, 1)) / 2
+    if kind == "integer":
+        P += np.eye(n)
+    gap = rng.random((count, m)) * (rng.random((count, m)) < 0.6) * (1.0 + np.abs(G).max(axis=2, initial=0.0))
+    y = rng.random((count, m)) * (gap == 0.0) * (rng.random((count, m)) < 0.7)
+    below, above = (rng.random((count, n)) * (rng.random((count, n)) < 0.6) for _ in range(2))
+    lower = np.where(rng.random((count, n)) < 0.5, -INF, x - below)
+    upper = np.where(rng.random((count, n)) < 0.5, INF, x + above)
+    reduced = rng.random((count, n)) * ((lower == x).astype(float) - (upper == x))
+    h = np.where((rng.random((count, m)) < 0.1) & (y == 0.0), INF, np.einsum("kij,kj->ki", G, x) + gap)
+    v, Px = rng.normal(size=(count, p)), np.einsum("kij,kj->ki", P, x)
+    c = reduced - Px - np.einsum("kij,ki->kj", G, y) - np.einsum("kij,ki->kj", A, v)
+    least = ((0.5 * Px + c) * x).sum(axis=1)
+    return QuadraticProgramBatch(P, c, G, h, A, np.einsum("kij,kj->ki", A, x), lower, upper), least
+
+
+def dense(count: int, n: int = 6, m: int = 12, seed: int = 0) -> tuple[Any, ...]:
+    """Stacked P, c, G, h of strictly convex programs whose rows meet at a point."""
+    rng = np.random.default_rng(seed)
+    factor, G, x = rng.normal(size=(count, n, n)), rng.normal(size=(count, m, n)), rng.normal(size=(count, n))
+    P = factor @ factor.transpose(0, 2, 1) + 0.1 * np.eye(n)
+    h = np.einsum("kij,kj->ki", G, x) + rng.random((count, m))
+    return (P + P.transpose(0, 2, 1)) / 2, 3.0 * rng.normal(size=(count, n)), G, h
+
+
+def alone(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """A list that fills with the numbers of the programs that are solved by themselves."""
+    numbers: list[int] = []
+    whole = ProgramBatchRun._solve
+
+    def noted(self: ProgramBatchRun, k: int, wishes: dict[str, Any]) -> None:
+        numbers.append(k)
+        whole(self, k, wishes)
+
+    monkeypatch.setattr(ProgramBatchRun, "_solve", noted)
+    return numbers
+
+
+def bits(answers: ProgramBatchResult) -> list[bytes]:
+    """All numbers of a result."""
+    names = ("x", "inequality", "equality", "lower", "upper", "objective", "residual", "iterations")
+    return [getattr(answers, name).tobytes() for name in names]
+
+
+# --- Answers -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_planted_programs_are_solved_in_the_compiled_loop(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every kind of row and bound, P definite, semidefinite or 0: the least value that was known before."""
+    by_themselves = alone(monkeypatch)
+    for seed in range(6):
+        programs, least = planted(kind, 25, seed)
+        answers = solve_batch(programs)
+        assert answers.all_solved
+        np.testing.assert_allclose(answers.objective, least, rtol=1e-6, atol=1e-6)
+    assert len(by_themselves) <= 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_status_and_a_residual_are_those_of_the_program(kind: str) -> None:
+    """What is called optimal is so for QPSolution, whose largest residual is no larger than the one that is told."""
+    answers = solve_batch(planted(kind, 30, 7)[0])
+    for k, answer in enumerate(answers):
+        solution = answer.solution
+        assert answer.status is answers.status[k] is Status.SOLVED
+        assert solution.is_optimal(1e-6)
+        assert max(solution.residual, solution.row_residual) <= answers.residual[k]
+        assert solution.objective == pytest.approx(answers.objective[k], rel=1e-12, abs=1e-12)
+        for name in ("x", "inequality", "equality", "lower", "upper"):
+            np.testing.assert_array_equal(getattr(solution, name), getattr(answers, name)[k])
+
+
+@given(drawn=strategies.convex_qps())
+def test_exact_answers_are_found(drawn: tuple[QuadraticProgram, QPAnswer]) -> None:
+    """Programs of every shape with answers in fractions: their least value, by the loop and one by one."""
+    program, answer = drawn
+    vectors = (program.h, program.A, program.b, program.lower, program.upper)
+    answers = solve_batch(QuadraticProgramBatch(program.P, program.c[None], program.G, *vectors))
+    one = solve(program)
+    assert answers.status[0] is one.status is Status.SOLVED
+    size = 1.0 + abs(float(answer.objective))
+    assert abs(Fraction(float(answers.objective[0])) - answer.objective) <= 1e-5 * size
+    assert abs(one.objective - answers.objective[0]) <= 1e-5 * size
+
+
+@settings.get_profile("few")
+@given(drawn=strategies.convex_qps(strategies.positive_definite_matrices(), inequalities=4))
+def test_programs_with_one_minimum_have_it(drawn: tuple[QuadraticProgram, QPAnswer]) -> None:
+    """Where P is positive definite x is what was drawn, other vectors beside it change nothing."""
+    program, answer = drawn
+    others = np.stack([program.c, -program.c, program.c + 1.0])
+    vectors = (program.h, program.A, program.b, program.lower, program.upper)
+    answers = solve_batch(QuadraticProgramBatch(program.P, others, program.G, *vectors), refute=False)
+    np.testing.assert_allclose(answers.x[0], np.array(answer.x, dtype=float), rtol=1e-5, atol=1e-5)
+
+
+def test_a_controller_is_planned_again_from_many_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The matrices the same for all, sparse ones too: the answers are those of programs with matrices of their own."""
+    by_themselves, rng = alone(monkeypatch), np.random.default_rng(0)
+    F, B, steps = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.0], [0.1]]), 6
+    A = np.kron(np.eye(steps), np.hstack([np.eye(2), -B]))
+    for k in range(1, steps):
+        A[2 * k : 2 * k + 2, 3 * k - 3 : 3 * k - 1] = -F
+    b = np.zeros((50, 2 * steps))
+    b[:, :2] = rng.uniform(-1.0, 1.0, (50, 2)) @ F.T
+    bound = np.tile([5.0, 1.0, 1.0], steps)
+    P, c = np.diag(np.tile([1.0, 0.1, 0.01], steps)), np.zeros(3 * steps)
+    answers = solve_batch(QuadraticProgramBatch(sp.csr_array(P), c, A=sp.csr_array(A), b=b, lower=-bound, upper=bound))
+    stacked = QuadraticProgramBatch(np.stack([P] * 50), c, A=np.stack([A] * 50), b=b, lower=-bound, upper=bound)
+    assert answers.all_solved
+    assert bits(answers) == bits(solve_batch(stacked))
+    assert not by_themselves
+    assert answers[7].objective == pytest.approx(solve(stacked[7]).objective, abs=1e-9)
+
+
+# --- One bad item, and the others --------------------------------------------------------------------------------
+
+
+def test_a_bad_program_costs_that_one_alone() -> None:
+    """NaN, ∞, bounds without room, P not symmetric, not convex: an error each in words, the others' bits the same."""
+    P, c, G, h = dense(12)
+    lower, upper = np.full((12, 6), -9.0), np.full((12, 6), 9.0)
+    before = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=lower, upper=upper))
+    P, c, G, h = (array.copy() for array in (P, c, G, h))
+    c[1, 2], h[2, 0], h[3, 1], G[4, 5, 5], P[5, 0, 0], P[6, 0, 1] = np.nan, np.nan, -INF, np.nan, np.nan, 9.0
+    P[7] -= 100.0 * np.eye(6)
+    lower[8, 3], upper[9, 0], G[10, 3, 3] = 10.0, -INF, INF
+    answers = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=lower, upper=upper))
+    bad = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
+    assert sorted(answers.errors) == bad
+    assert [k for k, status in enumerate(answers.status) if status is None] == bad
+    assert {type(error) for k, error in answers.errors.items() if k != 7} == {InvalidProblem}
+    assert isinstance(answers.errors[7], UnsupportedModel)
+    assert "h must be finite or inf, but h[1] = -inf" in str(answers.errors[3])
+    with pytest.raises(InvalidProblem, match=r"P must be symmetric, but P\[0, 1\] = 9.0"):
+        answers[6]
+    assert np.isnan(answers.x[bad]).all()
+    assert np.isnan(answers.objective[bad]).all()
+    assert not answers.all_solved
+    for k in (0, 11):
+        assert answers.x[k].tobytes() == before.x[k].tobytes()
+    assert "2 SOLVED" in repr(answers)
+    assert "10 no program" in repr(answers)
+
+
+def test_programs_without_a_minimum_come_with_a_proof() -> None:
+    """Contradicting rows, a slope without end, and one that has a minimum; without refute a proof is not looked for.
+
+    That of contradicting rows is found on the way.
+    """
+    programs = QuadraticProgramBatch(
+        np.diag([1.0, 0.0]), [[0.0, 1.0], [0.0, -1.0], [0.0, 1.0]], G=[[-1.0, 0.0], [1.0, 0.0]],
+        h=[[-1.0, 0.0], [1.0, 1.0], [1.0, 1.0]], lower=[-INF, 0.0],
+    )
+    answers = solve_batch(programs)
+    assert answers.status.tolist() == [Status.INFEASIBLE, Status.UNBOUNDED, Status.SOLVED]
+    assert isinstance(answers[0].proof, QPInfeasibility)
+    assert isinstance(answers[1].proof, QPUnboundedness)
+    assert answers[1].proof.verify()
+    assert solve_batch(programs, refute=False).status.tolist() == [Status.INFEASIBLE, Status.STALLED, Status.SOLVED]
+
+
+def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows, equations and bounds that contradict each other by Farkas multipliers chosen first: no linear program."""
+    def never(*given: Any, **options: Any) -> Any:
+        raise AssertionError("the long way was taken")
+
+    monkeypatch.setattr(program_batch, "judged_program", never)
+    rng, (P, c, G, h) = np.random.default_rng(3), dense(40)
+    A, b, y = rng.normal(size=(40, 2, 6)), rng.normal(size=(40, 2)), rng.random((40, 12))
+    signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum("kij,ki->kj", A, np.ones((40, 2)))
+    G[:, 0] = -signed  # times 1 with the others times y it leaves nothing
+    h[:, 0] = -(h[:, 1:] * y[:, 1:]).sum(axis=1) - b.sum(axis=1) - 0.1
+    for semidefinite in (1.0, 0.0):
+        answers = solve_batch(QuadraticProgramBatch(semidefinite * P, c, G, h, A, b, upper=np.r_[np.full(5, INF), 7.0]))
+        assert set(answers.status) == {Status.INFEASIBLE}
+        assert all(solution.proof.verify() and solution.status is Status.INFEASIBLE for solution in answers)
+        assert np.isnan(answers.inequality).all()
+    twice = QuadraticProgramBatch(np.eye(2), np.zeros(2), A=[[1.0, 2.0], [2.0, 4.0]], b=[[1.0, 3.0], [1.0, 2.0]])
+    assert solve_batch(twice).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
+    boxed = QuadraticProgramBatch(np.eye(2), np.zeros(2), [[1.0, 1.0]], [[-3.0], [-1.0]], lower=-1.0, upper=1.0)
+    assert solve_batch(boxed).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
+
+
+def test_rounding_in_the_symmetry_of_P_is_averaged_away() -> None:
+    """As in QuadraticProgram, of some programs of a stack."""
+    P, c, G, h = dense(4)
+    P = P.copy()
+    P[2, 0, 1] *= 1.0 + 1e-15
+    own = P.copy()
+    answers = solve_batch(QuadraticProgramBatch(P, c, G, h))
+    assert answers.all_solved
+    assert not answers.errors
+    np.testing.assert_array_equal(answers[2].program.P, answers[2].program.P.T)
+    np.testing.assert_array_equal(P, own)
+
+
+def test_what_is_too_large_for_the_loop_is_solved_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than 80 variables, and any number of them where the algorithm is not auto; a thousand rows are not."""
+    by_themselves = alone(monkeypatch)
+    P, c, G, h = dense(1, 90, 180)
+    assert solve_batch(QuadraticProgramBatch(P, c, G, h)).all_solved
+    P, c, G, h = dense(3)
+    assert solve_batch(QuadraticProgramBatch(P, c, G, h), algorithm="interior_point").all_solved
+    assert solve_batch(QuadraticProgramBatch(*dense(2, 5, 1000))).all_solved
+    assert by_themselves == [0, 0, 1, 2]
+
+
+def test_hard_programs_are_left_to_the_long_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With one step allowed to the loop every answer is what solve finds in as many."""
+    P, c, G, h = dense(5)
+    by_themselves, programs = alone(monkeypatch), QuadraticProgramBatch(P, c, G, h)
+    answers = solve_batch(programs, max_iterations=1)
+    assert by_themselves == [0, 1, 2, 3, 4]
+    for k, program in enumerate(programs):
+        one = solve(program, tolerance=1e-8, max_iterations=1)
+        assert one.x.tobytes() == answers.x[k].tobytes()
+        assert one.status == answers.status[k]
+
+
+# --- Arrays, threads, clock --------------------------------------------------------------------------------------
+
+
+def test_arrays_for_all_programs_are_broadcast() -> None:
+    """Each of P, c, G, h, A, b and the bounds stacked or the same for all: the same bits, and the same programs."""
+    rng, count = np.random.default_rng(1), 5
+    (P,), (c,), (G,), (h,) = dense(1)
+    A = rng.normal(size=(2, 6))
+    one = {"P": P, "c": c, "G": G, "h": h + 5.0, "A": A, "b": A @ np.full(6, 0.1)}
+    one |= {"lower": np.full(6, -2.0), "upper": 3.0}
+    whole = bits(solve_batch(QuadraticProgramBatch(**{
+        name: np.stack([np.full(6, values) if np.ndim(values) == 0 else values] * count) for name, values in one.items()
+    })))
+    for name in ("P", "c", "G", "h", "A", "b", "lower"):
+        programs = QuadraticProgramBatch(**one | {name: np.stack([one[name]] * count)})
+        assert len(programs) == count
+        assert bits(solve_batch(programs)) == whole
+        assert programs[-1].objective(np.ones(6)) == programs[0].objective(np.ones(6))
+        assert programs[3].constraints.unit.tolist() == programs[0].constraints.unit.tolist()
+    alone = QuadraticProgramBatch(**one)
+    assert len(alone) == 1
+    assert solve_batch(alone).all_solved
+
+
+def test_the_number_of_threads_changes_no_bit() -> None:
+    """Nor do the other programs of the batch."""
+    programs, _ = planted("semidefinite", 100)
+    answers = bits(solve_batch(programs, threads=1))
+    for threads in (2, 3, 7):
+        assert bits(solve_batch(programs, threads=threads)) == answers
+    P, c, G, h = dense(9)
+    one = solve_batch(QuadraticProgramBatch(P[4], c[4], G[4], h[4]))
+    assert one.x.tobytes() == solve_batch(QuadraticProgramBatch(P, c, G, h)).x[4].tobytes()
+
+
+def test_nothing_that_is_handed_over_is_modified() -> None:
+    """Whatever its order in memory; results cannot be written to."""
+    data = [np.asfortranarray(array) for array in dense(8)]
+    before = [array.copy() for array in data]
+    answers = solve_batch(QuadraticProgramBatch(*data))
+    for array, copy in zip(data, before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+    with pytest.raises(ValueError, match="read-only"):
+        answers.x[0] = 0.0
+
+
+def test_after_the_time_limit_nothing_is_begun() -> None:
+    """Those left end with MAX_SECONDS, x the point within the bounds nearest to 0, without multipliers."""
+    P, c, G, h = dense(6)
+    answers = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=1.0), max_seconds=0.0, refute=False)
+    assert set(answers.status) == {Status.MAX_SECONDS}
+    np.testing.assert_array_equal(answers.x, np.ones((6, 6)))
+    assert np.isnan(answers.residual).all()
+    assert np.isnan(answers[3].solution.multipliers).all()
+
+
+def test_ctrl_c_keeps_what_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rest is INTERRUPTED, whether Ctrl-C comes between two programs or inside of one."""
+    P, c, G, h = dense(6)
+    programs = QuadraticProgramBatch(P, c, G, h)
+    whole = ProgramBatchRun._solve
+
+    def interrupted(self: ProgramBatchRun, k: int, wishes: dict[str, Any]) -> None:
+        if k == 2:
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        whole(self, k, wishes)
+
+    monkeypatch.setattr(ProgramBatchRun, "_solve", interrupted)
+    answers = solve_batch(programs, algorithm="interior_point")
+    assert answers.status[:2].tolist() == [Status.SOLVED, Status.SOLVED]
+    assert answers.status[3:].tolist() == [Status.INTERRUPTED] * 3
+
+
+def test_empty_batches_and_programs_without_rows_or_variables() -> None:
+    """No program, no rows, no variables."""
+    assert len(solve_batch(QuadraticProgramBatch(np.zeros((0, 3, 3)), np.zeros((0, 3))))) == 0
+    assert solve_batch(QuadraticProgramBatch(2.0 * np.eye(2), [[2.0, -4.0]])).x.tolist() == [[-1.0, 2.0]]
+    box = solve_batch(QuadraticProgramBatch(np.zeros((2, 2)), [[2.0, -4.0]], lower=-1.0, upper=[1.0, 3.0]))
+    assert box.x.tolist() == [[-1.0, 3.0]]
+    assert box.lower.tolist() == [[2.0, 0.0]]
+    assert box.upper.tolist() == [[0.0, 4.0]]
+    assert solve_batch(QuadraticProgramBatch(np.zeros((0, 0)), np.zeros((2, 0)))).all_solved
+
+
+# --- Mistakes ----------------------------------------------------------------------------------------------------
+
+ONE = (np.eye(2), [1.0, 2.0])
+WRONG = {
+    r"G and h belong together, got G without h": lambda: QuadraticProgramBatch(*ONE, G=[[1.0, 1.0]]),
+    r"A and b belong together, got b without A": lambda: QuadraticProgramBatch(*ONE, b=[1.0]),
+    r"P must have shape \(B, 2, 2\), or \(2, 2\) for all, as c has 2 entries; got shape \(3, 3\)":
+        lambda: QuadraticProgramBatch(np.eye(3), [1.0, 2.0]),
+    r"G must have shape \(B, rows, 2\)": lambda: QuadraticProgramBatch(*ONE, G=np.ones((2, 3)), h=[1.0, 1.0]),
+    r"h must have shape \(B, m\) or \(m,\), m = 1, got shape \(2,\)":
+        lambda: QuadraticProgramBatch(*ONE, G=[[1.0, 1.0]], h=[1.0, 2.0]),
+    r"c must have shape \(B, n\) or \(n,\), got None": lambda: QuadraticProgramBatch(np.eye(2), None),
+    r"c must have .*, got the number 3.0": lambda: QuadraticProgramBatch([[1.0]], 3.0),
+    r"c must have .*, got no rectangular array": lambda: QuadraticProgramBatch(np.eye(2), [[1.0, 2.0], [1.0]]),
+    r"P must have shape \(B, 2, 2\).*, got None": lambda: QuadraticProgramBatch(None, [1.0, 2.0]),
+    r"G must have shape .* as c has 2 entries, got": lambda: QuadraticProgramBatch(*ONE, G=[["a", "b"]], h=[1.0]),
+    r"needs many problems, got one QuadraticProgram; write": lambda: solve_batch(QuadraticProgram(*ONE)),
+    r"must be equally long, got P 3, c 4":
+        lambda: QuadraticProgramBatch(np.stack([np.eye(2)] * 3), np.ones((4, 2))),
+    r"P must be symmetric": lambda: QuadraticProgramBatch([[1.0, 2.0], [0.0, 1.0]], [[1.0, 2.0]]),
+    r"there are 1 programs, and none has the number 5": lambda: QuadraticProgramBatch(*ONE)[5],
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_mistakes_are_named(message: str) -> None:
+    """What was given, what is needed."""
+    with pytest.raises((InvalidProblem, IndexError), match=message):
+        WRONG[message]()
+
+
+def test_what_concerns_all_programs_is_said_before_the_first() -> None:
+    """Options that a batch of programs does not take, unknown algorithms, a P for all that is not convex."""
+    programs = QuadraticProgramBatch(*ONE)
+    ask: Any = partial(solve_batch, programs)
+    for options, words in (
+        ({"z0": [0.0, 0.0]}, "takes no z0"), ({"lower": 1.0}, "programs bring"),
+        ({"q": [1.0, 1.0]}, "programs bring q"), ({"threads": 0}, "threads"), ({"tolerance": -1.0}, "tolerance"),
+    ):
+        with pytest.raises(InvalidOption, match=words):
+            ask(**options)
+    with pytest.raises(UnknownAlgorithm, match="interior_point"):
+        ask(algorithm="interior_pont")
+    with pytest.raises(UnsupportedModel, match="the smallest eigenvalue of P is -1"):
+        solve_batch(QuadraticProgramBatch([[1.0, 2.0], [2.0, 1.0]], np.zeros((5, 2))))
+
+
+def test_large_sparse_programs_stay_sparse() -> None:
+    """Matrices for all are not made dense where no loop wants them."""
+    n = 30_000
+    programs = QuadraticProgramBatch(sp.eye_array(n), np.ones((2, n)), sp.eye_array(1, n), [1.0], lower=0.0)
+    assert sp.issparse(programs[1].P)
+    answers = solve_batch(programs)
+    assert answers.all_solved
+    assert answers.objective.tolist() == [0.0, 0.0]
+
+
+def test_terms_that_cancel_excuse_no_error_of_the_objective() -> None:
+    """−x₁ + (1 − 10⁻¹⁰) x₂ over x₁ = x₂, 10⁶ ≤ x ≤ 10⁸: terms of 10⁶ cancel, and the minimum is −10⁻² at 10⁸."""
+    batch = QuadraticProgramBatch(
+        np.zeros((2, 2)), [[-1.0, 1.0 - 1e-10]] * 2, A=[[1.0, -1.0]], b=[0.0], lower=1e6, upper=1e8
+    )
+    answers = solve_batch(batch)
+    for one, status in zip(answers, answers.status, strict=True):
+        assert status == one.status
+        assert status is not Status.SOLVED or one.objective == pytest.approx(-1e-2, abs=1e-6)

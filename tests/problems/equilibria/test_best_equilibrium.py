@@ -1,0 +1,126 @@
+"""The best of all solutions of a complementarity problem: published optima, and what their statements mean."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from macmpec import COLLECTION
+
+from lcp_plugin import (
+    LCP,
+    EquilibriumProgram,
+    QuadraticProgram,
+    Status,
+    box,
+    complements,
+    minimize_over_solutions,
+    solve,
+)
+from lcp_plugin.problems.equilibria.local_search import LocalSearch
+from lcp_plugin.problems.equilibria.monotone import ellipsoid, separating_points, with_points
+
+
+def solved(problem: cp.Problem, **options: Any) -> Any:
+    """The result of a problem that is solved to the end."""
+    problem.solve(method="LCP", max_seconds=60.0, **options)
+    return problem.solver_stats.extra_stats
+
+
+@pytest.mark.parametrize("name", list(COLLECTION))
+def test_published_optima_are_found_and_proved(name: str) -> None:
+    """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
+    published = COLLECTION[name]
+    problem = published.state()
+    result = solved(problem)
+    assert (problem.status, result.is_global) == (cp.OPTIMAL, True)
+    assert result.gap <= 1e-6
+    assert abs(problem.value - published.optimum) <= 1e-6 * abs(published.optimum) + published.accuracy
+    assert result.verify()
+
+
+@pytest.mark.parametrize(("bounds", "wanted"), [((-9, 1), 8.0), ((1, 9), 20.0), ((2, 4), 26.0)])
+@pytest.mark.parametrize("is_attribute", [False, True])
+def test_bounds_beside_a_pair_are_no_bounds_of_the_pair(
+    bounds: tuple[float, float], wanted: float, is_attribute: bool
+) -> None:
+    """0 ≤ y ⟂ y − x ≥ 0 says y = x wherever y > 0, also at a bound of y that is stated elsewhere."""
+    x, y = cp.Variable(), cp.Variable(bounds=list(bounds)) if is_attribute else cp.Variable()
+    others = [] if is_attribute else [bounds[0] <= y, y <= bounds[1]]
+    far = -3 if bounds[0] > 0 else 3
+    problem = cp.Problem(cp.Minimize((x - far) ** 2 + (y - 3) ** 2), [complements(y >= 0, y - x >= 0), *others])
+    assert solved(problem).verify()
+    np.testing.assert_allclose(problem.value, wanted, atol=1e-9)
+
+
+def test_two_pairs_may_give_one_variable_different_bounds() -> None:
+    """0 ≤ y ⟂ y − x ≥ 0 and 1 ≤ y ≤ 2 ⟂ u: y ≥ 1 > 0, so that y = x, while u > 0 only where y = 1."""
+    x, y, u = cp.Variable(), cp.Variable(), cp.Variable()
+    pairs = [complements(y >= 0, y - x >= 0), complements(box(y, 1, 2), u)]
+    problem = cp.Problem(cp.Minimize((x + 3) ** 2 + (u - 1) ** 2), pairs)
+    assert solved(problem).verify()
+    np.testing.assert_allclose([problem.value, x.value, u.value], [16.0, 1.0, 1.0], atol=1e-9)
+
+
+def test_random_programs_agree_with_all_their_pieces() -> None:
+    """Status, value, bound and verify() hold against every piece, and verify() sees each of a dozen damages."""
+    pytest.importorskip("highspy", reason="solves the pieces")
+    from campaigns.best_equilibria import complaints, random_problem, truth, undetected
+
+    for case in range(40):
+        problem = random_problem(np.random.default_rng([36, 0, case]), most=5)
+        result = minimize_over_solutions(problem)
+        assert result.status in (Status.SOLVED, Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED)
+        assert complaints(result, truth(problem)) == [], case
+        if case % 4 == 0:
+            assert undetected(result) == [], case
+
+
+def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair() -> None:
+    """0 ≤ z is said by the pair alone: z = −7 opposite w = 0 is no solution."""
+    program = QuadraticProgram(np.zeros((3, 3)), [1, 0, 0], A=[[1, 0, -1]], b=[1], lower=[0, -np.inf, -np.inf])
+    result = minimize_over_solutions(EquilibriumProgram(program, [1], [2], 0, np.inf))
+    assert (result.status, result.value, result.verify()) == (Status.SOLVED, 1.0, True)
+    assert not replace(result, x=np.array([1.0, -7.0, 0.0])).verify()
+
+
+def test_a_search_that_ends_before_it_finds_a_point_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The status is user_limit, there are no values, and the bound is one: of (y − x)² + x² + 1 with y ≥ x + 1, ≤ 2."""
+    monkeypatch.setattr(LocalSearch, "start", lambda self, node: None)
+    x, y = cp.Variable(), cp.Variable()
+    pair = complements(x >= 0, y - x - 1 >= 0)
+    problem = cp.Problem(cp.Minimize((y - x) ** 2 + x**2 + 1), [pair])
+    problem.solve(method="LCP", callback=lambda search: True)
+    found = problem.solver_stats.extra_stats
+    assert (problem.status, found.status, found.nodes) == (cp.settings.USER_LIMIT, Status.INTERRUPTED, 0)
+    assert (x.value, y.value, found.x) == (None, None, None)
+    assert found.lower_bound == pytest.approx(2.0, abs=1e-6)
+    assert found.lower_bound <= 2.0
+    assert found.verify()
+
+
+def test_cuts_of_a_monotone_lower_level_keep_every_solution() -> None:
+    """0 ≤ z ⟂ M z + N x + q ≥ 0 with M ⪰ 0 keeps z in an ellipsoid, and its cuts every solution."""
+    rng = np.random.default_rng(5)
+    k = 12
+    half, turned, N = rng.standard_normal((k, k)), rng.standard_normal((k, k)), rng.standard_normal((k, 2))
+    M, q = half @ half.T / k + 0.1 * np.eye(k) + turned - turned.T, rng.standard_normal(k)
+    program = QuadraticProgram(
+        np.zeros((k + 2, k + 2)), rng.standard_normal(k + 2),
+        lower=np.append([-1, -1], np.zeros(k)), upper=np.append([1, 1], np.full(k, np.inf)),
+    )
+    problem = EquilibriumProgram.of_rows(program, np.arange(2, k + 2), np.hstack([N, M]), q)
+    within = ellipsoid(problem)
+    points = separating_points(problem, within)
+    cut = with_points(problem, within, points).program
+    for x in rng.uniform(-1, 1, (30, 2)):
+        z = solve(LCP(M, N @ x + q)).z
+        v = np.concatenate([x, z, M @ z + N @ x + q])
+        assert (cut.G @ v <= cut.h + 1e-9 * (1 + np.abs(v).max())).all()
+    result = minimize_over_solutions(problem)
+    assert (result.status, result.verify()) == (Status.SOLVED, True)
+    moved = tuple(0.5 * point for point in result.strengthened.kept)
+    assert not replace(result, strengthened=replace(result.strengthened, kept=moved)).verify()

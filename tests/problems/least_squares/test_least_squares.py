@@ -1,0 +1,624 @@
+"""Least squares within bounds: planted answers, other programs' answers, exact gaps, honest statuses, refusals."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns import least_squares as campaign
+from campaigns.least_squares import Case, Exact, complaint
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear, nnls
+from scipy.sparse.linalg import LinearOperator, aslinearoperator
+
+from lcp_plugin import LeastSquaresResult, Status, bounded_least_squares, solve
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
+from lcp_plugin.problems.least_squares import solving as least_squares
+from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
+from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
+from lcp_plugin.problems.least_squares.enclosures import Enclosures
+from lcp_plugin.problems.least_squares.kernels.least_squares_sums import largest_residuals
+
+INF = np.inf
+
+
+def planted(A: Any, seed: int = 0, free: float = 0.5, boxed: float = 0.0) -> tuple[Any, np.ndarray, np.ndarray, Any]:
+    """A with some columns' signs turned, b, upper and the answer x within [0, upper], chosen first.
+
+    The residual y is chosen orthogonal to the free columns; where Aᵀy has not the sign that the bound of a column
+    needs, the column is turned.
+    """
+    rng = np.random.default_rng(seed)
+    m, n = A.shape
+    is_free = rng.random(n) < min(free, 0.5 * m / n)
+    at_upper = ~is_free & (rng.random(n) < boxed)
+    upper = np.where(at_upper | (rng.random(n) < boxed), 1.5, INF)
+    x = np.where(is_free, rng.random(n) + 0.1, np.where(at_upper, upper, 0.0))
+    y = rng.standard_normal(m)
+    dense = A.toarray() if sp.issparse(A) else A
+    orthogonal = np.linalg.qr(dense[:, is_free])[0]
+    for _ in range(2):
+        y -= orthogonal @ (orthogonal.T @ y)
+    wrong = ~is_free & ((dense.T @ y > 0.0) == at_upper)
+    turned = A @ sp.diags_array(np.where(wrong, -1.0, 1.0)) if sp.issparse(A) else A * np.where(wrong, -1.0, 1.0)
+    return turned, turned @ x - y, upper, x
+
+
+def of_condition(m: int, n: int, condition: float, seed: int = 0) -> np.ndarray:
+    """A dense matrix of that condition."""
+    rng = np.random.default_rng(seed)
+    k = min(m, n)
+    left, right = np.linalg.qr(rng.standard_normal((m, k)))[0], np.linalg.qr(rng.standard_normal((n, k)))[0]
+    return left @ np.diag(np.logspace(0.0, -np.log10(condition), k)) @ right.T
+
+
+def random_rows(m: int, n: int, per_row: int, seed: int = 0) -> sp.csr_array:
+    rng = np.random.default_rng(seed)
+    rows = np.repeat(np.arange(m), per_row)
+    return sp.csr_array((rng.random(m * per_row), (rows, rng.integers(0, n, m * per_row))), shape=(m, n))
+
+
+def own_optimality(A: Any, b: Any, x: Any, lower: Any = 0.0, upper: Any = INF) -> float:
+    """‖x − mid(lower, upper, x − Aᵀ(A x − b))‖∞/‖Aᵀb‖∞, computed here."""
+    gradient = A.T @ (A @ x - b)
+    return float(np.abs(np.clip(gradient, x - upper, x - lower)).max() / np.abs(A.T @ b).max())
+
+
+# --- planted answers ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("condition", [1e2, 1e5, 1e8])
+@pytest.mark.parametrize("shape", [(60, 30), (30, 60), (300, 280), (400, 400)])
+def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: float) -> None:
+    """A dense A of condition up to 1e8, tall, square, wide: SOLVED, the cost of the planted answer, x in its bounds."""
+    A, b, upper, x = planted(of_condition(*shape, condition), boxed=0.2)
+    result = bounded_least_squares(A, b, upper=upper).require_solved()
+    best = 0.5 * np.sum((A @ x - b) ** 2)
+    assert abs(result.cost - best) <= 1e-9 * best
+    assert (result.x >= 0.0).all()
+    assert (result.x <= upper).all()
+    assert own_optimality(A, b, result.x, 0.0, upper) <= 1e-8
+    assert result.gap <= 1e-6 * best  # where AᵀA has lost every digit, too
+    if shape[0] >= shape[1] and condition <= 1e5:
+        np.testing.assert_allclose(result.x, x, atol=1e-8)
+
+
+@pytest.mark.parametrize("form", [sp.csr_array, sp.csc_matrix, sp.coo_array, aslinearoperator])
+def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
+    """Any sparse format and a LinearOperator give the planted answer; what is proved is said."""
+    A, b, upper, x = planted(random_rows(3000, 600, 8), boxed=0.2)
+    result = bounded_least_squares(form(A), b, 0.0, upper).require_solved()
+    np.testing.assert_allclose(result.x, x, atol=1e-6)
+    assert result.is_proved == (form is not aslinearoperator)
+    assert result.gap <= 1e-8 * result.cost
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("lower", [0.0, -INF])
+@pytest.mark.parametrize(("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)])
+def test_rank_deficient_problems_have_an_answer_of_moderate_size(m: int, n: int, rank: int, lower: float) -> None:
+    """Where x is not unique an optimal one is found, not far away along what rounding leaves of singular values."""
+    rng = np.random.default_rng(m + n)
+    A, b = rng.standard_normal((m, rank)) @ rng.standard_normal((rank, n)), rng.standard_normal(m)
+    for given_A in (A, sp.csr_array(A)):
+        result = bounded_least_squares(given_A, b, lower).require_solved()
+        assert own_optimality(A, b, result.x, lower) <= 1e-8
+        assert np.abs(result.x).max() <= 1e6
+
+
+@pytest.mark.parametrize("n", [100, 3000])
+def test_chains_are_solved_by_factors(n: int) -> None:
+    """Differences of neighbours, κ ~ n: SOLVED, where conjugate gradients would need n steps and more."""
+    chain = sp.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1]).tocsr()
+    b = np.random.default_rng(0).standard_normal(n)
+    for lower, upper in ((0.0, INF), (-1.0, 1.0), (-INF, INF)):
+        result = bounded_least_squares(chain, b, lower, upper).require_solved()
+        assert own_optimality(chain, b, result.x, lower, upper) <= 1e-8
+
+
+@pytest.mark.full
+def test_a_hundred_thousand_unknowns() -> None:
+    """10⁵ unknowns, sparse: SOLVED, in less than 200 steps."""
+    A = random_rows(150_000, 100_000, 6)
+    b = A @ np.maximum(np.random.default_rng(1).standard_normal(100_000), 0.0) - 1.0
+    result = bounded_least_squares(A, b).require_solved()
+    assert result.nit < 200
+    assert own_optimality(A, b, result.x) <= 1e-8
+
+
+@given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 10**6), st.floats(0.0, 0.8))
+def test_conditions_hold_on_random_problems(m: int, n: int, seed: int, share: float) -> None:
+    """Weights, a ridge, boxes, free and fixed columns, zero rows and columns, any rank: the conditions hold at x."""
+    rng = np.random.default_rng(seed)
+    A = rng.integers(-3, 4, (m, n)) * (rng.random((m, n)) < share)
+    b, weights = rng.integers(-5, 6, m), rng.integers(0, 3, m)
+    lower, upper = -rng.integers(0, 3, n).astype(float), rng.integers(0, 3, n).astype(float)
+    lower[rng.random(n) < 0.3], upper[rng.random(n) < 0.3] = -INF, INF
+    ridge = float(rng.choice([0.0, 0.5]))
+    result = bounded_least_squares(A, b, lower, upper, weights=weights, ridge=ridge)
+    assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT)
+    x, fun = result.x, A @ result.x - b
+    gradient = A.T @ (weights * fun) + ridge * x
+    assert (lower <= x).all()
+    assert (x <= upper).all()
+    assert np.abs(np.clip(gradient, x - upper, x - lower)).max() <= 1e-7 * (1.0 + np.abs(A.T @ (weights * b)).max())
+    np.testing.assert_allclose(result.fun, fun, atol=1e-12 * (1.0 + np.abs(x).max()) * 50)
+    assert result.cost == pytest.approx(0.5 * (weights @ fun**2 + ridge * x @ x), abs=1e-12)
+    assert ((result.active_mask == -1) == (x == lower)).all()
+    assert ((result.active_mask == 1) == ((x == upper) & (x > lower))).all()
+
+
+# --- other programs' answers --------------------------------------------------------------------------------
+
+
+def test_a_thousand_small_problems_as_by_scipy_nnls() -> None:
+    """Dense, m and n up to 30: the residual norm of scipy.optimize.nnls, and its x where that is unique."""
+    rng = np.random.default_rng(0)
+    for _ in range(1000):
+        m, n = rng.integers(1, 31, 2)
+        A, b = rng.standard_normal((m, n)), rng.standard_normal(m)
+        x, norm = nnls(A, b, maxiter=100 * n)
+        result = bounded_least_squares(A, b)
+        assert result.is_solved
+        assert abs(np.linalg.norm(result.fun) - norm) <= 1e-8 * np.linalg.norm(b)
+        if m >= 2 * n:
+            np.testing.assert_allclose(result.x, x, atol=1e-8)
+
+
+def test_boxed_problems_as_by_scipy_bvls() -> None:
+    """Boxes, one-sided and free columns: no more than the cost of scipy.optimize.lsq_linear(method="bvls")."""
+    rng = np.random.default_rng(1)
+    for _ in range(150):
+        m, n = rng.integers(1, 25, 2)
+        A, b = rng.standard_normal((m, n)), rng.standard_normal(m)
+        lower, upper = -rng.random(n), rng.random(n)
+        lower[rng.random(n) < 0.2], upper[rng.random(n) < 0.2] = -INF, INF
+        other = lsq_linear(A, b, (lower, upper), method="bvls", tol=1e-14)
+        result = bounded_least_squares(A, b, lower, upper).require_solved()
+        assert abs(result.cost - other.cost) <= 1e-9 * (b @ b)
+        if m >= 2 * n:
+            np.testing.assert_allclose(result.x, other.x, atol=1e-7)
+
+
+KINDS: dict[str, Callable[[np.random.Generator], Any]] = {
+    "normal": lambda rng: rng.standard_normal((600, 120)),
+    "positive": lambda rng: rng.random((600, 120)),
+    "tall": lambda rng: rng.random((4000, 20)),
+    "wide": lambda rng: rng.random((120, 320)),
+    "wide, of any sign": lambda rng: rng.standard_normal((120, 320)),
+    "condition 1e8": lambda rng: of_condition(200, 160, 1e8),
+    "by columns": lambda rng: np.asfortranarray(rng.random((2000, 600))),
+    "sparse": lambda rng: random_rows(3000, 600, 8),
+    "tiny": lambda rng: rng.random((8, 5)),
+}
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("upper", [INF, 0.5])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_matrix_within_both_boxes(kind: str, upper: float) -> None:
+    """Planted x ≥ 0 and a tenth of noise: SOLVED, optimal as computed here, at no more than scipy's cost; few steps."""
+    rng = np.random.default_rng(4)
+    A = KINDS[kind](rng)
+    exact = A @ np.where(rng.random(A.shape[1]) < 0.5, rng.random(A.shape[1]), 0.0)
+    b = exact + 0.1 * np.abs(exact).mean() * rng.standard_normal(A.shape[0])
+    result = bounded_least_squares(A, b, 0.0, upper).require_solved()
+    assert own_optimality(A, b, result.x, 0.0, upper) <= 1e-8
+    assert ((result.x >= 0.0) & (result.x <= upper)).all()
+    assert result.nit <= 3 * A.shape[1]
+    if upper == INF:
+        dense = A.toarray() if sp.issparse(A) else A
+        assert result.cost <= 0.5 * nnls(dense, b, maxiter=30 * A.shape[1])[1] ** 2 + 1e-9 * (b @ b)
+
+
+def test_small_problems_by_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What one compiled call solves, libraries called step by step solve as well, to the same x."""
+    rng = np.random.default_rng(6)
+    for k in range(60):
+        m, n = rng.integers(10, 40), rng.integers(1, 10)
+        A = rng.random((m, n)) if k % 2 else rng.standard_normal((m, n))
+        b, lower, upper, weights = rng.standard_normal(m), -rng.random(n), rng.random(n), rng.random(m)
+        lower[rng.random(n) < 0.3], upper[rng.random(n) < 0.3] = -INF, INF
+        options: dict[str, Any] = {"weights": weights, "ridge": float(k % 3)}
+        with monkeypatch.context() as patch:
+            at_once = bounded_least_squares(A, b, lower, upper, **options).require_solved()
+            patch.setattr(least_squares, "SMALL", 0)
+            by_steps = bounded_least_squares(A, b, lower, upper, **options).require_solved()
+        np.testing.assert_allclose(at_once.x, by_steps.x, atol=1e-9)
+        np.testing.assert_array_equal(at_once.active_mask, by_steps.active_mask)
+
+
+# --- the gap against exact arithmetic -----------------------------------------------------------------------
+
+
+def exact_minimum(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, upper: list[Any]) -> Fraction:
+    """The exact minimum over 0 ≤ x ≤ upper: of all faces whose equations have one answer, the best feasible one.
+
+    Some minimum lies on such a face, as columns that depend on others can be moved to a bound.
+    """
+    m, n = A.shape
+    rows = [[Fraction(int(a)) for a in row] for row in A]
+    best = None
+    for face in product((0, 1, 2), repeat=n):
+        if any(side == 2 and bound is None for side, bound in zip(face, upper, strict=True)):
+            continue
+        x = [Fraction(upper[j] if side == 2 else 0) for j, side in enumerate(face)]
+        columns = [j for j in range(n) if face[j] == 1]
+        right = [Fraction(int(b[i])) - sum(rows[i][j] * x[j] for j in range(n)) for i in range(m)]
+        system = [
+            [sum(int(weights[i]) * rows[i][j] * rows[i][k] for i in range(m)) + ridge * (j == k) for k in columns]
+            + [sum(int(weights[i]) * rows[i][j] * right[i] for i in range(m))]
+            for j in columns
+        ]
+        found = eliminated(system)
+        if found is None:
+            continue
+        for j, value in zip(columns, found, strict=True):
+            x[j] = value
+        if all(value >= 0 and (bound is None or value <= bound) for value, bound in zip(x, upper, strict=True)):
+            value = exact_cost(A, b, weights, ridge, x)
+            best = value if best is None else min(best, value)
+    assert best is not None
+    return best
+
+
+def eliminated(system: list[list[Fraction]]) -> list[Fraction] | None:
+    size = len(system)
+    for k in range(size):
+        pivot = next((i for i in range(k, size) if system[i][k] != 0), None)
+        if pivot is None:
+            return None
+        system[k], system[pivot] = system[pivot], system[k]
+        system[k] = [value / system[k][k] for value in system[k]]
+        for i in range(size):
+            if i != k:
+                system[i] = [a - system[i][k] * c for a, c in zip(system[i], system[k], strict=True)]
+    return [row[-1] for row in system]
+
+
+def exact_cost(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, x: Any) -> Fraction:
+    values = [Fraction(float(v)) if isinstance(v, float) else v for v in x]
+    rests = [sum(int(a) * v for a, v in zip(row, values, strict=True)) - int(c) for row, c in zip(A, b, strict=True)]
+    return (sum(int(w) * r * r for w, r in zip(weights, rests, strict=True)) + ridge * sum(v * v for v in values)) / 2
+
+
+@pytest.mark.parametrize("form", [np.ascontiguousarray, np.asfortranarray, sp.csr_array])
+def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> None:
+    """By rows in blocks, by columns and sparse: the exact residual and gradient lie within the proved radii."""
+    rng = np.random.default_rng(2)
+    A, b, x = 10.0 ** rng.integers(-3, 4, (1100, 3)) * rng.standard_normal((1100, 3)), rng.random(1100), rng.random(3)
+    weights = rng.random(1100)
+    enclosures = Enclosures(BoundedLeastSquares(form(A), b, weights=weights, ridge=0.3))
+    residual = enclosures.residual(x)
+    gradient = enclosures.gradient(x, residual)
+    exact = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True)) - Fraction(c)
+             for row, c in zip(A, b, strict=True)]
+    slope = [sum(Fraction(w) * Fraction(a) * r for w, a, r in zip(weights, A[:, j], exact, strict=True))
+             + Fraction(0.3) * Fraction(x[j]) for j in range(3)]
+    for true, (value, radius) in ((exact, residual), (slope, gradient)):
+        assert all(abs(t - Fraction(v)) <= Fraction(r) for t, v, r in zip(true, value, radius, strict=True))
+        assert (radius <= 1e-9 * (1.0 + np.abs(A).sum())).all()
+
+
+@given(st.integers(1, 5), st.integers(1, 4), st.integers(0, 10**6), st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]))
+def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, tolerance: float) -> None:
+    """In rational arithmetic, whatever the tolerance, rank, weights, ridge: cost − min ≤ gap; SOLVED is true."""
+    rng = np.random.default_rng(seed)
+    A, b, weights = rng.integers(-4, 5, (m, n)), rng.integers(-6, 7, m), rng.integers(0, 3, m)
+    upper = [None if rng.random() < 0.6 else int(rng.integers(0, 3)) for _ in range(n)]
+    ridge = int(rng.integers(0, 2))
+    bound = np.array([INF if u is None else float(u) for u in upper])
+    limit = int(rng.integers(0, 4)) if tolerance > 1e-10 else None
+    options: dict[str, Any] = {"tolerance": tolerance, "max_iterations": limit}
+    result = bounded_least_squares(A, b, 0.0, bound, weights=weights, ridge=ridge, **options)
+    x = [float(v) for v in result.x]
+    true_gap = exact_cost(A, b, weights, ridge, x) - exact_minimum(A, b, weights, ridge, upper)
+    assert result.is_proved
+    assert 0 <= true_gap <= Fraction(result.gap)
+    if result.is_solved:  # no more than the tolerance above the least, beside its cost, but for rounding
+        case = Case("", A.astype(float), b.astype(float), np.zeros(n), bound, weights.astype(float), float(ridge))
+        assert result.optimality <= tolerance
+        assert complaint(case, Exact(case), result.x, tolerance) != "FALSE"
+
+
+def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:
+    """Full rank, NNLS: a gap of 1e-9 of the cost, where the naive one is infinite; never more than the cost."""
+    A, b, _, x = planted(random_rows(2000, 400, 6))
+    result = bounded_least_squares(A, b)
+    assert (A.T @ result.fun < 0.0).any()  # multipliers of a wrong sign, with x unbounded there
+    assert result.cost - 0.5 * np.sum((A @ x - b) ** 2) <= result.gap <= 1e-9 * result.cost
+    assert bounded_least_squares(np.ones((3, 2)), [1.0, 2.0, 4.0], -INF).gap <= 7.0
+
+
+def test_least_squares_in_mixed_units(capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows, columns, weights in mixed units, any rank, exact fits: no SOLVED above the least, ≤ .5 % not solved."""
+    assert campaign.main(["--cases", "360", "--seed", "7", "--alone"]) == 0, capsys.readouterr().out
+
+
+@given(st.integers(0, 10**6), st.sampled_from([1e-8, 1e-3]))
+def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None:
+    """Rows × 2^k with weights ÷ 4^k, and columns × 2^k: the same status, the same x in its units, bit for bit."""
+    rng = np.random.default_rng(seed)
+    case = campaign.draw(campaign.KINDS[seed % 3], rng)
+    rows, columns = 2.0 ** rng.integers(-30, 31, case.b.size), 2.0 ** rng.integers(-30, 31, case.lower.size)
+    plain = bounded_least_squares(case.A, case.b, case.lower, case.upper, tolerance=tolerance)
+    scaled = bounded_least_squares(
+        rows[:, None] * case.A * columns, rows * case.b, case.lower / columns, case.upper / columns,
+        weights=1.0 / (rows * rows), tolerance=tolerance,
+    )
+    assert plain.status is scaled.status
+    np.testing.assert_array_equal(scaled.x * columns, plain.x)
+    assert scaled.optimality == plain.optimality
+
+
+# --- the complementarity problem ----------------------------------------------------------------------------
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("form", ["auto", "normal", "mixed"])
+@pytest.mark.parametrize("shape", [(40, 12), (9, 20), (0, 3), (3, 0)])
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
+def test_least_squares_as_a_complementarity_problem(shape: tuple[int, int], form: str, kind: Any) -> None:
+    """`solve` of each form, weights, ridge and a box included, recovers the x, residual and cost of the solver."""
+    rng = np.random.default_rng(sum(shape))
+    A, b, weights = kind(rng.standard_normal(shape)), rng.standard_normal(shape[0]), rng.random(shape[0])
+    weights[:1] = 0.0
+    for ridge, lower, upper in ((0.1, -0.2, 0.3), (0.0, 0.0, INF)):
+        direct = bounded_least_squares(A, b, lower, upper, weights=weights, ridge=ridge)
+        problem = lcp_from_least_squares(A, b, lower, upper, weights=weights, ridge=ridge, form=form)
+        answer = problem.origin.recover(solve(problem, tolerance=1e-11).require_solved())
+        assert answer.cost == pytest.approx(direct.cost, rel=1e-8, abs=1e-12)
+        if shape[0] > shape[1] or ridge:
+            np.testing.assert_allclose(answer.x, direct.x, atol=1e-7)
+            np.testing.assert_allclose(answer.fun, direct.fun, atol=1e-6)
+
+
+def test_the_mixed_form_is_as_sparse_and_well_conditioned_as_the_data() -> None:
+    """A dense row, which fills AᵀA, and κ = 1e6, whose square no double holds: "mixed" has A's entries and solves."""
+    A = sp.csr_array(sp.vstack([sp.eye_array(300), np.ones((1, 300))]))
+    problem = lcp_from_least_squares(A, np.ones(301))
+    assert problem.origin.form == "mixed"
+    assert problem.nonzeros == 2 * A.nnz + 301
+    A, b, _, x = planted(of_condition(60, 30, 1e6))
+    problem = lcp_from_least_squares(A, b, form="mixed")
+    answer = problem.origin.recover(solve(problem, tolerance=1e-14))
+    np.testing.assert_allclose(answer.x, x, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e200, 1e-200])
+def test_squares_that_no_double_holds_are_not_formed(size: float) -> None:
+    """Where AᵀA overflows or vanishes the mixed form states the problem, and the normal one is refused."""
+    A, b = size * np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([2.0, 1.0, -1.0])
+    problem = lcp_from_least_squares(A, b)
+    assert problem.origin.form == "mixed"
+    np.testing.assert_allclose(size * problem.origin.recover(solve(problem)).x, [1.5, 0.0], atol=1e-9)
+    with pytest.raises(UnsuitableProblem, match='form="mixed"'):
+        lcp_from_least_squares(A, b, form="normal")
+
+
+
+def test_an_lcp_needs_entries() -> None:
+    """A LinearOperator and unknown forms are refused in words."""
+    with pytest.raises(UnsuitableProblem, match="a LinearOperator has none; use bounded_least_squares"):
+        lcp_from_least_squares(aslinearoperator(np.eye(2)), [1.0, 1.0])
+    with pytest.raises(InvalidOption, match="did you mean 'mixed'"):
+        lcp_from_least_squares(np.eye(2), [1.0, 1.0], form="mixt")
+
+
+# --- statuses -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(0.0, INF), (0.0, 1e9), (-INF, INF)])
+def test_small_columns_of_a_linear_operator_count(lower: float, upper: float) -> None:
+    """Half the columns × 1e-8, where nothing of b has to be left: SOLVED is not said before next to nothing is."""
+    rng = np.random.default_rng(0)
+    A, x = rng.standard_normal((200, 100)), np.abs(rng.standard_normal(100))
+    A[:, 50:] *= 1e-8
+    x[50:] *= 1e8
+    b = A @ x
+    result = bounded_least_squares(aslinearoperator(A), b, lower, upper)
+    assert result.require_solved().cost <= 1e-8 * (b @ b)
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(-1e10, 1e10), (-1e10, INF), (-INF, INF)])
+def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(lower: float, upper: float) -> None:
+    """Half the singular values × 1e-8, mixed over all columns: a gradient of 1e-8 beside a third of the cost."""
+    rng = np.random.default_rng(0)
+    mix = np.linalg.qr(rng.standard_normal((100, 100)))[0]
+    sizes = np.repeat([1.0, 1e-8], 50)
+    A = rng.standard_normal((200, 100)) * sizes @ mix
+    b = A @ (mix.T @ (rng.standard_normal(100) / sizes))
+    result = bounded_least_squares(aslinearoperator(A), b, lower, upper)
+    assert not result.is_solved or result.cost <= 1e-4 * (b @ b)
+    with pytest.raises(NotConverged):
+        result.require_solved()
+
+
+@pytest.mark.parametrize("unit", [1e-150, 1e-60, 1e60, 1e150])
+def test_a_linear_operator_has_any_unit(unit: float) -> None:
+    """Products whose squares overflow or underflow: the same answer in that unit."""
+    A, b, _, x = planted(of_condition(60, 30, 1e1))
+    for given_A, given_b, answer in ((unit * A, unit * b, x), (A, unit * b, unit * x), (A / unit, b, unit * x)):
+        result = bounded_least_squares(aslinearoperator(given_A), given_b).require_solved()
+        np.testing.assert_allclose(result.x / answer.max(), answer / answer.max(), atol=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1e-150, 1e-6, 1e6, 1e150])
+def test_the_unit_of_the_data_changes_nothing(unit: float) -> None:
+    """A and b in another unit, or x in another one: the same answer in that unit. (x = 0 is never called SOLVED.)"""
+    A, b, _, x = planted(of_condition(60, 30, 1e2))
+    for given_A, given_b, answer in ((unit * A, unit * b, x), (A, unit * b, unit * x), (A / unit, b, unit * x)):
+        result = bounded_least_squares(given_A, given_b).require_solved()
+        np.testing.assert_allclose(result.x / answer.max(), answer / answer.max(), atol=1e-8)
+
+
+def test_badly_scaled_columns() -> None:
+    """Columns over 20 orders of magnitude: each component is right in its own unit."""
+    units = np.logspace(-10, 10, 30)
+    A, b, _, x = planted(of_condition(60, 30, 1e2))
+    np.testing.assert_allclose(bounded_least_squares(A * units, b).require_solved().x * units, x, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("A", "b", "lower", "x"),
+    [
+        (np.zeros((3, 2)), np.ones(3), 0.0, [0.0, 0.0]),
+        (np.eye(2), np.zeros(2), 0.0, [0.0, 0.0]),
+        (np.eye(2), np.zeros(2), 1.0, [1.0, 1.0]),
+        (np.zeros((0, 2)), np.zeros(0), -1.0, [0.0, 0.0]),
+        (np.zeros((2, 0)), np.ones(2), 0.0, []),
+        (sp.csr_array((3, 2)), np.ones(3), 2.0, [2.0, 2.0]),
+        ([[1.0], [-1.0]], [1.0, 1.0], 0.0, [0.0]),
+        ([[1.0, 0.0], [0.0, 0.0]], [2.0, 5.0], 0.0, [2.0, 0.0]),
+    ],
+)
+def test_empty_and_trivial_problems(A: Any, b: Any, lower: float, x: list[float]) -> None:
+    """Nothing to fit, nothing to choose, nothing to gain: the point of the box nearest to 0 that is best."""
+    result = bounded_least_squares(A, b, lower).require_solved()
+    np.testing.assert_array_equal(result.x, x)
+
+
+def test_statuses_say_why_a_run_ended() -> None:
+    """Limits end a run with their own names and the best point; optimal but for rounding is SOLVED to any tolerance."""
+    A, b, _, _ = planted(random_rows(3000, 600, 8))
+    none = bounded_least_squares(A, b, max_iterations=0)
+    few = bounded_least_squares(A, b, max_iterations=5)
+    assert none.status is few.status is Status.MAX_ITERATIONS
+    assert few.nit == 5
+    assert few.cost < none.cost
+    assert bounded_least_squares(A, b, max_seconds=0.0).status is Status.MAX_SECONDS
+    assert bounded_least_squares(A, b, tolerance=0.0).require_solved().optimality == 0.0
+    with pytest.raises(NotConverged, match=r"MAX_ITERATIONS after 5 .*: optimality .*x0=result\.x"):
+        few.require_solved()
+    again = bounded_least_squares(A, b, x0=bounded_least_squares(A, b).x)
+    assert again.nit == 0
+
+
+def test_ctrl_c_keeps_the_best_point() -> None:
+    """A KeyboardInterrupt in the middle of a product ends the run INTERRUPTED, with the point it had."""
+    A, b, _, _ = planted(random_rows(3000, 600, 8))
+    calls = []
+
+    def matvec(x: np.ndarray) -> np.ndarray:
+        calls.append(1)
+        if len(calls) == 12:
+            raise KeyboardInterrupt
+        return A @ x
+
+    result = bounded_least_squares(LinearOperator(A.shape, matvec=matvec, rmatvec=lambda y: A.T @ y, dtype=float), b)
+    assert result.status is Status.INTERRUPTED
+    assert 0.0 < result.cost < 0.5 * (b @ b)
+
+
+def test_the_callers_data_stay_as_they_are() -> None:
+    """Nothing given is modified, and the answer is read-only."""
+    A, b, upper, _ = planted(of_condition(40, 20, 10.0), boxed=0.3)
+    weights, x0 = np.ones(40), np.full(20, 0.5)
+    given_data = [A, b, upper, weights, x0]
+    before = [array.copy() for array in given_data]
+    result = bounded_least_squares(A, b, 0.0, upper, weights=weights, x0=x0)
+    assert all(np.array_equal(*pair) for pair in zip(given_data, before, strict=True))
+    assert not result.x.flags.writeable
+    assert A.flags.writeable
+
+
+def test_the_same_call_gives_the_same_bits() -> None:
+    """Twice the same."""
+    A, b, _, _ = planted(random_rows(3000, 600, 8))
+    assert np.array_equal(bounded_least_squares(A, b).x, bounded_least_squares(A, b).x)
+
+
+def test_a_tall_dense_matrix_is_not_copied() -> None:
+    """The memory of a run beside A is less than half of A's own, its gap included."""
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((40_000, 60))
+    b = A @ np.maximum(rng.standard_normal(60), 0.0) + rng.standard_normal(40_000)
+    bounded_least_squares(A[:100], b[:100])  # compiled before memory is counted
+    tracemalloc.start()
+    result = bounded_least_squares(A, b)
+    gap = result.gap
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert result.is_solved
+    assert gap <= 1e-10 * result.cost
+    assert peak < 0.5 * A.nbytes
+
+
+@pytest.mark.parametrize("place", ["gradient", "radius"])
+@pytest.mark.parametrize("value", [np.nan, INF])
+def test_what_is_not_a_number_proves_nothing(place: str, value: float) -> None:
+    """A gradient or a radius that overflowed, or is NaN, in any component: no residual is said to be small."""
+    for j in range(3):
+        vectors = {"gradient": np.zeros(3), "radius": np.zeros(3)}
+        vectors[place][j] = value
+        for upper in (1.0, 2.0, INF):
+            found = largest_residuals(*vectors.values(), np.ones(3), np.zeros(3), np.full(3, upper), np.ones(3), True)
+            assert not found[0] < 0.5
+            assert not found[1] < 0.5
+
+
+def test_numbers_near_the_end_of_the_range() -> None:
+    """Entries and weights whose products overflow: an answer, or a status that says none; never a SOLVED NaN."""
+    A = np.array([[1e300, 1.0], [1.0, 1e-300], [2.0, 1.0]])
+    for weights in (None, [1e300, 1.0, 1e-300]):
+        result = bounded_least_squares(A, [1e200, 1.0, 1.0], weights=weights)
+        assert not result.is_solved or np.isfinite(result.x).all()
+
+
+# --- refusals -----------------------------------------------------------------------------------------------
+
+A_OF_THREE = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+B_OF_THREE = np.array([2.0, 1.0, -1.0])
+INFINITE = sp.csr_array([[1.0, INF], [0.0, 1.0], [1.0, 1.0]])
+REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
+    ({"A": [1.0, 2.0, 3.0]}, InvalidProblem, r"A must be a real matrix.*shape \(3,\); write a single row"),
+    ({"A": np.ones((2, 2, 2))}, InvalidProblem, r"A must be a real matrix.*got shape \(2, 2, 2\)"),
+    ({"A": A_OF_THREE * 1j}, InvalidProblem, "A must be a real matrix.*complex entries"),
+    ({"A": sp.csr_array(A_OF_THREE * 1j)}, InvalidProblem, "A must be a real matrix.*complex entries"),
+    ({"A": np.full((3, 2), np.nan)}, InvalidProblem, r"A must be finite, but A\[0, 0\] = nan"),
+    ({"A": INFINITE}, InvalidProblem, r"A must be finite, but A\[0, 1\] = inf"),
+    ({"A": None}, InvalidProblem, "A must be a real matrix.*got None"),
+    ({"A": LinearOperator((3, 2), matvec=lambda x: A_OF_THREE @ x, dtype=float)}, InvalidProblem, "needs rmatvec"),
+    ({"A": aslinearoperator(A_OF_THREE * 1j)}, InvalidProblem, "A must be a real matrix.*complex entries"),
+    ({"b": [1.0, 2.0]}, InvalidProblem, r"b must be a vector of length 3, got shape \(2,\)"),
+    ({"b": [[1.0], [2.0], [3.0]]}, InvalidProblem, r"b must be a vector of length 3, got shape \(3, 1\)"),
+    ({"b": [1.0, np.nan, 2.0]}, InvalidProblem, r"b must be finite, but b\[1\] = nan"),
+    ({"lower": 1.0, "upper": [2.0, 0.0]}, InvalidProblem, r"lower\[1\] = 1.0 and upper\[1\] = 0.0"),
+    ({"lower": [0.0]}, InvalidProblem, r"lower must be a number or a vector of length 2, got shape \(1,\)"),
+    ({"upper": np.nan}, InvalidProblem, "upper must not hold NaN"),
+    ({"weights": [1.0, -1.0, 1.0]}, InvalidProblem, r"≥ 0, but weights\[1\] = -1.0; 0 leaves a row out"),
+    ({"weights": [1.0]}, InvalidProblem, "weights must be a vector of length 3"),
+    ({"ridge": -1.0}, InvalidOption, "ridge must be a finite number ≥ 0, got -1.0"),
+    ({"ridge": np.nan}, InvalidOption, "ridge must be a finite number ≥ 0, got nan"),
+    ({"x0": [1.0]}, InvalidOption, "x0 must be a vector of length 2"),
+    ({"tolerance": -1e-8}, InvalidOption, "tolerance must be finite and not negative"),
+    ({"max_iterations": 1.5}, InvalidOption, "max_iterations must be a whole number"),
+    ({"max_seconds": "1"}, InvalidOption, "max_seconds must be a finite number"),
+]
+
+
+@pytest.mark.parametrize(("change", "error", "words"), REFUSED)
+def test_mistakes_are_refused_in_words(change: dict[str, Any], error: type[LCPError], words: str) -> None:
+    """What is wrong, where, and what is needed."""
+    with pytest.raises(error, match=words):
+        bounded_least_squares(**({"A": A_OF_THREE, "b": B_OF_THREE} | change))
+
+
+def test_the_result_shows_what_matters() -> None:
+    """Its repr fits a line or two, without the arrays as long as A has rows; a pickled one is the same."""
+    import pickle
+
+    result = bounded_least_squares(A_OF_THREE, B_OF_THREE)
+    assert isinstance(result, LeastSquaresResult)
+    assert len(repr(result)) < 400
+    copy = pickle.loads(pickle.dumps(result))
+    assert np.array_equal(copy.x, result.x)
+    assert copy.gap == result.gap

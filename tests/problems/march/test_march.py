@@ -1,0 +1,574 @@
+"""Marches in time: what is kept of them, what they give for derivatives."""
+
+from __future__ import annotations
+
+import pickle
+import tracemalloc
+from collections.abc import Callable
+from fractions import Fraction
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact import LOWER, UPPER, exact_rows, solve_fractions
+from exact_derivatives import distance, exact, piece_at, product
+
+from lcp_plugin import (
+    LCP,
+    Derivative,
+    InvalidOption,
+    InvalidProblem,
+    MarchDerivative,
+    Status,
+    UnsuitableProblem,
+    derivative,
+    march,
+    march_many,
+    solve,
+)
+from lcp_plugin.core.kernels.compilation import compiling_at_once
+from lcp_plugin.problems.march.kernels import banded_derivatives
+from lcp_plugin.problems.march.march import March, carry_remark
+
+# --- What is kept ---------------------------------------------------------------------------------------------
+
+
+def heated(n: int, k: int, seed: int = 0, **options: Any) -> March:
+    """A rod in k implicit steps between two temperatures, by forces that change."""
+    rng = np.random.default_rng(seed)
+    A = sp.diags_array([-1.0, 2.5, -1.2], offsets=[-1, 0, 1], shape=(n, n))
+    problem = LCP(sp.eye_array(n) + A, np.zeros(n), lower=-1.0, upper=1.0)
+    return march(problem, rng.normal(scale=2.0, size=(k, n)), z0=rng.normal(size=n), **options)
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "psor"])
+@pytest.mark.parametrize("keep_every", [2, 7, 10, 23, 100])
+def test_answers_that_were_not_kept_are_the_same_bits(algorithm: str, keep_every: int) -> None:
+    """Whatever is kept, z and results are those of a march that keeps all, in any order of looking."""
+    whole = heated(12, 23, algorithm=algorithm)
+    sparse = heated(12, 23, algorithm=algorithm, keep_every=keep_every)
+    assert (len(sparse), sparse.all_solved) == (23, True)
+    for k in (*range(22, -1, -1), 5, -1, 0):
+        assert np.array_equal(sparse.z[k], whole.z[k])
+        assert np.array_equal(sparse[k].w, whole[k].w)
+        assert (sparse[k].iterations, sparse[k].algorithm) == (whole[k].iterations, whole[k].algorithm)
+    assert all(map(np.array_equal, sparse.z, whole.z))
+    assert len(pickle.loads(pickle.dumps(heated(12, 5, algorithm="psor", keep_every=2))).z[:3]) == 3
+
+
+def test_a_march_that_keeps_little_takes_little_memory() -> None:
+    """Of 1600 steps, one in 40 kept, no more than a tenth of what keeping all takes."""
+    taken = {}
+    for keep_every in (1, 40):
+        heated(500, 70, keep_every=keep_every)
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        rod = LCP(sp.diags_array([-1.0, 4.0, -1.0], offsets=[-1, 0, 1], shape=(500, 500)), np.zeros(500))
+        done = march(rod, np.broadcast_to(-1.0, (1600, 500)), keep_every=keep_every)
+        taken[keep_every] = tracemalloc.get_traced_memory()[0] - before
+        tracemalloc.stop()
+        assert len(done) == 1600
+    assert taken[40] <= 0.1 * taken[1]
+
+
+def test_what_keep_every_refuses() -> None:
+    """Anything but a positive integer, in words."""
+    for wrong in (0, -3, 2.5, True, "all"):
+        with pytest.raises(InvalidOption, match="keep_every must be an integer ≥ 1, got"):
+            heated(3, 2, keep_every=wrong)
+
+
+# --- Derivatives ----------------------------------------------------------------------------------------------
+
+INF = np.inf
+EPSILON = np.finfo(np.float64).eps
+
+
+def drawn(n: int, seed: int, width: int = 1, *, z: bool = False) -> tuple[LCP, sp.csr_array]:
+    """A box problem on a band that is not symmetric, and a carry on another one; M is an M-matrix where asked for."""
+    rng = np.random.default_rng(seed)
+
+    def banded(below: int, above: int) -> sp.csr_array:
+        offsets = [k for k in range(-below, above + 1) if k]
+        return sp.csr_array(sp.diags_array([rng.normal(size=n - abs(k)) for k in offsets], offsets=offsets))
+
+    M = banded(width, width + (0 if z else 1))
+    M = -abs(M) if z else M
+    M = sp.csr_array(M + sp.diags_array(1.0 + abs(M).sum(axis=1)))
+    carry = sp.csr_array(banded(1, 2) - sp.eye_array(n))
+    lower, upper = -rng.uniform(0.0, 0.6, n), rng.uniform(0.0, 0.6, n)
+    lower[::5], upper[1::5] = -INF, INF
+    lower[3] = upper[3] = 0.1
+    return LCP(M, np.zeros(n), lower=lower, upper=upper), carry
+
+
+def marched(problem: LCP, carry: sp.csr_array, k: int, seed: int, **options: Any) -> March:
+    rng = np.random.default_rng(seed)
+    return march(problem, rng.normal(size=(k, problem.n)), carry, z0=rng.normal(size=problem.n), **options)
+
+
+def stacked(done: March) -> Derivative:
+    """The derivative of the whole march as one problem: all steps below each other, M on the diagonal, C below it."""
+    k, problem = len(done), done.problem
+    M = sp.csr_array(sp.kron(sp.eye_array(k), problem.csr) + sp.kron(sp.eye_array(k, k=-1), done.carry))
+    q = np.array(done.forcing)
+    q[0] += done.carry @ done.z0
+    return derivative(
+        solve(LCP(M, q.ravel(), lower=np.tile(problem.lower, k), upper=np.tile(problem.upper, k)), tolerance=1e-13)
+    )
+
+
+CASES = {
+    "tridiagonal M-matrix": lambda: marched(*drawn(20, 1, z=True), 6, 1),
+    "band": lambda: marched(*drawn(24, 2, width=2), 5, 2),
+    "kept apart": lambda: marched(*drawn(24, 2, width=2), 7, 2, keep_every=3),
+    "psor": lambda: marched(*drawn(20, 3, z=True), 5, 3, algorithm="psor", tolerance=1e-13),
+    "dense": lambda: marched(LCP(grid(3).toarray(), np.zeros(9), lower=-0.2, upper=0.3), drawn(9, 4)[1], 4, 4),
+    "one by one": lambda: marched(LCP(grid(6), np.zeros(36), lower=-0.2, upper=0.3), -sp.csr_array(grid(6).T), 3, 5),
+    "a wide band": lambda: marched(*drawn(40, 6, width=35), 3, 6),
+}
+
+
+def grid(m: int) -> sp.csr_array:
+    """A five-point stencil with a drift, its rows in an order with no band."""
+    line = sp.diags_array([-1.0, 2.2, -0.8], offsets=[-1, 0, 1], shape=(m, m))
+    rows = np.random.default_rng(0).permutation(m * m)
+    return sp.csr_array(sp.csr_array(sp.kron(line, sp.eye_array(m)) + sp.kron(sp.eye_array(m), line))[rows][:, rows])
+
+
+def change_of(done: March, seed: int) -> dict[str, Any]:
+    """A direction in everything that a march has for data."""
+    rng, n = np.random.default_rng(seed), done.problem.n
+    move = rng.normal(size=n)
+    return {
+        "dM": sp.random_array((n, n), density=0.3, rng=rng), "dcarry": rng.normal(size=(n, n)),
+        "dforcing": rng.normal(size=(len(done), n)), "dz0": rng.normal(size=n), "dlower": move, "dupper": move,
+    }
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
+    """Forwards: dz of all steps is that of the steps stacked into one problem, solved without a march."""
+    done = CASES[case]()
+    k, n, change = len(done), done.problem.n, change_of(done, 7)
+    dq = np.array(change["dforcing"])
+    dq[0] += change["dcarry"] @ done.z0 + done.carry @ change["dz0"]
+    expected = stacked(done).jvp(
+        dM=sp.kron(sp.eye_array(k), change["dM"]) + sp.kron(sp.eye_array(k, k=-1), change["dcarry"]), dq=dq.ravel(),
+        dlower=np.tile(change["dlower"], k), dupper=np.tile(change["dupper"], k),
+    ).reshape(k, n)
+    found = derivative(done)
+    held = [(one.free.sum() > 0, one.free.sum() < n) for one in found]
+    assert all(map(all, held))
+    np.testing.assert_allclose(found.jvp(**change), expected, rtol=0, atol=1e-11 * abs(expected).max())
+    np.testing.assert_array_equal(found.jvp(**change, only_last=True), found.jvp(**change)[-1])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
+    """⟨g, dz⟩ is what the gradients by M, forcing, carry, z0 and bounds say, for all steps and the last one alone."""
+    done = CASES[case]()
+    found, change, rng = derivative(done), change_of(done, 8), np.random.default_rng(9)
+    change["dM"] = sp.csr_array(done.problem.csr * rng.normal(size=done.problem.csr.shape))  # on the patterns
+    change["dcarry"] = sp.csr_array(done.carry * rng.normal(size=done.carry.shape))
+    dz = found.jvp(**change)
+    for g in (rng.normal(size=dz.shape), rng.normal(size=done.problem.n)):
+        gradient = found.vjp(g)
+        assert gradient.M.nnz == done.problem.csr.nnz
+        assert gradient.carry.nnz == done.carry.nnz
+        terms = [
+            gradient.M.multiply(change["dM"]).sum(), gradient.carry.multiply(change["dcarry"]).sum(),
+            (gradient.forcing * change["dforcing"]).sum(), gradient.z0 @ change["dz0"],
+            gradient.lower @ change["dlower"], gradient.upper @ change["dupper"],
+        ]
+        expected = (g * dz).sum() if g.ndim == 2 else g @ dz[-1]
+        assert sum(terms) == pytest.approx(expected, rel=0, abs=1e-11 * sum(map(abs, terms)))
+
+
+def test_gradients_are_those_of_differences() -> None:
+    """Of M, forcing, carry, z0 and the bounds, each by central differences of whole marches."""
+    done = marched(*drawn(15, 11), 6, 12)
+    problem, rng = done.problem, np.random.default_rng(1)
+    g = rng.normal(size=(6, 15))
+    gradient = derivative(done).vjp(g)
+
+    def loss(**moved: Any) -> float:
+        data = {"M": problem.csr, "lower": problem.lower, "upper": problem.upper, "forcing": done.forcing,
+                "carry": done.carry, "z0": done.z0, **moved}
+        again = LCP(data["M"], np.zeros(15), lower=data["lower"], upper=data["upper"])
+        return float((g * np.array(march(again, data["forcing"], data["carry"], z0=data["z0"]).z)).sum())
+
+    for name, at in (("M", problem.csr), ("carry", done.carry), ("forcing", done.forcing), ("z0", done.z0)):
+        step = at.copy() if not sp.issparse(at) else sp.csr_array((rng.normal(size=at.nnz), at.indices, at.indptr))
+        step = rng.normal(size=at.shape) if not sp.issparse(at) else step
+        slope = (loss(**{name: at + 1e-6 * step}) - loss(**{name: at - 1e-6 * step})) / 2e-6
+        by = getattr(gradient, name)
+        assert slope == pytest.approx((by.multiply(step) if sp.issparse(by) else by * step).sum(), rel=1e-6)
+    shift = rng.normal(size=15)
+    slope = (loss(lower=problem.lower + 1e-6 * shift, upper=problem.upper + 1e-6 * shift)
+             - loss(lower=problem.lower - 1e-6 * shift, upper=problem.upper - 1e-6 * shift)) / 2e-6
+    assert slope == pytest.approx((gradient.lower + gradient.upper) @ shift, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tiny_marches_in_exact_arithmetic(seed: int) -> None:
+    """Each step's change, in fractions from exact data to exact dz, is what jvp says to rounding."""
+    rng = np.random.default_rng(seed)
+    n, k = 4, 3
+    M = sp.csr_array(np.tril(np.triu(rng.integers(-3, 4, (n, n)), -1), 1) + 8 * np.eye(n))
+    carry = sp.csr_array(rng.integers(-4, 5, (n, n)) / 2.0)
+    problem = LCP(M, np.zeros(n), lower=-0.25, upper=[0.5, INF, 0.75, 0.5])
+    done = march(problem, rng.integers(-9, 10, (k, n)) / 2.0, carry, z0=[1.0, -1.0, 0.5, 0.25])
+    found, change = derivative(done), change_of(done, seed)
+    dM, dcarry = np.asarray(change["dM"].todense()), change["dcarry"]
+    of_carry, dz = exact_rows(done.carry.toarray()), [found.jvp(**change)]
+    z, moved = exact(done.z0), exact(change["dz0"])
+    for step, answer in enumerate(dz[0]):
+        q = [a + b for a, b in zip(exact(done.forcing[step]), product(of_carry, z), strict=True)]
+        dq = [sum(parts) for parts in zip(exact(change["dforcing"][step]), product(exact_rows(dcarry), z),
+                                          product(of_carry, moved), strict=True)]
+        piece = piece_at(problem, done.z[step], found[step].free)
+        M_of = piece.M
+        ends = {-1: problem.lower, 1: problem.upper}
+        states = [(-1 if s == LOWER else 1 if s == UPPER else 0) for s in piece.states]
+        free = [i for i in range(n) if not states[i]]
+
+        def completed(x: list[Any], right: list[Any], M_of: Any = M_of, free: list[int] = free) -> list[Any]:
+            rest = [-right[i] - sum(M_of[i][j] * x[j] for j in range(n)) for i in free]
+            for i, value in zip(free, solve_fractions([[M_of[i][j] for j in free] for i in free], rest), strict=True):
+                x[i] = value
+            return x
+
+        z = completed([Fraction(float(ends[s][i])) if s else Fraction(0) for i, s in enumerate(states)], q)
+        right = [a + b for a, b in zip(product(exact_rows(dM), z), dq, strict=True)]
+        moves = {-1: change["dlower"], 1: change["dupper"]}
+        moved = completed([Fraction(float(moves[s][i])) if s else Fraction(0) for i, s in enumerate(states)], right)
+        assert distance(answer, moved) <= 1e-13
+
+
+def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
+    """A row with z = lower and w = 0: changes are one-sided, gradients those of the piece that holds it."""
+    rod = LCP(sp.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(40, 40)), np.zeros(40))
+    forcing = np.zeros((3, 40))
+    forcing[:, :10] = -1.0
+    forcing[1, 30] = 1.0  # the others far right are 0 with w ≥ 0, and rounding decides nothing there
+    wide = march(rod, forcing, carry=0.0)
+    still = march(rod, np.zeros((3, 40)))
+    found = derivative(still)
+    assert (found.is_unique, len(found.degenerate)) == (False, 120)
+    up = found.jvp(dforcing=np.full(40, -1.0))
+    assert (up[0] > 0.0).all()
+    assert not found.jvp(dforcing=np.full(40, 1.0)).any()
+    assert not found.vjp(np.ones(40)).forcing.any()
+    assert np.array_equal(found.vjp(np.ones((3, 40))).lower, np.full(40, 3.0))
+    assert derivative(wide).jvp(dforcing=forcing).shape == (3, 40)
+    assert derivative(marched(*drawn(20, 1, z=True), 6, 1)).is_unique is True
+
+
+def test_tails_that_underflow_are_left_to_no_small_problem() -> None:
+    """Prices of 10⁻³²⁰ far from the money: the compiled loop takes every step, forwards and backwards, as elsewhere."""
+    n, k = 240, 6
+    M = sp.diags_array([-0.01, 1.03, -0.01], offsets=[-1, 0, 1], shape=(n, n))
+    payoff = np.maximum(20.0 - np.arange(n), 0.0)
+    done = march(LCP(M, np.zeros(n), lower=payoff), np.zeros((k, n)), z0=payoff)
+    assert 0.0 < done.z[-1][done.z[-1] > 0.0].min() < 1e-300
+    found, change = derivative(done), change_of(done, 1)
+    assert all(part.is_plain.all() for part in found._parts())
+    change["dM"], change["dcarry"], change["dforcing"] = M, 0.5, np.zeros((k, n))
+    del change["dupper"]
+    change["dz0"] = change["dlower"] = np.where(payoff > 0.0, change["dlower"], 0.0)
+    dz, eps = found.jvp(**change), 1e-6
+
+    def moved(t: float) -> np.ndarray:
+        problem = LCP((1.0 + t) * M, np.zeros(n), lower=payoff + t * change["dlower"])
+        return np.array(march(problem, np.zeros((k, n)), 0.5 * t - 1.0, z0=payoff + t * change["dz0"]).z)
+
+    np.testing.assert_allclose(dz, (moved(eps) - moved(-eps)) / (2 * eps), rtol=0, atol=1e-7)
+    g = np.random.default_rng(0).normal(size=(k, n))
+    gradient = found.vjp(g)
+    total = gradient.M.multiply(M).sum() + 0.5 * gradient.carry.diagonal().sum()
+    assert total + (gradient.lower + gradient.z0) @ change["dlower"] == pytest.approx((g * dz).sum(), rel=1e-10)
+
+
+def test_steps_that_need_more_digits_are_taken_one_by_one() -> None:
+    """A row nearly at a kink is left by the compiled loop, in the middle of others, and all agree with one problem."""
+    problem, carry = drawn(20, 1, z=True)
+    done = marched(problem, carry, 6, 1)
+    forcing = np.array(done.forcing)
+    w = done[3].w
+    held = int(np.argmax((done.z[3] == problem.lower) & (problem.lower < problem.upper)))
+    forcing[3, held] -= w[held] - 2e-15  # z stays, and w is rounding
+    near = march(problem, forcing, carry, z0=done.z0)
+    found = derivative(near)
+    plain = np.concatenate([part.is_plain for part in found._parts()])
+    assert plain.tolist() == [True, True, True, False, True, True]
+    g = np.random.default_rng(0).normal(size=(6, 20))
+    gradient, change = found.vjp(g), change_of(near, 3)
+    assert np.isfinite(found.jvp(**change)).all()
+    left, by_z = gradient.z0, np.zeros(20)
+    for k in range(5, -1, -1):
+        by_z = carry.T @ found[k].vjp(g[k] + by_z).q
+    np.testing.assert_allclose(left, by_z, rtol=1e-11)
+
+
+def test_the_gradients_of_a_step_are_those_of_its_derivative() -> None:
+    """One step: vjp and jvp are those of Derivative, by the same names, M and bounds included."""
+    done = marched(*drawn(30, 5), 1, 3)
+    found, alone, g = derivative(done), derivative(done[0]), np.random.default_rng(0).normal(size=30)
+    ours, theirs = found.vjp(g), alone.vjp(g)
+    for name in ("lower", "upper", "M"):
+        one, other = (getattr(gradient, name) for gradient in (ours, theirs))
+        assert abs(one - other).max() <= 1e-13 * abs(other).max()
+    np.testing.assert_allclose(ours.forcing[0], theirs.q, atol=1e-14)
+    np.testing.assert_array_equal(found[0].z, alone.z)
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"dz0": np.zeros(2)}, "dz0 must be"),
+    ({"dforcing": np.zeros((2, 5))}, r"dforcing must be a finite array of shape \(4, 5\), or \(5,\) for all steps"),
+    ({"dforcing": np.full((4, 5), np.nan)}, r"dforcing must be .* but dforcing\[0, 0\] is not"),
+    ({"dM": np.eye(4)}, "dM must be"),
+    ({"dcarry": np.eye(4)}, "dcarry must be"),
+    ({"dlower": np.inf}, "dlower must be a finite"),
+])
+def test_what_changes_are_refused(given: dict[str, Any], message: str) -> None:
+    """Changes of another shape, or not finite; and marches that did not get to their end."""
+    found = derivative(heated(5, 4))
+    with pytest.raises(InvalidProblem, match=message):
+        found.jvp(**given)
+
+
+def test_what_has_no_derivative() -> None:
+    """A g of another shape; a march that was not solved to its end; what is no result at all."""
+    with pytest.raises(InvalidProblem, match=r"g must be a finite array of shape \(4, 5\), or \(5,\) for the last"):
+        derivative(heated(5, 4)).vjp(np.zeros((3, 5)))
+    with pytest.raises(InvalidProblem, match=r"but g\[2\] is not"):
+        derivative(heated(5, 4)).vjp([0.0, 0.0, np.nan, 0.0, 0.0])
+    cut = heated(5, 4, algorithm="psor", max_iterations=0)
+    with pytest.raises(UnsuitableProblem, match=r"only a march solved to its end.* 1 of 4 steps, and step 0 ended"):
+        derivative(cut)
+    overflown = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, carry=-1e200)
+    with pytest.raises(UnsuitableProblem, match="it took 2 of 3 steps, and step 1 q must be"):
+        derivative(overflown)
+
+
+def test_a_march_without_steps_has_a_derivative() -> None:
+    """Of no steps at all: no changes, and gradients that are 0."""
+    found = derivative(march(LCP(np.eye(3), np.zeros(3)), np.zeros((0, 3))))
+    assert found.jvp(dz0=np.ones(3)).shape == (0, 3)
+    assert not found.vjp(np.zeros((0, 3))).z0.any()
+
+
+def test_all_ways_to_ask_run_what_one_has_compiled() -> None:
+    """Marches and directions of any layout, kept or not, with compiled code for one kind of arrays; the same bits."""
+    done, kernel = marched(*drawn(40, 1, z=True), 30, 1), banded_derivatives
+    change, g = change_of(done, 1), np.random.default_rng(0).normal(size=(30, 40))
+    with compiling_at_once():
+        first, dz = derivative(done).vjp(g), derivative(done).jvp(**change)
+        compiled = [kernel.settle, kernel.adjoints, kernel.tangents]
+        before = [len(one.signatures) for one in compiled]
+        steady = march(done.problem, np.broadcast_to(done.forcing[0], (5, 40)), done.carry, z0=done.z0)
+        derivative(steady).vjp(g[0])
+        derivative(steady).jvp(dforcing=g[0], dcarry=2.0, only_last=True)
+        change["dforcing"] = np.asfortranarray(change["dforcing"])
+        again = marched(*drawn(40, 1, z=True), 30, 1, keep_every=7)
+        for found in (derivative(done), derivative(again)):
+            gradient = found.vjp(np.asfortranarray(g))
+            for name in ("z0", "lower", "upper", "forcing"):
+                np.testing.assert_allclose(getattr(gradient, name), getattr(first, name), rtol=0, atol=1e-12)
+            np.testing.assert_allclose(found.jvp(**change), dz, rtol=0, atol=1e-11)
+        assert derivative(done).vjp(g).forcing.tobytes() == first.forcing.tobytes()
+        assert [len(one.signatures) for one in compiled] == before
+
+
+# --- Many at once ---------------------------------------------------------------------------------------------
+
+
+def strikes(n: int, k: int, count: int) -> tuple[LCP, np.ndarray, sp.csr_array]:
+    """American puts with one M: the problem, the payoff of each strike, a carry of a Crank–Nicolson scheme."""
+    x = np.linspace(-1.0, 1.0, n)
+    A = sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (0.02 * (n / 2) ** 2)
+    payoff = np.maximum(np.linspace(0.8, 1.2, count)[:, None] - np.exp(x), 0.0)
+    carry = sp.csr_array(A / (2 * k) - sp.eye_array(n))
+    return LCP(sp.csr_array(sp.eye_array(n) + A / (2 * k)), np.zeros(n)), payoff, carry
+
+
+@pytest.mark.parametrize("keep_every", [1, 9])
+def test_strikes_at_once_are_those_one_by_one(keep_every: int) -> None:
+    """Bit for bit, on any number of threads, with results that say the same."""
+    problem, payoff, carry = strikes(120, 100, 41)
+    forcing = np.zeros((100, 120))
+    alone = [march(problem.with_q(problem.q, lower=g), forcing, carry, z0=g) for g in payoff]
+    for threads in (1, 2, 3):
+        found = march_many(problem, forcing, carry, lower=payoff, z0=payoff, threads=threads, keep_every=keep_every)
+        assert len(found) == 41
+        for ours, theirs in zip(found, alone, strict=True):
+            assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
+            for k in (0, 1, 50, 98, 99):
+                assert np.array_equal(ours.z[k], theirs.z[k])
+            assert np.array_equal(ours[50].w, theirs[50].w)
+            assert np.array_equal(ours[50].certificate.problem.q, theirs[50].certificate.problem.q)
+            assert ours[50].certificate.relative_residual <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
+            assert (ours[50].status, ours[50].algorithm) == (theirs[50].status, theirs[50].algorithm)
+    np.testing.assert_allclose(
+        derivative(found[7]).vjp(np.ones(120)).z0, derivative(alone[7]).vjp(np.ones(120)).z0, rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("make", [
+    lambda: (LCP(grid(5), np.zeros(25)), -1.0), lambda: drawn(25, 2, width=2), lambda: drawn(25, 1, z=True),
+])
+def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) -> None:
+    """Forcings, bounds and states of their own, or one for all; where steps are hard, and on any matrix."""
+    (problem, carry), rng = make(), np.random.default_rng(3)
+    forcing, states = rng.normal(scale=5.0, size=(6, 8, 25)), rng.normal(size=(6, 25))
+    lower, upper = -rng.uniform(0.1, 1.0, (6, 25)), rng.uniform(0.1, 1.0, (6, 25))
+    upper[:, 3] = lower[:, 3]
+    found = march_many(problem, forcing, carry, lower=lower, upper=upper, z0=states)
+    for j, one in enumerate(found):
+        alone = march(problem.with_q(problem.q, lower=lower[j], upper=upper[j]), forcing[j], carry, z0=states[j])
+        assert one.all_solved
+        for ours, theirs in zip(one.z, alone.z, strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-7 * abs(theirs).max())
+    same = march_many(problem, forcing[0], carry, z0=states)
+    assert all(np.allclose(one.z[0], march(problem, forcing[0][:1], carry, z0=z).z[0], atol=1e-7)
+               for one, z in zip(same, states, strict=True))
+    assert [len(one) for one in march_many(problem, forcing[:, :0], carry)] == [0] * 6
+    assert len(march_many(problem, forcing[0], carry)) == 1
+
+
+def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
+    """One that overflows, and one that is not solved: each says so, the others reach their end."""
+    rod = LCP(sp.diags_array([-1.0, 2.5, -1.0], offsets=[-1, 0, 1], shape=(6, 6)), np.zeros(6))
+    forcing = np.full((3, 4, 6), -1.0)
+    forcing[1, 2:] = -1.7e308
+    found = march_many(rod, forcing, -0.5)
+    assert [len(one) for one in found] == [4, len(found[1]), 4]
+    assert [one.all_solved for one in found] == [True, False, True]
+    assert len(found[1]) < 4
+    cut = march_many(rod, forcing[[0, 2]], -0.5, algorithm="psor", max_iterations=0)
+    assert [(len(one), one.all_solved) for one in cut] == [(1, False)] * 2
+    late = march_many(rod, forcing[[0, 2]], -0.5, max_seconds=0.0)
+    assert [(len(one), one[0].status) for one in late] == [(1, Status.MAX_SECONDS)] * 2
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"forcing": np.zeros((2, 2, 4))}, r"forcing must be .* \(m, k, n\), or \(k, n\) for all marches, n = 3, got"),
+    ({"forcing": np.full((1, 2, 3), np.nan)}, r"but forcing\[0, 0, 0\] = nan; repair that entry"),
+    ({"z0": np.zeros((4, 3))}, "must be equally long, got forcing 2, z0 4"),
+    ({"lower": np.zeros((2, 5))}, r"lower must have shape \(B, n\)"),
+    ({"carry": np.eye(2)}, "carry must be"),
+])
+def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
+    """Data of other shapes or not finite, in words and before the first step."""
+    with pytest.raises(InvalidProblem, match=message):
+        march_many(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((2, 2, 3)), **given})
+    with pytest.raises(InvalidOption, match="march_many needs an LCP, got ndarray"):
+        march_many(np.eye(3), np.zeros((1, 3)))
+    with pytest.raises(InvalidOption, match="march has no option 'tol'"):
+        march_many(LCP(np.eye(3), np.zeros(3)), np.zeros((1, 3)), tol=1e-3)
+
+
+def test_ctrl_c_ends_all_marches() -> None:
+    """What is interrupted within a step ends its march and those behind it; what was taken stays."""
+    rod, seen = LCP(sp.eye_array(300) * 3.0 + sp.eye_array(300, k=40) + sp.eye_array(300, k=-40), np.zeros(300)), [0]
+
+    def callback(*_: Any) -> None:
+        seen[0] += 1
+        if seen[0] == 10:
+            raise KeyboardInterrupt
+
+    forcing = np.random.default_rng(0).normal(size=(3, 30, 300))
+    done = march_many(rod, forcing, algorithm="psor", callback=callback)
+    assert seen[0] == 10
+    assert not any(one.all_solved for one in done)
+
+
+def test_the_last_answer_of_no_step_is_the_start() -> None:
+    """A march without a step moves with z0, and has no rows."""
+    found = derivative(march(LCP(2.0 * np.eye(3), np.zeros(3)), np.zeros((0, 3))))
+    assert found.jvp(dz0=np.ones(3), only_last=True).tolist() == [1.0, 1.0, 1.0]
+    assert found.jvp(dz0=np.ones(3)).shape == (0, 3)
+
+
+# --- Schemes in time ------------------------------------------------------------------------------------------
+
+
+Legs = list[tuple[MarchDerivative, float]]
+
+
+def european(steps: int, n: int = 399, *, damped: bool = True) -> tuple[np.ndarray, Legs]:
+    """Log-prices, the marches of a European put of strike 1 in a year, r = 5 %, σ = 30 %, and the share of A in C."""
+    x = np.linspace(-1.5, 1.5, n + 2)[1:-1]
+    A, half, payoff = black_scholes(x, 0.3), 0.5 / steps, np.maximum(1.0 - np.exp(x), 0.0)
+    problem = LCP(sp.eye_array(n) + half * A, np.zeros(n), lower=-INF)
+    first = march(problem, np.zeros((4 if damped else 0, n)), z0=payoff)
+    rest = march(problem, np.zeros((steps - 2 if damped else steps, n)), half * A - sp.eye_array(n),
+                 z0=first.z[-1] if damped else payoff)
+    return x, [(derivative(first), 0.0), (derivative(rest), half)] if damped else [(derivative(rest), half)]
+
+
+def black_scholes(x: np.ndarray, volatility: float) -> sp.sparray:
+    n, h = x.size, x[1] - x[0]
+    slope = sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (2.0 * h)
+    curvature = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / h**2
+    return 0.5 * volatility**2 * (slope - curvature) + 0.05 * (sp.eye_array(n) - slope)
+
+
+def test_damped_crank_nicolson_is_of_order_two() -> None:
+    """Halving the steps behind a payoff with a kink divides the error by four, with four damped steps and only then."""
+    exact, middle = european(1280)[1][-1][0].march.z[-1], slice(100, 300)
+    for damped in (True, False):
+        errors = [abs(european(steps, damped=damped)[1][-1][0].march.z[-1] - exact)[middle].max()
+                  for steps in (10, 20, 40)]
+        orders = np.log2(errors[:-1]) - np.log2(errors[1:])
+        assert (np.abs(orders - 2.0) < 0.05).all() == damped
+
+
+def test_greeks_of_a_european_put_are_those_of_the_formula() -> None:
+    """Delta, vega and rho far from the ends, forwards and backwards, against Black and Scholes, to the grid's error."""
+    x, legs = european(80)
+    n, half, normal = x.size, 0.5 / 80, NormalDist()
+    d1 = (x + 0.05 + 0.045) / 0.3
+    density = np.exp(-0.5 * d1**2) / np.sqrt(2.0 * np.pi)
+    below = np.array([normal.cdf(d) for d in d1 - 0.3])
+    expected = {
+        "delta": np.exp(x) * (np.array([normal.cdf(d) for d in d1]) - 1.0), "vega": np.exp(x) * density,
+        "rho": -np.exp(-0.05) * (1.0 - below),
+    }
+    by_volatility = (black_scholes(x, 0.4) - black_scholes(x, 0.2)) / 0.2  # A is quadratic in it
+    by_rate = sp.eye_array(n) - sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (2.0 * (x[1] - x[0]))
+    shift, node = np.where(x < -1e-12, -np.exp(x), np.where(x < 1e-12, -0.5, 0.0)), n // 2
+    for name, dA, dz0 in (("delta", 0.0 * by_rate, shift), ("vega", by_volatility, 0.0 * x), ("rho", by_rate, 0.0 * x)):
+        dz = dz0
+        for found, old in legs:
+            dz = found.jvp(dM=half * dA, dcarry=old * dA, dz0=dz, only_last=True)
+        assert abs(dz - expected[name])[180:300].max() <= 1e-3 * abs(expected[name]).max()
+        g, back = np.eye(n)[node], 0.0
+        for found, old in reversed(legs):
+            gradient = found.vjp(g)
+            back, g = back + (half * gradient.M + old * gradient.carry).multiply(dA).sum(), gradient.z0
+        assert back + g @ dz0 == pytest.approx(dz[node], rel=1e-10)
+
+
+STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))
+
+
+@pytest.mark.parametrize(
+    ("carry", "is_remarked"),
+    [
+        (sp.eye_array(16), True),
+        (MASS, True),  # a consistent mass matrix with the wrong sign
+        (-sp.eye_array(16), False),
+        (-MASS, False),
+        (5.0 * STIFFNESS - sp.eye_array(16), False),  # Crank–Nicolson with long steps
+        (sp.csr_array((16, 16)), False),
+        (sp.eye_array(16, k=1), False),  # a delay
+    ],
+)
+def test_a_carry_of_the_wrong_sign_is_remarked(carry: Any, is_remarked: bool) -> None:
+    """A carry that raises every q has a sentence that names the sign of an implicit step; other carries have none."""
+    said = carry_remark(LCP(STIFFNESS + sp.eye_array(16), np.zeros(16)), sp.csr_array(carry))
+    assert ("has carry −1" in said) == is_remarked == bool(said)

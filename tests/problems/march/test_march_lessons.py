@@ -1,0 +1,199 @@
+"""What one step of a march teaches the next: the same answers, from less work."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+
+import marches
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import LCP, Status, gallery, march, solve
+from lcp_plugin.core.splittings.projected_relaxation import PSOR
+from lcp_plugin.methods.multigrid.multigrid import Multigrid
+from lcp_plugin.methods.newton.condensed import Condensed
+from lcp_plugin.problems.march.marching import Lesson, StepPolicy
+
+SMALL = {
+    "heston": lambda: marches.heston(60, 24, 6)[0],
+    "basket": lambda: marches.basket(40, 6),
+    "parabolic": lambda: marches.parabolic(48, 6),
+    "contact": lambda: marches.contact(48, 6),
+}
+
+
+def marched(steps: marches.Steps, **options: object) -> object:
+    return march(steps.problem, steps.forcing, steps.carry, z0=steps.z0, **options)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
+    """Every step is SOLVED, with the z that solve() finds for its q, to 1e-8 of the largest."""
+    steps = SMALL[name]()
+    done, state = marched(steps, tolerance=1e-10), steps.z0
+    assert done.all_solved
+    assert len(done) == len(steps.forcing)
+    for force, z in zip(steps.forcing, done.z, strict=True):
+        alone = solve(steps.problem.with_q(force + steps.carry @ state), z0=state, tolerance=1e-10).z
+        assert np.abs(z - alone).max() <= 1e-8 * max(np.abs(alone).max(), 1e-300)
+        state = z
+
+
+@pytest.mark.parametrize("name", ["basket", "parabolic", "contact"])
+def test_a_march_gives_the_same_bits_however_it_is_looked_at(name: str) -> None:
+    """The same bits in two runs, for any number of threads, and where answers are computed once more."""
+    steps = SMALL[name]()
+    first = np.array(list(marched(steps, threads=1).z))
+    fresh = steps._replace(problem=LCP(steps.problem.M, steps.problem.q, lower=steps.problem.lower))
+    for again in (marched(fresh), marched(steps, threads=2), marched(steps, keep_every=4)):
+        np.testing.assert_array_equal(first, np.array(list(again.z)))
+
+
+def test_later_steps_begin_with_what_finished_the_second() -> None:
+    """The first two steps try sweeps; the others do what finished, and no more of it than the second did."""
+    done = marched(SMALL["parabolic"]())
+    finished = done[1].stages[-1]
+    assert len(done[1].stages) > 1
+    for step in done[2:]:
+        assert [stage.name for stage in step.stages] == [finished.name]
+        assert step.work <= 1.5 * finished.work + 5.0
+        assert step.stages[0].because == "it finished the step before"
+
+
+def test_psor_begins_a_step_with_the_relaxation_it_has_found() -> None:
+    """The steps of a march by psor take fewer sweeps than each alone, which looks for the relaxation anew."""
+    steps = marches.basket(60, 5)
+    done = marched(steps)
+    assert [stage.name for stage in done[-1].stages] == ["psor"]
+    alone = solve(steps.problem.with_q(steps.forcing[-1] + steps.carry @ done.z[-2]), PSOR(), z0=done.z[-2])
+    assert done[-1].iterations < alone.iterations
+
+
+@pytest.mark.parametrize("slow", [PSOR(relaxation=1e-3), Multigrid(nested=False, smoother="npsor", relaxation=1e-3)])
+def test_what_has_become_slow_is_left(slow: object) -> None:
+    """A step whose predecessor's method does not get there asks anew, and so does the next one."""
+    problem = gallery.build("obstacle_2d", size=40).problem
+    policy = StepPolicy(Lesson(7, slow, 1.0), refutes=True)
+    found = solve(problem, policy)
+    assert found.status is Status.SOLVED
+    assert found.stages[0].name == slow.name
+    assert len(found.stages) > 1
+    after = policy.lesson(problem, 5)
+    assert after.algorithm is None
+    assert after.left == 1
+
+
+def without_diagonal(rng: np.random.Generator) -> LCP:
+    """A program's optimality conditions, whose multipliers have no diagonal entry."""
+    H, A = sp.diags_array(1.0 + rng.random(300)), sp.random_array((120, 300), density=0.02, rng=rng)
+    return LCP(sp.block_array([[H, -A.T], [A, None]], format="csr"), np.zeros(420))
+
+
+def with_jumps(rng: np.random.Generator) -> LCP:
+    """A large sparse matrix of positive diagonal."""
+    return gallery.build("random_h_plus", n=3000).problem
+
+
+@pytest.mark.parametrize("make", [without_diagonal, with_jumps])
+def test_where_steps_teach_nothing_a_march_costs_no_more(make: Callable[..., LCP]) -> None:
+    """Where the free set jumps at every step, all steps together take at most a tenth more work than solves do."""
+    rng = np.random.default_rng(3)
+    problem = make(rng)
+    forcing = rng.standard_normal((24, problem.n)) * 10.0 ** rng.integers(-2, 3, (24, 1))
+    done, state, work = march(problem, forcing, 0.1), problem.nearest_to_zero, 0.0
+    assert done.all_solved
+    for k in range(24):
+        work += solve(problem.with_q(forcing[k] + 0.1 * state), z0=state).work
+        state = done.z[k]
+    assert sum(step.work for step in done) <= 1.1 * work
+
+
+def test_a_march_whose_steps_differ_asks_at_every_one() -> None:
+    """What had to be left twice is not tried a third time; and every sixteenth step asks in any case."""
+    problem, slow = gallery.build("obstacle_2d", size=40).problem, PSOR(relaxation=1e-3)
+    policy = StepPolicy(Lesson(9, slow, 1.0, left=1), refutes=True)
+    solve(problem, policy)
+    lesson = policy.lesson(problem, 100)
+    assert (lesson.left, lesson.algorithm) == (2, None)
+    again = StepPolicy(lesson, refutes=True)
+    solve(problem, again)
+    assert again.lesson(problem, 100).algorithm is None
+    sixteenth = StepPolicy(Lesson(15, PSOR(), 1e6), refutes=True)
+    solve(problem, sixteenth)
+    assert sixteenth.lesson(problem, 100).algorithm is None
+
+
+def test_rows_without_bounds_are_eliminated_once() -> None:
+    """In a contact march one factor serves all later steps: each takes one round, a few passes over M."""
+    steps = SMALL["contact"]()
+    done = marched(steps)
+    assert [step.algorithm for step in done[1:]] == ["auto: condensed"] * (len(done) - 1)
+    for step in done[2:]:
+        assert step.iterations <= 2
+        assert step.work < 0.1 * done[0].work
+    again = marched(steps)
+    assert again[1].work < 0.1 * done[1].work
+    np.testing.assert_array_equal(again[1].z, done[1].z)
+
+
+def test_a_march_that_has_condensed_goes_through_pickle() -> None:
+    """A march by condensation is the same after pickle; answers that were not kept are computed once more."""
+    done = marched(SMALL["contact"](), keep_every=3)
+    again = pickle.loads(pickle.dumps(done))
+    np.testing.assert_array_equal(np.array(list(done.z)), np.array(list(again.z)))
+    assert [step.status for step in again] == [Status.SOLVED] * len(done)
+
+
+def test_what_cannot_be_condensed_is_left_to_auto() -> None:
+    """Where the block of the rows without bounds is singular, auto takes the step, and nobody condenses again."""
+    problem = LCP([[0.0, 1.0], [-1.0, 2.0]], [-1.0, 3.0], lower=[-np.inf, 0.0])
+    policy = StepPolicy(Lesson(3, Condensed(), np.inf), refutes=True)
+    found = solve(problem, policy)
+    assert found.status is Status.SOLVED
+    assert found.stages[0].name == "condensed"
+    assert not policy.lesson(problem, 100).may_condense
+
+
+def test_time_that_runs_out_keeps_the_steps_before() -> None:
+    """With max_seconds a march ends with a step that says so, and all before it are SOLVED."""
+    steps = marches.basket(60, 400)
+    done = marched(steps, max_seconds=0.2)
+    assert 0 < len(done) < len(steps.forcing)
+    assert all(step.is_solved for step in done[:-1])
+    assert done[-1].status in (Status.MAX_SECONDS, Status.SOLVED)
+
+
+def test_ctrl_c_keeps_the_steps_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An interruption in the fourth step leaves three, all of them SOLVED."""
+    steps, first = SMALL["basket"](), StepPolicy.first
+
+    def interrupted(self: StepPolicy, problem: LCP) -> object:
+        if self._lesson.steps == 3:
+            raise KeyboardInterrupt
+        return first(self, problem)
+
+    monkeypatch.setattr(StepPolicy, "first", interrupted)
+    done = marched(steps)
+    assert not done.all_solved
+    assert [step.is_solved for step in done] == [True] * 3 + [False] * (len(done) - 3)
+
+
+def test_a_solve_knows_nothing_of_marches_before_it() -> None:
+    """solve() on the same problem gives the same bits after a march as before it."""
+    steps = SMALL["basket"]()
+    problem = steps.problem.with_q(steps.forcing[0] + steps.carry @ steps.z0)
+    before = solve(problem, z0=steps.z0)
+    marched(steps)
+    after = solve(problem, z0=steps.z0)
+    np.testing.assert_array_equal(before.z, after.z)
+    assert before.iterations == after.iterations
+
+
+def test_a_put_in_heston_s_model_has_its_published_value() -> None:
+    """On a moderate grid the values of the literature are met to one per cent of the strike's half."""
+    steps, spots, variances = marches.heston(79, 33, 20)
+    z = marched(steps).z[-1].reshape(variances.size, spots.size)
+    at = [np.interp(marches.HESTON_VARIANCE, variances, column) for column in z.T]
+    assert np.abs(np.interp(marches.HESTON_SPOTS, spots, at) - marches.HESTON_VALUES).max() < 0.03

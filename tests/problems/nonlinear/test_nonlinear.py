@@ -1,0 +1,888 @@
+"""Nonlinear complementarity: published and planted answers, honest statuses, proofs, derivatives, refusals in words."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import nonlinear_models as models
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nonlinear_families import KINDS, planted
+from polynomial_families import Polynomial, is_violated, polynomial
+
+from lcp_plugin import LCP, NonlinearProblem, Result, Status, bounded_least_squares, derivative, solve, solve_nonlinear
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.core.deadline import compiling
+from lcp_plugin.core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    NotConverged,
+    UnknownAlgorithm,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+)
+from lcp_plugin.problems.nonlinear import josephy_newton
+from lcp_plugin.problems.nonlinear.certificate import term_residuals
+from lcp_plugin.problems.nonlinear.differences import Differences
+from lcp_plugin.problems.nonlinear.krawczyk import krawczyk_bound
+
+INF = np.inf
+ROOTS = {(round(np.sqrt(6) / 2, 6), 0.0, 0.0, 0.5), (1.0, 0.0, 3.0, 0.0)}
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def solved(result: Result) -> np.ndarray:
+    assert result.status is Status.SOLVED, result.explain()
+    return result.z
+
+
+# --- published ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "x0", [(0, 0, 0, 0), (1, 1, 1, 1), (100, 100, 100, 100), (1, 0, 1, 0), (1, 0, 0, 0), (0, 1, 1, 0)]
+)
+@pytest.mark.parametrize(("F", "roots"), [(models.kojima_shindo, ROOTS), (models.josephy, {max(ROOTS)})])
+def test_kojima_shindo_and_josephy(F: Callable[..., Any], roots: set[tuple[float, ...]], x0: tuple[int, ...]) -> None:
+    """From the starts of the literature the published solutions are found."""
+    x = solved(solve_nonlinear(NonlinearProblem(F), x0, tolerance=1e-10))
+    assert min(np.abs(x - root).max() for root in roots) < 1e-6
+
+
+def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
+    """Which of the two solutions is found depends on the start, and both are."""
+    starts = np.random.default_rng(0).uniform(0, 3, (12, 4))
+    found = {tuple(solved(solve_nonlinear(NonlinearProblem(models.kojima_shindo), x0)).round(4) + 0.0) for x0 in starts}
+    assert found == {tuple(np.round(root, 4)) for root in ROOTS}
+
+
+@pytest.mark.parametrize("start", [1.0, 10.0])
+@pytest.mark.parametrize(
+    ("F", "published"), [(models.NASH_5, models.NASH_5_SOLUTION), (models.NASH_10, models.NASH_10_SOLUTION)]
+)
+def test_nash_cournot(F: Callable[..., Any], published: list[float], start: float) -> None:
+    """Oligopolies of 5 and 10 firms have their published equilibria; F is undefined at 0, and the result says so."""
+    result = solve_nonlinear(NonlinearProblem(F), np.full(len(published), start))
+    np.testing.assert_allclose(solved(result), published, rtol=1e-4)
+    assert "the distance from the point of the bounds" in str(result.certificate)
+    assert result.iterations <= 12
+
+
+def test_mathiesen() -> None:
+    """Mathiesen's equilibrium is one of the published (λ, 0, 0, 0), 0 ≤ λ ≤ 3, also where 0 is excluded."""
+    for lower in (0.0, [0.5, 0, 0, 0]):
+        x = solved(solve_nonlinear(NonlinearProblem(models.mathiesen, lower=lower), np.ones(4)))
+        assert np.abs(x[1:]).max() < 1e-7
+        assert -1e-7 <= x[0] <= 3 + 1e-7
+
+
+@pytest.mark.parametrize("x0", [0.0, 0.5, 5.0])
+def test_billups(x0: float) -> None:
+    """A local minimum of every merit function is left by another start."""
+    x = solved(solve_nonlinear(NonlinearProblem(models.billups, lambda x: np.diag(2 * x - 2)), [x0]))
+    assert x[0] == pytest.approx(1 + np.sqrt(1.01), abs=1e-6)
+
+
+def test_scarf() -> None:
+    """In Scarf's economy no good is in short supply, what is left over is free, and no activity makes a profit."""
+    problem, start, excess_supply = models.scarf()
+    result = solve_nonlinear(problem, start)
+    prices, excess = excess_supply(solved(result))
+    assert excess.min() > -1e-6
+    assert np.abs(prices * excess).max() < 1e-5
+    assert result.w[6:14].min() > -1e-7
+    assert result.iterations <= 10
+
+
+@pytest.mark.parametrize("strength", [1.0, 6.0, 50.0])
+def test_bratu_with_a_ceiling(strength: float) -> None:
+    """Bratu's problem has an answer under a ceiling, beyond its turning point λ = 6.81 as well; below it is smooth."""
+    x = solved(solve_nonlinear(models.bratu(20, strength, 1.0), np.zeros(400)))
+    assert (x.max() == 1.0) == (strength > 6.81)
+    if strength == 1.0:
+        assert x.max() == pytest.approx(0.0781, abs=2e-3)  # of the continuous problem
+
+
+# --- planted -----------------------------------------------------------------------------------------------------
+
+
+@settings.get_profile("few")
+@given(SEEDS, st.sampled_from(KINDS), st.integers(1, 30), st.booleans())
+def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
+    """SOLVED is true in sixty digits, and nothing else is claimed of problems with a solution but honest failures."""
+    rng = np.random.default_rng(seed)
+    one = planted(rng, kind, n)
+    result = solve_nonlinear(one.problem, rng.standard_normal(n) * is_far)
+    assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT, Status.STALLED)
+    certificate = result.certificate
+    if result.is_solved and certificate.references[1].max() > 0.0:
+        assert one.sharp_relative_residual(result.z, certificate.problem.residual_scale) <= 1e-8
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("n", [2, 20, 100])
+def test_planted_problems_are_solved(kind: str, n: int) -> None:
+    """Monotone and P₀ problems of every kind are solved from the point nearest to 0."""
+    for seed in range(3):
+        solved(solve_nonlinear(planted(np.random.default_rng(seed), kind, n).problem, np.zeros(n)))
+
+
+@settings.get_profile("few")
+@given(SEEDS, st.integers(1, 8))
+def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) -> None:
+    """On F(x) = M x + q every residual is that of the LCP or of a row's own terms; at most three steps are taken."""
+    rng = np.random.default_rng(seed)
+    M = rng.standard_normal((n, n))
+    M = M @ M.T + np.eye(n)
+    q = rng.standard_normal(n)
+    result = solve_nonlinear(NonlinearProblem(lambda x: M @ x + q, lambda x: M), rng.standard_normal(n), tolerance=1e-6)
+    assert solved(result) is result.z
+    assert result.iterations <= 3
+    x = rng.standard_normal(n)
+    one = solve_nonlinear(NonlinearProblem(lambda x: M @ x + q, lambda x: M), x, max_iterations=0).certificate
+    other = solve(LCP(M, q), z0=x, max_iterations=0, record=True).certificate
+    if np.array_equal(one.z, other.z):
+        either = max(other.relative_residual, one.term_residual)
+        assert one.relative_residual == pytest.approx(either, rel=1e-9, abs=1e-12)
+        for name in ("natural_residual", "euclidean_residual", "complementarity"):
+            assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-9, abs=1e-12)
+
+
+@settings.get_profile("few")
+@given(SEEDS, st.integers(1, 6))
+def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
+    """Multiplying rows of F, and measuring x in another unit, leaves the relative residual as it is."""
+    rng = np.random.default_rng(seed)
+    one = planted(rng, "monotone polynomial", n)
+    x, rows, unit = rng.standard_normal(n), 2.0 ** rng.integers(-20, 20, n), 2.0 ** int(rng.integers(-20, 20))
+    other = NonlinearProblem(
+        lambda y: rows * one.F(y / unit), lambda y: rows[:, None] * one.jacobian(y / unit) / unit,
+        one.lower * unit, one.upper * unit,
+    )
+    first = solve_nonlinear(one.problem, x, max_iterations=0)
+    second = solve_nonlinear(other, x * unit, max_iterations=0)
+    assert first.residual == second.residual
+
+
+def test_equations() -> None:
+    """With free rows alone it is Newton's method for equations."""
+    problem = NonlinearProblem(
+        lambda x: np.array([x[0] ** 2 + x[1] ** 2 - 5, x[0] * x[1] - 2]), lower=[-INF, -INF]
+    )
+    x = solved(solve_nonlinear(problem, [3.0, 0.5], tolerance=1e-10))
+    np.testing.assert_allclose(x, [2.0, 1.0], atol=1e-6)
+
+
+def test_a_start_may_be_a_number_where_there_is_one_unknown() -> None:
+    """As elsewhere for equations in one unknown; for several it is refused."""
+    problem = NonlinearProblem(lambda x: x**2 - 4.0)
+    for x0 in (5, 5.0, np.float64(5.0), np.array(5.0)):
+        assert np.array_equal(solve_nonlinear(problem, x0).z, solve_nonlinear(problem, [5.0]).z)
+    assert solve(LCP([[2.0]], [-4.0]), z0=5.0).z.round(6).tolist() == [2.0]
+    assert bounded_least_squares([[2.0]], [4.0], x0=5.0).x.round(6).tolist() == [2.0]
+    with pytest.raises(InvalidOption, match=r"x0 must be a vector of length 2, got shape \(\)"):
+        solve_nonlinear(NonlinearProblem(lambda x: x, lower=[0.0, 0.0]), 5.0)
+    with pytest.raises(InvalidOption, match=r"z0 must be a finite vector of length 2 \(M is 2×2\), got shape \(\)"):
+        solve(LCP(np.eye(2), [-4.0, 1.0]), z0=5.0)
+
+
+def test_no_unknowns() -> None:
+    """The empty problem is solved."""
+    assert solved(solve_nonlinear(NonlinearProblem(lambda x: x), [])).size == 0
+
+
+@pytest.mark.parametrize("start", [0.0, 1.0, 4.0])
+@pytest.mark.parametrize(("offset", "answer"), [(1.0, 0.0), (-1.0, 1.0)])
+def test_an_infinite_slope_at_a_bound_is_no_obstacle(start: float, offset: float, answer: float) -> None:
+    """√x + c, whose slope at the bound 0 is infinite, is solved where the bound is the answer, and where it is not."""
+    problem = NonlinearProblem(lambda x: np.sqrt(x) + offset, lambda x: np.diag(0.5 / np.sqrt(x)), lower=[0.0])
+    result = solve_nonlinear(problem, [start])
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.z, answer, atol=1e-8)
+
+
+def test_a_solve_from_the_answer_is_solved_where_F_is_undefined_at_0() -> None:
+    """An oligopoly, in which the price at no output is infinite, is solved from its own equilibrium in no steps."""
+    problem = NonlinearProblem(models.NASH_5)
+    first = solve_nonlinear(problem, np.full(5, 10.0)).require_solved()
+    again = solve_nonlinear(problem, first.z)
+    assert again.status is Status.SOLVED
+    assert again.iterations == 0
+    assert "the distance from the point of the bounds" in str(again.certificate)
+
+
+def test_steps_into_the_undefined_are_shortened() -> None:
+    """The root of log x − 1, x ≥ 0, is found from both sides, although full steps lead to where log is undefined."""
+    for start in (0.01, 100.0):
+        assert solved(solve_nonlinear(NonlinearProblem(lambda x: np.log(x) - 1.0), [start]))[0] == pytest.approx(np.e)
+
+
+@pytest.mark.parametrize("start", [0.0, 50.0])
+def test_steps_that_are_far_too_long_are_shortened(start: float) -> None:
+    """From 0 the first step towards exp x = 1e10 overflows for a long way; from beyond it is a long way back."""
+    result = solve_nonlinear(NonlinearProblem(lambda x: np.exp(x) - 1e10), [start])
+    assert solved(result)[0] == pytest.approx(np.log(1e10))
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("size", [32, 100, 316])
+def test_steps_do_not_grow_under_refinement(size: int) -> None:
+    """A membrane with a nonlinear source takes at most 5 Newton steps at n = 10³, 10⁴ and 10⁵."""
+    result = solve_nonlinear(models.membrane(size)[0], np.zeros(size * size))
+    assert 0.2 < (solved(result) == models.membrane(size)[0].lower).mean() < 0.4
+    assert result.iterations <= 5
+
+
+# --- differences -------------------------------------------------------------------------------------------------
+
+
+def test_differences_on_a_pattern() -> None:
+    """Differences on a five-point pattern take at most 7 evaluations, and the answer is that of the derivative."""
+    problem, A = models.membrane(15)
+    calls = []
+
+    def F(x: np.ndarray) -> np.ndarray:
+        calls.append(x)
+        return problem.F(x)
+
+    by_differences = NonlinearProblem(F, lower=problem.lower, pattern=A)
+    x = np.random.default_rng(0).standard_normal(225)
+    found = by_differences.derivative(x)
+    assert len(calls) <= 8
+    np.testing.assert_allclose(found.toarray(), problem.derivative(x).toarray(), atol=1e-6)
+    np.testing.assert_allclose(
+        solved(solve_nonlinear(by_differences, np.zeros(225))), solve_nonlinear(problem, np.zeros(225)).z, atol=1e-8
+    )
+
+
+@settings.get_profile("few")
+@given(SEEDS, st.integers(1, 30))
+def test_columns_of_a_group_share_no_row(seed: int, n: int) -> None:
+    """Each group of columns that are moved together has at most one entry a row."""
+    pattern = sp.random_array((n, n), density=0.2, rng=np.random.default_rng(seed), format="csc")
+    groups = Differences.on(pattern, n).groups
+    assert (groups >= 0).all()
+    for k in range(groups.max() + 1):
+        assert np.diff(pattern[:, groups == k].tocsr().indptr).max(initial=0) <= 1
+
+
+def test_differences_stay_within_the_bounds() -> None:
+    """Where x is at its upper bound F is asked below it, and where it is not defined above x also without a bound."""
+    problem = NonlinearProblem(lambda x: np.sqrt(2.0 - x), upper=[2.0, 3.0])
+    assert problem.derivative([1.0, 2.0 - 1e-9])[0, 0] == pytest.approx(-0.5)
+    assert np.isfinite(problem.derivative([1.0, 2.0 - 1e-9]).toarray()).all()
+
+
+def test_differences_see_the_unit_of_a_small_unknown() -> None:
+    """exp(−x/u) for u = 5e-10 at x = 56 u: the derivative to a percent, where a step of 1.5e-8 sees another place."""
+    unit = 5e-10
+    problem = NonlinearProblem(lambda x: np.exp(-x / unit) - 1e-30)
+    assert problem.derivative([56.0 * unit])[0, 0] == pytest.approx(-np.exp(-56.0) / unit, rel=0.02)
+    assert problem.derivative([0.0])[0, 0] != 0.0
+
+
+def test_rounding_of_differences_is_no_derivative() -> None:
+    """At the top of a bump the derivative is 0; the last digit that its terms lose is none."""
+    problem = NonlinearProblem(lambda x: np.array([0.0145 * x[1] - 0.0175 / (1.0 + x[0] ** 2) - 0.0345, x[1]]))
+    assert problem.derivative([0.0, 4.0])[0, 0] == 0.0
+    assert problem.derivative([0.0, 4.0])[0, 1] == pytest.approx(0.0145)
+
+
+def test_columns_of_one_group_may_leave_the_domain_on_different_sides() -> None:
+    """Each entry is taken on the side where F is defined."""
+    def F(x: np.ndarray) -> np.ndarray:
+        return np.array([(x[0] - 0.5) - (1.0 - x[0]) ** 1.5, (x[1] - 2.0) + (x[1] - 1.0) ** 1.5])
+
+    problem = NonlinearProblem(F, pattern=sp.eye_array(2, format="csc"))
+    assert solved(solve_nonlinear(problem, [1.0, 1.0])).shape == (2,)
+
+
+def test_a_right_jacobian_beside_cancelling_terms_is_not_refused() -> None:
+    """50 φ(x) − 50 is exactly 0 where φ is 1 to rounding; its derivative 4e-32 is right, and differences see none."""
+    def F(x: np.ndarray) -> np.ndarray:
+        return 50.0 / (1.0 + np.exp(-x)) - 50.0
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return np.diag(50.0 * np.exp(-x) / (1.0 + np.exp(-x)) ** 2)
+
+    solve_nonlinear(NonlinearProblem(F, jacobian, lower=-INF), [76.0], max_iterations=0)
+
+
+# --- how a run ends ----------------------------------------------------------------------------------------------
+
+
+def test_no_solution_is_said_honestly() -> None:
+    """An equation without a root ends STALLED with advice, never INFEASIBLE and never SOLVED."""
+    result = solve_nonlinear(NonlinearProblem(lambda x: x**2 + 1.0, lower=-INF), [3.0])
+    assert result.status is Status.STALLED
+    assert "another start" in result.explain()
+    with pytest.raises(NotConverged, match="stationary"):
+        result.require_solved()
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(
+    ("F", "lower"),
+    [
+        (lambda x: -np.exp(-x), 0.0), (lambda x: -1 / x, 1.0), (lambda x: -1 / (1 + x) ** 3, 0.0),
+        (lambda x: 1 / (1 + x**2), -INF), (np.exp, -INF), (lambda x: np.array([x[0] - 2, -np.exp(-x[-1])]), 0.0),
+    ],
+)
+@pytest.mark.parametrize("start", [1.0, 3.0])
+def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start: float) -> None:
+    """An F that only tends to 0 has no solution, however far x runs and however flat F is there."""
+    result = solve_nonlinear(NonlinearProblem(F, lower=lower), np.full(np.size(F(np.ones(2))), start))
+    assert result.status is Status.STALLED
+    assert "an affine F" in str(result.certificate)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
+def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) -> None:
+    """−1 − x has no solution in x ≥ 0 and no linearisation of it has; few steps show that, for none climbs back."""
+    problem = NonlinearProblem(lambda x: -1.0 - x, lambda x: -np.eye(1))
+    result = solve_nonlinear(problem, [1.0], algorithm)
+    assert result.status is Status.STALLED
+    assert result.iterations <= 30
+
+
+def test_slack_at_a_bound_lends_no_tolerance() -> None:
+    """x₀ runs to 7e11 where slack of 5e10 holds x₁ at its bound: row 0, flat at −0.1, is wrong in its own terms."""
+    def F(x: np.ndarray) -> np.ndarray:
+        return np.array([-(x[0] ** -3.0) - 0.1 + 0.1 * x[1], 0.1 * x[0] + x[1] - 1.0])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return np.array([[3.0 * x[0] ** -4.0, 0.1], [0.1, 1.0]])
+
+    at = NonlinearProblem(F, jacobian, lower=[-INF, 0.0]).linearised([7e11, 0.0])
+    assert term_residuals(at, np.array([7e11, 0.0]), F(np.array([7e11, 0.0])))[0] > 0.1
+
+
+def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
+    """A derivative of 2e14 promises a zero 8e-9 away, nothing in the unit 100 of the other row; the zero is at .017."""
+    def F(x: np.ndarray) -> np.ndarray:
+        return np.array([1e-2 * (x[1] - 100.0) + 0.7 - 0.0128549 / x[0], x[1] - 100.0])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return np.array([[0.0128549 / x[0] ** 2, 1e-2], [0.0, 1.0]])
+
+    problem = NonlinearProblem(F, jacobian, lower=1e-9)
+    for x, is_there in (([8e-9, 100.0 + 1e-9], False), ([0.0128549 / 0.7 + 1e-12, 100.0 + 1e-9], True)):
+        certificate = solve_nonlinear(problem, x, max_iterations=0).certificate
+        assert (certificate.term_residual <= 1e-8) == is_there
+    assert solved(solve_nonlinear(problem, [8e-9, 100.0]))[0] == pytest.approx(0.0128549 / 0.7)
+
+
+def test_a_derivative_is_not_refused_where_x_is_small() -> None:
+    """The derivative of 1/x at x = 1e-12 is that of F, although F is curved on every step of the size 1."""
+    def F(x: np.ndarray) -> np.ndarray:
+        return 1.0 / x - 1e12 * np.array([0.5, 2.0])
+
+    problem = NonlinearProblem(F, lambda x: np.diag(-1.0 / x**2))
+    assert solve_nonlinear(problem, [1e-12, 1e-12], max_iterations=0).iterations == 0
+    wrong = NonlinearProblem(F, lambda x: np.diag(-2.0 / x**2))
+    with pytest.raises(InvalidProblem, match="jacobian contradicts F"):
+        solve_nonlinear(wrong, [1e-12, 1e-12])
+
+
+@pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(-10.0 / x**2)])
+def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian: Callable[..., Any] | None) -> None:
+    """10/x − 1 from 100: what is SOLVED is 10, and never an x so far away that F = −1 there."""
+    result = solve_nonlinear(NonlinearProblem(lambda x: 10.0 / x - 1.0, jacobian), [100.0])
+    assert not result.is_solved or result.z[0] == pytest.approx(10.0, rel=1e-6)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("lower", [0.0, 1e-9])
+def test_what_is_negative_everywhere_is_not_solved(lower: float) -> None:
+    """−1 − 1/x has no solution in x ≥ 0."""
+    assert not solve_nonlinear(NonlinearProblem(lambda x: -1.0 - 1.0 / x, lower=lower), [1.0]).is_solved
+
+
+@pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
+def test_billups_by_named_algorithms(algorithm: str) -> None:
+    """A linearisation without a solution is no end for a named algorithm: (x − 1)² − 1.01 from 0 is solved."""
+    problem = NonlinearProblem(lambda x: (x - 1.0) ** 2 - 1.01, lambda x: np.diag(2.0 * x - 2.0))
+    assert solved(solve_nonlinear(problem, [0.0], algorithm))[0] == pytest.approx(1.0 + np.sqrt(1.01))
+
+
+@pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(3.0 * x**2 + 2.0 * x - 2.0)])
+@pytest.mark.parametrize(("start", "answer"), [(1.0, 1.0), (0.3, 0.0)])
+def test_of_several_solutions_one_near_the_start_is_found(
+    jacobian: Callable[..., Any] | None, start: float, answer: float
+) -> None:
+    """F = x (x − 1) (x + 2) from its root 1 stays there, although 0 solves as well, and from 0.3 goes to 0."""
+    problem = NonlinearProblem(lambda x: x * (x - 1.0) * (x + 2.0), jacobian)
+    assert solved(solve_nonlinear(problem, [start]))[0] == answer
+
+
+def test_lotka_volterra_stays_inside() -> None:
+    """Two competitors from (0.7, 0.7) come to their interior equilibrium, not to that where both are extinct."""
+    problem = NonlinearProblem(lambda x: x * np.array([1.0 - x[0] - 0.5 * x[1], 1.0 - 0.5 * x[0] - x[1]]))
+    np.testing.assert_allclose(solved(solve_nonlinear(problem, [0.7, 0.7])), 2.0 / 3.0, rtol=1e-8)
+
+
+@pytest.mark.parametrize("jacobian", [None, lambda x: np.diag([1.0, -1.0 / x[1] ** 2])])
+@pytest.mark.parametrize("start", [(1e10, 0.6), (0.0, 0.6)])
+def test_two_problems_in_units_of_their_own(jacobian: Callable[..., Any] | None, start: tuple[float, float]) -> None:
+    """x₀ = 1e10 and 1/x₁ = 2 are two problems, and each is solved in its own unit."""
+    problem = NonlinearProblem(lambda x: np.array([x[0] - 1e10, 1.0 / x[1] - 2.0]), jacobian)
+    np.testing.assert_allclose(solved(solve_nonlinear(problem, start)), [1e10, 0.5], rtol=1e-7)
+
+
+@pytest.mark.parametrize("lower", [-INF, 0.0])
+@pytest.mark.parametrize("has_jacobian", [True, False])
+def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None:
+    """M. J. D. Powell 1970, no. 3 of Moré, Garbow, Hillstrom, doi:10.1145/355934.355936: both rows nearly vanish."""
+    def F(x: np.ndarray) -> np.ndarray:
+        return np.array([1e4 * x[0] * x[1] - 1.0, np.exp(-x).sum() - 1.0001])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return np.array([[1e4 * x[1], 1e4 * x[0]], -np.exp(-x)])
+
+    x = solved(solve_nonlinear(NonlinearProblem(F, jacobian if has_jacobian else None, lower), [0.0, 1.0]))
+    assert np.abs(F(x)).max() <= 1e-5  # the terms of both rows are about 1
+    np.testing.assert_allclose(x, [1.098159e-5, 9.106147], rtol=1e-4)
+
+
+@pytest.mark.full
+def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced() -> None:
+    """A positive diagonal is what psor needs, and where a linearisation has none auto solves it."""
+    problem = NonlinearProblem(lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0]))
+    solved(solve_nonlinear(problem, [0.0, 0.0], "psor"))
+
+
+POLICIES = ("auto", *REGISTRY)
+HOPELESS = {
+    "undefined beyond 2": lambda x: -2.0 - np.sqrt(2.0 - x),
+    "indefinite": lambda x: -1.0 - x[::-1] * np.array([1.0, 2.0]),
+}
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("algorithm", POLICIES)
+@pytest.mark.parametrize("name", HOPELESS)
+def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing can be solved every policy ends, after a bounded number of steps, linearisations and stages."""
+    stages = []
+    solved_by = josephy_newton.solved_within
+
+    def counted(*of: Any) -> Result:
+        result = solved_by(*of)
+        stages.append(len(result.stages))
+        return result
+
+    monkeypatch.setattr(josephy_newton, "solved_within", counted)
+    result = solve_nonlinear(NonlinearProblem(HOPELESS[name]), [1.0, 0.5], algorithm)
+    assert not result.is_solved
+    assert result.iterations <= 7 * 30  # starts, and steps without a gain
+    assert len(stages) <= 8 * result.iterations + 8 * 7
+    assert max(stages) <= 8
+
+
+UNSOLVABLE = {
+    "negative": (-np.eye(2), [-1.0, -1.0]),
+    "zero": (np.zeros((2, 2)), [-1.0, 1.0]),
+    "indefinite": (np.array([[0.0, -1.0], [-2.0, 0.0]]), [-1.0, -1.0]),
+}
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("algorithm", POLICIES)
+@pytest.mark.parametrize("name", UNSOLVABLE)
+def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:
+    """Without a solution every policy ends by itself, far from max_iterations, or refuses the matrix in words."""
+    try:
+        result = solve(LCP(*UNSOLVABLE[name]), algorithm)
+    except (UnsuitableMatrix, UnsuitableProblem):
+        return
+    assert not result.is_solved
+    assert len(result.stages) <= 8
+    assert result.iterations <= 5000
+
+
+def test_prices_near_zero_lend_no_tolerance() -> None:
+    """Where F is 1e20 at z°, prices of 1e-5, a SOLVED still means that the markets clear."""
+    supply = np.array([3.0, 1.0, 0.5])
+    result = solve_nonlinear(NonlinearProblem(lambda p: supply - p**-4.0, lower=1e-5), np.full(3, 0.02))
+    np.testing.assert_allclose(solved(result), supply**-0.25, rtol=1e-6)
+    np.testing.assert_allclose(result.w, 0.0, atol=1e-6)
+
+
+@pytest.mark.full
+def test_rounding_in_f_is_a_precision_limit() -> None:
+    """Where F carries rounding far above the tolerance that is said, and where it is a wrong derivative it is not."""
+    noisy = NonlinearProblem(
+        lambda x: (x**3 + 1e9 * np.sin(1e15 * x) * 2.0**-52) - 7.3, lambda x: np.diag(3 * x**2), lower=-INF
+    )
+    result = solve_nonlinear(noisy, [3.0], tolerance=1e-12, check_jacobian=False)
+    assert result.status is Status.PRECISION_LIMIT
+    wrong = NonlinearProblem(lambda x: np.array([x[0] ** 3 - 7.3]), lambda x: [[-1.0]], lower=-INF)
+    assert solve_nonlinear(wrong, [3.0], check_jacobian=False).status is not Status.PRECISION_LIMIT
+
+
+def test_limits_record_and_callback() -> None:
+    """max_iterations, max_seconds, a callback that says stop, and record mean what they mean in solve."""
+    problem, start, _ = models.scarf()
+    assert solve_nonlinear(problem, start, max_iterations=2).status is Status.MAX_ITERATIONS
+    assert solve_nonlinear(problem, start, max_seconds=0.0).status is Status.MAX_SECONDS
+    seen: list[Any] = []
+
+    def stop(sample: Any, x: np.ndarray) -> bool:
+        seen.append(sample)
+        assert not x.flags.writeable
+        return len(seen) == 3
+
+    assert solve_nonlinear(problem, start, callback=stop).status is Status.INTERRUPTED
+    recorded = solve_nonlinear(problem, start, record=True)
+    assert len(recorded.history) == recorded.iterations + 1
+    assert recorded.history[-1].residual <= 1e-8
+    np.testing.assert_array_equal(recorded.z, solve_nonlinear(problem, start).z)
+
+
+def test_a_callback_that_raises_is_heard() -> None:
+    """What the callback and F raise reaches the caller."""
+    def broken(*_: Any) -> Any:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), callback=broken)
+    with pytest.raises(ZeroDivisionError):
+        solve_nonlinear(NonlinearProblem(broken), np.ones(5))
+
+
+def test_compilation_in_a_step_is_off_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the solves of the linearisations compile counts neither as seconds nor against max_seconds."""
+    now = [0.0]
+
+    def compiles(*_: Any, **__: Any) -> None:
+        with compiling():
+            now[0] += 70.0
+
+    monkeypatch.setattr("lcp_plugin.core.deadline.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("lcp_plugin.problems.nonlinear.linearisation.fused", compiles)
+    result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), max_seconds=1.0)
+    assert now[0] > 70.0
+    solved(result)
+    assert result.seconds == 0.0
+
+
+def test_ctrl_c_keeps_the_best() -> None:
+    """SIGINT inside F, in the middle of a run, gives INTERRUPTED with the best x so far."""
+    calls = []
+
+    def F(x: np.ndarray) -> np.ndarray:
+        calls.append(x)
+        if len(calls) == 60:
+            signal.raise_signal(signal.SIGINT)
+        return models.NASH_10(x)
+
+    result = solve_nonlinear(NonlinearProblem(F), np.ones(10))
+    assert result.status is Status.INTERRUPTED
+    assert result.residual < 1.0
+
+
+def test_ctrl_c_during_the_check_of_the_derivative_keeps_the_start() -> None:
+    """Once F and its derivative are known at the start, no Ctrl-C is lost."""
+    calls = []
+
+    def F(x: np.ndarray) -> np.ndarray:
+        calls.append(x)
+        if len(calls) == 5:
+            signal.raise_signal(signal.SIGINT)
+        return x**3 - 8.0
+
+    result = solve_nonlinear(NonlinearProblem(F, lambda x: np.diag(3 * x**2)), [1.0, 2.5])
+    assert (result.status, result.iterations) == (Status.INTERRUPTED, 0)
+    np.testing.assert_array_equal(result.z, [1.0, 2.5])
+
+
+def test_a_step_far_past_an_exponential_is_no_progress() -> None:
+    """From x₁ = 1, where eˣ is still flat, a full step goes to 35, from where Newton comes back by 1 a step."""
+    M = np.array([[22.0, 5, 7, 7, -2], [2, 19, -1, 7, 5], [-7, -1, 10, 0, -1], [-1, 3, 5, 11, 0], [-9, 3, 5, -6, 25]])
+    answer, weights = np.array([8.0, -5, 6, -6, 8]), np.array([0.25, 1, 1, 0, 1])
+    q = np.array([-135.0, 39, -41, 35, -67])
+    problem = NonlinearProblem(
+        lambda x: M @ x + q + weights * (np.exp(x) - np.exp(answer)), lambda x: M + np.diag(weights * np.exp(x)),
+        [1.0, -10, -1, -np.inf, 8], [np.inf, -5, 6, -6, 9],
+    )
+    result = solve_nonlinear(problem, np.zeros(5), tolerance=1e-12)
+    assert result.is_solved
+    assert result.iterations <= 15
+    np.testing.assert_allclose(result.z, answer, atol=1e-9)
+
+
+def test_nothing_of_the_callers_is_changed() -> None:
+    """x0, bounds and what F returns stay as they are, and F gets no array that it could write to."""
+    x0, lower, kept = np.ones(2), np.zeros(2), np.array([-1.0, 2.0])
+
+    def F(x: np.ndarray) -> np.ndarray:
+        assert not x.flags.writeable
+        return kept
+
+    solve_nonlinear(NonlinearProblem(F, lambda x: np.eye(2), lower), x0, check_jacobian=False, max_iterations=3)
+    assert x0.tolist() == [1, 1]
+    assert lower.tolist() == [0, 0]
+    assert kept.tolist() == [-1, 2]
+
+
+@pytest.mark.parametrize("kind", ["csr", "csc", "coo", "lil", "dok", "dia", "bsr"])
+def test_every_kind_of_sparse_derivative_is_taken(kind: str) -> None:
+    """Whatever scipy's format is, the answer is the same."""
+    def jacobian(x: np.ndarray) -> Any:
+        return sp.csr_array(np.diag(3 * x**2) + np.eye(3, k=1)).asformat(kind)
+
+    result = solve_nonlinear(NonlinearProblem(lambda x: x**3 + np.append(x[1:], 0.0) - 9.0, jacobian), np.ones(3))
+    np.testing.assert_allclose(result.w, 0.0, atol=1e-7)
+
+
+def test_a_derivative_that_is_written_to_again_is_no_obstacle() -> None:
+    """One array that the callable fills at every call gives what new ones give, bit for bit."""
+    F, slopes = models.kojima_shindo, NonlinearProblem(models.kojima_shindo).derivative
+    shared = sp.csr_array(np.ones((4, 4)))
+
+    def fresh(x: np.ndarray) -> Any:
+        return sp.csr_array((np.ravel(slopes(x).toarray()), shared.indices, shared.indptr), shape=(4, 4))
+
+    def refilled(x: np.ndarray) -> Any:
+        shared.data[:] = fresh(x).data
+        return shared
+
+    start = np.array([3.0, 0.0, 5.0, 1.0])
+    one, other = (solve_nonlinear(NonlinearProblem(F, J), start, max_iterations=2) for J in (fresh, refilled))
+    np.testing.assert_array_equal(one.z, other.z)
+    assert str(one.certificate) == str(other.certificate)
+    first, second = (NonlinearProblem(F, refilled).linearised(np.full(4, value)) for value in (1.0, 2.0))
+    assert (first.M != second.M).nnz > 0
+
+
+def test_the_lcp_solver_can_be_chosen() -> None:
+    """A named algorithm, or an object, solves the linearisations; a wrong name is refused."""
+    for algorithm in ("lemke", "newton"):
+        solved(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), algorithm))
+    with pytest.raises(UnknownAlgorithm, match="lemke"):
+        solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), "lemk")
+
+
+# --- mistakes ----------------------------------------------------------------------------------------------------
+
+NP, run = NonlinearProblem, solve_nonlinear
+MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
+    (lambda: NP(np.eye(2)), InvalidProblem, r"F must be callable as F\(x\), got ndarray; .* LCP\(M, q\)"),
+    (lambda: NP(np.sin, 3), InvalidProblem, "jacobian must be callable"),
+    (lambda: NP(np.sin, np.diag, pattern=np.eye(2)), InvalidProblem, "leave one out"),
+    (lambda: NP(np.sin, pattern=np.ones((2, 3))), InvalidProblem, "square"),
+    (lambda: NP(np.sin, lower=[0, 0], upper=[1, 1, 1]), InvalidProblem, "upper must be a number or a vec"),
+    (lambda: NP(np.sin, lower=[2.0], upper=1.0), InvalidProblem, "lower ≤ upper"),
+    (lambda: NP(np.sin, enclosure=3), InvalidProblem, "enclosure.interval_F must be callable"),
+    (lambda: solve(NP(np.sin)), InvalidOption, r"solve needs x0 for a NonlinearProblem: write solve\(problem, x0=…\)"),
+    (lambda: run(LCP([[1]], [1]), [1]), InvalidOption, "needs a NonlinearProblem, got LCP"),
+    (lambda: run(NP(np.sin, lower=[0, 0]), [1.0]), InvalidOption, "x0 must be .* length 2"),
+    (lambda: run(NP(np.sin), [np.nan]), InvalidOption, r"x0\[0\] = nan"),
+    (lambda: run(NP(np.sin), np.ones((2, 2))), InvalidOption, "shape"),
+    (lambda: run(NP(lambda x: x[:1]), np.ones(2)), InvalidProblem, r"length 2 .* shape \(1,\)"),
+    (lambda: run(NP(lambda x: None), np.ones(2)), InvalidProblem, "got None"),
+    (lambda: run(NP(lambda x: 1j * x), np.ones(2)), InvalidProblem, "complex"),
+    (lambda: run(NP(np.log, lower=-INF), [-1.0]), InvalidProblem, r"F\(x0\)\[0\] = nan"),
+    (lambda: run(NP(np.sin, lambda x: np.eye(3)), [1.0]), InvalidProblem, r"shape \(1, 1\)"),
+    (lambda: run(NP(np.sin, lambda x: [[np.nan]]), [1.0]), InvalidProblem, "jacobian.*finite"),
+    (lambda: run(NP(np.sin), np.ones(1001)), InvalidProblem, "pattern"),
+    (lambda: run(NP(np.sin), [1.0], tolerance=-1), InvalidOption, "tolerance"),
+]
+
+
+@pytest.mark.parametrize(("mistake", "error", "words"), MISTAKES)
+def test_mistakes_are_refused_in_words(mistake: Callable[[], Any], error: type[Exception], words: str) -> None:
+    """Every mistake is named, with what is needed instead."""
+    with pytest.raises(error, match=words):
+        mistake()
+
+
+def test_a_wrong_jacobian_is_named() -> None:
+    """The worst entry of a derivative that contradicts F is named; the check can be switched off."""
+    problem, _ = models.membrane(10)
+
+    def wrong(x: np.ndarray) -> Any:
+        J = sp.lil_array(problem.jacobian(x))
+        J[37, 38] = 5.0
+        return J.tocsr()
+
+    mistaken = NonlinearProblem(problem.F, wrong, problem.lower)
+    words = r"jacobian\(x0\)\[37, 38\] = 5, and differences of F give -1; .*check_jacobian=False"
+    with pytest.raises(InvalidProblem, match=words):
+        solve_nonlinear(mistaken, np.zeros(100))
+    solve_nonlinear(mistaken, np.zeros(100), check_jacobian=False)
+
+
+@settings.get_profile("few")
+@given(SEEDS, st.sampled_from(KINDS), st.integers(1, 20))
+def test_a_right_jacobian_is_never_refused(seed: int, kind: str, n: int) -> None:
+    """The check finds no fault in derivatives that are right, wherever the start is."""
+    rng = np.random.default_rng(seed)
+    solve_nonlinear(planted(rng, kind, n).problem, rng.standard_normal(n), max_iterations=0)
+
+
+# --- proofs ------------------------------------------------------------------------------------------------------
+
+
+def test_a_derivative_in_single_precision_is_not_refused() -> None:
+    """Where F and its derivative come in float32, rounding in F is not taken for a wrong derivative."""
+    for seed in range(20):
+        one = planted(np.random.default_rng(seed), "monotone polynomial", 10)
+        problem = NonlinearProblem(
+            lambda x, one=one: one.F(x).astype(np.float32), lambda x, one=one: one.jacobian(x).astype(np.float32),
+            one.lower, one.upper,
+        )
+        solve_nonlinear(problem, np.random.default_rng(seed).standard_normal(10), max_iterations=0)
+
+
+@settings.get_profile("few")
+@given(SEEDS, st.booleans())
+def test_proofs_hold(seed: int, is_dominant: bool) -> None:
+    """A bound holds the exact rational solution, and a solution that is the only one nearby is proved."""
+    one = polynomial(np.random.default_rng(seed), is_dominant=is_dominant)
+    result = solve_nonlinear(one.problem, one.x, error_bound=True)
+    solved(result)
+    if np.abs(result.z - one.x).max() < 1e-6 and result.error_bound is not None:
+        assert not is_violated(one, result.z, result.error_bound.componentwise)
+    assert not is_dominant or result.error_bound is not None
+
+
+def square(lower: float) -> Polynomial:
+    none, zero, one = np.zeros(1), np.zeros((1, 1)), np.ones((1, 1))
+    return Polynomial(zero, one, zero, none, none - 1e-4, none + lower, none + INF, none + 0.01)
+
+
+def test_a_root_outside_the_bounds_is_not_proved() -> None:
+    """x² = 1e-4 has no solution at 0.01 where x ≥ 0.05: what is proved from there is the one at the bound."""
+    inside = krawczyk_bound(square(0.0).problem.linearised([0.01]), np.array([0.01]), square(0.0))
+    assert inside is not None
+    assert inside.infinity < 1e-16
+    outside = krawczyk_bound(square(0.05).problem.linearised([0.01]), np.array([0.01]), square(0.05))
+    assert outside is not None
+    assert outside.proven_active.all()
+    assert outside.infinity >= 0.04
+    near = krawczyk_bound(square(0.01 + 1e-9).problem.linearised([0.011]), np.array([0.011]), square(0.01 + 1e-9))
+    assert near is None or near.infinity >= 0.001 - 1e-9
+
+
+def test_only_one_solution_is_within_a_bound() -> None:
+    """Where Newton passes one root for another, and where a bound is no nearer than a root, nothing is claimed."""
+    for coefficients, x, lower in (([-8, -16, -8, 1, 1], 0.0, -INF), ([-1] + [0] * 19 + [1], 0.6, 0.0)):
+        p = np.polynomial.Polynomial(np.array(coefficients[::-1], float))
+        one = Scalar(p, p.deriv())
+        problem = NonlinearProblem(p, lambda x, one=one: np.diag(one.slope(x)), lower=[lower])
+        assert krawczyk_bound(problem.linearised([x]), np.array([x]), one) is None
+    bound = krawczyk_bound(problem.linearised([1e-3]), np.array([1e-3]), one)
+    assert bound is not None
+    assert bound.proven_active.all()
+
+
+class Scalar(NamedTuple):
+    """Encloses a polynomial and its derivative on an interval by the sizes of its Taylor terms at the middle."""
+
+    value: np.polynomial.Polynomial
+    slope: np.polynomial.Polynomial
+
+    @staticmethod
+    def _ends(p: np.polynomial.Polynomial, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        middle, radius = (low + high) / 2, (high - low) / 2
+        around = p(np.polynomial.Polynomial([middle[0], 1.0])).coef
+        reach = np.abs(around[1:]) @ radius[0] ** np.arange(1, around.size) + 1e-12 * np.abs(around).sum()
+        return around[:1] - reach, around[:1] + reach
+
+    def interval_F(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._ends(self.value, low, high)
+
+    def interval_jacobian(self, low: np.ndarray, high: np.ndarray) -> tuple[Any, Any]:
+        least, most = self._ends(self.slope, low, high)
+        return sp.csr_array(np.diag(least)), sp.csr_array(np.diag(most))
+
+
+def test_a_double_root_is_not_proved() -> None:
+    """Where the derivative is singular, and where F = 0 at a bound, nothing is claimed."""
+    zero, one = np.zeros((1, 1)), np.ones((1, 1))
+    double = Polynomial(zero, one, zero, np.zeros(1), np.zeros(1), np.array([-INF]), np.array([INF]), np.zeros(1))
+    assert krawczyk_bound(double.problem.linearised([1e-9]), np.array([1e-9]), double) is None
+    degenerate = Polynomial(one, zero, zero, np.zeros(1), np.zeros(1), np.zeros(1), np.array([INF]), np.zeros(1))
+    assert krawczyk_bound(degenerate.problem.linearised([0.0]), np.array([0.0]), degenerate) is None
+
+
+def test_dominance_proves_what_is_too_large_for_an_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second test proves the same solutions, where rows are dominated."""
+    monkeypatch.setattr("lcp_plugin.problems.nonlinear.krawczyk.DENSE_UP_TO", 0)
+    proved = 0
+    for seed in range(20):
+        one = polynomial(np.random.default_rng(seed), is_dominant=True)
+        x = one.x + 1e-6 * np.random.default_rng(seed).standard_normal(one.x.size)
+        bound = krawczyk_bound(one.problem.linearised(x), x, one)
+        proved += bound is not None
+        assert bound is None or not is_violated(one, x, bound.componentwise)
+    assert proved >= 18
+
+
+def test_without_an_enclosure_nothing_is_claimed() -> None:
+    """error_bound=True on a problem without an enclosure says in words what is missing."""
+    result = solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), error_bound=True)
+    assert result.error_bound is None
+    assert "enclosure" in result.explain()
+    assert derivative(result).is_unique is None
+
+
+def test_an_enclosure_that_contradicts_f_proves_nothing() -> None:
+    """An enclosure of another function is found out at the answer, and nothing is claimed."""
+    one, other = square(0.0), polynomial(np.random.default_rng(0), is_dominant=True)
+    other = Polynomial(*(array[:1, :1] if array.ndim == 2 else array[:1] + 1.0 for array in vars(other).values()))
+    result = solve_nonlinear(NonlinearProblem(one.F, one.jacobian, enclosure=other), [1.0], error_bound=True)
+    assert result.error_bound is None
+    assert "contradicts F" in result.no_error_bound
+
+
+# --- derivatives -------------------------------------------------------------------------------------------------
+
+
+@settings.get_profile("few")
+@given(SEEDS)
+def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
+    """jvp(dq=dF) is the difference quotient of re-solved problems, and vjp its transpose."""
+    rng = np.random.default_rng(seed)
+    one = polynomial(rng, is_dominant=True)
+    n, step = one.x.size, 2.0**-20
+    dF = rng.standard_normal(n)
+
+    def answer(shift: float) -> Result:
+        moved = NonlinearProblem(lambda x: one.F(x) + shift * dF, one.jacobian, one.lower, one.upper)
+        return solve_nonlinear(moved, one.x, tolerance=1e-13)
+
+    found = derivative(answer(0.0))
+    dx = found.jvp(dq=dF)
+    np.testing.assert_allclose(dx, (answer(step).z - answer(-step).z) / (2 * step), rtol=1e-5, atol=1e-6)
+    g = rng.standard_normal(n)
+    assert found.vjp(g).q @ dF == pytest.approx(g @ dx, rel=1e-9, abs=1e-12)
+
+
+def test_only_a_solution_has_a_derivative() -> None:
+    """What is not SOLVED has no derivative."""
+    with pytest.raises(UnsuitableProblem, match="MAX_ITERATIONS"):
+        derivative(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), max_iterations=1))
+
+
+def test_a_far_start_of_a_large_problem_costs_few_factorisations():
+    """−Δu = 5 eᵘ under a ceiling of 3 on 11³ points, from the ceiling, where no linearisation is worth solving."""
+    m, ceiling = 11, 3.0
+    line, eye = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(m, m)), sp.eye_array(m)
+    laplace = sp.kron(sp.kron(line, eye), eye) + sp.kron(sp.kron(eye, line), eye) + sp.kron(sp.kron(eye, eye), line)
+    laplace = sp.csr_array(laplace * (m + 1.0) ** 2)
+    problem = NonlinearProblem(
+        lambda u: laplace @ u - 5.0 * np.exp(u), lambda u: sp.csr_array(laplace - sp.diags_array(5.0 * np.exp(u))),
+        lower=-np.inf, upper=np.full(m**3, ceiling),
+    )
+    result = solve_nonlinear(problem, np.full(m**3, ceiling + 5.0))
+    assert result.status is Status.SOLVED
+    assert result.work <= 60_000  # 3e5 and more where each linearisation is tried to the end

@@ -1,0 +1,835 @@
+"""`certify`: what it says of right answers, of wrong ones, and of what is no convex program."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import pickle
+import tracemalloc
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import cvxpy as cp
+import exact
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+import lcp_plugin
+from lcp_plugin import (
+    LCP,
+    EquilibriumProgram,
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    NonlinearProblem,
+    QuadraticProgram,
+    UnsupportedModel,
+    bounded_least_squares,
+    certify,
+    complements,
+    solve,
+    solve_nonlinear,
+)
+from lcp_plugin.commands.cli import app
+from lcp_plugin.modeling.stated_terms import StatedTerms
+from lcp_plugin.problems.programs.conversion import lcp_from_qp
+from lcp_plugin.problems.programs.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
+from lcp_plugin.problems.programs.feasible_points import FeasiblePoint, FeasiblePoints
+from lcp_plugin.problems.programs.program_proofs import SMALL, ProgramProofs, distances
+from lcp_plugin.problems.programs.solving import solve_quadratic_program
+from lcp_plugin.proofs.bounds.curvature import Curvature, constrained_curvature, curvature
+from lcp_plugin.strategies import convex_qps
+
+INF = np.inf
+
+
+def campaign(name: str) -> Any:
+    """The generator and the judge of a campaign."""
+    path = Path(__file__).parents[2] / "campaigns" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(f"{name}_campaign", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    import sys
+
+    sys.modules[spec.name] = module  # its dataclasses look themselves up
+    spec.loader.exec_module(module)
+    return module
+
+
+CAMPAIGN, MULTIPLIERS = campaign("certify"), campaign("multipliers")
+SEEDS = {"redundant": (311,), "fixed": (118, 278)}  # far above before small ones were looked for
+SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+
+
+# --- Right and wrong answers to programs --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
+def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
+    """Of each kind some programs: every number holds in fractions; right is proved, planted wrong answers are not."""
+    off = []
+    for seed in range(5):
+        rng = np.random.default_rng([seed, 20])
+        case = CAMPAIGN.case(kind, rng, 7)
+        for multipliers in (None, case.multipliers):
+            said = certify(case.program, case.x, multipliers)
+            assert said.verdict == "proved", said
+            assert not CAMPAIGN.faults(case, case.x, said)
+        for name, (x, multipliers) in CAMPAIGN.planted(case, rng).items():
+            said = certify(case.program, x, multipliers)
+            assert not CAMPAIGN.faults(case, x, said), (name, said)
+            may_be_proved = name not in CAMPAIGN.MULTIPLIERS and CAMPAIGN.is_still_right(case, x)
+            assert said.verdict != "proved" or may_be_proved, (name, said)
+            off += [said.verdict] if name == "off by 1e-2" else []
+    assert off.count("refuted") >= 4
+
+
+@settings.get_profile("few")
+@given(convex_qps())
+def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
+    """Lower ≤ the exact minimum ≤ upper, of programs with exact answers of any kind."""
+    program, answer = drawn
+    x = np.array([float(value) for value in answer.x])
+    said = certify(program, x)
+    assert said.verdict != "refuted"
+    assert said.lower is None or Fraction(said.lower) <= answer.objective
+    assert said.upper is None or Fraction(said.upper) >= answer.objective
+
+
+@pytest.mark.parametrize(("x", "reason"), [
+    ([0.5, 1.51], "a constraint is violated by 0.01"),
+    ([0.4, 1.4], "a feasible point has the objective -4.5, below"),
+])
+def test_what_refutes_is_said(x: list[float], reason: str) -> None:
+    """A violated constraint; a better feasible point."""
+    said = certify(SIMPLE, x)
+    assert said.verdict == "refuted"
+    assert said.reason.startswith(reason)
+
+
+def test_proofs_are_kept_with_a_program_and_left_out_of_pickles() -> None:
+    """Proofs are made once a program; what a pickle holds does not grow with them, and its data stay read-only."""
+    program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+    before = pickle.dumps(program)
+    said = certify(program, [0.5, 1.5])
+    assert ProgramProofs.of(program) is ProgramProofs.of(program)
+    after = pickle.dumps(program)
+    assert len(after) == len(before)
+    copy = pickle.loads(after)
+    assert not copy.c.flags.writeable
+    assert str(certify(copy, [0.5, 1.5])) == str(said)
+
+
+def test_a_value_that_no_feasible_point_has_is_refuted() -> None:
+    """A violation within the tolerance that buys much more than the tolerance in the objective."""
+    program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
+    said = certify(program, [1.0 + 9e-7], tolerance=1e-6)
+    assert said.verdict == "proved"  # relative to 1 + |f|
+    steep = QuadraticProgram([[1.0, 0.0], [0.0, 1.0]], [-1e4, 1e4], G=[[1.0, -1.0]], h=[0.0])
+    said = certify(steep, [9e-7, 0.0], tolerance=1e-6)
+    assert said.verdict == "refuted"
+    assert "no feasible x is below" in said.reason
+
+
+def test_an_error_that_the_objective_does_not_see_is_not_proved() -> None:
+    """X off by 1e-4 has an objective optimal to 1e-8; it is proved to be off, so that "optimal" is not proved."""
+    said = certify(SIMPLE, [0.5 + 1e-4, 1.5 - 1e-4])
+    assert said.verdict == "unproved"
+    assert "from every optimal one" in said.reason
+    flat = QuadraticProgram([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, -1.0, 0.0])
+    assert certify(flat, [0.5, 0.5 + 1e-4, 0.0]).reason.startswith("x is proved to be")
+    assert certify(flat, [0.7, 0.3, 5.0]).verdict == "proved"
+
+
+@pytest.mark.parametrize("multipliers", [
+    [1.0], ([1.0], []), ([1.0], [], [0.0, 0.0], [0.0, 0.0]), {"inequality": [1.0]}, [1.0, 0.0, 0.0, 0.0, 0.0],
+])
+def test_multipliers_in_every_form(multipliers: Any) -> None:
+    """One array, a pair, four, names, all constraints in one array: the same verdict."""
+    assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
+
+
+def test_a_solution_of_ours_is_an_answer() -> None:
+    """A QPSolution brings x and multipliers."""
+    own = ProgramProofs(SIMPLE).own_solution
+    assert own is not None
+    assert certify(SIMPLE, own).verdict == "proved"
+
+
+def test_wrong_multipliers_of_a_right_x_are_told() -> None:
+    """A wrong sign, and a gradient that the multipliers leave; the bounds stand all the same."""
+    for wrong, reason in (([-1.0], "has the wrong sign"), ([0.5], "of the gradient")):
+        said = certify(SIMPLE, [0.5, 1.5], wrong)
+        assert said.verdict == "unproved"
+        assert reason in said.reason
+        assert said.lower == pytest.approx(-4.5, abs=1e-12)
+
+
+@pytest.mark.parametrize("wrong", [
+    {"inequality": [8.0, 7.0, 0.0]}, {"inequality": [0.5, 0.0, 0.5]},
+    {"inequality": [1.0, 0.0, 0.0], "lower": [7.0, 0.0], "upper": [7.0, 0.0]},
+    {"inequality": [1.0, 0.0, 0.0], "lower": [0.0, 7.0], "upper": [0.0, 7.0]},
+], ids=["a row with room", "a row without limit", "two bounds with room", "a bound that is none"])
+def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> None:
+    """Multipliers under which the gradient vanishes are wrong all the same where their constraints leave room."""
+    program = QuadraticProgram(
+        [[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [-1, -1], [1, 1]], h=[2, 9, INF], lower=[-5.0, -INF], upper=9.0
+    )
+    assert certify(program, [0.5, 1.5], {"inequality": [1.0, 0.0, 0.0]}).verdict == "proved"
+    said = certify(program, [0.5, 1.5], wrong)
+    assert said.verdict == "unproved"
+    assert "of room" in said.reason or "no limit" in said.reason
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
+def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance: float) -> None:
+    """Where a row's unit is small, so is the violation of an x that is far off: its own multipliers prove nothing."""
+    n = SMALL + 20
+    P = sp.diags_array(np.append(1e3, np.ones(n - 1)))
+    program = QuadraticProgram(P, np.append(-1e3, np.zeros(n - 1)), G=sp.csr_array(([1e-7], ([0], [0])), (1, n)), h=[0])
+    x = np.append(1.0, np.zeros(n - 1))  # the minimum of the objective alone, and −500 instead of 0
+    assert certify(program, 0.0 * x, [1e10]).verdict == "proved"
+    assert certify(program, x, [0.0], tolerance=tolerance).verdict == "refuted"
+
+
+def test_duals_of_a_problem_that_cancel_are_wrong_where_nothing_holds() -> None:
+    """Of a cvxpy problem likewise."""
+    x = cp.Variable(2)
+    over, under = cp.sum(x) <= 2, -cp.sum(x) <= 9
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(x - np.array([1.0, 2.0]))), [over, under])
+    problem.solve(solver=cp.CLARABEL)
+    assert certify(problem).verdict == "proved"
+    for constraint in (over, under):
+        constraint.dual_variables[0].save_value(constraint.dual_value + 7.0)
+    said = certify(problem)
+    assert said.verdict == "unproved"
+    assert "room" in said.reason
+
+
+# --- Numbers at the edge -----------------------------------------------------------------------------------------
+
+
+def test_an_objective_that_overflows_is_not_proved() -> None:
+    """An objective of more than the largest double has no bounds: nothing is proved of it, and nothing is warned."""
+    steep = QuadraticProgram(
+        [[5, -1, -1], [-1, 2, 2], [-1, 2, 2]], [-3.0, 0.0, 1.7e308], lower=[-INF, 0.0, 0.0]
+    )
+    assert certify(steep, [0.67, 0.33, 1e-4]).verdict == "unproved"
+    huge = certify(QuadraticProgram([[4.0]], [1e300], lower=1e155, upper=2e155), [2e155], [])
+    assert (huge.verdict, huge.gap) == ("unproved", None)
+
+
+def test_a_row_that_overflows_is_not_met() -> None:
+    """What overflows in a row is no proof of feasibility: no upper bound comes from it."""
+    program = QuadraticProgram(np.eye(2), [-1.0, -1.0], G=[[1e308, 1e308]], h=[0.0])
+    said = certify(program, [1.0, 1.0])
+    assert said.verdict != "proved"
+    assert said.upper is None or said.upper >= 0.0
+
+
+def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
+    """A row that is violated by less than what its cancellation leaves in doubles has an excess above 0."""
+    row = [-348.8201551564181, 1.908583919254138e-14, 2.650840420824661e-32, 513697.1011682231, 2.0133432009333935e-10]
+    x = [1.0, 1.0, 1.0, 0.0006790385897898772, 1.091599154672567e-09]
+    value = sum((Fraction(a) * Fraction(b) for a, b in zip(row, x, strict=True)), Fraction(0))
+    program = QuadraticProgram(np.zeros((5, 5)), np.zeros(5), G=[row], h=[0.0])
+    assert 0 < value <= Fraction(float(program.constraints.excess(np.array(x))[0]))
+
+
+def test_least_squares_end() -> None:
+    """Bounded least squares come to an end where entries differ by 1e36, and hold the bounds."""
+    rows = [[0.0, 0.0, 0.0, 1.0 / 3.0, 1.0], [0.0, 0.0, 0.0, -(2.0**60), 2.0**120], [0.0, 0.0, 0.0, -(2.0**120), 0.0]]
+    low = np.array([-INF, -INF, -INF, 0.0, -INF])
+    found = least_squares_above(sp.csr_array(rows), np.array([-7.5e-37, -1.0, -8.7e-19]), low)
+    assert (found >= low).all()
+
+
+@pytest.mark.parametrize("objective", [(1e-300, 1e155), (5e-324, 1.0)])
+def test_curvature_that_underflows_is_no_distance(objective: tuple[float, float]) -> None:
+    """A P of next to nothing beside c: the form of a step underflows, and nothing is said of the step."""
+    program = QuadraticProgram([[objective[0]]], [objective[1]], lower=-2.0, upper=1.0)
+    assert certify(program, [-2.0 + 1e-9], tolerance=1e-3).verdict in ("proved", "unproved")
+
+
+@pytest.mark.parametrize("row", [[1e-160, 2.8e-162], [5e-324, 0.0], [1e-200, 1e200]])
+def test_equations_of_tiny_numbers_give_no_curvature(row: list[float]) -> None:
+    """Squares that underflow are no weights: a P + ρ AᵀA of which rounding is a part proves nothing."""
+    A, P = np.array([row]), np.diag([1e-16, 0.0])
+    found = constrained_curvature(P, A)
+    rest, rows = exact.exact_rows(P), exact.exact_rows(A)
+    for i in range(2):
+        for j in range(2):
+            rest[i][j] += Fraction(found.penalty) * rows[0][i] * rows[0][j]
+        rest[i][i] -= Fraction(float(found.weights[i]))
+    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
+# --- Claims ------------------------------------------------------------------------------------------------------
+
+
+def test_claims_are_proved_by_proofs_and_refuted_by_points() -> None:
+    """Infeasible and unbounded, right and wrong."""
+    infeasible = QuadraticProgram([[0.0]], [1.0], G=[[1.0], [-1.0]], h=[0.0, -1.0])
+    unbounded = QuadraticProgram([[0.0]], [1.0], upper=1.0)
+    verdicts = [
+        [certify(program, claim=claim).verdict for claim in ("infeasible", "unbounded")]
+        for program in (infeasible, unbounded, SIMPLE)
+    ]
+    assert verdicts == [["proved", "refuted"], ["refuted", "proved"], ["refuted", "refuted"]]
+    answer = certify(unbounded, [0.0])
+    assert (answer.verdict, answer.lower) == ("refuted", None)
+    assert answer.reason.startswith("the program is unbounded")
+    assert certify(infeasible, [0.5]).verdict == "refuted"
+
+
+@pytest.mark.parametrize("miss", [1e-7, 1e-5])
+def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
+    """Constraints that contradict by less than the tolerance are met to it; by more, "infeasible" is proved."""
+    program = QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[1.0, -1.0 - miss])
+    claimed, answered = certify(program, claim="infeasible"), certify(program, [1.0 + miss / 2.0])
+    assert (claimed.verdict, answered.verdict) == (("unproved", "proved") if miss < 1e-6 else ("proved", "refuted"))
+    assert ("only" in claimed.reason) == (miss < 1e-6)
+
+
+# --- What it is made of ------------------------------------------------------------------------------------------
+
+
+@given(st.integers(1, 5), st.integers(0, 5), st.integers(0, 2**31), st.booleans())
+def test_weights_leave_a_semidefinite_matrix(n: int, rank: int, seed: int, has_rounding: bool) -> None:
+    """P − diag(weights) has no negative eigenvalue, exactly, whether P is definite, singular or rounded."""
+    rng = np.random.default_rng(seed)
+    F = rng.normal(size=(n, rank)) if has_rounding else rng.integers(-3, 4, (n, rank)).astype(float)
+    found = curvature(F @ F.T)
+    assert np.isfinite(found.weights).all()
+    rest = exact.exact_rows(F @ F.T)
+    for i, weight in enumerate(found.weights.tolist()):
+        rest[i][i] -= Fraction(weight)
+    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
+@settings.get_profile("few")
+@given(st.integers(1, 4), st.integers(0, 2), st.integers(1, 3), st.integers(0, 2**31))
+def test_weights_on_the_null_space_leave_a_semidefinite_matrix(n: int, rank: int, p: int, seed: int) -> None:
+    """P + ρ AᵀA − diag(weights) has no negative eigenvalue, exactly."""
+    rng = np.random.default_rng(seed)
+    F, A = rng.integers(-3, 4, (n, rank)).astype(float), rng.normal(size=(p, n))
+    found = constrained_curvature(F @ F.T, A)
+    rest, rows = exact.exact_rows(F @ F.T), exact.exact_rows(A)
+    for i in range(n):
+        for j in range(n):
+            rest[i][j] += Fraction(found.penalty) * sum((row[i] * row[j] for row in rows), Fraction(0))
+        rest[i][i] -= Fraction(float(found.weights[i]))
+    assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
+def test_any_point_and_any_multipliers_give_a_lower_bound(kind: str) -> None:
+    """As they are, repaired and solved for exactly; near the right ones and far away, of any sign."""
+    finite = 0
+    for seed in range(25):
+        rng = np.random.default_rng([seed, 21])
+        case = CAMPAIGN.case(kind, rng, 3)
+        bounds = ProgramProofs(case.program).bounds
+        right = np.concatenate(case.multipliers[:2])
+        for size in (0.0, 1e-12, 1e-2, 1.0):
+            for is_flipped in (False, True):
+                x = case.x + size * rng.normal(size=case.x.size)
+                y = (right + size * rng.normal(size=right.size)) * (-1.0 if is_flipped else 1.0)
+                at = bounds.admitted(x, y)
+                found = [bounds.value(at), bounds._exact_value(at), bounds.best(x, y)]
+                finite += np.isfinite(found[2])
+                assert all(value == -INF or Fraction(value) <= case.value for value in found), (seed, size, found)
+    assert finite >= 50
+
+
+def test_the_bound_is_sharp_where_it_can_be() -> None:
+    """Of ½x² the bound at x̂ = 1 is its minimum; on x₁ = 0, without curvature of its own, that of a linear objective."""
+    plain = ProgramProofs(QuadraticProgram([[1.0]], [0.0])).bounds
+    assert plain.best(np.ones(1), np.zeros(0)) == pytest.approx(0.0, abs=1e-15)
+    held = ProgramProofs(QuadraticProgram([[0.0]], [1.0], A=[[1.0], [2.0]], b=[0.0, 0.0])).bounds
+    for x in (0.0, 1e-3, 1.0):
+        for y in ([0.0, 0.0], [-1.0, 0.0]):
+            at = DualPoint(np.array([x]), np.array(y))
+            assert held.value(at) <= 0.0
+            assert held._exact_value(at) <= 0.0
+
+
+def test_distances_are_those_of_the_worst_optimum() -> None:
+    """Where y is one from the optimum by its value, the answer may be on either side of it: both ends are attained."""
+    proofs = ProgramProofs(QuadraticProgram(np.diag([2.0, 8.0]), [0.0, 0.0]))
+    for y, ends in ((1.0, (1.0, 3.0)), (-1.0, (3.0, 5.0))):  # x* is y ± 1 as far as the value tells; x = 3
+        point = FeasiblePoint(np.array([y, 0.0]), np.zeros(2), 1.0)
+        near, far = distances(proofs, np.array([3.0, 0.0]), [point], 0.0, slice(None))
+        assert far == pytest.approx(ends[0], rel=1e-6)
+        assert near == pytest.approx(ends[1], rel=0.05)
+        assert far <= 3.0 <= ends[1] <= near
+    assert distances(proofs, np.ones(2), [], 0.0, slice(None)) == (INF, 0.0)
+    assert not Curvature(np.array([1.0, -1e-9])).is_semidefinite
+
+
+def test_what_bends_down_and_what_is_missed_is_taken_off() -> None:
+    """Weights below 0 sag within the box; between points of A x = b the penalty is taken off: both as much as it is."""
+    flat = QuadraticProgram([[-2.0]], [0.0], lower=-1.0, upper=1.0)
+    sagging = DualBounds(flat, Curvature(np.array([-2.0])), (np.array([-1.0]), np.array([1.0])))
+    at = DualPoint(np.zeros(1), np.zeros(0))
+    assert sagging.value(at) == pytest.approx(-1.0)
+    assert sagging.value(at) <= -1.0
+    straight = DualBounds(flat, Curvature(np.zeros(1)), sagging.box)  # −s t is largest at either end of s
+    for below, above in ((2.0, 3.0), (3.0, 2.0)):
+        assert straight._loss(-np.ones(1), np.ones(1), np.array([below]), np.array([above])) >= 3.0
+    assert _sum_above(np.array([1.0, 2.0**-60])) > 1.0
+    only = QuadraticProgram([[-1.0]], [0.0], A=[[1.0]], b=[1.0])  # x = 1 alone, where the objective is −½
+    held = DualBounds(only, Curvature(np.array([1.0]), penalty=2.0), (np.array([-INF]), np.array([INF])))
+    at = DualPoint(np.zeros(1), np.array([-1.0]))
+    for found in (held.value(at), held._value_of([Fraction(0)], [Fraction(-1)])):
+        assert found == pytest.approx(-0.5)
+        assert found <= -0.5
+
+
+def test_indefinite_by_a_rounding_error_is_no_proof() -> None:
+    """A P with an eigenvalue of −1e-17 and nothing that bounds x: nothing can be proved."""
+    third = 1.0 / 3.0
+    P = np.array([[third, third], [third, np.nextafter(third, 0.0)]])
+    said = certify(QuadraticProgram(P, [0.0, 0.0]), [0.0, 0.0])
+    assert (said.verdict, said.lower) == ("unproved", None)
+    assert "only to rounding" in said.reason
+    boxed = certify(QuadraticProgram(P, [0.0, 0.0], lower=-1.0, upper=1.0), [0.0, 0.0])
+    assert boxed.lower is not None
+    assert boxed.lower < 0.0
+
+
+@settings.get_profile("few")
+@given(convex_qps())
+def test_implied_bounds_hold_for_feasible_points(drawn: Any) -> None:
+    """The exact minimum lies in the box that the constraints imply."""
+    program, answer = drawn
+    lower, upper = implied_box(program)
+    assert all(a <= x <= b for a, x, b in zip(lower, answer.x, upper, strict=True))
+
+
+def test_implied_bounds_are_rounded_outwards() -> None:
+    """What a row implies without rounding is within the box, whatever its terms and however they cancel."""
+    rng = np.random.default_rng(4)
+    for _ in range(150):
+        n = int(rng.integers(2, 7))
+        row = rng.normal(size=n) * 10.0 ** rng.integers(0, 8, n)
+        lower, upper = np.sort(rng.normal(size=(2, n)) * 10.0 ** rng.integers(0, 8, n), axis=0)
+        program = QuadraticProgram(np.zeros((n, n)), np.zeros(n), G=[row], h=[rng.normal()], lower=lower, upper=upper)
+        low, high = implied_box(program)
+        least = [min(Fraction(a) * Fraction(e) for e in ends)
+                 for a, ends in zip(row, zip(lower, upper, strict=True), strict=True)]
+        for j, a in enumerate(row.tolist()):
+            end = (Fraction(float(program.h[0])) - sum(least) + least[j]) / Fraction(a)
+            assert Fraction(float(high[j])) >= min(end, Fraction(float(upper[j]))) or a < 0.0
+            assert Fraction(float(low[j])) <= max(end, Fraction(float(lower[j]))) or a > 0.0
+
+
+def test_a_chain_of_free_states_gets_a_bound() -> None:
+    """Positions and speeds without bounds: the dynamics bound them, and errors of 1e-15 in multipliers cost little."""
+    steps, rng = 300, np.random.default_rng(0)
+    rows = sp.lil_array((2 * steps, 3 * steps))
+    for k in range(steps):  # position, speed and force of step k
+        rows[2 * k, 3 * k], rows[2 * k + 1, 3 * k + 1], rows[2 * k + 1, 3 * k + 2] = 1.0, 1.0, -0.1
+        if k:
+            rows[2 * k, 3 * k - 3], rows[2 * k, 3 * k - 2], rows[2 * k + 1, 3 * k - 2] = -1.0, -0.1, -1.0
+    start, force = np.zeros(2 * steps), np.tile([0.0, 0.0, 1.0], steps)
+    start[:2] = 1.0
+    program = QuadraticProgram(
+        sp.diags_array(force), np.tile([0.01, 0.0, 0.0], steps), A=rows.tocsr(), b=start,
+        lower=np.where(force > 0.0, -1.0, -INF), upper=np.where(force > 0.0, 1.0, INF),
+    )
+    assert np.isfinite(implied_box(program)).all()
+    proofs = ProgramProofs(program)
+    own = proofs.own_solution
+    assert own is not None
+    blurred = own.equality + 1e-15 * rng.normal(size=own.equality.size)
+    assert proofs.bounds.value(proofs.bounds.admitted(own.x, blurred)) > own.objective - 1e-6 * (1 + abs(own.objective))
+
+
+def test_free_columns_are_repaired() -> None:
+    """Multipliers off by 1e-10 on free columns: the plain bound is −∞, the repaired one sharp."""
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(4, 9))
+    nu, x = rng.normal(size=4), rng.normal(size=9)
+    program = QuadraticProgram(np.zeros((9, 9)), -A.T @ nu, A=A, b=A @ x)
+    proofs = ProgramProofs(program)
+    blurred = nu + 1e-10
+    assert proofs.bounds.value(proofs.bounds.admitted(x, blurred)) == -INF
+    assert proofs.lower(x, np.zeros(0), blurred, program.objective(x)) in (-INF, pytest.approx(program.objective(x)))
+    dyadic = np.round(64 * A) / 64
+    program = QuadraticProgram(np.zeros((9, 9)), -dyadic.T @ np.ones(4), A=dyadic, b=np.ones(4))
+    found = ProgramProofs(program).lower(x, np.zeros(0), np.ones(4) + 1e-10, -4.0)
+    assert found == pytest.approx(-4.0)
+
+
+def test_feasible_points_are_feasible() -> None:
+    """Near a point that misses equations and tight rows by rounding there is one that meets them exactly."""
+    rng = np.random.default_rng(2)
+    for seed in range(4):
+        case = CAMPAIGN.case("definite, equations", np.random.default_rng(seed), 6)
+        near = case.x + 1e-9 * rng.normal(size=case.x.size)
+        found = FeasiblePoints(case.program).near(near)
+        assert found is not None
+        assert np.abs(found.near - near).max() < 1e-6
+        assert Fraction(found.value) >= case.value
+
+
+def test_what_is_called_feasible_is() -> None:
+    """Near points that miss rows, one another's opposites among them: no row is missed by more than the radius."""
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        n, m = int(rng.integers(2, 5)), int(rng.integers(1, 5))
+        G, inside = rng.integers(-8, 9, (m, n)) / 8.0, rng.integers(-8, 9, n) / 8.0
+        G = np.vstack([G, -G[:1] if seed % 2 else G[:0]])
+        h = G @ inside + np.concatenate([np.zeros(1), rng.integers(0, 2, m - 1) / 4.0, np.zeros(seed % 2)])
+        A = rng.integers(-8, 9, (seed % 3, n)) / 8.0
+        program = QuadraticProgram(np.eye(n), np.zeros(n), G, h, A, A @ inside, lower=inside - 1.0)
+        for size in (1e-12, 1e-7, 1e-3):
+            found = FeasiblePoints(program).near(inside + size * rng.normal(size=n))
+            if found is not None:
+                room = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
+                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(room)) * 2, (seed, size)
+
+
+def test_a_point_between_two_vectors_has_the_larger_value() -> None:
+    """The value of a point that is known to a radius is above the objective wherever it may lie."""
+    program = QuadraticProgram([[2.0]], [0.0])
+    assert FeasiblePoint.of(program, np.array([1.0]), np.array([2.0])).value == pytest.approx(4.0)
+    assert FeasiblePoint.of(program, np.array([1.0]), np.array([2.0])).value >= 4.0
+
+
+# --- cvxpy -------------------------------------------------------------------------------------------------------
+
+
+def models() -> dict[str, cp.Problem]:
+    """Problems with constraints on the user's variables and with auxiliary ones."""
+    rng = np.random.default_rng(3)
+    A, b = rng.normal(size=(20, 4)), rng.normal(size=20)
+    x, y, z = cp.Variable(4), cp.Variable(4, nonneg=True), cp.Variable((2, 2), symmetric=True)
+    risk = np.diag([1.0, 2.0, 3.0, 4.0])
+    return {
+        "least squares": cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b) + 3), [x >= 0]),
+        "portfolio": cp.Problem(cp.Maximize(A[0] @ y - cp.quad_form(y, risk)), [cp.sum(y) == 1]),
+        "lasso": cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b) + cp.norm1(x))),
+        "linear": cp.Problem(cp.Minimize(cp.norm_inf(A @ x - b)), [x <= 1]),
+        "symmetric": cp.Problem(cp.Minimize(cp.sum_squares(z - np.array([[1.0, 2.0], [3.0, 4.0]]))), [z >= 0]),
+    }
+
+
+@pytest.mark.filterwarnings("ignore:.*is deprecated:DeprecationWarning")  # osqp's, of options that old cvxpy sends
+@pytest.mark.parametrize("name", models())
+@pytest.mark.parametrize("solver", ["CLARABEL", "OSQP"])
+def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None:
+    """Proved, with bounds on either side of the value, in the user's sense; nothing of the problem is changed."""
+    problem = models()[name]
+    problem.solve(solver=solver)
+    value, values = problem.value, [variable.value for variable in problem.variables()]
+    said = certify(problem)
+    assert said.verdict == "proved", said
+    assert said.lower is not None
+    assert said.upper is not None
+    assert said.lower - 1e-12 <= value + 1e-6
+    assert said.upper + 1e-6 >= value
+    assert said.upper - said.lower < 1e-9
+    assert problem.value == value
+    assert problem.status == "optimal"
+    for before, variable in zip(values, problem.variables(), strict=True):
+        np.testing.assert_array_equal(before, variable.value)
+    assert (said.distance is not None) == (name in ("portfolio", "least squares", "symmetric"))
+
+
+def test_wrong_values_of_cvxpy_variables() -> None:
+    """Off by 1e-4: never proved; off by 1e-2, and the answer without a constraint: refuted; a dual's sign: unproved."""
+    problem = models()["portfolio"]
+    problem.solve(solver="CLARABEL")
+    y, budget = problem.variables()[0], problem.constraints[0]
+    right = y.value
+    # One share more of the second and less of the first.
+    for off, verdicts in ((1e-4, ("unproved", "refuted")), (1e-2, ("refuted",))):
+        y.save_value(right + off * np.array([1.0, -1.0, 0.0, 0.0]))
+        assert certify(problem).verdict in verdicts
+    y.save_value(right)
+    assert certify(problem).verdict == "proved"
+    budget.dual_variables[0].save_value(-budget.dual_value)
+    said = certify(problem)
+    assert said.verdict == "unproved"
+    assert "dual" in said.reason
+    other = models()["least squares"]
+    free = cp.Problem(other.objective)
+    free.solve(solver="CLARABEL")
+    other._status = "optimal"
+    assert certify(other).verdict == "refuted"
+
+
+@pytest.mark.parametrize("value", [0.0, 0.25, 1.0])
+def test_every_optimal_value_is_proved(value: float) -> None:
+    """Where x is not the only answer, what cvxpy added to the problem is as it is best beside this x."""
+    x = cp.Variable()
+    problem = cp.Problem(cp.Minimize(cp.pos(x) + cp.pos(1.0 - x)), [x <= 5.0])
+    problem.solve(solver="CLARABEL")
+    x.save_value(np.array(value))
+    said = certify(problem)
+    assert said.verdict == "proved", said
+    assert said.distance is None
+    x.save_value(np.array(1.0 + 1e-4))
+    assert certify(problem).verdict == "refuted"
+
+
+def test_terms_of_sparse_expressions_are_looked_at_sparse() -> None:
+    """The size of what an expression adds up makes no sparse matrix dense: 3000 × 3000 would be 72 MB."""
+    x = cp.Variable(3000)
+    x.value = np.full(3000, 2.0)
+    matrix = sp.diags_array(np.full(3000, -5.0), format="csc")
+    tracemalloc.start()
+    try:
+        goal = cp.quad_form(x, -matrix, assume_PSD=True)
+        terms = StatedTerms(cp.Problem(cp.Minimize(goal), [matrix @ x - 1.0 <= 0.0])).at({x.id: x.value})
+        assert terms.size(1) == 1.0 + 5.0 * 3000
+        assert terms.size(0) >= 1.0 + 4.0 * 5.0 * 3000
+        assert tracemalloc.get_traced_memory()[1] < 10e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_claims_of_cvxpy_solvers() -> None:
+    """Statuses are held against the problem, right and wrong ones."""
+    x = cp.Variable(2)
+    infeasible = cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= 1, cp.sum(x) <= 1])
+    unbounded = cp.Problem(cp.Maximize(cp.sum(x)), [x >= 1])
+    for problem, claim in ((infeasible, "infeasible"), (unbounded, "unbounded")):
+        problem.solve(solver="CLARABEL")
+        said = certify(problem)
+        assert (said.claim, said.verdict) == (claim, "proved")
+    fine = cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= 1])
+    fine.solve(solver="CLARABEL")
+    for status in ("infeasible", "unbounded"):
+        fine._status = status
+        assert certify(fine).verdict == "refuted"
+
+
+# --- Refused in words ---------------------------------------------------------------------------------------------
+
+
+def unsolved(constraints: Any = (), **attributes: Any) -> cp.Problem:
+    x = cp.Variable(2, **attributes)
+    return cp.Problem(cp.Minimize(cp.sum_squares(x)), [make(x) for make in constraints])
+
+
+PAIRS, CURVED = LCP([[2, 1], [1, 2]], [-5, 1]), NonlinearProblem(lambda x: x**3 - 1.0)
+
+REFUSED: list[tuple[Any, type[LCPError], str]] = [
+    (lambda: certify(unsolved()), InvalidProblem, r"status is None; call problem\.solve\(\)"),
+    (lambda: certify(unsolved([lambda x: cp.norm2(x) <= 1])), UnsupportedModel, "is not piecewise linear"),
+    (lambda: certify(unsolved(integer=True)), UnsupportedModel, "is integer"),
+    (lambda: certify(unsolved([lambda x: cp.sqrt(x) <= 1])), UnsupportedModel, "convex"),
+    (lambda: certify(unsolved([lambda x: complements(x >= 0, x >= 1)])), UnsupportedModel, "is_dcp"),
+    (lambda: certify(cp.Problem(cp.Minimize(3))), UnsupportedModel, "no variables"),
+    (lambda: certify(SIMPLE), InvalidProblem, "needs the x"),
+    (lambda: certify(SIMPLE, [1.0]), InvalidProblem, r"length 2, got shape \(1,\)"),
+    (lambda: certify(SIMPLE, [1.0, np.nan]), InvalidProblem, r"x\[1\] = nan"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], [1.0, 2.0]), InvalidProblem, "length 1, one a row.*or 5.*got 2"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], [np.nan]), InvalidProblem, r"multipliers\[0\] = nan"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], {"inequalities": [1.0]}), InvalidProblem, "did you mean 'inequality'"),
+    (lambda: certify(QuadraticProgram([[1, 2], [2, 1]], [0, 0]), [0.0, 0.0]), UnsupportedModel, "not convex"),
+    (lambda: certify(SIMPLE, claim="optimum"), InvalidOption, "did you mean 'optimal'"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], tolerance=0.0), InvalidOption, "tolerance must be a number > 0"),
+    (lambda: certify(SIMPLE, [0.5, 1.5], max_seconds=-1), InvalidOption, "max_seconds must be"),
+    (lambda: certify(unsolved(), [1.0, 2.0]), InvalidOption, "a cvxpy problem has its own"),
+    (lambda: certify([[1.0]]), InvalidProblem, "got list"),
+    (lambda: certify(PAIRS, [1.0, 0.0]), InvalidProblem, r"Certificate\.of\(problem, z\).*error_bound\(problem, z\)"),
+    (lambda: certify(solve(PAIRS)), InvalidProblem, r"result\.certificate.*, error_bound\(problem, result\.z"),
+    (lambda: certify(LCP.from_qp(np.eye(2), [1, 1]).origin.recover([0, 0])), InvalidProblem, r"y\(program, solution"),
+    (lambda: certify(CURVED, [1.0]), InvalidProblem, r"solve\(problem, x0=x, max_iterations=0\)\.certificate has"),
+    (lambda: certify(solve_nonlinear(CURVED, [1.0])), InvalidProblem, r"result\.certificate has its residuals"),
+    (lambda: certify(bounded_least_squares([[1.0]], [1.0])), InvalidProblem, r"solve\(problem\)\.gap is proved"),
+    (lambda: certify(EquilibriumProgram(SIMPLE, [0], [1])), InvalidProblem, r"solve\(problem\)\.verify\(\)"),
+]
+
+
+@pytest.mark.parametrize(("call", "kind", "words"), REFUSED, ids=[words for _, _, words in REFUSED])
+def test_mistakes_are_refused_in_words(call: Any, kind: type[LCPError], words: str) -> None:
+    """What is no answer to a convex program is an error that says what is needed."""
+    with pytest.raises(kind, match=words):
+        call()
+
+
+# --- The command --------------------------------------------------------------------------------------------------
+
+
+QPS = """NAME          TWO
+ROWS
+ N  obj
+ L  r1
+COLUMNS
+    c1        obj       -2.0   r1        1.0
+    c2        obj       -4.0   r1        1.0
+RHS
+    rhs       r1        2.0
+BOUNDS
+ FR bnd       c1
+ FR bnd       c2
+QUADOBJ
+    c1        c1        2.0
+    c2        c2        2.0
+ENDATA
+"""
+
+
+def write_program(path: Path, **changes: Any) -> None:
+    """The program of the doctest in the layout of arrays."""
+    P, A = sp.csc_array(2.0 * np.eye(2)), sp.csc_array([[1.0, 1.0]])
+    parts = {f"{name}_{part}": getattr(matrix, part) for name, matrix in (("P", P), ("A", A))
+             for part in ("data", "indices", "indptr", "shape")}
+    np.savez(path, **{**parts, "q": [-2.0, -4.0], "l": [-1e20], "u": [2.0], "r": 1.0, **changes})
+
+
+@pytest.mark.parametrize("name", ["two.npz", "two.qps"])
+def test_the_command_judges_solvers(name: str, tmp_path: Path) -> None:
+    """One line a solver, exit code 0 where all is proved; JSON says the same."""
+    path = tmp_path / name
+    if name.endswith("npz"):
+        write_program(path)
+    else:
+        pytest.importorskip("highspy")
+        path.write_text(QPS)
+    done = CliRunner().invoke(app, ["certify", str(path), "--solver", "CLARABEL,osqp,LCP"])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.count("proved to 1e-06") == 3
+    content = json.loads(CliRunner().invoke(app, ["certify", str(path), "--json"]).stdout)
+    assert content["answers"][0]["lower"] == pytest.approx(-4.5)
+
+
+def test_exit_codes_of_the_command(tmp_path: Path) -> None:
+    """1 where an answer is not proved, 2 for bad input, in one line."""
+    write_program(tmp_path / "two.npz")
+    write_program(tmp_path / "short.npz", q=[1.0])
+    write_program(tmp_path / "bent.npz", P_data=[2.0, -2.0])
+    (tmp_path / "notes.txt").write_text("hello")
+    run = CliRunner().invoke
+    assert run(app, ["certify", str(tmp_path / "two.npz"), "--solver", "OSQP", "--tolerance", "1e-18"]).exit_code == 1
+    for arguments, words in (
+        (["missing.npz"], "no such file"), (["two.npz", "--solver", "OSQQ"], "no solver 'OSQQ'; known: "),
+        (["bent.npz", "--solver", "CLARABEL"], "not convex: the smallest eigenvalue of P is -2"),
+        (["two.npz", "--tolerance", "0"], "tolerance must be a number > 0"),
+        (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "no such file"),
+        (["two.npz", "--solver", ","], "at least"),
+        (["notes.txt"], "a program is an .npz, .mat, .qps, .mps or .nl file"),
+    ):
+        done = run(app, ["certify", str(tmp_path / arguments[0]), *arguments[1:]])
+        assert done.exit_code == 2, done.output
+        assert words in done.stderr
+        assert not done.stdout
+
+
+def test_a_file_without_a_program_is_bad_input(tmp_path: Path) -> None:
+    """What HiGHS cannot read, and HiGHS where it is not installed, are told in a line."""
+    (tmp_path / "none.qps").write_text("nothing")
+    done = CliRunner().invoke(app, ["certify", str(tmp_path / "none.qps")])
+    assert done.exit_code == 2
+    assert "no program in it" in done.stderr or "pip install highspy" in done.stderr
+
+
+# --- Small multipliers, and time -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1e6, 1e9, 1e12])
+def test_of_all_multipliers_small_ones_are_returned(size: float) -> None:
+    """Two equal rows and a fixed variable allow multipliers of any size: those that cancel are replaced."""
+    program = QuadraticProgram(
+        np.diag([1.0, 0.0, 0.0]), [-1.0, 2.0, -3.0], A=[[1.0, 2.0, -1.0], [1.0, 2.0, -1.0], [0.0, 1.0, 1.0]],
+        b=[1.0, 1.0, 2.0], lower=[-INF, 1.0, -INF], upper=[INF, 1.0, INF],
+    )
+    problem = lcp_from_qp(program, "kkt")
+    result = solve(problem, tolerance=1e-12)
+    large = np.array(result.z)
+    large[3:5] += size, -size  # exactly as good
+    for z in (result.z, large):
+        found = problem.origin.recover(z)
+        assert found.is_optimal(1e-9)
+        assert np.abs(found.multipliers).max() < 20.0
+        assert certify(program, found).verdict == "proved"
+
+
+@pytest.mark.parametrize("kind", MULTIPLIERS.KINDS)
+def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
+    """Of each kind of degenerate programs some: at most 1e3 times the largest multiplier of HiGHS, bounds included."""
+    pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
+    for seed in SEEDS.get(kind, range(3)):
+        case = MULTIPLIERS.program(kind, np.random.default_rng([0, seed, 7]))
+        answer = solve_quadratic_program(case)[1]
+        assert answer.is_optimal()
+        theirs = MULTIPLIERS.largest_of_highs(case)
+        assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(theirs, 1e-6)
+
+
+def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the first solution is right to 1e-12 in the program's terms, no tolerance of its problem is tried below."""
+    asked: list[float] = []
+
+    def counted(problem: Any, *args: Any, **options: Any) -> Any:
+        asked.append(options["tolerance"])
+        return solve(problem, *args, **options)
+
+    monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve", counted)
+    program = QuadraticProgram([[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3])
+    assert certify(program, ProgramProofs.of(program).own_solution).verdict == "proved"
+    assert asked == [1e-9]
+
+
+def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Multipliers take at most half of the time that certify is given: what they prove takes time as well."""
+    limits: list[float] = []
+
+    def counted(problem: Any, *args: Any, **options: Any) -> Any:
+        limits.append(options["max_seconds"])
+        return solve(problem, *args, **options)
+
+    monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve", counted)
+    assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
+    assert limits
+    assert max(limits) <= 30.0
+
+
+def test_many_flat_variables_apart_from_each_other() -> None:
+    """A grid whose boundary edges cost nothing: more equations than one exact solve takes, a few at each node."""
+    side = 20
+    number = np.arange(side * side).reshape(side, side)
+    inner = np.concatenate([np.stack([number[1:].ravel(), number[:-1].ravel()]),
+                            np.stack([number[:, 1:].ravel(), number[:, :-1].ravel()])], axis=1)
+    outer = np.concatenate([number[0], number[-1], number[:, 0], number[:, -1], number[0], number[:, 0], number[-1]])
+    k = inner.shape[1]
+    A = sp.csr_array((np.concatenate([np.ones(k), -np.ones(k), np.full(outer.size, 0.3)]),
+                      (np.concatenate([inner[0], inner[1], outer]),
+                       np.concatenate([np.arange(k), np.arange(k), k + np.arange(outer.size)]))))
+    curved = np.arange(k + outer.size) < k
+    rng = np.random.default_rng(0)
+    v = np.round(rng.normal(size=side * side), 1)
+    c = np.where(curved, rng.normal(size=curved.size), A.T @ v)
+    program = QuadraticProgram(sp.diags_array(1.0 * curved).tocsr(), c, A=A, b=A @ rng.normal(size=curved.size))
+    answer = ProgramProofs.of(program).own_solution
+    assert answer is not None
+    found = certify(program, answer)
+    assert found.lower is not None
+    assert found.verdict == "proved"
+
+
+@pytest.mark.parametrize("attributes", [{"bounds": [-1, 2]}, {"nonpos": True}, {"bounds": [1.5, 2.5]}, {}])
+def test_bounds_of_variables_hide_no_entry(attributes: dict[str, Any]) -> None:
+    """An optimal x is proved to be near the optimal one, whatever attributes bound its variables."""
+    x, y = cp.Variable(3, **attributes), cp.Variable(2, bounds=[-1, 3])
+    goal = cp.sum_squares(x - [0.3, -0.4, 1.7]) + cp.sum_squares(y - [0.5, 2.0])
+    problem = cp.Problem(cp.Minimize(goal), [cp.sum(x) + cp.sum(y) <= 6.25])
+    problem.solve(solver=lcp_plugin.QPSolver)
+    found = certify(problem)
+    assert found.verdict == "proved"
+    assert found.distance is not None
+    assert found.distance < 1e-4
+    x.save_value(x.value + np.array([1e-3, -1e-3, 0.0]))
+    assert certify(problem).verdict != "proved"

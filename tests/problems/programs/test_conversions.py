@@ -1,0 +1,544 @@
+"""Conversions: the problem that comes out says the same as the one that went in, duals and their signs included."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, NotConverged, solve
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp, qp_from_lcp
+from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.reformulations.absolute_value import lcp_from_absolute_value
+from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
+from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
+
+TIGHT = {"tolerance": 1e-10, "max_iterations": 200_000}
+SEEDS = range(6)
+
+
+# --- Programs whose answer came first ----------------------------------------------------------------------
+
+
+@dataclass
+class Planted:
+    """A program and the x and multipliers that solve it."""
+
+    program: QuadraticProgram
+    x: Any
+    inequality: Any
+    equality: Any
+    lower: Any
+    upper: Any
+
+    def solution(self) -> QPSolution:
+        return QPSolution(self.program, self.x, self.inequality, self.equality, self.lower, self.upper)
+
+    def agrees(self, other: QPSolution, tolerance: float) -> None:
+        for name in ("x", "inequality", "equality", "lower", "upper"):
+            np.testing.assert_allclose(getattr(other, name), getattr(self, name), atol=tolerance, err_msg=name)
+
+
+def planted(
+    seed: int, n: int = 8, m: int = 4, p: int = 2, *, rank: int | None = None, bounded: bool = True,
+    sparse: bool = False, singletons: int = 0,
+) -> Planted:
+    """x, its active set and all multipliers are drawn; then c, h and b make them right.
+
+    Each third of the rows is active, inactive and degenerate; few enough are active for unique multipliers.
+    """
+    rng = np.random.default_rng(seed)
+    factor = rng.normal(size=(n, n if rank is None else rank))
+    P = factor @ factor.T + (np.eye(n) if rank is None else 0.0)
+    G = np.vstack([rng.normal(size=(m, n)), np.zeros((singletons, n))])
+    owned = rng.permutation(n)[:singletons]
+    G[np.arange(m, m + singletons), owned] = rng.choice([-2.0, 3.0], singletons)
+    A, x = rng.normal(size=(p, n)), rng.normal(size=n)
+    kind = np.arange(m + singletons) % 3  # 0 active, 1 inactive, 2 degenerate
+    inequality = np.where(kind == 0, rng.uniform(1, 2, m + singletons), 0.0)
+    h = G @ x + np.where(kind == 1, 1.0, 0.0)
+    equality = rng.normal(size=p)
+    state = np.full(n, 1)
+    if bounded:  # what a singleton row owns has loose bounds of its own
+        state[np.setdiff1d(np.arange(n), owned)[:2]] = [0, 2]
+    lower = np.where(state == 0, x, x - 1.0) if bounded else np.full(n, -np.inf)
+    upper = np.where(state == 2, x, x + 1.0) if bounded else np.full(n, np.inf)
+    at_lower, at_upper = (np.where(state == s, rng.uniform(1, 2, n), 0.0) for s in (0, 2))
+    c = -(P @ x + G.T @ inequality + A.T @ equality - at_lower + at_upper)
+    wrap = sp.csr_array if sparse else np.asarray
+    program = QuadraticProgram(wrap(P), c, wrap(G), h, wrap(A), A @ x, lower, upper)
+    return Planted(program, x, inequality, equality, at_lower, at_upper)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_planted_answers_are_optimal(seed: int) -> None:
+    """The residuals of a planted answer are rounding, and each notices its own kind of error."""
+    answer = planted(seed, singletons=2)
+    right = answer.solution()
+    assert right.residual < 1e-14
+    assert right.is_optimal(1e-13)
+    shifted = QPSolution(answer.program, answer.x + 0.1, *vars_of(right))
+    assert min(shifted.primal_residual, shifted.dual_residual, shifted.complementarity) > 1e-3
+    inequality, equality, lower, upper = vars_of(right)
+    wrong_sign = QPSolution(answer.program, answer.x, -inequality, equality, lower, upper)
+    assert wrong_sign.dual_residual > 1e-2
+    assert wrong_sign.primal_residual < 1e-14
+    on_inactive = QPSolution(answer.program, answer.x, inequality + 0.1, equality, lower, upper)
+    assert on_inactive.complementarity > 1e-3
+    assert not on_inactive.is_optimal()
+
+
+def test_a_limit_out_of_reach_excuses_nothing() -> None:
+    """A bound of 1e9 that holds does not make a violation of another row relatively small."""
+    program = QuadraticProgram([[2.0]], [-4.0], [[1.0], [2.0]], [1.0, 1e9], lower=-1e9, upper=1e9)
+    solution = lcp_from_qp(program).origin.recover([1.5])
+    assert solution.primal_residual == pytest.approx(0.5 / (1 + 1))
+    assert not solution.is_optimal(1e-2)
+
+
+def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
+    return solution.inequality, solution.equality, solution.lower, solution.upper
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("sparse", [False, True])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_dual_form_solved_and_recovered(seed: int, sparse: bool) -> None:
+    """The dual form, solved by PSOR or PGS, gives back the planted x and all multipliers."""
+    answer = planted(seed, sparse=sparse, singletons=2)
+    problem = lcp_from_qp(answer.program, "dual")
+    result = solve(problem, "psor" if seed % 2 else "pgs", **TIGHT).require_solved()
+    recovered = problem.origin.recover(result)
+    answer.agrees(recovered, 1e-5)
+    assert recovered.is_optimal(1e-8)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_direct_form_solved_and_recovered(seed: int) -> None:
+    """A program with bounds and singleton rows only is the direct problem of n rows, and PSOR solves it."""
+    answer = planted(seed, m=0, p=0, singletons=3)
+    problem = lcp_from_qp(answer.program)
+    assert problem.origin.form == "direct"
+    assert problem.n == answer.program.n
+    answer.agrees(problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved()), 1e-6)
+
+
+@pytest.mark.parametrize("rank", [None, 3, 0])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
+    """Of any convex program, P = 0 included, (x, λ, ν) solves the KKT form, is recovered from it, and M is monotone."""
+    answer = planted(seed, rank=rank)
+    problem = lcp_from_qp(answer.program, "kkt")
+    z = np.concatenate([answer.x, answer.inequality, answer.equality])
+    assert Certificate.of(problem, z).relative_residual < 1e-14
+    answer.agrees(problem.origin.recover(z), 1e-12)
+    M = problem.csr.toarray()
+    assert np.linalg.eigvalsh(M + M.T).min() > -1e-12
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_kkt_form_folds_singletons(seed: int) -> None:
+    """Singleton rows leave the KKT form; their multipliers come back from the reduced costs."""
+    answer = planted(seed, singletons=3)
+    problem = lcp_from_qp(answer.program, "kkt")
+    assert problem.n == 8 + 4 + 2
+    z = np.concatenate([answer.x, answer.inequality[:4], answer.equality])
+    answer.agrees(problem.origin.recover(z), 1e-12)
+
+
+# --- Which form, and what is folded -------------------------------------------------------------------------
+
+
+def test_auto_chooses_the_form() -> None:
+    """Only bounds: direct. P positive definite and no larger: dual. Otherwise: kkt."""
+    assert lcp_from_qp(planted(0, m=0, p=0).program).origin.form == "direct"
+    assert lcp_from_qp(planted(0, bounded=False).program).origin.form == "dual"
+    assert lcp_from_qp(planted(0).program).origin.form == "kkt"  # 2n bounds would be rows of the dual
+    assert lcp_from_qp(planted(0, bounded=False, rank=3).program).origin.form == "kkt"
+
+
+def test_simple_rows_become_bounds() -> None:
+    """The tightest of bounds and singleton rows stays, of either sign; empty and unlimited rows go."""
+    G = [[2.0, 0, 0], [-4.0, 0, 0], [0, 1.0, 0], [0, 1.0, 0], [0, 0, 0], [1.0, 1.0, 1.0]]
+    program = QuadraticProgram(np.eye(3), [0, 0, 0], G, [2.0, 4.0, 5.0, 3.0, 1.0, np.inf], lower=[-3, -3, 0], upper=4)
+    problem = lcp_from_qp(program)
+    assert problem.origin.form == "direct"
+    assert problem.lower.tolist() == [-1.0, -3.0, 0.0]
+    assert problem.upper.tolist() == [1.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_multipliers_of_crowded_variables(seed: int) -> None:
+    """Many singleton rows and bounds on the same variables, ties included: the multipliers found are optimal ones."""
+    rng = np.random.default_rng(seed)
+    n, m = 4, 12
+    G = np.zeros((m, n))
+    G[np.arange(m), rng.integers(0, n, m)] = rng.choice([-2.0, -1.0, 1.0, 4.0], m)
+    G[:2] = rng.normal(size=(2, n))
+    h = rng.integers(0, 3, m).astype(float)
+    A, b = (np.eye(n)[:1] * -2.0, [0.0]) if seed % 3 == 0 else (None, None)
+    factor = rng.normal(size=(n, n))
+    P = factor @ factor.T + np.eye(n)
+    program = QuadraticProgram(P, 5 * rng.normal(size=n), G, h, A, b, lower=-1, upper=1)
+    problem = lcp_from_qp(program, "dual")
+    solution = problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved())
+    assert solution.is_optimal(1e-8), solution
+
+
+def test_singleton_equation_fixes_a_variable() -> None:
+    """2 x = 6 becomes x = 3 in every form, and its multiplier has the sign of cvxpy's."""
+    program = QuadraticProgram(np.eye(2), [1.0, -1.0], [[1.0, 1.0]], [3.5], [[2.0, 0.0]], [6.0], lower=0)
+    for form in ("dual", "kkt"):
+        problem = lcp_from_qp(program, form)
+        z = [0.5, -4.5, 0.0] if form == "dual" else [3.0, 0.5, 0.5]
+        solution = problem.origin.recover(z)
+        np.testing.assert_allclose(solution.x, [3.0, 0.5])
+        np.testing.assert_allclose(solution.equality, [-2.25])
+        assert solution.is_optimal(1e-14)
+
+
+@pytest.mark.parametrize(
+    ("G", "h"), [([[0.0, 0.0]], [-1.0]), ([[1.0, 0.0], [-1.0, 0.0]], [0.0, -1.0])], ids=["0 ≤ −1", "1 ≤ x ≤ 0"]
+)
+def test_contradictions_stay_rows(G: Any, h: Any) -> None:
+    """What cannot hold is left for a solver to find, and no x gets a good primal residual."""
+    problem = lcp_from_qp(QuadraticProgram(np.eye(2), [0, 0], G, h), "kkt")
+    assert problem.n == 2 + len(h)
+    assert problem.origin.recover(np.zeros(problem.n)).primal_residual > 0.1
+
+
+@pytest.mark.full
+def test_dual_form_is_sparse_where_p_is_diagonal_or_block() -> None:
+    """Total variation on n points: M is tridiagonal for P = I and 2×2 blocks alike stay sparse."""
+    n = 2000
+    differences = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
+    for P, widest in ((sp.eye_array(n), 3), (sp.kron(sp.eye_array(n // 2), np.array([[2.0, 1], [1, 2]])), 5)):
+        problem = lcp_from_qp(QuadraticProgram(sp.csr_array(P), np.zeros(n), differences, np.ones(n - 1)), "dual")
+        assert np.diff(problem.csr.indptr).max() <= widest
+        assert abs(problem.csr - problem.csr.T).nnz == 0
+
+
+def test_the_dual_form_is_taken_where_it_wins() -> None:
+    """Few constraints on many variables, or a graph's Laplacian: dual; curvature, or many constraints on a few: kkt."""
+    n, rng = 300, np.random.default_rng(0)
+    slope = sp.csr_array(sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n)))
+    curvature = slope[:-1, :-1] @ slope
+    few, many = rng.standard_normal((15, n)), rng.standard_normal((n, 5))
+    for G, form in ((few, "dual"), (slope, "dual"), (abs(slope), "kkt"), (curvature, "kkt"), (many, "kkt")):
+        rows, size = G.shape
+        assert lcp_from_qp(QuadraticProgram(sp.eye_array(size), np.ones(size), G, np.ones(rows))).origin.form == form
+
+
+def test_dual_form_of_nothing() -> None:
+    """A program without constraints has an empty dual problem, whose answer is the free minimum."""
+    problem = lcp_from_qp(QuadraticProgram([[2.0, 1.0], [1.0, 2.0]], [-3.0, -3.0]), "dual")
+    assert problem.n == 0
+    np.testing.assert_allclose(problem.origin.recover(np.zeros(0)).x, [1.0, 1.0])
+    assert lcp_from_qp(QuadraticProgram(np.zeros((0, 0)), [])).n == 0
+
+
+def test_origins_survive_pickling() -> None:
+    """A pickled origin recovers the same solution, also where a factorisation has to be made again."""
+    answer = planted(1)
+    for form in ("dual", "kkt"):
+        problem = lcp_from_qp(answer.program, form)
+        z = np.linspace(0, 1, problem.n)
+        copy = pickle.loads(pickle.dumps(problem.origin))
+        np.testing.assert_array_equal(copy.recover(z).x, problem.origin.recover(z).x)
+
+
+# --- Against cvxpy -----------------------------------------------------------------------------------------
+
+
+TIGHTLY = {  # an interior point is off by the root of its tolerance where a row is degenerate
+    "CLARABEL": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
+    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10},
+}
+
+
+@pytest.mark.parametrize(("solver", "accuracy"), [("CLARABEL", 1e-4), ("OSQP", 1e-5)])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_agrees_with_cvxpy(seed: int, solver: str, accuracy: float) -> None:
+    """x, the objective and the signs of all multipliers are those that cvxpy reports."""
+    answer = planted(seed, singletons=1)
+    program = answer.program
+    x = cp.Variable(program.n)
+    constraints = [program.G @ x <= program.h, program.A @ x == program.b, x >= program.lower, x <= program.upper]
+    reference = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(program.P)) + program.c @ x), constraints)
+    reference.solve(solver=solver, **TIGHTLY[solver])
+    problem = lcp_from_qp(program, "dual")
+    ours = problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved())
+    assert ours.objective == pytest.approx(reference.value, rel=1e-6, abs=1e-6)
+    np.testing.assert_allclose(ours.x, x.value, atol=accuracy)
+    for mine, theirs in zip(vars_of(ours), constraints, strict=True):
+        np.testing.assert_allclose(mine, theirs.dual_value, atol=20 * accuracy)
+
+
+# --- Back again --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [0, 1, 5])
+@pytest.mark.parametrize("sparse", [False, True])
+def test_round_trip_of_symmetric_problems(n: int, sparse: bool) -> None:
+    """from_qp(to_qp(problem)) has the same M, q and bounds, boxes and free rows included."""
+    rng = np.random.default_rng(n)
+    factor = rng.normal(size=(n, n))
+    M = factor @ factor.T
+    M = (M + M.T) / 2
+    lower, upper = np.array([0.0, -np.inf, -1.0, -np.inf, 2.0])[:n], np.array([np.inf, np.inf, 1.0, 3.0, 2.0])[:n]
+    problem = LCP(sp.csr_array(M) if sparse else M, rng.normal(size=n), lower=lower, upper=upper)
+    again = lcp_from_qp(qp_from_lcp(problem))
+    np.testing.assert_array_equal(again.csr.toarray(), problem.csr.toarray())
+    for name in ("q", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(problem, name))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_gap_program_of_monotone_problems(seed: int) -> None:
+    """The gap program's minimum is at the problem's solution, with value aᵀq, one-sided and free rows included."""
+    rng = np.random.default_rng(seed)
+    n = 6
+    factor, skew = rng.normal(size=(n, n)), rng.normal(size=(n, n))
+    M = factor @ factor.T + skew - skew.T
+    lower = np.array([0.0, 1.0, -np.inf, -np.inf, -2.0, 0.0])
+    upper = np.array([np.inf, np.inf, 3.0, np.inf, np.inf, np.inf])
+    z = np.array([0.0, 2.0, 3.0, -1.0, -2.0, 1.5])
+    w = np.array([1.5, 0.0, -1.0, 0.0, 2.0, 0.0])
+    problem = LCP(M if seed % 2 else sp.csr_array(M), w - M @ z, lower=lower, upper=upper)
+    program = qp_from_lcp(problem)
+    anchor = np.array([0.0, 1.0, 3.0, 0.0, -2.0, 0.0])
+    assert program.objective(z) == pytest.approx(anchor @ problem.q)
+    assert program.is_convex
+    x = cp.Variable(n)
+    reference = cp.Problem(
+        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(program.P)) + program.c @ x),
+        [program.G @ x <= program.h, program.A @ x == program.b, x >= lower, x <= upper],
+    )
+    reference.solve(solver="CLARABEL")
+    np.testing.assert_allclose(x.value, z, atol=1e-4)
+
+
+# --- Definiteness ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_definiteness_is_proven(sparse: bool) -> None:
+    """Definite, semidefinite and indefinite matrices are told apart in any unit of each variable."""
+    wrap = sp.csr_array if sparse else np.asarray
+    rng = np.random.default_rng(0)
+    for n in (1, 2, 5, 30):
+        basis, _ = np.linalg.qr(rng.normal(size=(n, n)))
+        units = 10.0 ** rng.integers(-6, 6, n)
+        for smallest in (1e-3, 0.0, -1e-3):
+            values = np.r_[np.ones(n - 1), smallest]
+            P = (basis * values) @ basis.T
+            P = units[:, None] * (P + P.T) / 2 * units
+            expected = smallest > 0
+            solver = positive_definite_solver(wrap(P))
+            assert (solver is not None) == expected, (n, smallest)
+            if n > 1 or smallest:
+                assert is_semidefinite_to_rounding(wrap(P)) == (smallest >= 0.0), (n, smallest)
+            if solver is not None:
+                x = rng.normal(size=(n, 2)) / units[:, None]
+                np.testing.assert_allclose(solver(P @ x), x, rtol=1e-9, atol=1e-9 / units.min())
+
+
+def game_of(*payoffs: Any) -> Any:
+    """What counts as a game: players with payoffs, each with his own action first."""
+    return SimpleNamespace(players=tuple(SimpleNamespace(payoff_array=payoff) for payoff in payoffs))
+
+
+# --- Linear programs, games, absolute values ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_linear_program(seed: int) -> None:
+    """A planted primal-dual pair of a linear program solves its complementarity problem and is recovered."""
+    answer = planted(seed, rank=0)
+    program = answer.program
+    problem = lcp_from_lp(program.c, program.G, program.h, program.A, program.b, program.lower, program.upper)
+    z = np.concatenate([answer.x, answer.inequality, answer.equality])
+    assert Certificate.of(problem, z).relative_residual < 1e-14
+    answer.agrees(problem.origin.recover(z), 1e-12)
+
+
+GAMES = {
+    "battle of the sexes": ([[3, 0], [0, 2]], [[2, 0], [0, 3]], [0.6, 0.4], [0.4, 0.6], (1.2, 1.2)),
+    "its pure equilibrium": ([[3, 0], [0, 2]], [[2, 0], [0, 3]], [1, 0], [1, 0], (3, 2)),
+    "prisoner's dilemma": ([[-1, -3], [0, -2]], [[-1, 0], [-3, -2]], [0, 1], [0, 1], (-2, -2)),
+    "rock paper scissors": (
+        [[0, -1, 1], [1, 0, -1], [-1, 1, 0]], [[0, 1, -1], [-1, 0, 1], [1, -1, 0]], [1 / 3] * 3, [1 / 3] * 3, (0, 0),
+    ),
+    "one sure thing": ([[5]], [[7]], [1], [1], (5, 7)),
+    "three against two": (
+        [[2, 0], [0, 2], [0.5, 0.5]], [[0, 3], [1, 0], [5, 0]], [1 / 4, 3 / 4, 0], [1 / 2, 1 / 2], (1, 0.75),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_bimatrix_games(name: str) -> None:
+    """A known equilibrium, scaled by the costs it meets, solves the problem; recovered, it has no regret."""
+    A, B, x, y, payoffs = GAMES[name]
+    problem = lcp_from_bimatrix_game(A, B)
+    m = len(x)
+    costs, other = problem.csr.toarray()[:m, m:], problem.csr.toarray()[m:, :m]
+    assert costs.min() > 0 < other.min()
+    z = np.concatenate([np.array(x) / (y @ other @ x), np.array(y) / (x @ costs @ y)])
+    assert Certificate.of(problem, z).relative_residual < 1e-14
+    found = problem.origin.recover(z)
+    np.testing.assert_allclose(found.row_strategy, x)
+    np.testing.assert_allclose(found.column_strategy, y)
+    assert found.payoffs == pytest.approx(payoffs, abs=1e-14)
+    assert found.regret < 1e-14
+
+
+def test_a_game_of_players_is_taken_as_it_is() -> None:
+    """Players hold their own action first; a game of two by three actions is that of (A, B), and so is QuantEcon's."""
+    A, B = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]]), np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])
+    expected = lcp_from_bimatrix_game(A, B)
+    games = [game_of(A, B.T)]
+    try:
+        from quantecon.game_theory import NormalFormGame
+    except ImportError:
+        pass
+    else:
+        games.append(NormalFormGame(np.stack([A, B], axis=2)))
+    for game in games:
+        problem = lcp_from_bimatrix_game(game)
+        np.testing.assert_array_equal(problem.csr.toarray(), expected.csr.toarray())
+        np.testing.assert_array_equal(problem.origin.A, A)
+        np.testing.assert_array_equal(problem.origin.B, B)
+        assert problem.origin.recover(solve(problem)).regret < 1e-12
+
+
+def test_regret_sees_what_is_no_equilibrium() -> None:
+    """A strategy that could be improved has a regret of that much."""
+    problem = lcp_from_bimatrix_game([[1, -1], [-1, 1]], [[-1, 1], [1, -1]])
+    assert problem.origin.recover([1.0, 0.0, 1.0, 0.0]).regret == 2.0
+
+
+@pytest.mark.parametrize("form", ["plain", "mixed"])
+@pytest.mark.parametrize("general", [False, True])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_absolute_value_equations(seed: int, general: bool, form: str) -> None:
+    """A planted x with both signs and zeros solves the problem and comes back, for B = −I and any B."""
+    rng = np.random.default_rng(seed)
+    n = 7
+    A = rng.normal(size=(n, n)) + 5 * np.eye(n)
+    B = rng.normal(size=(n, n)) if general else None
+    x = np.array([1.0, -2.0, 0.0, 3.0, -0.5, 0.0, 1.5])
+    b = A @ x + (B @ abs(x) if general else -abs(x))
+    given = sp.csr_array(A) if seed % 2 else A
+    problem = lcp_from_absolute_value(given, b, B, form=form)
+    negative = np.maximum(-x, 0.0)
+    z = negative if form == "plain" else np.concatenate([x, negative])
+    assert Certificate.of(problem, z).relative_residual < 1e-13
+    solution = problem.origin.recover(z)
+    np.testing.assert_allclose(solution.x, x, atol=1e-13)
+    assert solution.residual < 1e-14
+
+
+def test_absolute_value_equation_solved() -> None:
+    """With singular values above 1 the plain problem is positive definite; with a strong diagonal PGS solves it."""
+    rng = np.random.default_rng(3)
+    A = 6 * np.eye(20) + rng.uniform(-0.1, 0.1, (20, 20))
+    x = rng.normal(size=20)
+    problem = lcp_from_absolute_value(A, A @ x - abs(x))
+    M = problem.csr.toarray()
+    assert np.linalg.eigvalsh(M + M.T).min() > 0
+    solution = problem.origin.recover(solve(problem, "pgs", **TIGHT).require_solved())
+    np.testing.assert_allclose(solution.x, x, atol=1e-8)
+
+
+# --- What is refused, and data that stay as they are ---------------------------------------------------------
+
+EYE = np.eye(2)
+REFUSED = {
+    "P rectangular": (InvalidProblem, "P must be a real matrix of shape", lambda: QuadraticProgram([[1, 2]], [1, 2])),
+    "P not symmetric": (
+        InvalidProblem, r"P\[0, 1\] = 1.0 and P\[1, 0\] = 0.0", lambda: QuadraticProgram([[1, 1], [0, 1]], [1, 2])
+    ),
+    "P in two units": (
+        InvalidProblem, "P must be symmetric",
+        lambda: QuadraticProgram([[1e20, 0, 0], [0, 1, 0.5], [0, 0.4, 1]], [1, 2, 3]),
+    ),
+    "P complex": (InvalidProblem, "complex", lambda: QuadraticProgram(EYE * 1j, [1, 2])),
+    "P not finite": (InvalidProblem, r"P\[1, 1\] = nan", lambda: QuadraticProgram([[1, 0], [0, np.nan]], [1, 2])),
+    "c not a vector": (InvalidProblem, r"c must be a vector.*shape \(1, 2\)", lambda: QuadraticProgram(EYE, [[1, 2]])),
+    "c infinite": (InvalidProblem, r"c\[1\] = inf", lambda: QuadraticProgram(EYE, [1, np.inf])),
+    "G a vector": (InvalidProblem, r"as \[\[…\]\]", lambda: QuadraticProgram(EYE, [1, 2], [1, 2], [1])),
+    "G without h": (InvalidProblem, "got G without h", lambda: QuadraticProgram(EYE, [1, 2], EYE)),
+    "b without A": (InvalidProblem, "got b without A", lambda: QuadraticProgram(EYE, [1, 2], b=[1])),
+    "h too short": (InvalidProblem, "h must be a vector of length 2", lambda: QuadraticProgram(EYE, [1, 2], EYE, [1])),
+    "h at −∞": (InvalidProblem, r"h\[0\] = -inf", lambda: QuadraticProgram(EYE, [1, 2], EYE, [-np.inf, 1])),
+    "b infinite": (InvalidProblem, r"b\[0\] = inf", lambda: QuadraticProgram(EYE, [1, 2], A=EYE, b=[np.inf, 1])),
+    "bounds crossed": (InvalidProblem, "lower ≤ upper", lambda: QuadraticProgram(EYE, [1, 2], lower=1, upper=0)),
+    "no program": (InvalidProblem, "needs a QuadraticProgram, got tuple", lambda: lcp_from_qp((EYE, [1, 2]))),
+    "no LCP": (InvalidProblem, "needs an LCP, got list", lambda: qp_from_lcp([EYE])),
+    "form": (InvalidOption, "did you mean 'dual'", lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2]), "duall")),
+    "direct with rows": (UnsuitableProblem, '"direct" needs', lambda: lcp_from_qp(planted(0).program, "direct")),
+    "dual not definite": (
+        UnsuitableMatrix, "positive definite", lambda: lcp_from_qp(planted(0, rank=2).program, "dual")
+    ),
+    "recover": (
+        InvalidProblem, "z must be a vector of length 2",
+        lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2])).origin.recover([1]),
+    ),
+    "gap of a box": (
+        UnsuitableProblem, r"z\[0\] has two bounds", lambda: qp_from_lcp(LCP([[1, 1], [0, 1]], [1, 1], upper=1))
+    ),
+    "gap not monotone": (UnsuitableMatrix, "semidefinite", lambda: qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1]))),
+    "tolerance": (InvalidOption, "tolerance must be", lambda: planted(0).solution().is_optimal(-1)),
+    "game shapes": (InvalidProblem, r"B must be.*\(2, 2\)", lambda: lcp_from_bimatrix_game(EYE, [[1, 2]])),
+    "game, one payoff": (InvalidProblem, "B is missing: a game is .* got list alone",
+                         lambda: lcp_from_bimatrix_game([[1]])),
+    "game, payoffs twice": (InvalidProblem, "leave B out", lambda: lcp_from_bimatrix_game(game_of(EYE, EYE), EYE)),
+    "game of three": (InvalidProblem, "two players, got a game of 3",
+                      lambda: lcp_from_bimatrix_game(game_of(EYE, EYE, EYE))),
+    "game empty": (InvalidProblem, "at least one row", lambda: lcp_from_bimatrix_game(np.zeros((0, 2)), EYE)),
+    "game unsolved": (NotConverged, "row player", lambda: lcp_from_bimatrix_game(EYE, EYE).origin.recover(np.zeros(4))),
+    "AVE with eigenvalue 1": (UnsuitableMatrix, "singular", lambda: lcp_from_absolute_value(EYE, [1, 2])),
+    "AVE form": (InvalidOption, "did you mean 'mixed'", lambda: lcp_from_absolute_value(EYE, [1, 2], form="mixt")),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused(case: str) -> None:
+    """Bad data and impossible wishes are refused with the value and the next step."""
+    error, message, attempt = REFUSED[case]
+    with pytest.raises(error, match=message):
+        attempt()
+
+
+def test_rounding_in_the_symmetry_is_averaged_away() -> None:
+    """A P that is symmetric to rounding is made symmetric, and the program says by how much it was not."""
+    P = np.array([[2.0, 1.0], [1.0 + 1e-15, 2.0]])
+    program = QuadraticProgram(P, [0, 0])
+    assert program.asymmetry == pytest.approx(1e-15, rel=0.2)
+    assert program.P[0, 1] == program.P[1, 0]
+    assert "asymmetry" in str(program)
+
+
+def test_data_are_read_only_and_the_callers_own_stay_as_they_are() -> None:
+    """The program keeps copies nobody can write to, sparse ones sparse; what was given stays writable."""
+    P, G = sp.csr_array([[2.0, 0.0], [0.0, 2.0]]), np.array([[1.0, 1.0]])
+    before = P.toarray(), G.copy()
+    program = QuadraticProgram(P, [1, 2], G, [3])
+    assert sp.issparse(program.P)
+    for array in (program.P.data, program.c, program.G, program.h, program.lower):
+        assert not array.flags.writeable
+    lcp_from_qp(program)
+    np.testing.assert_array_equal(G, before[1])
+    P.data[0], G[0, 0] = 5.0, 6.0
+    assert program.P[0, 0] == before[0][0, 0]
+    assert program.G[0, 0] == before[1][0, 0]
+    with pytest.raises(AttributeError):
+        program.c = np.zeros(2)  # type: ignore[misc]

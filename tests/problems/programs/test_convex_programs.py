@@ -1,0 +1,831 @@
+"""Convex programs of every kind: solved to their own conditions, or proven to have no minimum."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from fractions import Fraction
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from cvxpy.tests.solver_test_helpers import StandardTestLPs
+
+from lcp_plugin import (
+    LCP,
+    ComplementarityProblem,
+    InvalidProblem,
+    QPSolver,
+    Status,
+    UnsupportedModel,
+    box,
+    complements,
+    solve,
+)
+from lcp_plugin.algorithms import Algorithm, Step
+from lcp_plugin.methods.interior.interior_point import InteriorPoint
+from lcp_plugin.modeling.registration import build
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
+from lcp_plugin.problems.programs.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
+from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
+from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.solving import judged_program, solve_quadratic_program
+from lcp_plugin.proofs.exact.linear_systems import solved_nearby
+
+INF = np.inf
+INTERIOR = InteriorPoint()
+
+
+def campaign(name: str) -> Any:
+    """The generator of a campaign."""
+    path = Path(__file__).parents[2] / "campaigns" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+CAMPAIGN = campaign("convex_programs")
+
+
+# --- Solvable programs -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
+def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
+    """Two planted programs of each kind have their value and conditions, measured here, by interior_point."""
+    for seed in (77, 78):
+        case, value = CAMPAIGN.case(kind, seed, 0, 25)
+        result, answer = solve_quadratic_program(case, INTERIOR)
+        assert CAMPAIGN.said(case, answer, answer.status, value, "") == (True, False), result
+
+
+@pytest.mark.parametrize("form", ["kkt", "auto"])
+def test_linear_programs_agree_with_highs(form: str) -> None:
+    """Linear programs with all kinds of rows have HiGHS's value, through lcp_from_lp and the KKT form."""
+    from scipy.optimize import linprog
+
+    for seed in range(4):
+        case, _ = CAMPAIGN.case("linear", seed, 0, 20)
+        expected = linprog(
+            case.c, case.G, case.h, case.A if case.b.size else None, case.b if case.b.size else None,
+            bounds=np.column_stack([case.lower, case.upper]),
+        )
+        if form == "kkt":
+            problem = lcp_from_qp(case, "kkt")
+        else:
+            problem = lcp_from_lp(case.c, case.G, case.h, case.A, case.b, case.lower, case.upper)
+        solution = problem.origin.recover(solve(problem, INTERIOR, tolerance=1e-10))
+        assert solution.is_optimal(1e-7)
+        assert solution.objective == pytest.approx(expected.fun, rel=1e-7, abs=1e-7)
+
+
+def test_ranges_say_what_they_say() -> None:
+    """Rows with limits on both sides, one side, none, and equal ones; multipliers come back in that shape."""
+    A = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 1.0], [0.0, 1.0, 2.0], [1.0, 0.0, 3.0], [2.0, 1.0, 1.0]])
+    low, high = [-1.0, 0.5, -1e20, -INF, 1.0], [1.0, 0.5, 2.0, 1e30, INF]
+    P, c = np.diag([1.0, 0.0, 2.0]), np.array([-3.0, -1.0, 1.0])
+    program = QuadraticProgram.from_ranges(P, c, A, low, high, lower=[-1e20, -5.0, -5.0], upper=5.0)
+    assert (program.h.size, program.b.size) == (4, 1)
+    assert program.lower[0] == -INF
+    _, solution = solve_quadratic_program(program, INTERIOR)
+    assert solution.is_optimal(1e-9)
+    y = solution.row_multipliers
+    assert y.shape == (5,)
+    np.testing.assert_allclose(P @ solution.x + c + A.T @ y - solution.lower + solution.upper, 0.0, atol=1e-9)
+    x = cp.Variable(3)
+    rows = [A[0] @ x <= 1, A[0] @ x >= -1, A[1] @ x == 0.5, A[2] @ x <= 2, A[4] @ x >= 1, x <= 5, x[1:] >= -5]
+    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, P, assume_PSD=True) + c @ x), rows)
+    assert solution.objective == pytest.approx(problem.solve(solver=cp.HIGHS), abs=1e-6)
+    value = A @ solution.x
+    assert (y[value < np.array(high) - 1e-6] <= 1e-9).all()
+    with pytest.raises(InvalidProblem, match="lower"):
+        QuadraticProgram.from_ranges(P, c, A, 1.0, 0.0)
+    plain = lcp_from_qp(QuadraticProgram(np.eye(1), [1.0])).origin.recover([-1.0])
+    with pytest.raises(InvalidProblem, match="from_ranges"):
+        plain.row_multipliers  # noqa: B018
+
+
+def chain(n: int, rng: np.random.Generator) -> tuple[QuadraticProgram, float]:
+    """Convexity on n points: second differences, whose multipliers are as large as n² times the forces."""
+    slope = sp.csr_array(sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n)))
+    curvature = sp.csr_array(slope[:-1, :-1] @ slope)
+    kinks = (rng.random(n - 2) < 0.02) * rng.random(n - 2)
+    x = np.concatenate([[0.0, 0.0], np.cumsum(np.cumsum(kinks))]) / n
+    y = n**1.5 * np.sin(np.linspace(0.0, 3.0, n - 2)) ** 2 * (curvature @ x == 0.0)
+    held = curvature @ x
+    c = curvature.T @ y - x
+    return QuadraticProgram(sp.eye_array(n), c, -curvature, -np.where(y > 0.0, held, 0.0)), float(0.5 * x @ x + c @ x)
+
+
+HARD = ("a chain of differences", "redundant", "free columns", "unstable control", "graded rows, columns")
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("largest", [60, 400])
+@pytest.mark.parametrize("kind", HARD)
+def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> None:
+    """Planted programs of each kind: the planted value, KKT residuals of 1e-6 row by row, in some dozen steps."""
+    for seed in range(4):
+        made = chain(6 * largest, np.random.default_rng(seed)) if kind == HARD[0] else None
+        program, value = made or CAMPAIGN.case(kind, seed, 11, largest)
+        problem = lcp_from_qp(program)
+        result = solve(problem)
+        solution = problem.origin.recover(result)
+        assert solution.is_stationary(1e-6), (seed, result, str(solution))
+        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+        assert result.iterations <= 80
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(("largest", "seeds"), [(60, 8), (400, 6)])
+def test_rows_and_columns_over_twelve_orders_of_magnitude(largest: int, seeds: int) -> None:
+    """The road of `QPSolver`, which asks for more where rows are left over: the planted value, every row to 1e-6."""
+    for seed in range(seeds):
+        program, value = CAMPAIGN.case("graded rows, columns", seed, 12, largest)
+        _, solution = solve_quadratic_program(program)
+        assert solution.is_stationary(1e-6), (seed, str(solution))
+        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(("family", "seed", "largest", "cases"), [
+    ("graded rows", 5, 400, (2,)), ("graded rows, columns", 5, 400, (0, 3, 7)), ("huge bounds", 5, 400, (4, 6, 7)),
+    ("Netlib-like", 5, 400, (0, 1, 3)), ("everything", 5, 400, (1, 2, 5)), ("graded rows, columns", 0, 800, (2, 8)),
+    ("redundant, rounded", 1, 1000, (12, 42)),  # equations of fixed unknowns, which hold but for rounding
+])
+def test_units_and_limits_that_nobody_reaches_cost_no_steps(
+    family: str, seed: int, largest: int, cases: tuple[int, ...]
+) -> None:
+    """Rows, columns and parts of 1e±6, bounds of 1e9: the interior point needs some dozen steps as without them."""
+    for case in cases:
+        program, value = CAMPAIGN.case(family, seed, case, largest)
+        problem = lcp_from_qp(program, "kkt")
+        result = solve(problem, INTERIOR, tolerance=1e-9, refute=False)
+        solution = problem.origin.recover(result)
+        assert solution.is_stationary(1e-6), (case, result, str(solution))
+        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+        assert result.iterations <= 40
+
+
+def test_a_factor_that_magnifies_errors_is_not_used() -> None:
+    """Redundant rows whose first factor answers with far too large numbers: a dozen steps."""
+    problem = lcp_from_qp(CAMPAIGN.case("redundant, rounded", 131, 0, 120)[0])
+    result = solve(problem, INTERIOR)
+    assert problem.origin.recover(result).is_stationary(1e-9)
+    assert result.iterations <= 20
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("redundant", 4), ("unstable control", 0)])
+def test_a_second_solve_starts_from_the_first(kind: str, seed: int) -> None:
+    """With numbers changed a little the active set that was right solves again, in one step or two instead of many."""
+    program, _ = CAMPAIGN.case(kind, seed, 0, 400)
+    first = lcp_from_qp(program, "kkt")
+    result = solve(first)
+    moved = QuadraticProgram(
+        program.P, program.c * (1.0 + 1e-7), program.G, program.h, program.A, program.b, program.lower, program.upper
+    )
+    again = lcp_from_qp(moved, "kkt")
+    cold, warm = solve(again), solve(again, z0=result.z)
+    assert warm.is_solved
+    assert warm.iterations <= 3 < cold.iterations
+    assert again.origin.recover(warm).is_stationary(1e-6)
+
+
+def test_an_infinite_limit_may_be_rounded() -> None:
+    """1e20 less its last digits, as files hold it, says nothing either."""
+    program = QuadraticProgram.from_ranges(
+        np.eye(2), [1.0, -1.0], [[1.0, 1.0]], [-9.999999999999998e19], [9.999999999999998e19], -9.999999999999995e19
+    )
+    assert (program.h.size, program.b.size) == (0, 0)
+    assert (program.lower == -INF).all()
+
+
+def test_rounding_is_no_multiplier() -> None:
+    """Between far bounds a reduced cost that only rounding leaves is none: times the distance it would be an error."""
+    program = QuadraticProgram([[1e-3]], [-3e2], A=[[1e7]], b=[3e12], lower=0.0, upper=1e9)
+    problem = lcp_from_qp(program, "kkt")
+    x, v = 3e5, 0.1 / 7.0
+    c = -(1e-3 * x + 1e7 * v) * (1.0 + 2.0**-52)
+    solution = problem.origin.recover([x])
+    assert solution.is_stationary(1e-9)
+    program = QuadraticProgram([[1e-3, 0.0], [0.0, 1.0]], [c, 0.0], [[1e7, 1.0]], [1e7 * x], lower=0.0, upper=1e9)
+    solution = lcp_from_qp(program, "kkt").origin.recover([x, 0.0, v])
+    assert solution.lower[0] == solution.upper[0] == 0.0
+    assert solution.row_residual <= 1e-9
+
+
+def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
+    """Far from the bound 1e-6 beside terms of 62 is a dual residual, near it a multiplier; a large one never hides."""
+    program = QuadraticProgram([[1.0]], [1e-6 - 62.0], lower=0.0)
+    solution = lcp_from_qp(program).origin.recover([62.0])
+    assert solution.lower[0] == 0.0
+    assert solution.row_residual <= 2e-8
+    solution = lcp_from_qp(QuadraticProgram([[1.0]], [3.0], lower=0.0)).origin.recover([1e-9])
+    assert solution.lower[0] == pytest.approx(3.0)
+    assert solution.row_residual <= 1e-8
+    assert lcp_from_qp(program).origin.recover([40.0]).row_residual > 0.1
+    assert lcp_from_qp(program).origin.recover([80.0]).row_residual > 0.1
+
+
+def test_the_dual_form_is_for_good_condition_only() -> None:
+    """Of two programs without bounds, the well conditioned one is dual, the one with κ = 1e8 is kkt."""
+    rng = np.random.default_rng(0)
+    Q = np.linalg.qr(rng.normal(size=(30, 30)))[0]
+    G = rng.normal(size=(5, 30))
+    for decay, form in ((1e-2, "dual"), (1e-8, "kkt")):
+        P = Q * np.geomspace(1.0, decay, 30) @ Q.T
+        assert lcp_from_qp(QuadraticProgram((P + P.T) / 2, np.ones(30), G, np.ones(5))).origin.form == form
+
+
+# --- Residuals row by row ----------------------------------------------------------------------------------------
+
+
+def test_a_huge_coefficient_hides_no_error_in_another_row() -> None:
+    """Beside a cost of 1e7 an error of 1 in another row is relatively small, and not optimal all the same."""
+    program = QuadraticProgram(np.eye(2), [1e7, -1.0], lower=[0.0, -INF])
+    wrong = QPSolution(program, [0.0, 0.0], [], [], [1e7, 0.0], [0.0, 0.0])
+    assert wrong.residual < 2e-7
+    assert wrong.row_residual == pytest.approx(0.5)
+    assert not wrong.is_optimal()
+    right = QPSolution(program, [0.0, 1.0], [], [], [1e7, 0.0], [0.0, 0.0])
+    assert right.row_residual == 0.0
+    assert right.is_optimal(0.0)
+
+
+def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
+    """1e8 out along a slope of 1e-10 every condition holds to 1e-9 beside its terms; the objective is off by 2e-2."""
+    program = QuadraticProgram(
+        np.zeros((2, 2)), [1.0, 1e-10 - 1.0], A=[[1.0, -1.0]], b=[0.0], lower=-1e8, upper=1e8
+    )
+    none, x = np.zeros(2), np.full(2, 1e8)
+    wrong = QPSolution(program, x, [], [-1.0], none, none)
+    assert max(wrong.residual, wrong.row_residual) < 1e-9
+    assert wrong.duality_gap == pytest.approx(2e-2, rel=0.1)
+    assert not wrong.is_optimal()
+    right = QPSolution(program, -x, [], [-1.0], np.array([0.0, program.c[1] + 1.0]), none)
+    assert right.objective == pytest.approx(-1e-2)
+    assert right.is_optimal(1e-9)
+
+
+@pytest.mark.parametrize("part", ["primal", "equation", "bound", "complementarity", "sign", "infinite"])
+def test_the_row_residual_sees_every_condition(part: str) -> None:
+    """A violation of one condition by 1e-3 in a row of its own is seen at about that size."""
+    huge = 1e9
+    program = QuadraticProgram(
+        np.zeros((3, 3)), [0.0, 0.0, huge], [[1.0, 0.0, 0.0]], [0.0], [[0.0, 1.0, 0.0]], [0.0], lower=[-1.0, -INF, 0.0]
+    )
+    x, y, v, low = np.zeros(3), np.zeros(1), np.zeros(1), np.array([0.0, 0.0, huge])
+    if part == "primal":
+        x[0] = 1e-3
+    elif part == "equation":
+        x[1] = 1e-3
+    elif part == "bound":
+        x[0] = -1.001
+    elif part == "complementarity":
+        x[0], y[0], low[0] = -1e-3, 1.0, 1.0
+    elif part == "sign":
+        y[0] = -1e-3
+    else:
+        low[1] = 1e-3
+    solution = QPSolution(program, x, y, v, low, np.zeros(3))
+    assert 1e-4 < solution.row_residual < 1.1
+    assert not solution.is_optimal(1e-5)
+
+
+# --- No minimum, proven ------------------------------------------------------------------------------------------
+
+
+def highs_verdict(case: QuadraticProgram) -> str:
+    """What HiGHS says of the constraints, and of the directions along which the objective is linear."""
+    from scipy.optimize import linprog
+
+    has_rows = case.b.size > 0
+    A, b = (case.A, case.b) if has_rows else (None, None)
+    bounds = np.column_stack([case.lower, case.upper])
+    if linprog(np.zeros(case.n), case.G, case.h, A, b, bounds=bounds).status == 2:
+        return "infeasible"
+    # P d = 0 with cᵀd < 0 is what a linear objective sees where P x is held at 0.
+    flat = sp.vstack([sp.csr_array(case.A), sp.csr_array(case.P)])
+    cone = np.where(np.isinf(bounds), bounds, 0.0)
+    answer = linprog(case.c, case.G, 0.0 * case.h, flat, np.zeros(flat.shape[0]), bounds=cone)
+    return "unbounded" if answer.status == 3 else "solvable"
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
+def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
+    """Planted infeasible and unbounded programs get their proof, which holds exactly and breaks when tampered with."""
+    case, _ = CAMPAIGN.case(kind, seed, 5, 20)
+    proof = proof_of_no_minimum(case)
+    assert proof is not None
+    assert proof.verdict == kind
+    assert proof.verify()
+    assert highs_verdict(case) == kind
+    if isinstance(proof, QPInfeasibility):
+        m = case.h.size
+        flipped = (*(-y for y in proof.multipliers[:m]), *proof.multipliers[m:])
+        broken: Any = QPInfeasibility(case, flipped)
+    else:
+        broken = QPUnboundedness(case, proof.point, tuple(-d for d in proof.direction))
+    assert not broken.verify()
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
+def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
+    """Programs with a planted minimum have no proof that there is none, but for data rounded to few digits."""
+    case, _ = CAMPAIGN.case(kind, seed, 6, 10)
+    assert case.refutation(1e-6) is None
+    assert CAMPAIGN.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
+
+
+def test_numbers_that_are_not_integers() -> None:
+    """Dense random data: the multipliers and the direction are exact rationals, though nothing cancels by itself."""
+    rng = np.random.default_rng(2)
+    n, m = 12, 20
+    G, y = rng.normal(size=(m, n)), rng.random(m)
+    G[0] = -(G[1:].T @ y[1:]) / y[0]
+    h = rng.normal(size=m)
+    h[0] -= (h @ y + 1.0) / y[0]
+    proof = prove_infeasible(QuadraticProgram(np.eye(n), np.ones(n), G, h))
+    assert proof is not None
+    assert proof.verify()
+    F, d = rng.normal(size=(n, 4)), rng.normal(size=n)
+    F -= np.outer(d, d @ F) / (d @ d)
+    A = rng.normal(size=(3, n))
+    unbounded = prove_unbounded(QuadraticProgram(F @ F.T, rng.normal(size=n), A=A, b=A @ d))
+    assert unbounded is not None
+    assert unbounded.verify()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
+    """Rows and unknowns in units from 1e-5 to 1e5: the multipliers are found, whatever the units."""
+    rng = np.random.default_rng([7, seed])
+    n, m = 20, 30
+    G, y = rng.normal(size=(m, n)), rng.random(m)
+    G[0] = -(G[1:].T @ y[1:]) / y[0]
+    h = rng.normal(size=m)
+    h[0] -= (h @ y + 1.0) / y[0]
+    rows, columns = 10.0 ** rng.integers(-5, 6, m), 10.0 ** rng.integers(-4, 5, n)
+    proof = prove_infeasible(QuadraticProgram(np.eye(n), np.ones(n), rows[:, None] * G * columns, rows * h))
+    assert proof is not None
+    assert proof.verify()
+
+
+@pytest.mark.parametrize("n", [8, 80])
+@pytest.mark.parametrize("kind", ["inequality", "equality below", "equality above"])
+def test_one_row_is_enough(kind: str, n: int) -> None:
+    """A row that the bounds contradict is found by its signs, where the bounds come as rows in any unit as well."""
+    rng = np.random.default_rng(n)
+    unit = rng.uniform(0.1, 3.0, n)
+    A = np.abs(rng.standard_normal((n // 2, n)))
+    bounds: dict[str, Any] = {"G": -np.diag(unit), "h": np.zeros(n)}
+    if kind == "inequality":
+        bounds = {"G": np.vstack([A, bounds["G"]]), "h": np.concatenate([np.full(n // 2, -1.0), np.zeros(n)])}
+    else:
+        sign = -1.0 if kind == "equality below" else 1.0
+        bounds |= {"A": sign * A, "b": np.full(n // 2, -sign)}
+    program = QuadraticProgram(np.zeros((n, n)), np.ones(n), **bounds)
+    proof = proof_of_no_minimum(program)
+    assert isinstance(proof, QPInfeasibility)
+    assert proof.program is program
+    assert proof.verify()
+    of_rows, of_bounds = np.split(np.array(proof.multipliers, dtype=bool), [program.constraints.rows])
+    assert not of_bounds.any()
+    assert of_rows.sum() == n + 1
+
+
+def test_a_rounded_bound_proves_nothing() -> None:
+    """3 x ≥ 1 and x = a double below 1/3 contradict, if by rounding only: no proof or an exact one; above it, none."""
+    for right in (np.nextafter(1.0 / 3.0, 0.0), 1.0 / 3.0, np.nextafter(1.0 / 3.0, 1.0)):
+        program = QuadraticProgram([[0.0]], [1.0], [[-3.0]], [-1.0], A=[[1.0]], b=[right])
+        proof = proof_of_no_minimum(program)
+        assert proof is None or (Fraction(right) * 3 < 1 and proof.verify())
+
+
+@pytest.mark.parametrize("form", ["dual", "auto"])
+def test_infeasible_strictly_convex_programs_are_called_so(form: str) -> None:
+    """Whatever form was solved, recover says infeasible, and a proven problem has no multipliers."""
+    A = np.abs(np.random.default_rng(1).standard_normal((10, 20)))
+    problem = LCP.from_qp(np.eye(20), np.zeros(20), A, -np.ones(10), lower=0.0, form=form)
+    result = solve(problem)
+    solution = problem.origin.recover(result)
+    assert solution.status == "infeasible"
+    assert form == "dual" or problem.origin.form == "kkt"
+    single = LCP.from_qp([[1.0]], [0.0], G=[[-1.0], [1.0]], h=[-1.0, 0.0], form="kkt")
+    solution = single.origin.recover(solve(single))
+    assert np.isnan(solution.inequality).all()
+    assert solution.status == "infeasible"
+    assert not solution.is_optimal()
+
+
+def test_a_full_program_gives_a_full_matrix() -> None:
+    """The KKT form of dense data is an ndarray, of sparse data CSR, and both hold the same numbers."""
+    rng = np.random.default_rng(4)
+    F, G = rng.standard_normal((30, 30)), rng.standard_normal((20, 30))
+    full = F @ F.T
+    for P, few, kind in ((full + full.T, 0, np.ndarray), (np.diag(np.abs(F[0])), 28, sp.csr_array)):
+        C = np.triu(G, few)
+        problem = lcp_from_qp(QuadraticProgram(P, np.ones(30), C, np.ones(20)), "kkt")
+        rows = problem.origin.rows.left
+        expected = np.block([[P, C[rows].T], [-C[rows], np.zeros((rows.size, rows.size))]])
+        assert isinstance(problem.M, kind)
+        assert np.array_equal(problem.csr.toarray(), expected)
+
+
+NONCONVEX = {
+    "concave": (-np.eye(2), "smallest eigenvalue of P is -1"),
+    "a saddle": ([[1.0, 2.0], [2.0, 1.0]], "smallest eigenvalue of P is -1"),
+    "a zero beside": ([[0.0, 1.0], [1.0, 5.0]], "smallest eigenvalue of P is -0.193"),
+    "small and clear": ([[1e-8, 2e-8], [2e-8, 1e-8]], "smallest eigenvalue of P is -1e-08"),
+    "large": (
+        sp.block_diag([sp.eye_array(6000), sp.csr_array([[1.0, 2.0], [2.0, 1.0]])], format="csr"),
+        r"P\[6000, 6000\] = 1, P\[6001, 6001\] = 1, P\[6000, 6001\] = 2 shows it",
+    ),
+    "large, one entry": (sp.diags_array(np.append(np.ones(6000), -1.0)), r"P\[6000, 6000\] = -1"),
+}
+
+
+@pytest.mark.parametrize("name", NONCONVEX)
+@pytest.mark.parametrize("form", ["auto", "direct", "kkt"])
+def test_a_program_that_is_clearly_not_convex_is_refused(name: str, form: str) -> None:
+    """A negative eigenvalue beyond rounding is refused with a value and advice, whatever the form."""
+    P, words = NONCONVEX[name]
+    with pytest.raises(UnsupportedModel, match=f"not convex: (the )?{words}.*a stationary point need not be a minimum"):
+        LCP.from_qp(P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0, form=form)
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("rank", [1, 3, 7])
+@pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9])
+@pytest.mark.parametrize("is_sparse", [False, True])
+def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool) -> None:
+    """A singular BᵀB computed in doubles, whose smallest eigenvalues are rounding of either sign, is accepted."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        B = rng.standard_normal((rank, 12)) * np.where(rng.random(12) < 0.3, 1e-9, 1.0)
+        P = scale * (B.T @ B)
+        P = np.maximum(P, P.T)
+        problem = LCP.from_qp(sp.csr_array(P) if is_sparse else P, P @ rng.standard_normal(12), lower=-9.0, upper=9.0)
+        assert problem.origin.program.is_shown_convex
+        solution = problem.origin.recover(solve(problem, tolerance=1e-12))
+        assert solution.is_optimal(1e-6) == solution.is_stationary(1e-6)
+        assert solution.is_stationary(1e-6) or scale > 1.0
+
+
+def test_what_is_not_shown_convex_is_not_called_optimal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stationary point is "stationary" where convexity could not be decided, and optimal where the rows show it."""
+    monkeypatch.setattr(QuadraticProgram, "is_convex", None)
+    full = QuadraticProgram([[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]], [-1.0, 0.0, 0.0])
+    dominant = QuadraticProgram([[4.0, 3.0], [3.0, 4.0]], [-1.0, 0.0])
+    for program, word in ((full, "stationary"), (dominant, "optimal")):
+        problem = lcp_from_qp(program)
+        solution = problem.origin.recover(solve(problem, tolerance=1e-12))
+        assert solution.is_stationary()
+        assert solution.is_optimal() == (word == "optimal")
+        assert solution.status == word
+
+
+def test_a_saddle_hidden_by_a_large_entry_is_not_called_optimal() -> None:
+    """What may be the rounding of another entry is not refused, and a stationary point is not called optimal."""
+    P = np.zeros((3, 3))
+    P[0, 0], P[1:, 1:] = 1e20, [[1.0, 2.0], [2.0, 1.0]]
+    solution = LCP.from_qp(P, np.zeros(3), lower=-1.0, upper=1.0).origin.recover(np.zeros(3))
+    assert solution.is_stationary()
+    assert not solution.is_optimal()
+    assert solution.status == "stationary"
+
+
+def test_a_stationary_point_of_a_nonconvex_program_is_not_optimal() -> None:
+    """The conditions hold at a saddle of a concave program, and nobody calls it optimal."""
+    program = QuadraticProgram(-np.eye(2), [0.1, 0.0], lower=-1.0, upper=1.0)
+    zero = np.zeros(2)
+    saddle = QPSolution(program, np.array([0.1, 0.0]), np.zeros(0), np.zeros(0), zero, zero)
+    assert saddle.is_stationary()
+    assert not saddle.is_optimal()
+    assert saddle.status == "stationary"
+
+
+def test_an_unbounded_direction_needs_a_feasible_point() -> None:
+    """A direction of descent beside contradicting constraints is infeasible, never unbounded."""
+    program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, -1.0])
+    assert prove_unbounded(program) is None
+    assert isinstance(proof_of_no_minimum(program), QPInfeasibility)
+
+
+@pytest.mark.parametrize("cost", [1e5, 1e6, 1e8])
+def test_a_component_of_a_small_unit_falls_for_ever(cost: float) -> None:
+    """Of −cost x₁ − x₂ with x₁ ≤ 1: the 1 was nothing beside 1e6, and is a tenth of its own terms whatever y is."""
+    program = QuadraticProgram(np.zeros((2, 2)), [-cost, -1.0], lower=[0.0, 0.0], upper=[1.0, np.inf])
+    assert judged_program(program).status is Status.UNBOUNDED
+    proof = program.refutation()
+    assert isinstance(proof, QPUnboundedness)
+    least = proof.row_margin
+    assert least > 0.1
+    for size in 10.0 ** np.arange(-3, 12):
+        for x, (y, z) in ((1.0, (0.0, 0.0)), (size, (size, size)), (size, (0.0, size)), (size, (size, 1.0))):
+            solution = QPSolution(program, [1.0, x], np.empty(0), np.empty(0), [0.0, y], [cost, z])
+            assert solution.row_residual >= least
+
+
+def test_terms_that_may_cancel_prove_nothing_of_a_row() -> None:
+    """x₁ = x₂ in two rows whose multipliers 1e7 hide the cost 1 in any row's own terms: no x can be refuted so."""
+    G = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0]]
+    program = QuadraticProgram(np.zeros((3, 3)), [-1.0, 0.0, -1e8], G, [0.0, 0.0], upper=[np.inf, np.inf, 1.0])
+    proof = QPUnboundedness(program, (Fraction(0),) * 3, (Fraction(1), Fraction(1), Fraction(0)))
+    assert proof.verify()
+    assert (proof.row_margin, proof.excludes(1e-6)) == (0.0, False)
+    hidden = QPSolution(program, [0.0, 0.0, 1.0], [1e7, 1e7], np.empty(0), np.zeros(3), [0.0, 0.0, 1e8])
+    assert hidden.row_residual < 1e-6
+
+
+def test_recover_tells_the_status() -> None:
+    """origin.recover(result).status: optimal by residuals, infeasible and unbounded by proof, otherwise unknown."""
+    infeasible = lcp_from_qp(QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [0.0, -1.0]), "kkt")
+    assert infeasible.origin.recover(np.zeros(4)).status == "infeasible"
+    unbounded = lcp_from_lp([-1.0, 0.0], G=[[1.0, -1.0]], h=[0.0])
+    assert unbounded.origin.recover(np.zeros(3)).status == "unbounded"
+    fine = LCP.from_qp(np.eye(2), [-1.0, 0.0])
+    assert fine.origin.recover([1.0, 0.0]).status == "optimal"
+    assert fine.origin.recover([0.5, 0.0]).status == "unknown"
+    assert fine.origin.recover([0.5, 0.0]).proof is None
+
+
+@pytest.mark.parametrize("size", [3, 14])
+def test_repair_solves_exactly_and_moves_only_what_it_may(size: int) -> None:
+    """The repaired vector satisfies redundant equations exactly, near the guess; fixed entries stay; or None."""
+    rng = np.random.default_rng(size)
+    A = rng.normal(size=(size, size + 4))
+    rows = [{j: Fraction(a) for j, a in enumerate(row)} for row in [*A, A[0] * 2.0]]
+    y = [Fraction(int(v)) for v in rng.integers(-5, 5, size + 4)]
+    right = [sum((a * y[j] for j, a in row.items()), Fraction(0)) for row in rows]
+    guess = [value + Fraction(1, 10**6) for value in y]
+    movable = [j != 1 for j in range(size + 4)]
+    exact = solved_nearby(rows, right, guess, movable)
+    assert exact is not None
+    assert exact[1] == guess[1]
+    products = [sum((a * exact[j] for j, a in row.items()), Fraction(0)) for row in rows]
+    assert products == right
+    assert max(abs(a - b) for a, b in zip(exact, y, strict=True)) < Fraction(1, 1000)
+    assert solved_nearby(rows, [*right[:-1], right[-1] + 1], guess, movable) is None
+
+
+# --- Inside cvxpy ------------------------------------------------------------------------------------------------
+
+
+# test_lp_bound_attr asks that bounds do not become rows, which is not wanted; test_cvxpy_programs.py solves it.
+@pytest.mark.parametrize("name", [
+    n for n in dir(StandardTestLPs) if n.startswith("test_lp") and n not in ("test_lp_7", "test_lp_bound_attr")
+])
+def test_cvxpy_s_own_linear_tests_pass(name: str) -> None:
+    """Each of cvxpy's StandardTestLPs passes, infeasible and unbounded ones included (lp_7 needs another package)."""
+    getattr(StandardTestLPs, name)(solver=QPSolver, algorithm=INTERIOR)
+
+
+@pytest.mark.parametrize("objective", ["linear", "merely convex", "absolute values"])
+def test_merely_convex_models(objective: str) -> None:
+    """Linear and merely convex cvxpy models agree with HiGHS or Clarabel in value and are feasible."""
+    x = cp.Variable(3)
+    goal = {
+        "linear": cp.sum(x), "merely convex": cp.square(x[0] - x[1]) + cp.sum(x),
+        "absolute values": cp.norm1(x - np.array([3.0, -1.0, 0.5])) + cp.sum_squares(x[:2]),
+    }[objective]
+    constraints = [x >= 0, x[0] + x[1] + x[2] >= 1, x[0] - x[2] <= 3, x[1] - x[2] == -0.25]
+    problem = cp.Problem(cp.Minimize(goal), constraints)
+    value = problem.solve(solver=QPSolver, algorithm=INTERIOR)
+    assert problem.status == "optimal"
+    assert max(float(c.violation().max()) for c in constraints) < 1e-8
+    assert value == pytest.approx(problem.solve(solver=cp.CLARABEL), abs=1e-5)
+
+
+def test_infeasible_and_unbounded_carry_their_proof() -> None:
+    """The status comes with a proof that can be checked again, in extra_stats; values are None."""
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.sum(x) >= 1, cp.sum(x) <= 0.5])
+    problem.solve(solver=QPSolver, algorithm=INTERIOR)
+    assert problem.status == "infeasible"
+    assert x.value is None
+    assert problem.solver_stats.extra_stats.proof.verify()
+    problem = cp.Problem(cp.Minimize(cp.square(x[0]) - x[1]), [x[1] - x[2] <= 0])
+    assert problem.solve(solver=QPSolver, algorithm=INTERIOR) == -INF
+    assert problem.status == "unbounded"
+    assert problem.solver_stats.extra_stats.proof.verify()
+
+
+def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
+    """A named method that needs a positive diagonal says so on a linear program, and what to do."""
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 0, x[0] + x[1] + x[2] >= 1])
+    with pytest.raises(UnsupportedModel, match="merely convex"):
+        problem.solve(solver=QPSolver, algorithm="psor")
+
+
+def test_a_sparse_dense_and_empty_program() -> None:
+    """Dense and sparse data give the same answer; no rows at all and one variable work."""
+    rng = np.random.default_rng(1)
+    P, G = np.diag([1.0, 0.0, 2.0]), rng.normal(size=(4, 3))
+    answers = [
+        solve_quadratic_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR)[1]
+        for wrap in (np.asarray, sp.csr_array)
+    ]
+    np.testing.assert_allclose(answers[0].objective, answers[1].objective, atol=1e-9)
+    single = QuadraticProgram(np.zeros((1, 1)), [1.0], lower=-3.0)
+    assert solve_quadratic_program(single, INTERIOR)[1].x.tolist() == [-3.0]
+
+
+def test_rounding_does_not_make_a_program_nonconvex() -> None:
+    """A row of P that is zero but for rounding errors is accepted; an eigenvalue of −1e-6 is refused by name."""
+    P = np.array([[1.0, 0.0, 1e-17], [0.0, 1.0, 0.0], [1e-17, 0.0, 0.0]])
+    program = QuadraticProgram(P, [-1.0, 0.0, 1.0], lower=[-5.0, -5.0, 0.0])
+    _, answer = solve_quadratic_program(program, INTERIOR)
+    np.testing.assert_allclose(answer.x, [1.0, 0.0, 0.0], atol=1e-9)
+    with pytest.raises(UnsupportedModel, match="not convex"):
+        solve_quadratic_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
+
+
+def test_explain_tells_every_form_that_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no answer is good enough, the stages are those of all runs, each form and tolerance with its reason."""
+    monkeypatch.setattr(QPSolution, "is_stationary", lambda _self, _tolerance=1e-6: False)
+    program = QuadraticProgram(np.diag([0.0, 2.0]), [0.0, 0.0], A=[[1.0, -1.0]], b=[1.0], lower=[0.0, -INF])
+    result, _ = solve_quadratic_program(program)
+    reasons = [stage.because.partition(";")[0] for stage in result.stages]
+    assert "the KKT form of the program as it stands" in reasons
+    assert "the KKT form of the program as it stands" in result.explain()
+
+
+# --- Optimality conditions written by hand ----------------------------------------------------------------------
+
+
+def is_monotone(constraints: list[Any]) -> bool:
+    M = build(constraints).problem.csr.toarray()
+    return bool(np.linalg.eigvalsh(M + M.T).min() > -1e-10 * np.abs(M).max())
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+@pytest.mark.parametrize("rank", [8, 3, 0])
+def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: float) -> None:
+    """Stationarity, feasibility and pairs of a QP, whichever way its equations are turned: monotone, right value."""
+    rng = np.random.default_rng(rank)
+    F, G, A, x0 = rng.normal(size=(8, rank)), rng.normal(size=(5, 8)), rng.normal(size=(3, 8)), rng.normal(size=8)
+    P, h, b = F @ F.T, G @ x0 + rng.random(5), A @ x0
+    c = -(P @ x0 + G.T @ rng.random(5) + A.T @ rng.normal(size=3))
+    x, inequality, equality = cp.Variable(8), cp.Variable(5), cp.Variable(3)
+    constraints = [
+        complements(inequality >= 0, h - G @ x >= 0), turned * (A @ x - b) == 0,
+        turned * (P @ x + c + G.T @ inequality + A.T @ equality) == 0,
+    ]
+    assert is_monotone(constraints)
+    problem = ComplementarityProblem(constraints)
+    problem.solve(algorithm=INTERIOR, tolerance=1e-10)
+    assert problem.status == "optimal"
+    _, answer = solve_quadratic_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR)
+    assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(answer.objective, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize("model", ["support vectors", "portfolio"])
+def test_models_declared_with_complements(model: str) -> None:
+    """The dual of a support vector machine and a portfolio agree with Clarabel's value and are monotone."""
+    rng = np.random.default_rng(0)
+    x, offset, price = cp.Variable(20), cp.Variable(), cp.Variable()
+    if model == "support vectors":
+        points = rng.normal(size=(20, 3))
+        y = np.sign(points[:, 0] + 0.3 * rng.normal(size=20))
+        Q = (y[:, None] * points) @ (y[:, None] * points).T
+        constraints = [complements(box(x, 0.0, 1.0), Q @ x - 1 + y * offset), y @ x == 0]
+        goal, ordinary = 0.5 * cp.quad_form(x, Q, assume_PSD=True) - cp.sum(x), [x >= 0, x <= 1, y @ x == 0]
+    else:
+        gain, S = rng.uniform(0.0, 0.2, 20), rng.normal(size=(20, 15))
+        S = S @ S.T / 20
+        constraints = [
+            complements(x >= 0, S @ x - gain * price + offset >= 0), complements(price >= 0, gain @ x - 0.1 >= 0),
+            cp.sum(x) == 1,
+        ]
+        goal, ordinary = 0.5 * cp.quad_form(x, S, assume_PSD=True), [x >= 0, cp.sum(x) == 1, gain @ x >= 0.1]
+    assert is_monotone(constraints)
+    problem = ComplementarityProblem(constraints)
+    problem.solve(algorithm=INTERIOR, tolerance=1e-10)
+    assert problem.status == "optimal"
+    value = float(goal.value)
+    assert value == pytest.approx(cp.Problem(cp.Minimize(goal), ordinary).solve(solver=cp.CLARABEL), abs=1e-6)
+
+
+# --- Infeasible, and by how much ---------------------------------------------------------------------------------
+
+ROUNDED = [-1.227, -1.1546, -1.1391, -2.9916]  # an equation of rounded data: · x = 8.9e-16, x ≥ 0
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("form", ["auto", "kkt"])
+@pytest.mark.parametrize("c", [[1.0, 1.0, 1.0, 1.0], [-1.5, -0.5, 0.5, 1.5], [-1.0, -1.0, -1.0, -1.0]])
+@pytest.mark.parametrize("P", [np.eye(4), np.diag([1.0, 0.0, 0.0, 0.0]), np.zeros((4, 4))])
+def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> None:
+    """A program whose equation contradicts the bounds by 9e-16 is optimal at x = 0, never infeasible."""
+    problem = LCP.from_qp(P, c, A=[ROUNDED], b=[8.9e-16], lower=0.0, form=form)
+    result = solve(problem)
+    assert not result.is_refuted
+    solution = problem.origin.recover(result)
+    assert solution.is_optimal()
+    assert solution.status == "optimal"
+    assert np.abs(solution.x).max() < 1e-6
+    x = cp.Variable(4, nonneg=True)
+    program = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + np.array(c) @ x),
+                         [np.array(ROUNDED) @ x == 8.9e-16])
+    program.solve(solver=QPSolver)
+    assert program.status == cp.OPTIMAL
+    exact = problem.origin.program.proof_of_no_minimum
+    assert exact is None or (exact.verify() and exact.margin < 1e-15)
+    assert problem.origin.program.refutation() is None
+
+
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
+def test_infeasible_by_a_millionth_is_refuted(size: float) -> None:
+    """x₁ − x₂ = s and = s (1 + 2e-6) contradict by 1e-6 of their scale: refuted with a proof at default tolerance."""
+    x = cp.Variable(2)
+    constraints = [x[0] - x[1] == size, x[0] - x[1] == size * (1 + 2e-6)]
+    program = cp.Problem(cp.Minimize(cp.sum_squares(x)), constraints)
+    program.solve(solver=QPSolver)
+    assert program.status == cp.INFEASIBLE
+    proof = program.solver_stats.extra_stats.proof
+    assert proof.verify()
+    assert proof.margin == pytest.approx(1e-6 * size / (1 + size), rel=1e-2)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e6, 1e9, 1e12])
+def test_nothing_is_optimal_relative_to_x(size: float) -> None:
+    """x₁ − x₂ = 1 and x₁ − x₂ = 2 are as far from each other at x = 1e9 as at x = 1; beside a proof none is optimal."""
+    program = QuadraticProgram(np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0])
+    proof = program.refutation()
+    assert proof is not None
+    near = QPSolution(program, [size + 1.5, size], [], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+    assert near.primal_residual >= proof.margin * (1 - 1e-12)
+    assert not near.is_optimal()
+    assert near.status == "infeasible"
+
+
+@pytest.mark.parametrize("size", [1.0, 1e6, 1e9])
+def test_nothing_is_optimal_beside_a_direction_of_descent(size: float) -> None:
+    """Along a direction of endless descent and no multipliers have a dual residual below the proof's margin."""
+    program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
+    flat = QuadraticProgram(np.zeros((2, 2)), [-2.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
+    assert program.refutation() is None  # both costs cancel along (1, 1)
+    proof = flat.refutation()
+    assert isinstance(proof, QPUnboundedness)
+    for multiplier in (-size, 0.0, 1.5, size):
+        solution = QPSolution(flat, [size + 0.5, size], [], [multiplier], [0.0, 0.0], [0.0, 0.0])
+        assert solution.dual_residual >= proof.margin * (1 - 1e-12)
+        assert not solution.is_optimal()
+
+
+def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
+    """A bound x ≤ 1 and a row x ≥ 1 + 2e-16 are met at x = 1; the proof that they are not does not count."""
+    problem = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-np.nextafter(1.0, 2.0)], upper=1.0)
+    solution = problem.origin.recover(solve(problem))
+    assert solution.is_optimal()
+    proof = problem.origin.program.proof_of_no_minimum
+    assert proof is not None
+    assert proof.verify()
+    assert 0.0 < proof.margin < 1e-15
+    assert problem.origin.program.refutation() is None
+    apart = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-1.00001], upper=1.0)
+    assert apart.origin.recover(solve(apart)).status == "infeasible"
+
+
+def test_a_limit_nobody_reaches_hides_no_contradiction() -> None:
+    """A row x₃ ≤ 1e12 beside a contradiction of 1e-3 in others changes nothing."""
+    rows = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    program = QuadraticProgram(np.eye(3), np.ones(3), rows, [1.0, -1.001, 1e12])
+    proof = program.refutation()
+    assert isinstance(proof, QPInfeasibility)
+    assert proof.margin > 1e-4
+
+
+class _Points(Algorithm):
+    """Yields given points, each with the residual that it has."""
+
+    name = "points"
+
+    def __init__(self, *points: Any) -> None:
+        object.__setattr__(self, "points", points)
+
+    def iterates(self, problem: LCP, z0: Any) -> Any:
+        yield Step(z0)
+        for point in self.points:
+            yield Step(np.array(point))
+
+
+def test_the_point_that_answers_the_program_is_returned() -> None:
+    """Not one before it of a smaller residual that did not: the status speaks of what is handed back."""
+    problem, better, right = LCP(np.eye(2), [-1.0, -1.0]), [1.0 - 1e-13, 1.0], [1.0 - 1e-10, 1.0]
+    problem.criterion = SimpleNamespace(is_answered=lambda z, _tolerance: bool(z[0] == right[0]))
+    assert not solve(problem, _Points(better)).is_solved
+    result = solve(problem, _Points(better, *[right] * 3))
+    assert result.is_solved
+    assert result.z.tolist() == right

@@ -1,0 +1,213 @@
+"""What a program's matrices say is computed once, and says the same of every program that shares them."""
+
+from __future__ import annotations
+
+import pickle
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns.convex_programs import SOLVABLE, case
+
+from lcp_plugin import solve
+from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, attempts, lcp_from_qp
+from lcp_plugin.problems.programs.program_matrices import as_csr
+from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.reductions import substitute_definitions
+from lcp_plugin.problems.programs.solving import solve_quadratic_program
+
+NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
+VECTORS = ("c", "h", "b", "lower", "upper")
+
+
+def afresh(given: QuadraticProgram) -> QuadraticProgram:
+    """Return the program of the same data that shares nothing."""
+    return QuadraticProgram(**{name: getattr(given, name) for name in NAMES})
+
+
+def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
+    """Return other vectors, some bounds and limits of which come or go."""
+    slack = np.where(rng.random(given.h.size) < 0.2, np.inf, given.h + rng.uniform(0.0, 1.0, given.h.size))
+    return {
+        "c": given.c + rng.normal(size=given.n), "h": slack, "b": given.b + rng.integers(0, 2, given.b.size),
+        "lower": np.where(rng.random(given.n) < 0.2, -np.inf, given.lower - 0.5), "upper": given.upper + 0.25,
+    }
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("kind", SOLVABLE)
+@pytest.mark.parametrize("seed", range(6))
+def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, seed: int) -> None:
+    """Its complementarity problems, and what is recovered and measured, are those of a fresh program, bit by bit."""
+    rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
+    first, _ = case(kind, seed, 0, 12)
+    list(attempts(first))
+    shared = first.with_vectors(**moved(first, rng))
+    for ours, theirs in zip(attempts(shared), attempts(afresh(shared)), strict=True):
+        assert ours.problem.origin.form == theirs.problem.origin.form
+        np.testing.assert_array_equal(ours.problem.csr.toarray(), theirs.problem.csr.toarray())
+        for name in ("q", "lower", "upper"):
+            np.testing.assert_array_equal(getattr(ours.problem, name), getattr(theirs.problem, name))
+        z = rng.normal(size=ours.problem.n)
+        left, right = (one.problem.origin.recover(z) for one in (ours, theirs))
+        for name in ("x", "multipliers"):
+            np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+        for name in ("primal_residual", "dual_residual", "complementarity", "row_residual", "objective"):
+            assert getattr(left, name) == getattr(right, name)
+
+
+def test_the_matrix_of_the_conditions_is_shared() -> None:
+    """Facts about the matrix of a problem are known to that of the program with other vectors, in every form."""
+    for kind in ("strictly convex", "linear", "no bounds"):
+        first, _ = case(kind, 3, 0, 12)
+        other = first.with_vectors(c=first.c + 1.0)
+        if lcp_from_qp(first).origin.form != "dual":
+            assert lcp_from_qp(first).matrix is lcp_from_qp(other).matrix
+
+
+def test_rows_that_contradict_their_bounds_come_and_go() -> None:
+    """A row that is a bound in one program, and no bound in the next as it contradicts another, is seen as such."""
+    first = QuadraticProgram(np.eye(2), [1.0, 1.0], G=[[1.0, 0.0], [-1.0, 0.0], [1.0, 1.0]], h=[1.0, 0.0, 5.0])
+    assert lcp_from_qp(first).n == lcp_from_qp(afresh(first)).n
+    crossed = first.with_vectors(h=[1.0, -2.0, 5.0])
+    assert lcp_from_qp(crossed).origin.rows.left.tolist() == [0, 1, 2]
+    assert lcp_from_qp(crossed.with_vectors(h=first.h)).origin.rows.left.tolist() == [2]
+    assert crossed.refutation() is not None
+
+
+@pytest.mark.parametrize("name", VECTORS)
+@pytest.mark.parametrize("wrong", [[np.nan, 0.0], [0.0], "two"])
+def test_other_vectors_are_checked(name: str, wrong: Any) -> None:
+    """A vector of another length, of text or with a NaN is refused in words."""
+    first = QuadraticProgram(np.eye(2), [1, 1], G=np.eye(2), h=[1, 1], A=np.eye(2), b=[1, 1])
+    with pytest.raises(InvalidProblem, match=name):
+        first.with_vectors(**{name: wrong})
+
+
+def test_a_pickled_program_says_the_same() -> None:
+    """A program that was converted can be pickled with its problem, and is solved as before."""
+    problem = lcp_from_qp(case("condition 1e8", 5, 0, 12)[0])
+    restored = pickle.loads(pickle.dumps(problem))
+    ours, theirs = (one.origin.recover(solve(one)) for one in (problem, restored))
+    np.testing.assert_array_equal(ours.x, theirs.x)
+    assert theirs.is_optimal()
+
+
+@pytest.mark.parametrize("density", [0.3, 1.0])
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("seed", range(5))
+def test_definitions_are_put_in_exactly(density: float, mixed: bool, seed: int) -> None:
+    """With t = A x − b put in, P and c are those of the objective as a function of x and the others, in integers."""
+    rng = np.random.default_rng(seed)
+    n, k, others = 5, 7, 3
+    A = np.where(rng.random((k, n)) < density, rng.integers(-3, 4, (k, n)), 0).astype(float)
+    root = rng.integers(-2, 3, (n + k + others, n + k + others)).astype(float)
+    P = root @ root.T if mixed else np.diag(rng.integers(1, 5, n + k + others).astype(float))
+    order = rng.permutation(n + k + others)
+    c, b = rng.integers(-3, 4, n + k + others).astype(float), rng.integers(-3, 4, k).astype(float)
+    rows = np.hstack([-A, np.eye(k), np.zeros((k, others))])
+    given = QuadraticProgram(
+        sp.csr_array(P[np.ix_(order, order)]), c[order], A=sp.csr_array(rows[:, order]), b=b,
+        lower=np.where(order < n, -1.0, np.where(order < n + k, -np.inf, -5.0)),
+    )
+    found = substitute_definitions(given)
+    assert found is not None
+    E = np.zeros((order.size, n + others))
+    E[:n, :n], E[n : n + k, :n], E[n + k :, n:] = np.eye(n), A, np.eye(others)
+    f = np.zeros(order.size)
+    f[n : n + k] = b
+    kept = np.array([list(range(n)) + list(range(n + k, n + k + others))]).ravel()
+    place = [kept.tolist().index(j) for j in order[found.definitions.kept]]
+    np.testing.assert_array_equal(
+        found.reduced.matrices.hessian.csr.toarray(), (E.T @ P @ E)[np.ix_(place, place)]
+    )
+    np.testing.assert_array_equal(found.reduced.c, (E.T @ (P @ f + c))[place])
+    y = rng.integers(-3, 4, n + others).astype(float)
+    np.testing.assert_array_equal(found.expanded(y[place]), (E @ y + f)[order])
+
+
+def test_a_full_or_empty_array_is_compressed_as_scipy_does() -> None:
+    """An ndarray as CSR has scipy's arrays, whatever its shape and zeros."""
+    rng = np.random.default_rng(0)
+    for shape in ((0, 3), (3, 0), (1, 1), (4, 3), (2, 5)):
+        for share in (0.0, 0.4, 1.0):
+            dense = np.where(rng.random(shape) < share, rng.normal(size=shape), 0.0)
+            ours, theirs = as_csr(dense), sp.csr_array(dense)
+            for name in ("data", "indices", "indptr"):
+                np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def exactly(row: Any, x: Any) -> Fraction:
+    """Return a sum of products without rounding."""
+    return sum((Fraction(a) * Fraction(v) for a, v in zip(row.tolist(), x.tolist(), strict=True)), Fraction(0))
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
+def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
+    """Where terms cancel, the primal and the dual residual are at least the exact ones, and larger by a rounding."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        P, G, A = (np.ldexp(rng.normal(size=(4, 4)), rng.integers(-20, 21, (4, 4))) for _ in range(3))
+        P, (x, equality, lower, upper), inequality = P + P.T, rng.normal(size=(4, 4)), rng.random(4)
+        lower, upper, h, b = np.abs(lower), np.abs(upper), G @ x, A @ x
+        c = -(P @ x + G.T @ inequality + A.T @ equality - lower + upper)
+        program = QuadraticProgram(kind(P), c, kind(G), h, kind(A), b, x - 1.0, x)
+        solution = QPSolution(program, x, inequality, equality, lower, upper)
+        over = [exactly(np.append(row, -1.0), np.append(x, limit)) for row, limit in zip(G, h, strict=True)]
+        over += [abs(exactly(np.append(row, -1.0), np.append(x, limit))) for row, limit in zip(A, b, strict=True)]
+        columns = np.hstack([P, G.T, A.T, -np.eye(4), np.eye(4), c[:, None]])
+        y = np.concatenate([x, inequality, equality, lower, upper, [1.0]])
+        left = [abs(exactly(column, y)) for column in columns]
+        for residual, errors, units in (
+            (solution.primal_residual, over, program.constraints.unit[:8]),
+            (solution.dual_residual, left, program.dual_unit),
+        ):
+            exact = max(error / Fraction(unit) for error, unit in zip(errors, units.tolist(), strict=True))
+            assert exact * (1 - Fraction(1, 2**50)) <= Fraction(residual)
+            assert Fraction(residual) <= max(exact, 0) * (1 + Fraction(1, 2**40)) + Fraction(1, 2**90)
+
+
+def least_squares(A: FloatVector, rng: np.random.Generator) -> QuadraticProgram:
+    """Return ½‖r‖² with r = A x − b, x ≥ 0."""
+    m, n = A.shape
+    P, rows = sp.diags_array(np.repeat([0.0, 1.0], [n, m])), sp.block_array([[sp.csr_array(A), -sp.eye_array(m)]])
+    lower = np.repeat([0.0, -np.inf], [n, m])
+    return QuadraticProgram(sp.csr_array(P), np.zeros(n + m), A=rows, b=rng.standard_normal(m), lower=lower)
+
+
+@pytest.mark.parametrize(("m", "n", "form"), [(80, 20, "direct"), (40, 40, "direct"), (20, 80, "kkt")])
+def test_the_form_is_chosen_by_shape(m: int, n: int, form: str) -> None:
+    """Residuals are put in where there are at least as many as unknowns; where they are few they stay, as AᵀA fills."""
+    rng = np.random.default_rng(0)
+    program = least_squares(rng.standard_normal((m, n)), rng)
+    tried = [attempt.problem.origin.form for attempt in attempts(program)]
+    assert tried[0] == form == lcp_from_qp(program).origin.form
+    assert set(tried) == {"direct", "kkt"}  # the other one is the second try
+
+
+def test_long_definitions_stay_and_short_ones_are_put_in() -> None:
+    """Of a portfolio the factors, of which every asset has a share, stay equations; the assets' own risks go."""
+    rng, (assets, factors) = np.random.default_rng(1), (200, 5)
+    loads, scale = rng.standard_normal((factors, assets)), sp.diags_array(rng.random(assets) + 0.1)
+    P = sp.diags_array(np.repeat([0.0, 1.0], [assets, assets + factors]))
+    A = sp.block_array([[scale, -sp.eye_array(assets), None], [sp.csr_array(loads), None, -sp.eye_array(factors)]])
+    lower = np.repeat([0.0, -np.inf], [assets, assets + factors])
+    program = QuadraticProgram(
+        sp.csr_array(P), rng.standard_normal(lower.size), A=A, b=np.zeros(assets + factors), lower=lower
+    )
+    found = substitute_definitions(program, saves_work=True)
+    assert found is not None
+    assert (found.reduced.n, found.reduced.b.size) == (assets + factors, factors)
+    assert solve_quadratic_program(program)[1].is_optimal()
+
+
+def test_a_graph_keeps_its_laplacian() -> None:
+    """Flows along a path and out of its nodes have a dual that is a Laplacian, which definitions would spoil."""
+    path = sp.diags_array([np.ones(11), -np.ones(11)], offsets=[0, -1], shape=(12, 11))
+    program = QuadraticProgram(np.eye(23), np.ones(23), A=sp.hstack([path, sp.eye_array(12)]), b=np.ones(12))
+    assert substitute_definitions(program, saves_work=True) is not None
+    assert next(attempts(program)).problem.origin.form == "dual"

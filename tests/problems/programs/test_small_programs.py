@@ -1,0 +1,272 @@
+"""Small quadratic programs, solved by one compiled call, have the answers that were chosen first."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lcp_plugin import LCPError, QuadraticProgramBatch, solve, solve_batch
+from lcp_plugin.core.kernels.compilation import compiling_at_once
+from lcp_plugin.problems.programs.conversion import lcp_from_qp
+from lcp_plugin.problems.programs.kernels import small_programs
+from lcp_plugin.problems.programs.program import QuadraticProgram
+from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.small_programs import SmallPrograms
+from lcp_plugin.problems.programs.solving import ProgramResult, solve_quadratic_program
+
+INF = np.inf
+MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
+
+
+def planted(n: int, rows: int, equations: int, rank: int, seed: int) -> tuple[QuadraticProgram, np.ndarray, float]:
+    """Return a program of the answer x and of the value that it has: chosen first, then c, h, b and the bounds."""
+    rng = np.random.default_rng(seed)
+    factor = rng.standard_normal((n, rank))
+    P, G, A = factor @ factor.T, rng.standard_normal((rows, n)), rng.standard_normal((equations, n))
+    x = np.round(rng.standard_normal(n), 3)
+    multipliers = np.where(rng.random(rows) < 0.5, rng.random(rows) + 0.1, 0.0)
+    lower, upper = np.where(rng.random(n) < 0.3, x, -INF), np.where(rng.random(n) < 0.5, x + 1.0, INF)
+    at_lower = np.where(lower == x, rng.random(n), 0.0)
+    h = G @ x + np.where(multipliers > 0.0, 0.0, rng.random(rows) + 0.1)
+    c = -(P @ x + G.T @ multipliers + A.T @ rng.standard_normal(equations)) + at_lower
+    program = QuadraticProgram(P, c, G, h, A, A @ x, lower, upper)
+    return program, x, program.objective(x)
+
+
+@given(
+    n=st.integers(1, 25), rows=st.integers(0, 20), equations=st.integers(0, 4), lacks=st.integers(0, 3),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_answers_chosen_first_are_found(n: int, rows: int, equations: int, lacks: int, seed: int) -> None:
+    """The value is the planted one, and so is x where P is positive definite; each measure bounds the program's own."""
+    equations = min(equations, n - 1)
+    program, x, value = planted(n, rows, equations, max(n - lacks, 0), seed)
+    result, solution = solve_quadratic_program(program)
+    assert solution.is_optimal()
+    assert solution.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
+    if lacks == 0 and np.linalg.cond(program.P) < 1e6:
+        assert np.allclose(solution.x, x, rtol=0.0, atol=1e-6)
+    if isinstance(result, ProgramResult):
+        anew = QPSolution(program, solution.x, solution.inequality, solution.equality, solution.lower, solution.upper)
+        for name in MEASURED[:2]:
+            assert getattr(anew, name) <= getattr(solution, name)
+        assert anew.is_optimal(1e-8)
+
+
+def test_an_option_that_is_none_is_not_there() -> None:
+    """As in solve, limits of None are none."""
+    program = planted(5, 4, 1, 5, 0)[0]
+    assert solve_quadratic_program(program, max_iterations=None, max_seconds=None)[1].is_optimal()
+
+
+def test_most_small_programs_take_the_compiled_call() -> None:
+    """Of two hundred planted ones nearly all are solved there, within a dozen steps in the mean."""
+    results = [solve_quadratic_program(planted(12, 8, 2, 12 - k % 3, k)[0])[0] for k in range(200)]
+    steps = [result.iterations for result in results if isinstance(result, ProgramResult)]
+    assert len(steps) >= 190
+    assert np.mean(steps) <= 12
+
+
+def test_its_result_is_that_of_a_complementarity_problem() -> None:
+    """The result has z and w of the KKT form, whose certificate agrees; the explanation says what ran."""
+    program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [1, 0]], h=[2, INF])
+    result, solution = solve_quadratic_program(program)
+    assert isinstance(result, ProgramResult)
+    assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)
+    assert solution.inequality.tolist() == pytest.approx([1.0, 0.0], abs=1e-14)
+    assert result.z.tolist() == pytest.approx([0.5, 1.5, 1.0], abs=1e-14)
+    assert result.is_solved
+    assert result.certificate.relative_residual <= 1e-14
+    assert "dual active set" in result.explain()
+    assert "interior_point" in solve_quadratic_program(program, "interior_point")[0].explain()
+    assert result.to_content()["status"] == "SOLVED"
+
+
+@pytest.mark.parametrize("wish", [{"verbose": True}, {"record": True}, {"callback": lambda *_: None}])
+def test_who_watches_sees_every_step(wish: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    """A log, a record and a callback are of steps taken one by one."""
+    program, _, value = planted(6, 4, 1, 6, 3)
+    result, solution = solve_quadratic_program(program, **wish)
+    assert not isinstance(result, ProgramResult)
+    assert solution.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("data", "status"),
+    [
+        (dict(P=np.eye(2), c=[0, 0], G=[[1, 1], [-1, -1]], h=[-1, 0.5]), "infeasible"),
+        (dict(P=np.zeros((2, 2)), c=[-1, 0], G=[[0, 1]], h=[1]), "unbounded"),
+        (dict(P=np.eye(2), c=[1, 1], A=[[1, 0], [1, 0]], b=[1, 2]), "infeasible"),
+    ],
+)
+def test_what_has_no_answer_gets_none(data: dict[str, Any], status: str) -> None:
+    """Infeasible and unbounded programs end with their proof, as larger ones do."""
+    program = QuadraticProgram(**data)
+    result, solution = solve_quadratic_program(program)
+    assert not result.is_solved
+    assert solution.status == status
+    assert program.refutation() is not None
+
+
+def test_numbers_far_from_one_are_left_to_others() -> None:
+    """Products that would overflow are not formed; the answer is right all the same."""
+    program = QuadraticProgram([[2e120, 0], [0, 2e120]], [-2e120, 2e120], lower=0)
+    result, solution = solve_quadratic_program(program)
+    assert not isinstance(result, ProgramResult)
+    assert solution.x.tolist() == pytest.approx([1.0, 0.0])
+
+
+def test_a_program_and_its_complementarity_problem_agree() -> None:
+    """Where equations fix x, where rows repeat or sum up to others, SOLVED is said where the program is optimal."""
+    rng = np.random.default_rng(5)
+    for k in range(60):
+        program, _, value = planted(8, 6, 2, 8 - k % 4, k)
+        A = np.vstack([program.A, program.A.sum(axis=0), rng.standard_normal((8 * (k % 2), 8))])
+        x = solve_quadratic_program(program)[1].x
+        redundant = QuadraticProgram(
+            program.P, program.c, np.vstack([program.G, program.G]), np.append(program.h, program.h),
+            A, A @ x, program.lower, program.upper,
+        )
+        problem = lcp_from_qp(redundant)
+        result = solve(problem)
+        solution = problem.origin.recover(result)
+        assert result.is_solved == (solution.status == "optimal")
+        assert solution.status == "optimal"
+        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [5, 70])
+def test_interpreted_and_compiled_are_the_same_bits(n: int) -> None:
+    """Rows are worked on at once where the kernel is interpreted, in the same order as in its loops."""
+    program = planted(n, n // 2, 3, n, 11)[0]
+    given = SmallPrograms.of_one(
+        program.P, program.c, np.vstack([program.G, program.A]), np.append(program.h, program.b),
+        np.arange(program.h.size + 3) >= program.h.size, program.lower, program.upper,
+    )
+    assert given is not None
+    with compiling_at_once():
+        compiled = given.solved(1e-9)
+    with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
+        patch.setattr(small_programs, "run", small_programs.run.py_func)
+        interpreted = given.solved(1e-9)
+    assert compiled.has_converged.all()
+    for one, other in zip(compiled, interpreted, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_what_memory_held_before_changes_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interpreted, too, where whole rows are taken at once, the loop reads nothing that was not written."""
+    from lcp_plugin.problems.programs.kernels import small_programs
+
+    program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [1, 0]], h=[2, INF])
+    empty = np.empty
+
+    def filled(*arguments: Any, **named: Any) -> Any:
+        array = empty(*arguments, **named)
+        if array.dtype == np.float64:
+            array.fill(np.nan)
+        return array
+
+    monkeypatch.setattr(small_programs, "run", np.errstate(all="ignore")(small_programs.run.py_func))
+    monkeypatch.setattr(np, "empty", filled)
+    result, solution = solve_quadratic_program(program, "interior_point")
+    assert isinstance(result, ProgramResult)
+    assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("wish", "words"),
+    [
+        ({"tolerance": "tight"}, "tolerance"),
+        ({"tolerance": -1.0}, "tolerance"),
+        ({"algoritm": "newton"}, "algorithm"),
+        ({"max_iterations": "x"}, "max_iterations"),
+        ({"max_seconds": -1.0}, "max_seconds"),
+        ({"threads": 0}, "threads"),
+        ({"algorithm": "neton"}, "newton"),
+    ],
+)
+def test_what_is_wrong_is_refused_before_anything_is_solved(wish: dict[str, Any], words: str) -> None:
+    """A wrong option is no less wrong for a small program."""
+    with pytest.raises(LCPError, match=words):
+        solve_quadratic_program(planted(5, 3, 1, 5, 2)[0], **wish)
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
+@pytest.mark.parametrize(("cost", "far"), [(1e-8, 1e3), (1e-9, 1e6), (1e-9, 1e11), (1e-10, 1e9)])
+def test_a_small_cost_and_a_far_bound_hide_nothing(algorithm: str, cost: float, far: float) -> None:
+    """The minimum is −1/2 − cost · far, at that bound: what is called optimal is there, in a batch, too."""
+    program = QuadraticProgram(
+        np.diag([1.0, 0.0]), [-1.0, cost], G=[[1.0, 1.0]], h=[50.0], lower=[-1.0, -far], upper=1.0
+    )
+    value = -0.5 - cost * far
+    _, solution = solve_quadratic_program(program, algorithm)
+    assert solution.status != "optimal" or solution.objective == pytest.approx(value, rel=2e-6)
+    batch = solve_batch(QuadraticProgramBatch(program.P, [program.c] * 2, program.G, program.h, lower=program.lower,
+                                              upper=program.upper))
+    for one, status in zip(batch, batch.status, strict=True):
+        assert status != "optimal" or one.objective == pytest.approx(value, rel=2e-6)
+
+
+def test_ctrl_c_ends_in_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small program that is interrupted in its compiled call comes back INTERRUPTED, as larger ones do."""
+
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SmallPrograms, "searched", interrupted)
+    result, _ = solve_quadratic_program(planted(5, 3, 1, 5, 2)[0])
+    assert result.status.name == "INTERRUPTED"
+
+
+def test_a_result_can_be_replaced_pickled_and_given_a_start() -> None:
+    """As any other result; z0 is a start, of which the compiled call knows nothing."""
+    program, _, value = planted(5, 3, 1, 5, 2)
+    result, solution = solve_quadratic_program(program)
+    assert isinstance(result, ProgramResult)
+    other = dataclasses.replace(result, algorithm="mine")
+    assert other.algorithm == "mine"
+    assert other.z.tolist() == pickle.loads(pickle.dumps(result)).z.tolist() == result.z.tolist()
+    again, found = solve_quadratic_program(program, z0=result.z)
+    assert found.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
+    assert not isinstance(again, ProgramResult)
+    assert solution.is_optimal()
+
+
+def test_a_smaller_tolerance_gives_no_worse_answer() -> None:
+    """What the compiled call finds is kept where it is within the tolerance as a complementarity problem."""
+    program, _, _ = planted(40, 30, 3, 40, 8)
+    for tolerance in (1e-9, 1e-11, 1e-13):
+        result, solution = solve_quadratic_program(program, tolerance=tolerance)
+        assert isinstance(result, ProgramResult)
+        assert result.residual <= tolerance
+        assert solution.residual <= 1e-12
+
+
+def test_one_criterion_judges_dense_loops_and_solutions() -> None:
+    """At any point, with any multipliers, the loop's five measures are those of a QPSolution, or just above."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        n, m, p = (int(rng.integers(*ends)) for ends in ((1, 7), (0, 6), (0, 3)))
+        factor, C, d = rng.normal(size=(n, n)), rng.normal(size=(m + p, n)), rng.normal(size=m + p)
+        P, c = factor @ factor.T, rng.normal(size=n)
+        P, lower, upper = (P + P.T) / 2 * (seed % 3 > 0), np.zeros(n), np.where(rng.random(n) < 0.5, 1.0, INF)
+        x = np.clip(rng.normal(size=n), lower, upper)
+        y = np.append(np.maximum(rng.normal(size=m), 0.0), rng.normal(size=p))
+        reduced, measures = np.zeros((1, n)), np.zeros((1, 7))
+        small_programs.measure(
+            P[None], c[None], C[None], d[None], np.arange(m + p) >= m, lower[None], upper[None], 0, 0, 0,
+            np.zeros((small_programs.WIDTH, n + m + p)), x[None], y[None], reduced, measures,
+        )
+        program = QuadraticProgram(P, c, C[:m], d[:m], C[m:], d[m:], lower, upper)
+        solution = QPSolution(program, x, y[:m], y[m:], np.maximum(reduced[0], 0.0), np.maximum(-reduced[0], 0.0))
+        theirs = np.array([getattr(solution, name) for name in MEASURED])
+        assert (theirs[:4] <= measures[0, :4]).all()
+        np.testing.assert_allclose(measures[0, :5], theirs, rtol=1e-12, atol=1e-13)

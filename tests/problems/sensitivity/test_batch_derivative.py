@@ -1,0 +1,296 @@
+"""Derivatives of a batch: those of each problem, by one compiled loop, and none of them lost to its neighbours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from planted import planted
+
+from lcp_plugin import LCP, InvalidProblem, UnsuitableProblem, derivative, solve_batch
+from lcp_plugin.problems.sensitivity.batch_derivative import BatchDerivative
+
+INF = np.inf
+EPSILON = np.finfo(np.float64).eps
+
+
+def of(data: tuple[Any, ...], **options: Any) -> BatchDerivative:
+    M, q, lower, upper = data
+    return derivative(solve_batch(M, q, lower=lower, upper=upper, **options))
+
+
+def condition(found: BatchDerivative, k: int) -> float:
+    """That of the block of the free rows of problem k."""
+    one = found[k]
+    block = one.problem.csr.toarray()[np.ix_(one.free, one.free)]
+    return float(np.linalg.cond(block)) if block.size else 1.0
+
+
+def assert_each(found: BatchDerivative, seed: int = 0) -> None:
+    """Each row is what the problem's own Derivative gives, to rounding; entries of M included."""
+    rng = np.random.default_rng(seed)
+    z = found.batch.z
+    g, gw, dq, dlower, dupper = ([rng.normal(size=len(row)) for row in z] for _ in range(5))
+    gradient, dz = found.vjp(g, gw), found.jvp(dq=dq, dlower=dlower, dupper=dupper)
+    for k, one in enumerate(found):
+        own = one.vjp(g[k], gw[k])
+        loss = 1e2 * EPSILON * condition(found, k)
+        for name in ("q", "lower", "upper"):
+            ours, theirs = getattr(gradient, name)[k], getattr(own, name)
+            assert np.abs(ours - theirs).max(initial=0.0) <= loss * (1.0 + np.abs(own.q).max(initial=0.0)), name
+        change = one.jvp(dq=dq[k], dlower=dlower[k], dupper=dupper[k])
+        assert np.abs(dz[k] - change).max(initial=0.0) <= loss * (1.0 + np.abs(change).max(initial=0.0))
+        assert np.abs(found.z[k] - one.z).max(initial=0.0) <= loss * (1.0 + np.abs(one.z).max(initial=0.0))
+        assert found.free[k].tolist() == one.free.tolist()
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 9, 30])
+def test_a_batch_has_the_derivatives_of_each(symmetric: bool, shared: bool, n: int) -> None:
+    """Gradients, changes, z and free rows of arrays, of one M for all and of a list are those one by one."""
+    data = planted(20, n, n, symmetric=symmetric, shared=shared)
+    found = of(data)
+    assert not found._left_by_the_loop  # the compiled loop has done it all
+    assert_each(found)
+    M, q, lower, upper = data
+    listed = [LCP(M if shared else M[k], q[k], lower=lower[k], upper=upper[k]) for k in range(20)]
+    again = derivative(solve_batch(listed))
+    assert np.array_equal(again.vjp(np.ones(n)).q, found.vjp(np.ones(n)).q)
+
+
+def test_problems_of_any_sizes_and_kinds() -> None:
+    """A list of dense, sparse, large and tridiagonal problems, some too large for the compiled loop."""
+    problems = []
+    for k, n in enumerate((1, 3, 7, 30, 300)):
+        M, q, lower, upper = (array[0] for array in planted(1, n, k, symmetric=bool(k % 2)))
+        problems.append(LCP(M, q, lower=lower, upper=upper))
+    chain = sp.diags_array([-np.ones(39), np.full(40, 2.5), -np.ones(39)], offsets=[-1, 0, 1], format="csr")
+    rng = np.random.default_rng(0)
+    problems += [LCP(chain, rng.normal(size=40)), LCP([[2.0, 0.0], [0.0, 1.0]], [-1.0, 1.0], upper=0.25)]
+    found = derivative(solve_batch(problems))
+    assert_each(found)
+    g = [np.ones(problem.n) for problem in problems]
+    for gradient, one in zip(found.vjp(g).M, found, strict=True):
+        own = one.vjp(np.ones(one.z.size)).M
+        assert np.array_equal(gradient.indices, own.indices)
+        assert np.allclose(gradient.data, own.data, rtol=1e-12, atol=1e-13)
+    dM = [rng.normal(size=(problem.n, problem.n)) for problem in problems]
+    for k, dz in enumerate(found.jvp(dM=dM)):
+        assert np.allclose(dz, found[k].jvp(dM=dM[k]), rtol=1e-11, atol=1e-12)
+
+
+def test_entries_of_the_matrix() -> None:
+    """∂L/∂M is that of each for an M each; the sum for one M, on the pattern of a sparse one; dM is its adjoint."""
+    rng = np.random.default_rng(1)
+    g = rng.normal(size=(12, 8))
+    M, q, lower, upper = planted(12, 8, 3, symmetric=False)
+    found = of((M, q, lower, upper))
+    gradient = found.vjp(g)
+    for k, one in enumerate(found):
+        assert np.allclose(gradient.M[k], one.vjp(g[k]).M.toarray(), rtol=1e-12, atol=1e-13)
+    dM = rng.normal(size=M.shape)
+    assert np.isclose((gradient.M * dM).sum(), (g * found.jvp(dM=dM)).sum(), rtol=1e-12)
+    for form in (np.asarray, sp.csr_array):
+        shared = of((form(M[0] * (abs(M[0]) > 0.3)), q, -INF, INF))
+        total = shared.vjp(g).M
+        assert sp.issparse(total) == (form is sp.csr_array)
+        change = form(dM[0] * (M[0] * (abs(M[0]) > 0.3) != 0.0))
+        assert np.isclose((total * change).sum(), (g * shared.jvp(dM=change)).sum(), rtol=1e-12)
+
+
+def test_the_number_of_threads_changes_no_bit() -> None:
+    """Of vjp and jvp, on one, two and five threads."""
+    data = planted(700, 12, 5, symmetric=False)
+    g = np.random.default_rng(0).normal(size=(700, 12))
+    first, *others = (of(data, threads=threads) for threads in (1, 2, 5))
+    gradient, dz = first.vjp(g), first.jvp(dq=g)
+    for other in others:
+        again = other.vjp(g)
+        for name in ("q", "lower", "upper", "M"):
+            assert getattr(again, name).tobytes() == getattr(gradient, name).tobytes()
+        assert other.jvp(dq=g).tobytes() == dz.tobytes()
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_gradients_and_changes_are_adjoint(symmetric: bool) -> None:
+    """⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ for changes h of q, both bounds and M."""
+    M, q, lower, upper = planted(50, 10, 6, symmetric=symmetric)
+    found = of((M, q, lower, upper))
+    rng = np.random.default_rng(2)
+    g, gw, dq, dlower, dupper = rng.normal(size=(5, 50, 10))
+    dM = rng.normal(size=M.shape)
+    gradient, dz = found.vjp(g, gw), found.jvp(dM=dM, dq=dq, dlower=dlower, dupper=dupper)
+    dw = (M @ dz[:, :, None] + dM @ found.z[:, :, None])[:, :, 0] + dq
+    parts = [(gradient.q, dq), (gradient.lower, dlower), (gradient.upper, dupper), (gradient.M, dM)]
+    left, right = sum((a * b).sum() for a, b in parts), (g * dz).sum() + (gw * dw).sum()
+    terms = sum(np.abs(a * b).sum() for a, b in parts)
+    assert abs(left - right) <= 1e-13 * terms
+
+
+def test_a_rough_solution_has_the_exact_derivative() -> None:
+    """A z at tolerance 1e-3 is solved for once more: its gradient by M is that of the solution."""
+    data = planted(30, 10, 7)
+    rough, fine = of(data, algorithm="psor", tolerance=1e-3), of(data, tolerance=1e-12)
+    assert np.abs(rough.batch.z - fine.batch.z).max() > 1e-6
+    assert np.allclose(rough.vjp(np.ones(10)).M, fine.vjp(np.ones(10)).M, rtol=1e-12, atol=1e-13)
+
+
+def test_kinks() -> None:
+    """Degenerate rows are named, changes are one-sided, gradients hold them, as one by one; others are as before."""
+    M, q, lower, upper = planted(40, 6, 8)
+    plain = of((M, q, lower, upper))
+    q[:10], lower[:10], upper[:10] = 0.0, 0.0, INF  # z = 0 = w
+    found = of((M, q, lower, upper))
+    assert not found._left_by_the_loop
+    assert found.degenerate[:10].all()
+    assert not found.degenerate[10:].any()
+    dq = np.random.default_rng(0).normal(size=q.shape)
+    dz, gradient = found.jvp(dq=dq), found.vjp(dq)
+    assert (dz[:10] >= 0.0).all()
+    assert np.array_equal(dz[10:], plain.jvp(dq=dq)[10:])
+    for k in range(10):
+        assert found[k].is_unique is False
+        assert np.array_equal(dz[k], found[k].jvp(dq=dq[k]))
+        assert np.array_equal(gradient.lower[k], found[k].vjp(dq[k]).lower)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(4))
+def test_planted_kinks(seed: int) -> None:
+    """Small integers with z and w known, both 0 above the bound in some rows: named, and treated as one by one."""
+    rng = np.random.default_rng(seed)
+    M = rng.integers(-2, 3, (60, 5, 5)).astype(float) + 12.0 * np.eye(5)
+    place, at_upper = rng.integers(3, size=(60, 5)), rng.random((60, 5)) < 0.3
+    lower = rng.integers(-3, 3, (60, 5)).astype(float)
+    upper = lower + 4.0
+    z = np.where(place == 0, lower + rng.integers(1, 4, (60, 5)), np.where(at_upper, upper, lower))
+    w = np.where(place == 1, np.where(at_upper, -1.0, 1.0) * rng.integers(1, 4, (60, 5)), 0.0)
+    found = of((M, w - (M @ z[:, :, None])[:, :, 0], lower, upper))
+    assert np.array_equal(found.degenerate, place == 2)
+    assert np.array_equal(found.free, place == 0)
+    assert len(found._left_by_the_loop) < 10
+    assert_each(found)
+
+
+def test_zero_rows_that_are_free_together_with_a_kink() -> None:
+    """Where holding the degenerate rows leaves a singular block, those are free, as one by one."""
+    M = np.array([[[0.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, 0.0, 1.0]]])
+    found = derivative(solve_batch(M, np.array([[0.0, 1.0, -2.0]]), lower=[-INF, 0.0, 0.0], z0=[1.0, 0.0, 1.0]))
+    assert found.degenerate.tolist() == [[False, True, False]]
+    gradient = found.vjp([1.0, 2.0, 3.0])
+    assert np.isfinite(gradient.q).all()
+    assert gradient.q[0].tolist() == found[0].vjp([1.0, 2.0, 3.0]).q.tolist()
+    assert found.free.tolist() == [found[0].free.tolist()]
+
+
+def test_ill_conditioned_blocks_are_left_to_them_too() -> None:
+    """Blocks with a condition of 10¹⁰ lose no more digits in a batch than one by one."""
+    rng = np.random.default_rng(4)
+    turned = [np.linalg.qr(rng.normal(size=(8, 8)))[0] for _ in range(10)]
+    M = np.array([Q @ np.diag(np.geomspace(1.0, 1e-10, 8)) @ Q.T for Q in turned])
+    M = 0.5 * (M + M.transpose(0, 2, 1))
+    found = derivative(solve_batch(M, rng.normal(size=(10, 8)), lower=-INF, tolerance=1e-4))
+    M_gradient = found.vjp(np.ones(8)).M
+    left = list(found._each)
+    assert len(left) > 5
+    assert_each(found)
+    for k in left:
+        own = found[k].vjp(np.ones(8))
+        assert np.allclose(M_gradient[k], own.M.toarray(), rtol=1e-12, atol=0.0)
+        assert np.array_equal(found.jvp(dq=np.ones(8))[k], found[k].jvp(dq=np.ones(8)))
+
+
+def test_a_bad_problem_costs_itself_alone() -> None:
+    """NaN where a problem is none, has no solution or a singular block; `errors` says why; the rest is untouched."""
+    M, q, lower, upper = planted(8, 4, 9)
+    lower[:], upper[:] = 0.0, INF
+    clean = of((M, q, lower, upper)).vjp(np.ones(4))
+    q[1, 2] = np.nan
+    M[2], q[2] = -np.eye(4), -1.0  # no solution
+    M[3], q[3] = 0.0, 0.0  # every z ≥ 0 is one
+    lower[3], upper[3] = -INF, INF
+    found = of((M, q, lower, upper))
+    gradient = found.vjp(np.ones(4))
+    assert sorted(found.errors) == [1, 2, 3]
+    assert isinstance(found.errors[1], InvalidProblem)
+    assert "problem 2 ended" in str(found.errors[2])
+    assert "singular" in str(found.errors[3])
+    for name in ("q", "lower", "upper", "M"):
+        rows = getattr(gradient, name)
+        assert np.isnan(rows[[1, 2, 3]]).all()
+        assert np.array_equal(rows[[0, 4, 5, 6, 7]], getattr(clean, name)[[0, 4, 5, 6, 7]])
+    assert np.isnan(found.jvp(dq=np.ones(4))[[1, 2, 3]]).all()
+    assert np.isnan(found.z[[1, 2]]).all()
+    with pytest.raises(UnsuitableProblem, match="only a solution has a derivative"):
+        found[2]
+    g = np.ones((8, 4))
+    g[[1, 2, 3]] = 0.0  # a function that does not look at them
+    silent = found.vjp(g)
+    assert all(not getattr(silent, name)[[1, 2, 3]].any() for name in ("q", "lower", "upper", "M"))
+    g[[1, 2]] = np.nan
+    assert np.isnan(found.vjp(g).q[1]).all()
+
+
+def test_a_change_that_fails_spoils_no_gradient() -> None:
+    """Where w = −z, z = 0 has no one-sided derivative, and its gradients, with z held, are there before and after."""
+    found = derivative(solve_batch([[[-1.0]], [[1.0]]], [[0.0], [-1.0]]))
+    before = found.vjp([[2.0], [3.0]])
+    assert before.lower.tolist() == [[2.0], [0.0]]
+    assert np.isnan(found.jvp(dq=-1.0 * np.ones(1))).ravel().tolist() == [True, False]
+    assert list(found.errors) == [0]
+    after = found.vjp([[2.0], [3.0]])
+    assert all(np.array_equal(getattr(after, name), getattr(before, name)) for name in ("q", "lower", "upper", "M"))
+
+
+def test_batches_of_nothing() -> None:
+    """No problems, and problems without unknowns."""
+    assert derivative(solve_batch(np.zeros((0, 3, 3)), np.zeros((0, 3)))).vjp(np.ones(3)).M.shape == (0, 3, 3)
+    empty = derivative(solve_batch(np.zeros((2, 0, 0)), np.zeros((2, 0))))
+    assert empty.jvp(dq=np.zeros((2, 0))).shape == (2, 0)
+    assert len(derivative(solve_batch([]))) == 0
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda found: found.vjp(np.ones((3, 4))), r"g must have a row for each of the 5 problems, got shape \(3, 4\)"),
+        (lambda found: found.vjp(np.ones(3)), r"g must have shape \(B, n\) or \(n,\), n = 4, got shape \(3,\)"),
+        (lambda found: found.vjp(np.full((5, 4), np.nan)), r"g must be finite, but g\[0, 0\] = nan"),
+        (lambda found: found.vjp(np.ones(4), np.full(4, INF)), r"gw must be finite, but gw\[0, 0\] = inf"),
+        (lambda found: found.jvp(dM=np.ones((5, 4))), r"dM must be finite|dM must be a real matrix of shape \(4, 4\)"),
+        (lambda found: found.jvp(dM=np.ones((4, 4, 4))), r"dM must have shape \(B, n, n\) or \(n, n\), B = 5"),
+        (lambda found: found.jvp(dM=np.full((5, 4, 4), INF)), "dM must be finite"),
+        (lambda found: found.jvp(dlower="no"), "dlower must have shape"),
+    ],
+)
+def test_what_is_refused(call: Any, said: str) -> None:
+    """Other shapes and numbers that are not finite, in words that name the argument."""
+    with pytest.raises(InvalidProblem, match=said):
+        call(of(planted(5, 4, 10)))
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda found: found.vjp([np.ones(2)]), "g must be a list of 2 vectors, one a problem, got 1"),
+        (lambda found: found.vjp([np.ones(2), np.ones(2)]), r"g\[1\] must be a finite vector of length 1"),
+        (lambda found: found.vjp(np.ones(())), "g must be a list"),
+        (lambda found: found.jvp(dM=[np.eye(2)]), "dM must be a list of 2 matrices"),
+    ],
+)
+def test_what_a_list_of_sizes_refuses(call: Any, said: str) -> None:
+    """Lists of another length, vectors of another size, what is no list."""
+    found = derivative(solve_batch([LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), LCP([[1.0]], [-1.0])]))
+    with pytest.raises(InvalidProblem, match=said):
+        call(found)
+
+
+def test_one_negative_index_and_too_large_ones() -> None:
+    """``found[-1]`` is the last; beyond the end is an IndexError."""
+    found = of(planted(3, 2, 11))
+    assert found[-1] is found[2]
+    with pytest.raises(IndexError):
+        found[3]

@@ -1,0 +1,573 @@
+"""Derivatives of a solution: exact where they exist, one-sided where rows are degenerate, and refused in words."""
+
+from __future__ import annotations
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns import derivatives as campaign
+from exact import FREE, LOWER, UPPER, exact_solution
+from exact_derivatives import Change, Piece, distance, piece_at
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, Derivative, Status, derivative, solve
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from lcp_plugin.core.matrix.matrix import Matrix
+from lcp_plugin.proofs.bounds.row_inequality import NearPoint
+from lcp_plugin.proofs.bounds.solution_bounds import block_error_bound
+from lcp_plugin.strategies import h_plus_matrices, solved_lcps
+from lcp_plugin.systems import free_systems
+from lcp_plugin.systems.free_systems import FreeSystem
+
+STRICT = {"degenerate": 0.0, "active": 0.4}
+ACCURACY = 1e-12
+KINK = LCP([[2.0, 1.0], [1.0, 3.0]], [-2.0, -1.0])  # z = (1, 0), w = 0
+
+
+def found_of(problem: LCP, **options: float) -> Derivative:
+    return derivative(solve(problem, **options))
+
+
+def piece_of(found: Derivative, z=None) -> Piece:
+    """The piece on which the rows in `free` are free, at the exact solution where that is given."""
+    return piece_at(found.problem, found.z if z is None else np.array(z, dtype=float), found.free)
+
+
+def check_against(piece: Piece, found: Derivative, seed: int = 0, accuracy: float = ACCURACY) -> None:
+    """Both products, in all data and to all data, are those of the piece."""
+    rng = np.random.default_rng(seed)
+    change, (g, gw) = Change.drawn(piece.problem.n, rng), rng.normal(size=(2, piece.problem.n))
+    assert distance(found.jvp(**change.arguments), piece.jvp(change)) <= accuracy
+    gradient, exact = found.vjp(g, gw), piece.vjp(g, gw)
+    assert distance(gradient.q, exact.q) <= accuracy
+    assert distance(np.r_[gradient.lower, gradient.upper], exact.lower + exact.upper) <= accuracy
+    places = piece.problem.csr.tocoo()
+    assert distance(gradient.M.data, [exact.M[i][j] for i, j in zip(places.row, places.col, strict=True)]) <= accuracy
+
+
+# --- Exactness ----------------------------------------------------------------------------------------------
+
+
+@settings.get_profile("few")
+@given(solved_lcps(bounds=True, **STRICT) | solved_lcps(h_plus_matrices(dense=False, density=0.5), **STRICT))
+def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
+    """At the planted solution: by M, q and both bounds, plain, boxed, one-sided, free and fixed rows, dense, sparse."""
+    problem, z = drawn
+    found = found_of(problem)
+    piece = piece_of(found, z)
+    assert found.z == pytest.approx(np.array(z, dtype=float), rel=1e-14, abs=1e-14)
+    assert piece.is_strict
+    assert found.degenerate.size == 0
+    M = problem.csr.toarray()[np.ix_(piece.free, piece.free)]
+    check_against(piece, found, accuracy=ACCURACY * (np.linalg.cond(M, np.inf) if piece.free else 1.0))
+
+
+@settings.get_profile("few")
+@given(solved_lcps(bounds=True, row_scale=20, column_scale=20, **STRICT), st.integers(0, 9))
+def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
+    """Rows and columns times 2^±20: each component of dz to 12 digits of the largest in its own unit."""
+    problem, z = drawn
+    found = found_of(problem)
+    if not found.free.any() or not solve(problem).is_solved:
+        return
+    piece = piece_of(found, z)
+    assert piece.is_solution
+    dq = np.random.default_rng(seed).normal(size=problem.n) * problem.residual_scale
+    change = Change(np.zeros((problem.n, problem.n)), dq, np.zeros(problem.n), np.zeros(problem.n))
+    exact, dz = piece.jvp(change), found.jvp(dq=dq)
+    F = piece.free
+    terms = abs(np.linalg.inv(problem.csr.toarray()[np.ix_(F, F)])) @ abs(problem.csr.toarray()[np.ix_(F, F)])
+    size = terms @ abs(dz[F])
+    assert all(
+        abs(Fraction(dz[i]) - exact[i]) <= Fraction(1e-12 * size[k]) for k, i in enumerate(F)
+    )
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("kind", campaign.KINDS)
+@pytest.mark.parametrize("family", campaign.FAMILIES)
+def test_the_campaign_finds_nothing(family: str, kind: str) -> None:
+    """Five random problems of each kind and family of matrices of the campaign."""
+    number = list(campaign.FAMILIES).index(family) * 3 + campaign.KINDS.index(kind)
+    cases = range(number, 5 * 3 * len(campaign.FAMILIES), 3 * len(campaign.FAMILIES))
+    found = [one for k in cases for one in campaign.judge((7, k, 6, False))]
+    assert {one[0] for one in found} == {family}
+    assert not [what for _, what, where in found if where]
+
+
+@settings.get_profile("few")
+@given(solved_lcps(bounds=True, **STRICT), st.data())
+def test_differences_within_an_active_set_are_derivatives(drawn, data) -> None:
+    """The solution is affine in q and the bounds: (z(t) − z)/t in fractions, t so small that no row changes."""
+    problem, z = drawn
+    n, t = problem.n, 2.0**-20
+    dq, db = (np.array(data.draw(st.lists(st.integers(-3, 3), min_size=n, max_size=n)), float) for _ in range(2))
+    moved = LCP(problem.M, problem.q + t * dq, lower=problem.lower + t * db, upper=problem.upper + t * db)
+    after = exact_solution(moved).z
+    exact = [(a - b) / Fraction(t) for a, b in zip(after, z, strict=True)]
+    found = found_of(problem)
+    dz = found.jvp(dq=dq, dlower=db, dupper=db)
+    far = max(map(abs, exact), default=0)
+    if far * Fraction(t) * 100 < 1:  # entries are integers: nothing changes its state on so short a way
+        F = piece_of(found, z).free
+        M = problem.csr.toarray()[np.ix_(F, F)]
+        assert distance(dz, exact) <= ACCURACY * (np.linalg.cond(M, np.inf) if F else 1.0)
+
+
+def test_the_derivative_by_one_entry_of_the_matrix() -> None:
+    """dz/dm₁₁ of z = −q/m is q/m²: −5/2 · 1/2 with another row held at its bound."""
+    found = found_of(LCP([[2, 1], [1, 2]], [-5, 1]))
+    assert np.array_equal(found.jvp(dM=[[1, 0], [0, 0]]), [-1.25, 0.0])
+    assert np.array_equal(found.jvp(dM=sp.csr_array([[1.0, 0], [0, 0]])), [-1.25, 0.0])
+    assert np.array_equal(found.jvp(dM=[[0, 7], [7, 7]]), [0.0, 0.0])
+
+
+@settings.get_profile("few")
+@given(solved_lcps(bounds=True, **STRICT), st.integers(0, 9))
+def test_the_products_are_adjoint(drawn, seed) -> None:
+    """⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ to 1e-13 of the terms, h any change of the data on M's pattern."""
+    problem, _ = drawn
+    found, rng, M, n = found_of(problem), np.random.default_rng(seed), problem.csr, problem.n
+    F = np.flatnonzero(found.free)
+    condition = np.linalg.cond(M.toarray()[np.ix_(F, F)], np.inf) if F.size else 1.0
+    g, gw, dq, dlower, dupper = rng.normal(size=(5, n))
+    dM = sp.csr_array((rng.normal(size=M.nnz), M.indices, M.indptr), shape=M.shape)
+    dz = found.jvp(dM=dM, dq=dq, dlower=dlower, dupper=dupper)
+    gradient = found.vjp(g, gw)
+    terms = np.r_[
+        gradient.q * dq, gradient.lower * dlower, gradient.upper * dupper, gradient.M.data * dM.data, -g * dz,
+        -gw * found.dw(dz, dM=dM, dq=dq),
+    ]
+    assert abs(terms.sum()) <= 1e-13 * max(1.0, condition / 100.0) * abs(terms).sum()
+
+
+def test_the_gradient_by_the_matrix_has_its_pattern() -> None:
+    """A CSR array with the places of M's entries, never more, the caller's M dense or sparse."""
+    dense = campaign.h_plus(6, np.random.default_rng(2))
+    for M in (dense, sp.csr_array(dense)):
+        gradient = found_of(LCP(M, -np.ones(6))).vjp(np.ones(6)).M
+        assert isinstance(gradient, sp.csr_array)
+        assert np.array_equal(gradient.indices, sp.csr_array(dense).indices)
+        assert np.array_equal(gradient.indptr, sp.csr_array(dense).indptr)
+
+
+def test_a_fixed_row_follows_its_bounds() -> None:
+    """Where lower = upper, z moves with both, is never degenerate, and the gradient is at the bound that w asks for."""
+    for q, side in ((-7.0, "upper"), (7.0, "lower"), (-2.0, "lower")):  # w = −5, 9 and 0
+        found = found_of(LCP([[2.0]], [q], lower=1.0, upper=1.0))
+        assert found.degenerate.size == 0
+        assert found.is_unique is True
+        assert np.array_equal(found.jvp(dlower=3.0, dupper=3.0), [3.0])
+        gradient = found.vjp([1.0])
+        assert (gradient.lower + gradient.upper, gradient.q) == (1.0, 0.0)
+        assert getattr(gradient, side) == 1.0
+
+
+def test_w_follows() -> None:
+    """The change of w is dM z + M dz + dq: 0 on free rows, and where z is held dw is what moves."""
+    found = found_of(LCP([[2, 1], [1, 2]], [-5, 1]))
+    dM, dq = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([1.0, 1.0])
+    dz = found.jvp(dM=dM, dq=dq)
+    assert np.array_equal(dz, [-1.75, 0.0])
+    assert np.array_equal(found.dw(dz, dM=dM, dq=dq), [0.0, 6.75])
+
+
+def test_a_free_row_has_no_part_in_what_w_tells() -> None:
+    """Its w stays 0: gw there changes no bit of any gradient, however large it is."""
+    found = found_of(LCP([[2, 1], [1, 2]], [-5, 1]))
+    one, other = found.vjp([1, 1], [0, 1]), found.vjp([1, 1], [1e17, 1])
+    assert all(np.array_equal(*pair) for pair in zip(one[:3], other[:3], strict=True))
+    assert np.array_equal(one.M.data, other.M.data)
+
+
+# --- The error bound ----------------------------------------------------------------------------------------
+
+
+@settings.get_profile("few")
+@given(
+    solved_lcps(bounds=True, row_scale=10, column_scale=10, **STRICT), st.integers(0, 99),
+    st.sampled_from([0.0, 1e-12, 1e-6, 1e-2]),
+)
+def test_no_error_exceeds_its_bound(drawn, seed, step) -> None:
+    """‖dz − dz*‖ ≤ bound · ‖dz‖ in fractions, M H₊ or definite, dz that of jvp or moved, all data changed at once."""
+    problem, z = drawn
+    found, rng = found_of(problem), np.random.default_rng(seed)
+    if not found.is_unique:
+        return
+    change = Change.drawn(problem.n, rng)
+    true = piece_of(found, z).jvp(change)
+    dz = found.jvp(**change.arguments) * (1.0 + step * rng.normal(size=problem.n))
+    bound = found.jvp_bound(dz, **change.arguments)
+    error = max((abs(Fraction(a) - b) for a, b in zip(dz.tolist(), true, strict=True)), default=Fraction(0))
+    assert error <= Fraction(bound) * Fraction(float(abs(dz).max(initial=0.0)))
+
+
+def test_the_bound_is_near_what_rounding_leaves() -> None:
+    """At most 100 ε κ(M_FF) for dz of jvp, M H₊ or definite; and within 10 κ of a change of dz that is larger."""
+    rng = np.random.default_rng(0)
+    for k, family in itertools.product(range(12), ("h_plus", "definite", "nonsymmetric", "ill_conditioned")):
+        found = found_of(campaign.drawn(family, campaign.KINDS[k % 3], 8, rng))
+        change = Change.drawn(found.z.size, rng).arguments
+        F = np.flatnonzero(found.free)
+        condition = np.linalg.cond(found.problem.csr.toarray()[np.ix_(F, F)], np.inf) if F.size else 1.0
+        dz = found.jvp(**change)
+        assert found.jvp_bound(dz, **change) <= 100.0 * 2.0**-52 * condition
+        assert 0.99e-3 <= found.jvp_bound(1.001 * dz, **change) <= 1e-2 * condition
+
+
+@pytest.mark.full
+def test_rounding_and_the_error_of_z_count() -> None:
+    """One unknown, dz = −(dm z + dq)/m with cancellation: no bound is below the error, none 8 times what may round."""
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        m, q, dm = rng.uniform(0.5, 2.0), -rng.uniform(0.5, 2.0), rng.normal()
+        dq = dm * q / m * (1.0 + 10.0 ** -rng.uniform(1.0, 14.0))
+        found = found_of(LCP([[m]], [q]))
+        change = {"dM": [[dm]], "dq": [dq]}
+        dz = found.jvp(**change)
+        exact = (Fraction(dm) * Fraction(q) / Fraction(m) - Fraction(dq)) / Fraction(m)
+        bound = Fraction(found.jvp_bound(dz, **change)) * Fraction(abs(dz[0]))
+        assert abs(Fraction(dz[0]) - exact) <= bound <= 8 * Fraction(2.0**-52 * abs(dq) / m)
+
+
+def test_what_is_not_known_of_z_counts() -> None:
+    """For 2 x + 4 z = 0 and z within ¼ of 1, x = −2 is off by as much as ½; a low part of z is no error."""
+    system = FreeSystem(Matrix([[2.0]]), np.array([True]))
+    for high, low, y in ((1.0, 0.0, 0.25), (0.75, 0.25, 0.25)):
+        z = NearPoint(*(np.array([part]) for part in (high, low, y)))
+        bound = block_error_bound(system, np.array([-2.0]), np.zeros(1), np.array([[4.0]]), z)
+        assert 0.5 <= bound[0] <= 0.5 + 1e-15
+
+
+def test_what_the_bound_counts() -> None:
+    """Held rows by their own change, to the last bit; each datum; nothing at all; and 0/0 is 0, x/0 ∞."""
+    found = found_of(LCP([[3.0, 1.0], [1.0, 3.0]], [-5.0, 3.0]))
+    assert found.jvp_bound([-1.0, 3.0], dlower=3.0) == 0.0
+    assert found.jvp_bound([-1.0, 3.0 + 1e-9], dlower=3.0) >= 0.3e-9
+    assert found.jvp_bound([0.0, 0.0]) == 0.0
+    assert found.jvp_bound([0.0, 0.0], dq=[1.0, 0.0]) == np.inf
+    assert found.jvp_bound([-1.0, 0.0], dq=[3.0, 7.0]) <= 1e-15
+    assert found.jvp_bound([-1.0, 0.0], dM=[[1.8, 9.0], [9.0, 9.0]]) <= 1e-15
+    assert found.jvp_bound([-1.0, 0.0], dM=sp.csr_array([[1.8, 9.0], [9.0, 9.0]])) <= 1e-15
+    nothing = found_of(LCP(np.zeros((0, 0)), []))
+    assert nothing.jvp_bound([]) == 0.0
+
+
+def test_a_bound_needs_a_proof() -> None:
+    """UnsuitableProblem says what is_unique is, and what M must be."""
+    kinked, unknown = found_of(LCP([[2.0]], [0.0])), found_of(LCP([[1.0, 3.0], [-3.0, 1.0]], [-1.0, -1.0]))
+    unproven = found_of(LCP(np.eye(3) + 2.0 * np.roll(np.eye(3), -1, axis=0), -np.ones(3)))
+    assert (kinked.is_unique, unknown.is_unique, unproven.is_unique) == (False, True, None)
+    for found, said in ((kinked, "False"), (unproven, "None")):
+        with pytest.raises(UnsuitableProblem, match=f"is_unique is {said}: M must be an H₊-matrix or"):
+            found.jvp_bound(np.zeros(found.z.size))
+
+
+# --- Which rows are what ------------------------------------------------------------------------------------
+
+
+@pytest.mark.full
+def test_uniqueness_is_proven_of_most() -> None:
+    """is_unique is True on at least 90 % of 200 problems with H₊-matrices that are not degenerate."""
+    rng, unique = np.random.default_rng(5), 0
+    for k in range(200):
+        found = found_of(campaign.drawn("h_plus", campaign.KINDS[k % 3], 8, rng))
+        assert piece_of(found).is_strict
+        unique += found.is_unique is True
+    assert unique >= 180
+
+
+@settings.get_profile("few")
+@given(solved_lcps(degenerate=0.5, active=0.2, bounds=True), st.integers(0, 99))
+def test_planted_degenerate_rows_are_named(drawn, seed) -> None:
+    """Never unique; jvp is the exact one-sided derivative, and vjp the gradient of the piece that `free` names."""
+    problem, z = drawn
+    found = found_of(problem)
+    piece = piece_of(found, z)
+    strict = Piece(problem, tuple(
+        (UPPER if z[i] == problem.upper[i] else LOWER) if problem.lower[i] != problem.upper[i]
+        and z[i] in (problem.lower[i], problem.upper[i]) else state for i, state in enumerate(piece.states)
+    ))
+    assert strict.is_solution
+    assert found.degenerate.tolist() == strict.degenerate
+    if strict.degenerate:
+        assert found.is_unique is False
+    if len(strict.degenerate) > 4:
+        return
+    rng = np.random.default_rng(seed)
+    change, (g, gw) = Change.drawn(problem.n, rng), rng.normal(size=(2, problem.n))
+    is_fixed = problem.lower == problem.upper
+    change.dupper[is_fixed] = change.dlower[is_fixed]
+    rows = sorted({*strict.free, *strict.degenerate})
+    M = problem.csr.toarray()[np.ix_(rows, rows)]
+    allowed = ACCURACY * (np.linalg.cond(M, np.inf) if rows else 1.0)
+    assert distance(found.jvp(**change.arguments), strict.one_sided(change)) <= allowed
+    gradient, exact = found.vjp(g, gw), piece.vjp(g, gw)
+    assert set(piece.free) <= set(rows)
+    assert distance(gradient.q, exact.q) <= allowed
+    ends = [a + b for a, b in zip(exact.lower, exact.upper, strict=True)]
+    assert distance(gradient.lower + gradient.upper, ends) <= allowed
+    assert not (gradient.lower * gradient.upper).any()
+
+
+@pytest.mark.parametrize("kind", campaign.KINDS)
+def test_the_campaign_of_degenerate_problems_finds_nothing(kind: str) -> None:
+    """Ten problems of each kind, one to three rows planted."""
+    cases = range(campaign.KINDS.index(kind), 30, 3)
+    assert not [one for k in cases for one in campaign.judge((7, k, 6, True)) if one[2]]
+
+
+def test_one_sided_derivatives_differ_by_side() -> None:
+    """z(q) of a 1 × 1 problem has slope −½ on one side and 0 on the other; both bounds, and by the bound as well."""
+    below = found_of(LCP([[2.0]], [0.0]))
+    assert (below.jvp(dq=[-1.0]), below.jvp(dq=[1.0])) == (0.5, 0.0)
+    assert (below.jvp(dlower=1.0), below.jvp(dlower=-1.0)) == (1.0, 0.0)
+    above = found_of(LCP([[2.0]], [-2.0], lower=-np.inf, upper=1.0))
+    assert (above.jvp(dq=[-1.0]), above.jvp(dq=[1.0])) == (0.0, -0.5)
+    assert (above.jvp(dupper=1.0), above.jvp(dupper=-1.0)) == (0.0, -1.0)
+
+
+def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
+    """M_FF is singular, M_(F∪β) is not: vjp takes the degenerate rows as free, and says so."""
+    problem = LCP([[0.0, 1.0], [-1.0, 1.0]], [-1.0, 2.0], lower=[-np.inf, 1.0])  # solved by all z₀ ≤ 3, z₁ = 1
+    found = Derivative(problem, np.array([3.0, 1.0]), np.zeros(2))
+    assert found.degenerate.tolist() == [1]
+    assert found.is_unique is False
+    assert found.free.all()
+    check = piece_of(found).vjp(np.ones(2), np.zeros(2))
+    assert distance(found.vjp([1.0, 1.0]).q, check.q) == 0.0
+
+
+def test_a_row_is_degenerate_to_the_rounding_of_others() -> None:
+    """w₀ = z₁, and z₁ = 0 comes out as 4e-16 where z₂ = 3 cancels: row 0 is degenerate, however small its own terms."""
+    problem = LCP(
+        [[2.0, 1.0, 0.0], [0.0, 5.0, 3.0], [0.0, 3.0, 4.0]], [0.0, -9.0, -12.0], lower=[0.0, -1.0, 2.0],
+        upper=[1.0, 1.0, 4.0],
+    )
+    for start in ([0.0, 4.4408921e-16, 3.0], [0.0, -1e-15, 3.0], [0.0, 0.0, 3.0], [1e-17, 1e-18, 3.0 - 4e-16]):
+        found = derivative(solve(problem, z0=start))
+        assert found.degenerate.tolist() == [0]
+        assert found.jvp(dq=[-1.0, 0.0, 0.0]) == pytest.approx([0.5, 0.0, 0.0], abs=1e-15)
+        assert found.jvp(dq=[1.0, 0.0, 0.0]) == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
+    """Where w = ∓3e-11 at a bound of 10⁶ is lost in z − w/d, the row is free all the same, three units away."""
+    M = np.array([[1e-11, 1.0], [0.0, 1.0]])
+    z = np.array([1e6 + 3.0 * side, 1.0])
+    bounds = {"lower": [1e6, 0.0]} if side > 0.0 else {"lower": [-np.inf, 0.0], "upper": [1e6, np.inf]}
+    found = Derivative(LCP(M, -M @ z, **bounds), np.array([1e6, 1.0]), np.array([-3e-11 * side, 0.0]))
+    assert found.free.all()
+    assert found.z == pytest.approx(z, abs=1e-4)
+    check_against(piece_of(found), found, accuracy=1e-4)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
+@pytest.mark.parametrize("scale", [1.0, 1e6])
+def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float) -> None:
+    """A z at tolerance 1e-3 is solved for once more: rows and derivative are those of the exact solution."""
+    rng = np.random.default_rng(3)
+    for k, family in itertools.product(range(9), ("h_plus", "definite", "chain")):
+        problem = campaign.drawn(family, campaign.KINDS[k % 3], 8, rng)
+        result = solve(LCP(problem.csr * scale, problem.q * scale, lower=problem.lower, upper=problem.upper), "pgs",
+                       tolerance=tolerance, max_iterations=20_000)
+        if result.status is not Status.SOLVED:
+            continue
+        found = derivative(result)
+        assert distance(found.z, exact_solution(result.certificate.problem).z) <= 1e-12
+        check_against(piece_of(found), found, accuracy=1e-8)
+
+
+# --- Which systems are solved -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [0, 1, 5])
+@pytest.mark.parametrize("state", [LOWER, FREE, UPPER])
+def test_all_rows_alike(n: int, state: int) -> None:
+    """No rows, one and five: all free, all at the lower, all at the upper bound."""
+    problem = LCP(2.0 * np.eye(n) - 0.5 * np.eye(n, k=1), np.full(n, -4.0 * state), lower=-1.0, upper=1.0)
+    found = found_of(problem)
+    assert np.array_equal(found.free, np.full(n, state == FREE))
+    assert found.is_unique is True
+    check_against(piece_of(found), found)
+
+
+def test_a_singular_block_is_refused_in_words() -> None:
+    """Free rows that do not determine z have no derivative, also where rounding leaves Cholesky a last pivot."""
+    for root in ([[1.0], [1.0]], [[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]], [[0.0]]):
+        M, n = np.array(root) @ np.array(root).T, len(root)
+        found = found_of(LCP(M, np.zeros(n), lower=-np.inf))
+        with pytest.raises(UnsuitableProblem, match="M on the free rows is singular to working precision"):
+            found.jvp(dq=np.ones(n))
+        with pytest.raises(UnsuitableProblem, match="regularise M, or fix what is not determined"):
+            found.vjp(np.ones(n))
+        assert found.is_unique is None
+
+
+@pytest.mark.parametrize("small", [1e-4, 1e-8, 1e-10])
+def test_a_nearly_singular_block_is_solved_as_its_condition_allows(small: float) -> None:
+    """κ(M_FF) of 4/small: the products are within 1e-16 κ of the exact ones, the row outside F is none of it."""
+    M = np.array([[1.0, 1.0, 0.5], [1.0, 1.0 + small, -0.25], [0.5, 0.125, 3.0]])
+    problem = LCP(M, [-2.0, -2.0 - small, 4.0])
+    found = found_of(problem)
+    assert found.free.tolist() == [True, True, False]
+    check_against(piece_of(found), found, accuracy=4e-16 * 4.0 / small)
+
+
+def test_units_far_apart_are_no_singularity() -> None:
+    """A regular block whose unknowns are measured in units 10¹² apart is solved, a singular one is not."""
+    M = np.array([[1.02e-11, 0.0, 4e-1], [-9e-8, 7.3e4, 2e3], [3e-13, 1.8e-2, 6e-1]])
+    for block, is_singular in ((M, False), (np.array([[1e-9, 1e3], [1e-3, 1e9]]) * (1.0 + 1e-16), True)):
+        system = FreeSystem(Matrix(block), np.ones(len(block), np.bool_))
+        assert system.is_singular == is_singular
+
+
+def convection(n: int, drift: float) -> sp.csr_array:
+    """The five-point stencil on n × n points with upwind differences: a nonsymmetric M-matrix."""
+    one = sp.diags_array([-1.0 - drift, 2.0 + drift, -1.0], offsets=[-1, 0, 1], shape=(n, n))
+    eye = sp.eye_array(n)
+    return sp.csr_array(sp.kron(one, eye) + sp.kron(eye, one) + 1e-3 * sp.eye_array(n * n))
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.7])
+def test_krylov_steps_solve_as_a_factor_does(drift: float, monkeypatch) -> None:
+    """Cycles, transposed ones on a nonsymmetric matrix too, give jvp and vjp of the factor to 1e-11."""
+    n = 60
+    x = np.linspace(-1.0, 1.0, n)
+    load = (np.cos(3.0 * x)[:, None] * np.cos(2.0 * x)).ravel()
+    problem = LCP(convection(n, drift), -0.01 * load)
+    result = solve(problem, tolerance=1e-10)
+    rng = np.random.default_rng(0)
+    dq, g = rng.normal(size=(2, n * n))
+    found = derivative(result)
+    assert found.is_unique is True
+    assert 0.05 < (~found.free).mean() < 0.95
+    direct = found.jvp(dq=dq), found.vjp(g)
+    monkeypatch.setattr(free_systems, "DIRECT_UP_TO", 0)
+    monkeypatch.setattr(free_systems, "factor_fits", lambda _: False)
+    found = derivative(solve(LCP(problem.csr, problem.q), tolerance=1e-10))
+    iterated = found.jvp(dq=dq), found.vjp(g)
+    assert "_factor" not in found._system.__dict__
+    assert found.jvp_bound(iterated[0], dq=dq) <= 1e-8
+    moved = iterated[0] * (1.0 + 1e-3 * g)
+    away = np.abs(moved - direct[0]).max() / np.abs(moved).max()
+    assert away <= found.jvp_bound(moved, dq=dq) <= 1e4 * away
+    assert np.abs(iterated[0] - direct[0]).max() <= 1e-11 * np.abs(direct[0]).max()
+    for one, other in ((iterated[1].q, direct[1].q), (iterated[1].lower, direct[1].lower)):
+        assert np.abs(one - other).max() <= 1e-11 * np.abs(other).max()
+    assert np.abs(iterated[1].M.data - direct[1].M.data).max() <= 1e-11 * np.abs(direct[1].M.data).max()
+
+
+def test_degenerate_rows_of_a_large_problem() -> None:
+    """Five of 2500 points touch without pressure: they are named, and the one-sided slope is that of a step."""
+    n, t = 50, 2.0**-10
+    M = convection(n, 0.5)
+    rng = np.random.default_rng(1)
+    z = rng.integers(1, 4, n * n) * (rng.random(n * n) < 0.5)
+    w = rng.integers(1, 4, n * n) * (z == 0.0)
+    planted = np.flatnonzero(w)[:5]
+    w[planted] = 0
+    M.data = np.round(M.data * 2.0**10) / 2.0**10
+    problem, dq = LCP(M, w - M @ z), rng.normal(size=n * n)
+    found = derivative(solve(problem, tolerance=1e-12))
+    assert found.is_unique is False
+    assert np.array_equal(found.degenerate, planted)
+    moved = derivative(solve(LCP(M, problem.q + t * dq), tolerance=1e-12))
+    assert np.abs((moved.z - found.z) / t - found.jvp(dq=dq)).max() <= 1e-9
+
+
+# --- Mistakes -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given_one", "words"), [(KINK, "LCP"), (None, "NoneType"), ([1.0, 0.0], "list"), (derivative, "function")]
+)
+def test_what_is_no_result_is_refused(given_one: object, words: str) -> None:
+    """InvalidOption says what was given and what to write."""
+    with pytest.raises(InvalidOption, match=rf"got {words}; write derivative\(solve\(problem\)\)"):
+        derivative(given_one)
+
+
+def test_what_is_not_solved_has_no_derivative() -> None:
+    """UnsuitableProblem names the status and gives its advice."""
+    stopped = solve(LCP(convection(20, 0.0), -np.ones(400)), "pgs", max_iterations=1)
+    with pytest.raises(UnsuitableProblem, match="only a solution has a derivative, and this run ended MAX_ITERATIONS"):
+        derivative(stopped)
+    infeasible = solve(LCP([[-1.0]], [-1.0]))
+    with pytest.raises(UnsuitableProblem, match=infeasible.status.name):
+        derivative(infeasible)
+
+
+@pytest.mark.parametrize("call", [
+    lambda found: found.jvp(dq=[1.0]), lambda found: found.jvp(dq=[1.0, np.nan]), lambda found: found.jvp(dM=[1.0]),
+    lambda found: found.jvp(dM=np.eye(3)), lambda found: found.jvp(dM=[[np.inf, 0.0], [0.0, 0.0]]),
+    lambda found: found.jvp(dlower=[1.0]), lambda found: found.jvp(dupper=np.nan), lambda found: found.jvp(dlower="a"),
+    lambda found: found.jvp(dM=sp.eye_array(3)), lambda found: found.jvp(dq=[1.0, 1j]),
+    lambda found: found.vjp([1.0]), lambda found: found.vjp([1.0, np.nan]), lambda found: found.vjp([1.0, 1.0], [1.0]),
+    lambda found: found.jvp_bound([1.0]), lambda found: found.jvp_bound([1.0, 1.0], dq=[np.nan, 1.0]),
+    lambda found: found.dw([1.0]), lambda found: found.dw([1.0, 1.0], dq=[np.inf, 0.0]),
+])  # fmt: skip
+def test_wrong_shapes_and_numbers_are_refused(call) -> None:
+    """InvalidProblem names the argument; the derivative stays usable."""
+    found = found_of(LCP([[2, 1], [1, 2]], [-5, 1]))
+    with pytest.raises(InvalidProblem, match=r"^(dM|dq|dlower|dupper|dz|g|gw) must be "):
+        call(found)
+    assert np.array_equal(found.jvp(dq=[1.0, 0.0]), [-0.5, 0.0])
+
+
+def test_what_is_handed_over_stays_as_it_is() -> None:
+    """jvp, vjp and dw modify none of their arguments, and not the result."""
+    problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    result = solve(problem)
+    z, arrays = result.z.copy(), [np.ones((2, 2)), *np.ones((4, 2))]
+    found = derivative(result)
+    found.jvp(**dict(zip(("dM", "dq", "dlower", "dupper"), arrays, strict=False)))
+    found.vjp(arrays[1], arrays[4])
+    found.dw(arrays[1], dM=arrays[0], dq=arrays[2])
+    assert all((array == 1.0).all() for array in arrays)
+    assert np.array_equal(result.z, z)
+
+
+def grid(size: int) -> sp.csr_array:
+    """The five-point Laplacian."""
+    second = sp.diags_array([-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1])
+    eye = sp.eye_array(size)
+    return sp.csr_array(sp.kron(eye, second) + sp.kron(second, eye))
+
+
+@pytest.mark.parametrize("decades", [0, 3, 6])
+def test_the_unit_of_rows_spoils_no_krylov_step(decades: int) -> None:
+    """Rows in units up to 10^±6: dz and gradients belong to the evened system, whose derivative they are."""
+    rng, L = np.random.default_rng(decades), grid(60)
+    n = L.shape[0]
+    z = np.maximum(np.sin(0.01 * np.arange(n)), 0.0)
+    D = 10.0 ** rng.uniform(-decades, decades, n)
+    q = np.where(z > 0.0, 0.0, 1.0) - L @ z
+    found = found_of(LCP(sp.csr_array(sp.diags_array(D) @ L), D * q))
+    free, h, g = z > 0.0, rng.standard_normal(n), rng.standard_normal(n)
+    np.testing.assert_array_equal(found.free, free)
+    dz, expected = found.jvp(dq=h), np.zeros(n)
+    expected[free] = sp.linalg.spsolve(sp.csc_array(L[free][:, free]), -(h / D)[free])
+    np.testing.assert_allclose(dz, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    assert abs(g @ dz - found.vjp(g).q @ h) <= 1e-11 * np.abs(g) @ np.abs(dz)
+
+
+def test_a_block_in_uneven_units_is_factorised_at_once() -> None:
+    """Rows and columns in units of 10^±6, alike: pivots stay on the diagonal, where there is no fill to wait for."""
+    rng, L = np.random.default_rng(0), grid(60)
+    n = L.shape[0]
+    unit = 10.0 ** rng.uniform(-3.0, 3.0, n)
+    M = sp.csr_array(sp.diags_array(unit) @ L @ sp.diags_array(unit))
+    system, right = FreeSystem(Matrix(M), np.ones(n, np.bool_)), rng.standard_normal(n)
+    assert system._factor is not None
+    assert system._factor.solve_work <= 40.0 * M.nnz
+    expected = sp.linalg.spsolve(sp.csc_array(L), right)
+    for transposed in (False, True):
+        x = system.solve(unit * right, transposed=transposed)
+        np.testing.assert_allclose(unit * x, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())

@@ -1,0 +1,367 @@
+"""The stages of an error bound, each alone: what it proves, and that it takes off no more than it must."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import LCP, Certificate, UnsuitableMatrix
+from lcp_plugin.core.certificates.row_residuals import ratio
+from lcp_plugin.core.kernels.floats import UNIT
+from lcp_plugin.core.matrix.equilibration import unit_diagonal
+from lcp_plugin.core.rounding import gamma
+from lcp_plugin.proofs.bounds import error_bounds, row_inequality, solution_bounds
+from lcp_plugin.proofs.bounds.error_bounds import error_bound
+from lcp_plugin.proofs.bounds.row_inequality import RowInequality
+from lcp_plugin.proofs.bounds.solution_bounds import EigenvalueBound, bounds_of, smallest_eigenvalue_bound
+from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
+from lcp_plugin.systems import factors, free_systems
+from lcp_plugin.systems.factors import positive_factor
+
+CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_min = 1, no H-matrix
+
+
+def chain(n: int, diagonal: float = 2.0) -> sp.csr_array:
+    return sp.csr_array(sp.diags_array([-1.0, diagonal, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
+
+
+def with_least_eigenvalue(n: int, least: float) -> np.ndarray:
+    """A symmetric matrix with one small eigenvalue, the others 1."""
+    Q = np.linalg.qr(np.random.default_rng(0).standard_normal((n, n)))[0]
+    M = np.eye(n) - (1.0 - least) * np.outer(Q[0], Q[0])
+    return 0.5 * (M + M.T)
+
+
+# --- The 2-norm bound ---------------------------------------------------------------------------------------
+
+
+def test_a_residual_without_blur_counts() -> None:
+    """A z a little above the bound that w keeps it at: r is exact, nothing is blurred, and the bound is not zero."""
+    problem = LCP(CIRCULANT, [100.0, 100.0, 100.0])
+    bound = error_bound(problem, np.full(3, 0.5), sharp=False)
+    assert (bound.componentwise >= 0.5).all()
+    assert bound.method == "2-norm, λ_min"
+
+
+@pytest.mark.parametrize("power", [-600, 0, 600])
+def test_norms_are_not_below_the_exact_ones(power) -> None:
+    """‖x‖₂ in rational arithmetic is not above its bound, and that is no looser than 1 + 10⁻¹⁰, in any unit."""
+    rng = np.random.default_rng(0)
+    for n in (1, 2, 3, 50):
+        x = np.ldexp(np.abs(rng.standard_normal(n)), power)
+        exact = sum(Fraction(float(entry)) ** 2 for entry in x)
+        bound = Fraction(float(solution_bounds.norm_above(x)))
+        assert exact <= bound**2 <= exact * (1 + Fraction(2, 10**10))
+    assert solution_bounds.norm_above(np.zeros(3)) == 0.0
+    assert solution_bounds.norm_above(np.array([1.0, np.inf])) == np.inf
+    assert gamma(2 * solution_bounds.SPARSE_UP_TO) + 1.0 < solution_bounds.OUTWARD
+
+
+def test_the_margin_of_a_dense_factor_is_what_the_theorem_asks_for() -> None:
+    """An eigenvalue 1.5 times the margin (n + 3) u · trace of the theorem is proven positive, one of half of it not."""
+    n = 50
+    margin = (n + 3) * UNIT * n
+    for times, is_proven in ((1.6, True), (0.5, False)):
+        M = with_least_eigenvalue(n, times * margin)
+        part = solution_bounds._symmetric_part(M, unit_diagonal(M.diagonal()))
+        assert (solution_bounds._proven_bound(*part) is not None) == is_proven
+        bound = smallest_eigenvalue_bound(LCP(M, np.zeros(n)).matrix)  # where the factor does not, ⟨M⟩v > 0 proves one
+        assert bound is not None
+        assert 0.0 < bound.value < times * margin
+
+
+def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
+    """‖A − L D Lᵀ‖∞ in rational arithmetic is not above the bound, which is (k + 2) u ‖|L||U|‖∞ and little more."""
+    A = chain(40, 2.5) * (100.0 / 3.0)
+    factor = positive_factor(A.tocsc()).superlu
+    bound = solution_bounds._factor_error(factor)
+    order = np.argsort(factor.perm_c)
+    L = [[Fraction(float(entry)) for entry in row] for row in factor.L.toarray()]
+    D = [Fraction(float(entry)) for entry in factor.U.diagonal()]
+    for i, row in enumerate(A.toarray()[order][:, order]):
+        product = [sum((L[i][k] * D[k] * L[j][k] for k in range(40) if L[i][k] and L[j][k]), Fraction(0))
+                   for j in range(40)]
+        assert sum(abs(Fraction(float(a)) - b) for a, b in zip(row, product, strict=True)) <= Fraction(bound)
+    longest = max(np.diff(factor.L.tocsr().indptr).max(), np.diff(factor.U.tocsc().indptr).max())
+    size = (abs(factor.L) @ abs(factor.U)).sum(axis=1).max()
+    assert (longest + 2) * UNIT * size <= bound <= (longest + 2 + 5) * UNIT * size
+
+
+@pytest.mark.parametrize("kind", ["dense", "sparse"])
+def test_a_poor_estimate_costs_a_share_and_not_the_bound(kind, monkeypatch) -> None:
+    """Where the estimate is above the eigenvalue, smaller shares of it are tried."""
+    n = 250 if kind == "sparse" else 30
+    least = 4.0 * np.sin(np.pi / (2 * (n + 1))) ** 2
+    for factor, share in ((1.5, 0.5), (5.0, 0.1)):
+        monkeypatch.setattr(solution_bounds, "_inverse_iteration", lambda *_, wrong=factor * least: wrong)
+        bound = smallest_eigenvalue_bound(LCP(chain(n), np.zeros(n)).matrix)
+        assert bound.is_rigorous
+        assert bound.value == pytest.approx(share * factor * least)
+
+
+def test_what_a_sparse_factor_errs_is_taken_off(monkeypatch) -> None:
+    """The proven eigenvalue is lower by the error of the factor."""
+    M = chain(250, 4.0)
+    before = smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value
+    monkeypatch.setattr(solution_bounds, "_factor_error", lambda _: 0.25)
+    assert smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value == pytest.approx(before - 0.25, rel=1e-9)
+
+
+def test_dense_and_sparse_matrices_have_their_own_factor(monkeypatch) -> None:
+    """LAPACK factorises dense matrices and small ones, SuperLU the others."""
+    used = []
+    monkeypatch.setattr(
+        solution_bounds, "_proven_bound", lambda part, _: used.append("sparse" if sp.issparse(part) else "dense") or 1.0
+    )
+    for M in (np.eye(300) + 1.0, chain(200), chain(201)):
+        smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
+    assert used == ["dense", "dense", "sparse"]
+
+
+def test_no_estimate_without_convergence(monkeypatch) -> None:
+    """Where Lanczos does not converge, or finds a negative eigenvalue, the matrix is refused."""
+    import scipy.sparse.linalg
+
+    monkeypatch.setattr(solution_bounds, "SPARSE_UP_TO", 100)
+    biharmonic = sp.csr_array(chain(300) @ chain(300) + 0.5 * sp.eye_array(300))
+    assert smallest_eigenvalue_bound(LCP(biharmonic, np.zeros(300)).matrix).is_rigorous is False
+    assert smallest_eigenvalue_bound(LCP(biharmonic - sp.eye_array(300), np.zeros(300)).matrix) is None
+
+    def fails(*_, **__):
+        raise scipy.sparse.linalg.ArpackNoConvergence("no", np.array([]), np.array([]))
+
+    monkeypatch.setattr(scipy.sparse.linalg, "eigsh", fails)
+    assert error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300)).kind == "rigorous"  # analyze proves it
+    monkeypatch.setattr(solution_bounds, "eigenvalue_proven", lambda *_: None)
+    with pytest.raises(UnsuitableMatrix):
+        error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300))
+
+
+def test_a_nonpositive_diagonal_has_no_eigenvalue_bound() -> None:
+    """Nor has a problem without rows."""
+    assert smallest_eigenvalue_bound(LCP([[1.0, 0.0], [0.0, 0.0]], [0.0, 0.0]).matrix) is None
+    assert smallest_eigenvalue_bound(LCP(np.zeros((0, 0)), []).matrix) is None
+    assert isinstance(smallest_eigenvalue_bound(LCP(CIRCULANT, [0.0] * 3).matrix), EigenvalueBound)
+
+
+# --- The stages for H₊-matrices -----------------------------------------------------------------------------
+
+
+def test_two_stages_are_sharp_where_the_signs_agree(monkeypatch) -> None:
+    """For an M-matrix, free rows and w > 0 the two-stage bound is M⁻¹w, the error; the v-certificate is far above."""
+    n = 60
+    M = chain(n, 2.01)
+    error = sp.linalg.spsolve(M.tocsc(), np.random.default_rng(0).random(n) ** 4)
+    problem = LCP(M, np.zeros(n), lower=-np.inf)
+    family = bounds_of(problem.matrix)
+    y = error_bound(problem, error, sharp=False).componentwise
+    with np.errstate(all="ignore"):
+        at = RowInequality.at(problem, error)
+        stages = error_bounds._two_stage(at, family, y)
+        assert (error <= stages).all()
+        assert (stages <= error * (1.0 + 1e-10)).all()
+        assert y.max() > 1.2 * error.max()
+        monkeypatch.setattr(error_bounds, "comparison_solve", lambda *_, **__: None)
+        np.testing.assert_array_equal(error_bounds._two_stage(at, family, y), y)
+
+
+def test_steps_that_lead_astray_lead_home() -> None:
+    """From points far away, where the first guess of the active set is poor, the bound ends at the error itself."""
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        M = chain(40, 2.0).toarray() * np.exp(rng.standard_normal(40))[:, None] + 1e-3 * np.eye(40)
+        exact = np.maximum(rng.standard_normal(40), 0.0)
+        problem = LCP(M, np.where(exact > 0.0, 0.0, rng.random(40)) - M @ exact)
+        z = 10.0 * np.abs(rng.standard_normal(40))
+        bound = error_bound(problem, z)
+        assert bound.is_active_set_proven
+        assert np.abs(z - exact).max() * (1.0 - 1e-9) <= bound.infinity <= 1.01 * np.abs(z - exact).max()
+
+
+@pytest.mark.parametrize("n", [1200, 5500])
+def test_large_problems_without_a_nearer_point_get_the_two_stage_bound(n, monkeypatch) -> None:
+    """Where neither sweeps nor steps help, one linear solve lowers the v-certificate; where they do it is not asked."""
+    M = chain(n, 2.01)
+    error = sp.linalg.spsolve(M.tocsc(), np.random.default_rng(0).random(n) ** 4)
+    problem = LCP(M, np.zeros(n), lower=-np.inf)
+    assert error_bound(problem, error).method == "reference point"
+    for name in ("_sweep_nearer", "_sharpen"):
+        monkeypatch.setattr(error_bounds, name, lambda *_: None)
+    bound = error_bound(problem, error)
+    assert bound.method == "two-stage"
+    assert error.max() <= bound.infinity <= 1.05 * error.max()
+
+
+def test_branches_are_the_active_pieces_of_the_inequality() -> None:
+    """On linear rows Φ(y) is (gap + |B|y)/d, elsewhere it is the gap; both kinds occur on either side of the box."""
+    rng = np.random.default_rng(0)
+    seen = set()
+    for _ in range(40):
+        B = 0.3 * rng.standard_normal((8, 8))
+        np.fill_diagonal(B, 0.0)
+        lower, upper = -rng.random(8), rng.random(8)
+        problem = LCP(B + 2.0 * np.eye(8), rng.standard_normal(8), lower=lower, upper=upper)
+        z, y = np.clip(rng.standard_normal(8), lower - 0.1, upper + 0.1), rng.random(8)
+        with np.errstate(all="ignore"):
+            at = RowInequality.at(problem, z)
+            branches, image = at.branches(y), at.image(y)
+        solved = (branches.gap + np.abs(B) @ y) / 2.0
+        np.testing.assert_allclose(np.where(branches.linear, solved, branches.gap), image, rtol=1e-13)
+        seen |= set(zip(branches.linear.tolist(), (z > 0.0).tolist(), strict=True))
+    assert len(seen) == 4
+
+
+@pytest.mark.parametrize(("limits", "sign"), [((1000, 0), -1), ((1000, 64), -1), ((0, 0), -1), ((0, 0), 1)])
+def test_every_solver_leads_to_the_solution(limits, sign, monkeypatch) -> None:
+    """SuperLU, LAPACK's band and Krylov steps on the grids: some steps of the active-set method end near the solution.
+
+    With couplings of the other sign the grids are of no use, and a factor takes over.
+    """
+    monkeypatch.setattr(free_systems, "DIRECT_UP_TO", limits[0])
+    monkeypatch.setattr(free_systems, "BANDED_UP_TO", limits[1])
+    monkeypatch.setattr(factors, "BANDED_UP_TO", limits[1])
+    M = chain(600, 2.5) + (1.0 + sign) * sp.eye_array(600, k=1)
+    exact = np.maximum(np.sin(np.arange(600)), 0.0)
+    problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
+    steps = row_inequality.ActiveSetSteps(problem, 1.0 / problem.residual_scale)
+    with np.errstate(all="ignore"):
+        point = RowInequality.at(problem, exact * (1.0 + 1e-3))
+        for _ in range(5):
+            point = steps.next_point(point)
+    assert np.abs(point.high + point.low - exact).max() <= 1e-9
+
+
+def test_a_singular_factor_ends_the_steps(monkeypatch) -> None:
+    """Where LAPACK finds a zero pivot there is no next point."""
+    monkeypatch.setattr(free_systems, "factorise", lambda *_, **__: None)
+    problem = LCP(chain(4), -np.ones(4))
+    with np.errstate(all="ignore"):
+        at = RowInequality.at(problem, np.ones(4))
+        assert row_inequality.ActiveSetSteps(problem, np.ones(4)).next_point(at) is None
+
+
+def test_the_least_bound_names_its_method() -> None:
+    """The stage that gave the bound is named, the v-certificate where nothing else was asked."""
+    rng = np.random.default_rng(0)
+    M = np.eye(20) + 0.04 * rng.standard_normal((20, 20))
+    problem = LCP(M, rng.standard_normal(20))
+    z = rng.standard_normal(20)
+    plain, sharp = error_bound(problem, z, sharp=False), error_bound(problem, z)
+    assert plain.method == "v-certificate"
+    assert sharp.method == "reference point"
+    assert sharp.infinity < plain.infinity
+    assert "(rigorous, reference point)" in str(sharp)
+    assert "‖z − z*‖∞ ≤ " in str(sharp)
+    assert "array" not in repr(sharp)
+
+
+@pytest.mark.parametrize("n", [40, 1600])
+def test_no_step_is_taken_after_all_is_known(n, monkeypatch) -> None:
+    """Where the first step of the active-set method ends at the solution, few more follow."""
+    asked = []
+    following = error_bounds.ActiveSetSteps.next_point
+    monkeypatch.setattr(
+        error_bounds.ActiveSetSteps, "next_point", lambda steps, at: asked.append(1) or following(steps, at)
+    )
+    M = chain(n, 2.0) + 1e-4 * sp.eye_array(n)
+    exact = np.maximum(np.sin(np.arange(n)), 0.0)
+    problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
+    bound = error_bound(problem, exact * (1.0 + 1e-6))
+    assert bound.is_active_set_proven
+    assert len(asked) <= 2
+
+
+@pytest.mark.parametrize("sharp", [True, False])
+def test_the_unit_of_z_changes_nothing(sharp) -> None:
+    """With z and q in a unit of 2⁻²⁰ or 2²⁰ the bound is the same to the bit, and so is what it proves."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        B = rng.standard_normal((12, 12)) * (rng.random((12, 12)) < 0.5)
+        np.fill_diagonal(B, 0.0)
+        M = B + np.diag(1.02 * np.abs(B).sum(axis=1) + 0.01)
+        q, z = rng.standard_normal(12), np.maximum(rng.standard_normal(12), 0.0)
+        plain = error_bound(LCP(M, q), z, sharp=sharp)
+        with np.errstate(all="ignore"):
+            stage = two_stage(LCP(M, q), z)
+        for exponent in (-20, 20):
+            problem = LCP(M, np.ldexp(q, exponent))
+            bound = error_bound(problem, np.ldexp(z, exponent), sharp=sharp)
+            np.testing.assert_array_equal(bound.componentwise, np.ldexp(plain.componentwise, exponent))
+            np.testing.assert_array_equal(bound.proven_active, plain.proven_active)
+            assert bound.relative == plain.relative
+            with np.errstate(all="ignore"):
+                np.testing.assert_array_equal(two_stage(problem, np.ldexp(z, exponent)), np.ldexp(stage, exponent))
+
+
+def test_refinements_go_on_while_they_gain(monkeypatch) -> None:
+    """Several refinements of the two-stage bound halve what the first one left somewhere, and lose nothing."""
+    rng = np.random.default_rng(0)
+    gains = []
+    for _ in range(20):
+        B = rng.standard_normal((12, 12)) * (rng.random((12, 12)) < 0.5)
+        np.fill_diagonal(B, 0.0)
+        problem = LCP(B + np.diag(1.02 * np.abs(B).sum(axis=1) + 0.01), rng.standard_normal(12))
+        z = np.maximum(rng.standard_normal(12), 0.0)
+        with np.errstate(all="ignore"), monkeypatch.context() as patch:
+            several = two_stage(problem, z)
+            patch.setattr(error_bounds, "REFINEMENTS", 1)
+            gains.append(several / two_stage(problem, z))
+    assert np.max(gains) <= 1.0
+    assert np.min(gains) <= 0.5
+
+
+def two_stage(problem: LCP, z: np.ndarray) -> np.ndarray:
+    family = bounds_of(problem.matrix)
+    y = error_bound(problem, z, sharp=False).componentwise
+    return error_bounds._two_stage(RowInequality.at(problem, z), family, y)
+
+
+@pytest.mark.parametrize("power", [0, -30, 30, -1000, 1000])
+def test_rounding_at_powers_of_two_is_upwards(power) -> None:
+    """Where a result a little above a power of two is rounded down to it, the next double is returned."""
+    one, unit = 2.0**power, 2.0**-52
+    assert sum_above(one, one * unit / 2.0) > one
+    assert product_above(one * (1.0 + unit), 1.0 - unit / 2.0) > one
+    assert quotient_above(one * (1.0 + unit), 1.0 + unit) >= one
+    assert quotient_above(one, 1.0 - unit / 2.0) >= one * (1.0 + unit)
+    assert sum_above(one, one) == 2.0 * one
+
+
+def test_small_diagonals_are_h_plus_too() -> None:
+    """The unit of the rows does not decide which bound there is."""
+    for unit in (2.0**-30, 1.0, 2.0**30):
+        bound = error_bound(LCP(unit * chain(4).toarray(), -unit * np.ones(4)), np.ones(4), sharp=False)
+        assert bound.method == "v-certificate"
+        assert bound.kind == "rigorous"
+
+
+# --- Residuals ----------------------------------------------------------------------------------------------
+
+
+def test_a_certificate_is_of_an_lcp() -> None:
+    """Anything else is refused by its name."""
+    with pytest.raises(Exception, match=r"Certificate\.of needs an LCP, got list"):
+        Certificate.of([[1.0]], [0.0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("numerator", "denominator", "expected"),
+    [(0.0, 0.0, 0.0), (0.0, 2.0, 0.0), (1.0, 2.0, 0.5), (3.0, 2.0, 1.5), (1.0, 0.0, np.inf), (np.nan, 0.0, np.nan),
+     (np.nan, 1.0, np.nan), (1.0, np.inf, np.nan), (0.0, np.inf, np.nan), (np.inf, 1.0, np.inf)],
+)
+def test_ratios_of_residuals(numerator: float, denominator: float, expected: float) -> None:
+    """0/0 is 0, a positive residual over none is ∞, and nothing can be measured against ∞."""
+    np.testing.assert_equal(ratio(numerator, denominator), expected)
+
+
+def test_rounding_level_ends_at_four_floors() -> None:
+    """A residual of three floors is explained by rounding, one of four and a half is not."""
+    problem = LCP([[1.0]], [-1.0])
+    floor = float(Certificate.of(problem, [1.0]).rounding_floor[0])
+    for factor, expected in ((3.0, True), (4.5, False)):
+        certificate = Certificate.of(problem, [1.0 + factor * floor])
+        assert certificate.scaled_residual == pytest.approx(factor * floor, rel=0.1)
+        assert certificate.is_at_rounding_level is expected

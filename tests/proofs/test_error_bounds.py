@@ -1,0 +1,502 @@
+"""Error bounds hold exactly, prove only what is true, and are sharp where the solution is near."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact import exact_rows, exact_solution, has_positive_pivots, solve_fractions
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, analyze, gallery, solve
+from lcp_plugin.core.matrix.equilibration import unit_diagonal
+from lcp_plugin.proofs.bounds import error_bounds, solution_bounds
+from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
+from lcp_plugin.proofs.bounds.row_inequality import RowInequality
+from lcp_plugin.proofs.bounds.solution_bounds import HPlusBounds, bounds_of, smallest_eigenvalue_bound
+from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
+from lcp_plugin.proofs.verdicts import comparison_certificate
+from lcp_plugin.proofs.verdicts.verdicts import eigenvalue_proven
+from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
+
+POINTS = st.lists(st.floats(-1e6, 1e6, width=32), min_size=8, max_size=8)
+STEPS = st.sampled_from([1.0, 1e-3, 1e-9, 2.0**-52, 0.0])
+
+
+def near(exact: tuple[Fraction, ...], direction: list[float], step: float) -> np.ndarray:
+    """Return the exact solution moved by a relative step."""
+    z = np.array(exact, dtype=float)
+    return z + step * np.array(direction[: z.size]) * np.maximum(np.abs(z).max(), np.finfo(float).tiny)
+
+
+def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: ErrorBound) -> None:
+    """Compare everything the bound states with the exact solution, in fractions."""
+    w = [
+        Fraction(float(q)) + sum(Fraction(float(a)) * b for a, b in zip(row, exact, strict=True))
+        for row, q in zip(problem.csr.toarray(), problem.q, strict=True)
+    ]
+    errors = [abs(Fraction(float(value)) - truth) for value, truth in zip(z, exact, strict=True)]
+    for i, error in enumerate(errors):
+        limit = bound.componentwise[i]
+        assert limit == np.inf or error <= Fraction(float(limit)), i
+        ends = [float(end) for end in (problem.lower[i], problem.upper[i]) if np.isfinite(end)]
+        assert not bound.proven_active[i] or exact[i] in ends, i
+        assert not bound.proven_inactive[i] or (exact[i] not in ends and w[i] == 0), i
+    assert bound.infinity == np.inf or max(errors) <= Fraction(bound.infinity)
+    for other in (z, np.zeros_like(z), 1.0 - 3.0 * z):
+        for value, truth, limit in zip(other, exact, bound.carried_to(other), strict=True):
+            assert limit == np.inf or abs(Fraction(float(value)) - truth) <= Fraction(float(limit))
+    if bound.relative < np.inf:
+        assert max(errors) <= Fraction(bound.relative) * Fraction(float(np.abs(z).max()))
+
+
+@settings.get_profile("many")
+@given(solved_lcps(h_plus_matrices(), bounds=True, row_scale=60, column_scale=60), POINTS, STEPS, st.booleans())
+def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
+    """No component of the bound is below the exact error, and no row is classified wrongly, M an H₊-matrix."""
+    problem, exact = drawn
+    z = near(exact, direction, step)
+    bound = error_bound(problem, z, sharp=sharp)
+    assert bound.kind == "rigorous"
+    check(problem, z, exact, bound)
+
+
+def near_singular_problem(seed: int) -> LCP:
+    """Return a problem of decimals whose ⟨M⟩, or whose symmetric part, is singular but for some ulps."""
+    rng = np.random.default_rng(seed)
+    n, ulps = int(rng.integers(2, 6)), int(rng.integers(1, 5))
+    if seed % 2:  # ⟨M⟩ v = 0 to rounding, any signs beside the diagonal
+        M, v = rng.integers(-9, 10, (n, n)) / 10, rng.integers(1, 10, n) / 10
+        np.fill_diagonal(M, 0.0)
+        diagonal = np.abs(M) @ v / v
+    else:  # a Gram matrix of rank n − 1, and a skew part
+        factor, skew = rng.integers(-9, 10, (n, n - 1)) / 10, np.triu(rng.integers(-9, 10, (n, n)) / 10, 1)
+        M = factor @ factor.T + (skew - skew.T) * (seed % 4 == 2)
+        diagonal = M.diagonal().copy()
+    diagonal = np.maximum(diagonal, 0.1)
+    for _ in range(ulps):
+        diagonal = np.nextafter(diagonal, np.inf)
+    np.fill_diagonal(M, diagonal)
+    upper = np.where(rng.random(n) < 0.3, rng.integers(1, 5, n), np.inf)
+    return LCP(M, rng.integers(-20, 21, n) / 10, upper=upper)
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> None:
+    """Whatever M `analyze` proves H₊ or definite has a rigorous bound, which no exact solution violates."""
+    proved = 0
+    for seed in range(60 * block, 60 * block + 60):
+        problem = near_singular_problem(seed)
+        report = analyze(problem)
+        if not (report.is_h_plus or report.is_positive_definite):
+            continue
+        proved += 1
+        exact = exact_solution(problem).z
+        for step in (0.0, 1e-9, 1.0):
+            z = near(exact, np.random.default_rng(seed).standard_normal(5).tolist(), step)
+            bound = error_bound(problem, z, sharp=bool(seed % 3))
+            assert bound.kind == "rigorous"
+            check(problem, z, exact, bound)
+    assert proved > 20
+
+
+def test_the_tolerance_on_the_error_takes_what_is_proved() -> None:
+    """A matrix that only exact elimination decides is no reason to refuse tolerance_on="error"."""
+    result = solve(LCP([[0.25, 0.1], [0.1, 0.04000000000000001]], [-1.0, -2.0]), tolerance_on="error")
+    assert result.is_solved
+    assert result.error_bound is not None
+    assert result.error_bound.relative <= 1e-8
+
+
+def test_the_refusal_does_not_deny_what_is_proved() -> None:
+    """An H₊-matrix whose v leaves the range of doubles is refused, but not as one that was not proven to be H₊."""
+    problem = LCP(sp.diags_array([np.full(14, -1e60), np.ones(15)], offsets=[-1, 0]), np.ones(15))
+    assert analyze(problem).is_h_plus
+    with pytest.raises(UnsuitableMatrix, match=r"M is an H₊-matrix \(.*\), but no such v was found in doubles"):
+        error_bound(problem, np.zeros(15))
+
+
+@pytest.mark.parametrize("kind", ["factor", "comparison"])
+def test_what_the_verdict_rests_on_bounds_the_eigenvalues(kind: str) -> None:
+    """Beyond exact elimination, too, λ_min is bounded by what proves M definite."""
+    n = 30
+    if kind == "factor":
+        values = np.random.default_rng(0).standard_normal((n, n))
+        M = values @ values.T + n * np.eye(n)
+    else:
+        M = 2.0 * np.eye(n) + np.diag(np.full(n - 1, -1.9), 1) + np.diag(np.full(n - 1, 0.1), -1)
+    matrix = LCP(M, np.ones(n)).matrix
+    exponents = unit_diagonal(matrix.diagonal).row
+    scale = np.ldexp(1.0, exponents)
+    least = np.linalg.eigvalsh(scale[:, None] * (M + M.T) / 2.0 * scale).min()
+    value = eigenvalue_proven(matrix, exponents)
+    assert value is not None
+    assert 0.0 < value <= least
+
+
+@settings.get_profile("many")
+@given(solved_lcps(positive_definite_matrices(), bounds=True), POINTS, STEPS, st.booleans())
+def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
+    """The same where M is symmetric positive definite and as a rule no H₊-matrix."""
+    problem, exact = drawn
+    z = near(exact, direction, step)
+    try:
+        bound = error_bound(problem, z, sharp=sharp)
+    except UnsuitableMatrix:
+        # Doubles cannot tell M from a singular matrix.
+        assert np.linalg.cond(problem.csr.toarray()) > 1e10
+        return
+    assert bound.kind == "rigorous"
+    check(problem, z, exact, bound)
+
+
+@settings.get_profile("many")
+@given(solved_lcps(h_plus_matrices(margin=2.0**-20), bounds=True), POINTS, STEPS)
+def test_each_stage_holds_alone(drawn, direction, step) -> None:
+    """v-certificate, two-stage bound and Φ of them bound the error each for itself, nearly singular M too."""
+    problem, exact = drawn
+    family = bounds_of(problem.matrix)
+    assert isinstance(family, HPlusBounds)
+    z = near(exact, direction, step)
+    y = error_bound(problem, z, sharp=False).componentwise
+    with np.errstate(all="ignore"):
+        at = RowInequality.at(problem, z)
+        stages = [y, at.image(y), error_bounds._two_stage(at, family, y)]
+    for stage in stages:
+        for value, truth, limit in zip(z, exact, stage, strict=True):
+            assert abs(Fraction(float(value)) - truth) <= Fraction(float(limit))
+
+
+@pytest.mark.parametrize("radius", [0.5, 0.99, 0.999])
+def test_reference_point_removes_overestimation(radius) -> None:
+    """Bound/error ≤ 1.01 for random signs, also where ⟨M⟩⁻¹|r| exceeds |M⁻¹r| many times."""
+    generator = np.random.default_rng(1)
+    B = generator.standard_normal((40, 40))
+    np.fill_diagonal(B, 0.0)
+    M = np.eye(40) + radius / max(abs(np.linalg.eigvals(abs(B)))) * B
+    problem = LCP(M, generator.standard_normal(40))
+    z = np.array(exact_solution(LCP(problem.M, problem.q)).z, dtype=float)
+    error = 1e-6 * generator.standard_normal(40)
+    bound = error_bound(problem, z + error)
+    assert np.abs(error).max() * (1 - 1e-6) <= bound.infinity <= 1.01 * np.abs(error).max()
+    assert bound.is_active_set_proven
+    if radius == 0.999:
+        assert error_bound(problem, z + error, sharp=False).infinity > 50 * np.abs(error).max()
+
+
+@settings.get_profile("many")
+@given(h_plus_matrices(dense=False), st.integers(-40, 40))
+def test_v_certificate_is_attained(M, exponent) -> None:
+    """For an M-matrix without bounds and z = z* + t v the v-certificate is the error itself."""
+    M = sp.csr_array(2.0 * sp.diags_array(M.diagonal()) - abs(M))
+    certificate = comparison_certificate(LCP(M, np.zeros(M.shape[0])).matrix)
+    assert certificate is not None
+    problem = LCP(M, np.zeros(M.shape[0]), lower=-np.inf)
+    z = np.ldexp(certificate.v, exponent)
+    y = error_bound(problem, z, sharp=False).componentwise
+    assert (z <= y).all()
+    assert (y <= z * (1.0 + 1e-10)).all()
+
+
+def test_bound_of_the_exact_solution_is_zero() -> None:
+    """Where z = z* and w* is free of rounding, the bound is 0, relative too, and every row is proven."""
+    scene = gallery.half_active(n=400, degenerate=False)
+    for sharp in (True, False):
+        bound = error_bound(scene.problem, scene.exact, sharp=sharp)
+        assert bound.infinity == bound.relative == 0.0
+        assert bound.is_active_set_proven
+        assert (bound.proven_active == (scene.exact == 0.0)).all()
+
+
+def stiff_problem(side: int) -> tuple[LCP, np.ndarray, np.ndarray]:
+    """Return a diffusion problem with one inclusion of contrast 1e10, its solution and the inclusion."""
+    k = np.ones((side, side))
+    inner = slice(side // 3, side // 2)
+    k[inner, inner] = 1e10
+    index = np.arange(side * side).reshape(side, side)
+    diagonal = np.zeros(side * side)
+    parts = []
+    for axis in (0, 1):
+        a, b = np.delete(index, -1, axis).ravel(), np.delete(index, 0, axis).ravel()
+        face = 2.0 / (1.0 / k.ravel()[a] + 1.0 / k.ravel()[b])
+        parts += [sp.coo_array((-face, (a, b)), shape=(side * side,) * 2)]
+        diagonal += np.bincount(a, face, side * side) + np.bincount(b, face, side * side)
+    for edge in (index[0], index[-1], index[:, 0], index[:, -1]):
+        diagonal[edge] += 1.0
+    upper = sum(parts)
+    M = sp.csr_array(upper + upper.T + sp.diags_array(diagonal))
+    problem = LCP(M, np.full(side * side, -1.0))
+    return problem, sp.linalg.spsolve(M.tocsc(), -problem.q), (k > 1.0).ravel()
+
+
+def test_stiff_data_tell_the_truth() -> None:
+    """Contrast 1e10: a z wrong by half passes a residual test of 1e-8; the bound shows its error and not much more."""
+    problem, z, inside = stiff_problem(40)
+    assert (z > 0.0).all()
+    smooth = sp.linalg.spsolve(problem.csr.tocsc(), inside.astype(float))
+    wrong = z - 0.5 * z[inside].max() / smooth.max() * smooth
+    assert Certificate.of(problem, wrong).relative_residual <= 1e-8
+    error = np.abs(wrong - z).max()
+    bound = error_bound(problem, wrong)
+    assert 0.999 * error <= bound.infinity <= 1.1 * error
+    assert bound.relative > 0.25
+
+
+def test_large_five_point_matrix() -> None:
+    """With n = 90 000, no zeroth-order term: certified, bound/error ≤ 1.6, every row proven."""
+    scene = gallery.half_active(n=90_000, delta=0.0, degenerate=False)
+    z = scene.exact + 1e-7 * np.sin(np.arange(90_000))
+    bound = error_bound(scene.problem, z)
+    error = np.abs(z - scene.exact).max()
+    assert error <= bound.infinity <= 1.6 * error
+    assert (np.abs(z - scene.exact) <= bound.componentwise).all()
+    assert bound.is_active_set_proven
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0**-10])
+def test_a_dominant_large_matrix_needs_no_linear_solve(monkeypatch, unit) -> None:
+    """Where a sweep contracts well, a few of them lead to a point whose bound is sharp, in any unit of the rows."""
+    monkeypatch.setattr("lcp_plugin.proofs.bounds.error_bounds._sharpen", lambda *_: pytest.fail("not needed"))
+    side = 50
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+    laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
+    M = unit * sp.csr_array(laplacian + 4.0 * sp.eye_array(side**2))
+    rng = np.random.default_rng(0)
+    exact = np.maximum(rng.integers(-5, 6, side**2), 0).astype(float)
+    problem = LCP(M, np.where(exact == 0.0, 1.0, 0.0) - M @ exact)
+    for size in (1e-2, 1e-6, 1e-10):
+        z = np.maximum(exact + size * rng.standard_normal(side**2), 0.0)
+        bound, error = error_bound(problem, z), np.abs(z - exact)
+        assert np.all(error <= bound.componentwise)
+        assert bound.infinity <= 1.1 * error.max()
+        assert bound.kind == "rigorous"
+
+
+def test_large_matrix_with_both_signs() -> None:
+    """A large H₊-matrix that is no Z-matrix is sharpened by a Krylov method."""
+    generator = np.random.default_rng(0)
+    n = 60_000
+    rows = np.repeat(np.arange(n), 4)
+    B = sp.csr_array((generator.standard_normal(4 * n), (rows, generator.integers(0, n, 4 * n))), shape=(n, n))
+    M = sp.csr_array(B + sp.diags_array(1.2 * np.asarray(abs(B).sum(axis=1))))
+    exact = np.where(generator.random(n) < 0.5, generator.random(n), 0.0)
+    problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
+    z = exact + 1e-6 * generator.standard_normal(n)
+    bound = error_bound(problem, z)
+    error = np.abs(z - exact).max()
+    assert 0.999 * error <= bound.infinity <= 1.6 * error
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("M", [[[2, 1], [1, 2]], [[1, 0.9], [0.9, 1]]])
+def test_no_bound_of_no_number(value, M) -> None:
+    """NaN or infinite entries of z give the bound ∞ and prove nothing."""
+    bound = error_bound(LCP(M, [-5, 1]), [value, 0.0])
+    assert bound.infinity == bound.relative == np.inf
+    assert not (bound.proven_active | bound.proven_inactive).any()
+
+
+def test_relative_bound_at_zero() -> None:
+    """At z = 0 the relative bound is 0 where z* = 0 is proven and ∞ elsewhere."""
+    M = [[2.0, 1.0], [1.0, 2.0]]
+    assert error_bound(LCP(M, [1, 1]), [0, 0]).relative == 0.0
+    assert error_bound(LCP(M, [-1, 1]), [0, 0]).relative == np.inf
+
+
+def test_points_outside_the_bounds() -> None:
+    """A z far outside a box is bounded by its distance to the solution."""
+    problem = LCP([[2, -1], [-1, 2]], [-9, 9], lower=-1, upper=1)
+    bound = error_bound(problem, [1e6, -1e6])
+    assert 1e6 - 1 <= bound.infinity <= 1e6 + 2
+    assert bound.proven_active.all()
+
+
+def test_free_and_fixed_rows_are_known() -> None:
+    """A free row is inactive and a fixed row active, whatever z is."""
+    problem = LCP(np.eye(2) * 3, [-1, 1], lower=[-np.inf, 2], upper=[np.inf, 2])
+    bound = error_bound(problem, [1e3, 1e3], sharp=False)
+    assert bound.proven_inactive.tolist() == [True, False]
+    assert bound.proven_active.tolist() == [False, True]
+
+
+def test_empty_problem() -> None:
+    """A problem without unknowns has error 0."""
+    bound = error_bound(LCP(np.zeros((0, 0)), np.zeros(0)), np.zeros(0))
+    assert bound.infinity == bound.relative == 0.0
+    assert bound.is_active_set_proven
+
+
+REFUSED = [
+    ([[1, 2], [2, 1]], "M was not proven to be either"),
+    ([[0, 1], [-1, 1]], r"M\[0, 0\] = 0.0"),
+    ([[1, 0], [5, -2]], r"M\[1, 1\] = -2.0"),
+    ([[1, 1], [1, 1]], "row 0 has 1 times its diagonal beside it"),
+]
+
+
+@pytest.mark.parametrize(("M", "words"), REFUSED)
+def test_unsuitable_matrices_are_refused_in_words(M, words) -> None:
+    """Neither H₊ nor positive definite: the message names what was found and what is needed."""
+    with pytest.raises(UnsuitableMatrix, match=words) as caught:
+        error_bound(LCP(M, [1, 1]), [0, 0])
+    assert "H₊-matrix" in str(caught.value)
+
+
+def test_misuse_is_refused_in_words() -> None:
+    """Something else than an LCP, or a z of another length."""
+    with pytest.raises(InvalidProblem, match="error_bound needs an LCP, got list"):
+        error_bound([[1]], [0])  # type: ignore[arg-type]
+    with pytest.raises(InvalidProblem, match="length 1"):
+        error_bound(LCP([[1]], [0]), [0, 0])
+
+
+def test_estimates_say_so(monkeypatch) -> None:
+    """Where the eigenvalue is not proven, kind and text say estimate, and no row is called proven."""
+    monkeypatch.setattr(solution_bounds, "SPARSE_UP_TO", 100)
+    side = 20
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+    laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
+    M = sp.csr_array(laplacian @ laplacian)
+    exact = np.ones(side * side)
+    bound = error_bound(LCP(M, -(M @ exact)), exact + 1e-6)
+    assert bound.kind == "estimate"
+    assert "≲" in str(bound)
+    assert "estimate" in str(bound)
+    assert not (bound.proven_active | bound.proven_inactive).any()
+    monkeypatch.undo()
+    proven = error_bound(LCP(M, -(M @ exact)), exact + 1e-6)
+    assert proven.kind == "rigorous"
+    assert 0.99e-6 < proven.infinity < 1.1e-6
+
+
+@settings.get_profile("many")
+@given(positive_definite_matrices(scale=30, margin=2.0**-20), st.booleans())
+def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None:
+    """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorisation."""
+    problem = LCP(M, np.zeros(M.shape[0]))
+    if by_sparse_factor:
+        exponents = unit_diagonal(problem.diagonal)
+        part, blur = solution_bounds._symmetric_part(problem.csr, exponents)
+        value, scale = solution_bounds._proven_bound(part, blur), np.exp2(exponents.row)
+    else:
+        bound = smallest_eigenvalue_bound(problem.matrix)
+        value, scale = (None, None) if bound is None else (bound.value, bound.scale)
+    if value is None:
+        return
+    exact = [[Fraction(float(m)) * Fraction(float(a)) * Fraction(float(b)) for m, b in zip(row, scale, strict=True)]
+             for row, a in zip(M, scale, strict=True)]
+    for i in range(len(exact)):
+        exact[i][i] -= Fraction(value) * Fraction(999_999, 1_000_000)
+    assert has_positive_pivots(exact)
+
+
+def test_two_norm_bound_is_its_formula() -> None:
+    """The 2-norm bound is C ‖C (Mᵀ + S⁻¹) r‖₂ / λ as numpy computes it, a little above and never below."""
+    generator = np.random.default_rng(2)
+    factor = generator.standard_normal((6, 6))
+    skew = generator.standard_normal((6, 6))
+    unit = np.exp2(generator.integers(-9, 9, 6))
+    M = unit[:, None] * (factor @ factor.T + np.eye(6) + skew - skew.T) * unit
+    lower, upper = np.array([0, -1, -np.inf, 0, -1, -np.inf]) / unit, np.array([np.inf, 1, np.inf, 2, 1, 1]) / unit
+    problem = LCP(M, generator.standard_normal(6) * unit, lower=lower, upper=upper)
+    z = generator.standard_normal(6) / unit
+    step = np.exp2(-np.round(np.log2(np.diag(M))))
+    r = z - np.clip(z - step * (M @ z + problem.q), lower, upper)
+    eigenvalue = smallest_eigenvalue_bound(problem.matrix)
+    c = eigenvalue.scale
+    formula = c * np.linalg.norm(c * (M.T @ r + r / step)) / eigenvalue.value
+    with np.errstate(all="ignore"):
+        y = solution_bounds.two_norm_bound(problem, RowInequality.at(problem, z), eigenvalue)
+    assert (y >= formula * (1.0 - 1e-13)).all()
+    assert (y <= formula * solution_bounds.OUTWARD**3).all()
+
+
+@pytest.mark.parametrize("kind", ["dense", "sparse"])
+def test_eigenvalue_bound_is_near(kind) -> None:
+    """The proven bound is at least 0.9 of LAPACK's eigenvalue; a singular matrix gets none."""
+    generator = np.random.default_rng(0)
+    if kind == "dense":
+        factor = generator.standard_normal((80, 80))
+        M = factor @ factor.T + 0.1 * np.eye(80)
+        singular = factor[:, :40] @ factor[:, :40].T
+    else:
+        line = sp.diags_array([1.0, -4.0, 6.0, -4.0, 1.0], offsets=[-2, -1, 0, 1, 2], shape=(400, 400))
+        M = sp.csr_array(line + 0.01 * sp.eye_array(400))
+        singular = sp.csr_array(line - 1e-3 * sp.eye_array(400))
+    bound = smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
+    scaled = bound.scale[:, None] * (M if kind == "dense" else M.toarray()) * bound.scale
+    smallest = np.linalg.eigvalsh(scaled)[0]
+    assert 0.9 * smallest < bound.value <= smallest
+    assert smallest_eigenvalue_bound(LCP(singular, np.zeros(M.shape[0])).matrix) is None
+
+
+EXTREMES = [0.0, 5e-324, 2.0**-1022, 1.0, 1.0 + 2.0**-52, np.pi, 1.7e308, 1.7976931348623157e308]
+DOUBLES = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(EXTREMES + [-x for x in EXTREMES])
+
+
+@settings.get_profile("many")
+@given(DOUBLES, DOUBLES)
+def test_rounding_is_upwards(a, b) -> None:
+    """Sums, products and quotients are never below the exact ones, nor more than two units above."""
+    exact = [Fraction(a) + Fraction(b), Fraction(a) * Fraction(b)]
+    with np.errstate(all="ignore"):
+        results = [sum_above(a, b), product_above(a, b)]
+        if b > 0.0:
+            exact.append(Fraction(a) / Fraction(b))
+            results.append(quotient_above(a, b))
+    for truth, result in zip(exact, results, strict=True):
+        assert result == np.inf or Fraction(float(result)) >= truth
+        if abs(truth) < Fraction(1e308):
+            assert Fraction(float(result)) <= truth + abs(truth) * Fraction(3, 2**52) + Fraction(3, 2**1074)
+    if abs(exact[0]) < Fraction(1e308) and float(exact[0]) == exact[0]:
+        assert results[0] == exact[0]
+
+
+@settings.get_profile("many")
+@given(solved_lcps(bounds=True))
+def test_exact_solver_finds_the_planted_answer(drawn) -> None:
+    """The rational solver of the tests returns the solution the problem was built from."""
+    problem, exact = drawn
+    assert exact_solution(problem).z == exact
+
+
+def test_fractions_solve_exactly() -> None:
+    """Elimination in fractions solves a system that doubles cannot, and refuses a singular one."""
+    A = [[Fraction(1, i + j + 1) for j in range(6)] for i in range(6)]
+    x = solve_fractions(A, [sum(row) for row in A])
+    assert x == [1] * 6
+    assert solve_fractions([[Fraction(1), Fraction(2)], [Fraction(2), Fraction(4)]], [Fraction(1), Fraction(0)]) is None
+
+
+def test_numbers_near_the_end_of_the_range_are_refused_without_a_warning() -> None:
+    """Why there is no bound is told of a matrix whose quotients overflow, too."""
+    with pytest.raises(UnsuitableMatrix, match="needs an H₊-matrix"):
+        error_bound(LCP([[1e-300, 1e300], [1e300, 1e-300]], [1.0, 1.0]), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_eigenvalues_near_rounding_are_bounded_from_below_by_what_proves_them(seed: int) -> None:
+    """For n > 10, too, the bound is below the exact least eigenvalue, and is had wherever M is proved definite."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(11, 16))
+    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    M = np.eye(n) - (1.0 - 10.0 ** -rng.uniform(12.0, 16.0)) * np.outer(Q[0], Q[0])
+    M = 0.5 * (M + M.T)
+    if seed % 2:
+        skew = np.triu(rng.standard_normal((n, n)), 1)
+        M = M + skew - skew.T
+    matrix = LCP(M, np.zeros(n)).matrix
+    exponents = unit_diagonal(matrix.diagonal).row
+    value = eigenvalue_proven(matrix, exponents)
+    assert (value is not None) == (analyze(M).is_positive_definite is True)
+    if value is not None:
+        scale = [Fraction(2) ** int(k) for k in exponents]
+        rows = exact_rows(matrix.csr)
+        shifted = [
+            [scale[i] * (rows[i][j] + rows[j][i]) / 2 * scale[j] - Fraction(value) * (i == j) for j in range(n)]
+            for i in range(n)
+        ]
+        assert has_positive_pivots(shifted)

@@ -1,0 +1,618 @@
+"""What convergence_guarantee claims is true of actual runs, and it claims nothing that is not."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+import re
+from collections import Counter
+from dataclasses import dataclass, fields
+from itertools import islice, pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns.guarantees import run_case
+from families import UNPROVEN
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from lcp_plugin import LCP, gallery, solve
+from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.commands.cli import app
+from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
+from lcp_plugin.core.matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
+from lcp_plugin.core.matrix.row_sums import automatic_factors, triangle_sums
+from lcp_plugin.evidence import contestants
+from lcp_plugin.methods.npsplitting.np_splitting import NPSplitting
+from lcp_plugin.proofs.guarantees.guarantees import convergence_guarantee
+from lcp_plugin.proofs.guarantees.theorems import theorem_4_1
+from lcp_plugin.proofs.verdicts import analyze
+from lcp_plugin.strategies import h_plus_matrices, solved_lcps
+from lcp_plugin.systems.comparison import nonnegative_radius
+
+SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
+UNSCALED: dict[str, Any] = {"scaling": None}
+
+
+def with_matrix(M: Any) -> LCP:
+    return LCP(M, -np.ones(np.shape(M)[0]))
+
+
+# --- Rates -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(6))
+def test_no_run_contradicts_a_guarantee(seed: int) -> None:
+    """Rates, contraction bounds and arrivals hold in 40 random cases; the campaign runs thousands."""
+    rng = np.random.default_rng(1000 + seed)
+    outcomes = [run_case(rng) for _ in range(40)]
+    assert [text for outcome in outcomes for text in outcome.violations] == []
+    assert Counter(outcome.label.partition(": ")[2] for outcome in outcomes)["guaranteed with rate"] >= 8
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "rate"),
+    [
+        ("pj", {}, 0.5),
+        ("pgs", {}, 0.5),  # row 1 sees what row 0 has become: 0 there
+        ("gfp", {"relaxation": 0.5}, 0.75),
+        ("psor", {"relaxation": 1.2}, 0.8),  # row 0: 0.2 + 1.2/2
+        ("npj", {"scaling": "diagonal"}, 0.75),  # (1 + 1 + 2 − 2·(1 − ½))/4
+        ("npgs", {"scaling": "diagonal"}, 0.75),
+        ("mj", {}, 0.5),
+        ("mgs", {}, 0.5),
+    ],
+)
+def test_rates_of_a_matrix_by_hand(name: str, options: dict[str, Any], rate: float) -> None:
+    """On [[1, −½], [−½, 1]] with v = 1 the rates are those that a pencil gives."""
+    guarantee = convergence_guarantee(with_matrix([[1.0, -0.5], [-0.5, 1.0]]), name, **options)
+    assert guarantee.is_guaranteed
+    assert guarantee.rate == pytest.approx(rate, rel=1e-12)
+    assert np.array_equal(guarantee.v, [1.0, 1.0])
+
+
+@pytest.mark.parametrize("name", ["npgs", "npsor", "pgs", "paor"])
+@pytest.mark.parametrize("sweep", ["forward", "backward", "symmetric"])
+def test_the_contraction_bound_holds_and_is_not_far_off(name: str, sweep: str) -> None:
+    """c/(1 − c)‖z_k − z_{k−1}‖_v v bounds the error of every iterate, by less than a factor of 1000."""
+    scene = gallery.half_active(n=100)
+    algorithm = create(name, {"sweep": sweep})
+    guarantee = convergence_guarantee(scene.problem, algorithm)
+    assert guarantee.speaks_of == "z"
+    rate, v = guarantee.rate, guarantee.v
+    path = [step.z.copy() for step in islice(algorithm.iterates(scene.problem, np.full(100, 3.0)), 12)]
+    for old, new in pairwise(path):
+        bound, error = rate / (1.0 - rate) * np.max(abs(new - old) / v) * v, abs(new - scene.exact)
+        assert np.all(error <= bound)
+        assert bound.max() <= 1000.0 * error.max()
+
+
+def test_no_rate_of_z_where_there_is_none() -> None:
+    """A modulus method contracts x, PSOR("auto") has no rate: both say so."""
+    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    for name, what, has_rate in (("mgs", "x", True), ("psor", "z", False)):
+        guarantee = convergence_guarantee(problem, name)
+        assert guarantee.is_guaranteed
+        assert guarantee.speaks_of == what
+        assert (guarantee.rate is not None) is has_rate
+
+
+# --- What is covered ---------------------------------------------------------------------------------------
+
+
+@given(
+    M=h_plus_matrices(row_scale=20, column_scale=20),
+    alpha=st.floats(0.05, 50.0),
+    share=st.floats(0.0, 1.0),
+    sweep=st.sampled_from(["forward", "backward", "symmetric"]),
+)
+def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
+    M: np.ndarray, alpha: float, share: float, sweep: str
+) -> None:
+    """With scaling="auto", α > 0 and 0 ≤ β ≤ α NP methods are guaranteed on every H₊-matrix; steps shrink."""
+    problem = with_matrix(M)
+    algorithm = create("npaor", {"relaxation": alpha, "acceleration": share * alpha, "sweep": sweep})
+    guarantee = convergence_guarantee(problem, algorithm)
+    assert guarantee.is_guaranteed
+    if guarantee.rate is not None and guarantee.v is not None:
+        iterates = [step.z.copy() for step in islice(algorithm.iterates(problem, np.zeros(problem.n)), 20)]
+        lengths = [np.max(np.abs(new - old) / guarantee.v) for old, new in pairwise(iterates)]
+        rounding = 1e-12 * max(np.max(np.abs(z) / guarantee.v) for z in iterates)
+        assert all(new <= guarantee.rate * old + rounding for old, new in pairwise(lengths))
+
+
+@pytest.mark.parametrize(
+    "name", ["auto", *(name for name in REGISTRY if name not in (*UNPROVEN, "newton", "banded", "multigrid"))]
+)
+@pytest.mark.parametrize(
+    "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100", "murty:n=20", "scaling_trap"]
+)
+def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) -> None:
+    """Every registered algorithm at its default options is proved to converge on the gallery's H₊-matrices."""
+    guarantee = convergence_guarantee(gallery.parse(text).problem, name)
+    assert guarantee.is_guaranteed, str(guarantee)
+
+
+def test_what_is_proved_of_direct_methods() -> None:
+    """Lemke: P and finite boxes; Newton: M bounded on one side, banded also tridiagonal; interior point: nothing."""
+    murty, rotation = gallery.murty(n=6).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
+    m_matrix = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    boxed = m_matrix.with_q(m_matrix.q, upper=1.0)
+    claims = {
+        "lemke": (True, False, True, True),
+        "newton": (False, False, True, False),
+        "banded": (False, False, True, True),
+        "interior_point": (False, False, False, False),
+    }
+    for name, expected in claims.items():
+        found = [convergence_guarantee(problem, name) for problem in (murty, rotation, m_matrix, boxed)]
+        assert tuple(guarantee.is_guaranteed for guarantee in found) == expected
+        assert all(guarantee.is_guaranteed or name in guarantee.theorem for guarantee in found)
+        assert all(guarantee.rate is None for guarantee in found)
+    assert convergence_guarantee(rotation.with_q(rotation.q, upper=1.0), "lemke").is_guaranteed
+    assert "3 pivots" in convergence_guarantee(m_matrix, "lemke", max_pivots=3).theorem
+
+
+@given(drawn=solved_lcps(h_plus_matrices(row_scale=3, column_scale=3), bounds=True))
+def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
+    """On H₊-matrices, boxes and free rows included, auto and lemke are guaranteed and solve every problem."""
+    for name in ("auto", "lemke"):
+        assert convergence_guarantee(drawn[0], name).is_guaranteed
+        assert solve(drawn[0], name).is_solved
+
+
+@pytest.mark.parametrize("n", [1, 7, 60, 250])
+def test_newton_is_finite_on_m_matrices(n: int) -> None:
+    """From any start at most n + 2 full steps solve an M-matrix problem, a front that crosses all rows included."""
+    chain = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    rng = np.random.default_rng(n)
+    front = LCP(np.eye(n) - np.eye(n, k=-1), -np.eye(n)[0])
+    for problem in (with_matrix(chain), LCP(chain, rng.normal(size=n)), front):
+        assert convergence_guarantee(problem, "newton").is_guaranteed
+        for start in (np.zeros(n), 100.0 * rng.random(n), np.where(np.arange(n) < n // 2, 1e3, 0.0)):
+            result = solve(problem, "newton", z0=start)
+            assert result.is_solved
+            assert result.iterations <= n + 2
+
+
+def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Auto is guaranteed where lemke is, and where M is too large for it, where psor is."""
+    h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
+    assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
+    assert not convergence_guarantee(rotation).is_guaranteed
+    monkeypatch.setattr("lcp_plugin.core.policy.choice.PIVOTED_UP_TO", 1)
+    assert "psor: " in convergence_guarantee(h_plus).theorem
+    assert not convergence_guarantee(rotation).is_guaranteed
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("alpha", [0.3, 1.0])
+def test_npj_is_guaranteed_at_every_scale(scale: float, alpha: float) -> None:
+    """β = 0 and α ≤ 1: unscaled, whatever the unit of the rows is."""
+    M = scale * gallery.scaling_trap().problem.csr.toarray()
+    options = {"relaxation": alpha, "acceleration": 0.0, "scaling": None}
+    assert convergence_guarantee(with_matrix(M), "npaor", **options).is_guaranteed
+
+
+def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
+    """Unscaled NPSOR(1.7), which runs into a limit cycle there, and its relatives get no guarantee, but a remedy."""
+    trap = gallery.scaling_trap()
+    for name in ("npgs", "npsor", "npaor", "npsplitting"):
+        guarantee = convergence_guarantee(trap.problem, name, **UNSCALED)
+        assert not guarantee.is_guaranteed
+        assert 'scaling="auto"' in guarantee.remedy
+    assert not solve(trap.problem, "npsor", z0=trap.start, **UNSCALED).is_solved
+
+
+@pytest.mark.parametrize(("example", "number"), [(1, "3.84"), (2, "3.32")])
+def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, number: str) -> None:
+    """ρ|L+U| is 3.84 and 3.32, where Theorem 4.2 as stated asks for less than 1; scaled they are covered."""
+    problem = gallery.build(f"paper_example_{example}", n=100).problem
+    for name in ("npgs", "npsor"):
+        said = convergence_guarantee(problem, name, **UNSCALED).paper
+        assert said.startswith(
+            f"not covered by Theorem 4.2 as stated (ρ|L+U| = {number}); covered after diagonal scaling"
+        )
+        assert convergence_guarantee(problem, name, scaling="diagonal").is_guaranteed
+
+
+@pytest.mark.parametrize(
+    ("M", "alpha", "says"),
+    [
+        ([[2.0, -0.5], [-0.5, 2.0]], 1.0, "covered by Theorem 4.2 as stated, case 1"),
+        ([[0.5, -0.2], [-0.2, 0.5]], 1.0, "covered by Theorem 4.2 as stated, case 2"),
+        ([[0.5, -0.2], [-0.2, 0.5]], 1.7, "not covered .*0 ≤ β ≤ α ≤ 1"),
+        ([[0.5, -0.2], [-0.2, 2.0]], 1.0, "not covered .*neither D ≥ I nor D < I"),
+        ([[1.0, -2.0], [-2.0, 1.0]], 1.0, "not covered .*not proven to be an H₊-matrix"),
+    ],
+)
+def test_theorem_4_2_as_stated(M: Any, alpha: float, says: str) -> None:
+    """Its two cases, its premise on the splitting, mixed diagonals and other matrices are told apart."""
+    import re
+
+    guarantee = convergence_guarantee(with_matrix(M), "npsor", relaxation=alpha, **UNSCALED)
+    assert re.match(says, guarantee.paper)
+    if guarantee.paper.startswith("covered"):
+        assert guarantee.is_guaranteed
+
+
+def test_positive_definite_matrices() -> None:
+    """SPD but not H₊: PSOR-type sweeps and a short gradient step are covered, Jacobi is not, and diverges."""
+    problem = with_matrix(SPD_NOT_H)
+    for name, options in (
+        ("pgs", {}), ("psor", {}), ("psor", {"relaxation": 1.9, "sweep": "symmetric"}),
+        ("paor", {"relaxation": 1.3, "acceleration": 1.3}), ("gfp", {"relaxation": 0.7}),
+    ):
+        guarantee = convergence_guarantee(problem, name, **options)
+        assert guarantee.is_guaranteed
+        assert guarantee.rate is None
+        assert "positive definite" in guarantee.theorem
+        assert solve(problem, name, max_iterations=20_000, **options).is_solved
+    assert convergence_guarantee(problem).is_guaranteed
+    jacobi = convergence_guarantee(problem, "pj")
+    assert jacobi.verdict == "not covered"
+    assert "psor" in jacobi.remedy
+    free = problem.with_q(problem.q, lower=-np.inf)
+    assert not solve(free, "pj", z0=[1.0, 2.0, 3.0], max_iterations=500).is_solved
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("gfp", {"relaxation": 2.0}), ("paor", {"relaxation": 2.5, "acceleration": 2.5}), ("gfp", {"relaxation": 3.0})],
+)
+def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(name: str, options: dict[str, float]) -> None:
+    """ω ≥ 2: determinant or trace forbid convergence where no constraint is active, even on the identity."""
+    problem = with_matrix(np.eye(2))
+    guarantee = convergence_guarantee(problem, name, **options)
+    assert guarantee.verdict == "not covered"
+    assert "relaxation" in guarantee.remedy
+    free = problem.with_q(problem.q, lower=-np.inf)
+    assert not solve(free, name, max_iterations=300, **options).is_solved
+
+
+CHANGEABLE = ("psor", "paor", "gfp", "npsor", "npaor", "npsplitting", "mj", "mgs", "msor", "maor")
+
+
+@given(h_plus_matrices(), st.sampled_from(CHANGEABLE), st.floats(0.2, 2.5), st.floats(-0.5, 2.5), st.floats(0.0, 1.0))
+def test_a_remedy_followed_to_the_letter_is_guaranteed(
+    M: Any, name: str, alpha: float, beta: float, share: float
+) -> None:
+    """On an H₊-matrix the remedy names options the algorithm has, and any values in its range are guaranteed."""
+    known = {field.name for field in fields(create(name, {}))}
+    options: dict[str, Any] = {"scaling": None, "omega": 0.3, "relaxation": alpha, "acceleration": beta}
+    options["relaxation"] = min(alpha, 1.99) if name == "psor" else alpha
+    options = {option: value for option, value in options.items() if option in known}
+    problem = with_matrix(M)
+    guarantee = convergence_guarantee(problem, name, **options)
+    if guarantee.is_guaranteed or "it cannot run" in guarantee.theorem:
+        return
+    remedy = guarantee.remedy
+    assert {word for word in ("scaling", "omega", "relaxation", "acceleration") if word in remedy} <= known
+    if "scaling=" in remedy:
+        options["scaling"] = "auto"
+    if "omega=" in remedy:
+        options["omega"] = 1.0
+    if limit := re.search(r"relaxation (<|≤) ([\d.]+)", remedy):
+        options["relaxation"] = max(1e-3, share) * float(limit[2]) * (1.0 - 1e-9 * (limit[1] == "<"))
+    if "acceleration" in remedy:
+        options["acceleration"] = share * options["relaxation"]
+    assert convergence_guarantee(problem, name, **options).is_guaranteed, remedy
+
+
+@pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor", "pj", "pgs", "psor", "gfp", "mgs", "msor"])
+@pytest.mark.parametrize("below", [0.1, 0.2])  # symmetric, and not
+def test_a_remedy_is_no_call_that_failed(name: str, below: float) -> None:
+    """Of an H₊-matrix that is singular but for rounding the remedy names a method that is guaranteed, or none."""
+    diagonal = 0.04000000000000001 if below == 0.1 else 0.08000000000000002
+    problem = LCP([[0.25, 0.1], [below, diagonal]], [-1.0, -2.0])
+    assert analyze(problem).is_h_plus
+    guarantee = convergence_guarantee(problem, name)
+    if not guarantee.is_guaranteed:
+        named = re.fullmatch(r'algorithm="(\w+)".*', guarantee.remedy)
+        assert named is not None
+        assert convergence_guarantee(problem, named[1]).is_guaranteed
+        assert solve(problem, named[1]).is_solved
+
+
+def test_a_remedy_names_what_was_given() -> None:
+    """A paor with α = β hears of both options, msor of none that it does not have."""
+    problem = with_matrix([[1.0, -0.9], [-0.9, 1.0]])
+    both = convergence_guarantee(with_matrix([[1.0, -0.9], [0.9, 1.0]]), "paor", relaxation=1.8, acceleration=1.8)
+    assert both.remedy == "0 ≤ acceleration ≤ relaxation < 1.052"
+    assert convergence_guarantee(problem, "msor", omega=0.3, relaxation=1.9).remedy == "omega=1.0 and relaxation ≤ 1"
+    assert convergence_guarantee(problem, "mgs", omega=0.3).remedy == "omega=1.0"
+
+
+def test_an_iteration_that_cannot_run_is_not_covered() -> None:
+    """A zero diagonal or an upper bound is told as the algorithm tells it."""
+    assert "positive diagonal" in convergence_guarantee(with_matrix([[0.0, 1.0], [1.0, 1.0]]), "pgs").remedy
+    boxed = LCP(np.eye(2), [1.0, 1.0], upper=1.0)
+    assert convergence_guarantee(boxed, "mgs").verdict == "not covered"
+    assert convergence_guarantee(boxed, "pgs").is_guaranteed
+
+
+def test_an_algorithm_of_the_user_is_not_covered() -> None:
+    """Nothing is claimed about an iteration that tells no facts."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Still(Algorithm):
+        name = "still"
+
+        def iterates(self, problem: LCP, z0: np.ndarray) -> Any:
+            while True:
+                yield Step(z0)
+
+    assert convergence_guarantee(with_matrix(np.eye(2)), Still()).verdict == "not covered"
+
+
+def test_arguments_are_checked() -> None:
+    """Unknown names and options are refused as solve refuses them, and an automatic scaling takes no factor."""
+    problem = with_matrix(np.eye(2))
+    with pytest.raises(UnknownAlgorithm, match="psor"):
+        convergence_guarantee(problem, "psr")
+    with pytest.raises(InvalidOption, match="relaxation"):
+        convergence_guarantee(problem, "npgs", relaxation=1.0)
+    with pytest.raises(InvalidOption, match="LCP"):
+        convergence_guarantee(np.eye(2), "npgs")
+    with pytest.raises(InvalidOption, match='needs scaling="diagonal"'):
+        convergence_guarantee(problem, "npgs", scaling_factor=2.0)
+
+
+def test_a_guarantee_is_kept_with_the_matrix() -> None:
+    """The same options give the same object, also for another q; other options another one."""
+    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    found = convergence_guarantee(problem, "npsor")
+    assert convergence_guarantee(problem.with_q([1.0, 2.0]), "npsor") is found
+    assert convergence_guarantee(problem, "npsor", relaxation=1.1) is not found
+
+
+def test_a_class_of_the_same_name_has_a_guarantee_of_its_own() -> None:
+    """What is kept with M is kept for the class and all it holds, not for its name."""
+    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    first, second = named_like_another(0.5), named_like_another(3.0)
+    assert type(first).__qualname__ == type(second).__qualname__
+    assert convergence_guarantee(problem, first).is_guaranteed
+    assert not convergence_guarantee(problem, second).is_guaranteed
+    third = type(first)()
+    object.__setattr__(third, "step", 3.0)  # held, though no field
+    assert not convergence_guarantee(problem, third).is_guaranteed
+    assert convergence_guarantee(pickle.loads(pickle.dumps(problem)), first).is_guaranteed
+
+
+def named_like_another(omega: float) -> Algorithm:
+    @dataclass(frozen=True, kw_only=True)
+    class Richardson(Algorithm):
+        name = "richardson"
+
+        def iterates(self, problem: LCP, z0: Any) -> Any:
+            yield Step(z0)
+
+        def facts(self, problem: LCP) -> IterationFacts:
+            return IterationFacts(
+                family=PROJECTED_RELAXATION, relaxation=getattr(self, "step", omega), acceleration=0.0
+            )
+
+    return Richardson()
+
+
+def test_weights_that_are_no_use_are_not_the_last() -> None:
+    """Weights of 460 decades are no use to a row bound; where others serve, the answer is theirs."""
+    problem, algorithm = with_matrix([[1.0, 1e300], [1e-310, 1.7e308]]), create("npsor", {"sweep": "symmetric"})
+    assert convergence_guarantee(problem, algorithm).is_guaranteed
+
+
+def test_bounds_are_asked_before_what_is_kept() -> None:
+    """A modulus method guaranteed with M says nothing of a problem with upper bounds, where it cannot run."""
+    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
+    boxed, algorithm = problem.with_q(problem.q, upper=1.0), create("mgs", {})
+    assert convergence_guarantee(problem, algorithm).is_guaranteed
+    assert not convergence_guarantee(boxed, algorithm).is_guaranteed
+    assert convergence_guarantee(boxed.with_q(problem.q, upper=np.inf), algorithm).is_guaranteed
+
+
+# --- At the limit of a theorem -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("M", "name", "options"),
+    [
+        ([[1.0]], "msor", {"relaxation": 1.19, "omega": (1.19 - 1.0) / 1.19}),  # a kept diagonal of 0, but for rounding
+        ([[1.0]], "mj", {"omega": 2.0**60}),  # the pivot αΩ + d rounds to αΩ: a cycle of two
+        ([[3.0, 1.0], [1.0, 3.0]], "psor", {"relaxation": 2.0 - 2.0**-52}),  # ω (1/d) d rounds to 2
+        ([[1.0]], "npaor", {"relaxation": 1e17, "acceleration": 0.0, "scaling": "diagonal", "scaling_factor": 1e20}),
+    ],
+)
+def test_what_rounding_may_undo_is_not_guaranteed(M: Any, name: str, options: dict[str, Any]) -> None:
+    """A margin smaller than the rounding of the step sizes proves nothing of the iteration that runs."""
+    problem = with_matrix(M)
+    guarantee = convergence_guarantee(problem, name, **options)
+    assert guarantee.verdict == "not covered"
+
+
+def test_the_example_at_the_limit_does_not_converge() -> None:
+    """With α = 1.19, Ω = (α − 1)/α, msor has no margin on one row, and 1000 steps do not converge."""
+    problem = LCP([[1.0]], [-1.0])
+    result = solve(problem, "msor", relaxation=1.19, omega=(1.19 - 1.0) / 1.19, max_iterations=1000)
+    assert not result.is_solved
+    assert result.guarantee.verdict == "not covered"
+
+
+def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
+    """In an SPD matrix of graded units ω = 0.9 is too much though each row is small beside its largest entry."""
+    unit = np.array([1.0, 1e-11, 1e-22, 1e-33])
+    M = unit[:, None] * (0.999 * np.ones((4, 4)) + 0.001 * np.eye(4)) * unit
+    M = np.tril(M) + np.tril(M, -1).T
+    assert analyze(M).is_positive_definite
+    assert convergence_guarantee(with_matrix(M), "paor", relaxation=0.9, acceleration=0.0).verdict == "not covered"
+    assert convergence_guarantee(with_matrix(M), "pgs").is_guaranteed
+
+
+def test_blocks_whose_coupling_leaves_the_range_are_covered_one_by_one() -> None:
+    """A reducible H₊-matrix without a v in doubles is covered by the theorem on its diagonal blocks, without a rate."""
+    pair = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    M = np.kron(np.eye(8), pair)
+    for k in range(7):
+        M[2 * k + 2, 2 * k] = -1e60
+    M = np.tril(M, -2) * 1e30 + np.triu(M, -1)
+    assert analyze(M).is_h_plus
+    assert analyze(M).v is None
+    for name in ("npsor", "pgs", "mgs", "npsplitting"):
+        guarantee = convergence_guarantee(with_matrix(M), name)
+        assert guarantee.is_guaranteed
+        assert guarantee.rate is None
+    assert not convergence_guarantee(with_matrix(M), "paor", relaxation=1.5, acceleration=1.5).is_guaranteed
+
+
+def test_an_empty_problem_is_guaranteed() -> None:
+    """An LCP without rows converges at once, whatever runs."""
+    for name in REGISTRY:
+        assert convergence_guarantee(LCP(np.zeros((0, 0)), []), name).is_guaranteed
+
+
+# --- The automatic scaling -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "largest"),
+    [("half_active:n=100", 2.0), ("half_active:n=100,delta=16", 1.25), ("half_active:n=100,delta=0", 2.0),
+     ("random_h_plus:n=100", 1.0)],
+)
+def test_automatic_factors(text: str, largest: float) -> None:
+    """θ = min(2, 1/(1 − ℓ − u), 0.9/ℓ) where all rows are dominant (weakly counts), 1 where one is not."""
+    problem = gallery.parse(text).problem
+    factors = automatic_factors(problem.matrix, 1.0, "forward")
+    assert factors.max() == pytest.approx(largest)
+    lower, upper = triangle_sums(problem.matrix, np.ones(problem.n))
+    if largest > 1.0:
+        with np.errstate(divide="ignore"):
+            expected = np.minimum(np.minimum(2.0, 1.0 / (1.0 - lower - upper)), 0.9 / lower)
+        np.testing.assert_allclose(factors, expected)
+    reversed_problem = LCP(problem.csr.toarray()[::-1, ::-1], problem.q[::-1])
+    np.testing.assert_allclose(automatic_factors(reversed_problem.matrix, 1.0, "backward")[::-1], factors)
+    both = automatic_factors(problem.matrix, 1.0, "symmetric")
+    assert np.all(both <= np.minimum(factors, automatic_factors(problem.matrix, 1.0, "backward")))
+
+
+def test_automatic_scaling_is_the_row_scaled_iteration() -> None:
+    """NP with scaling="auto" takes the steps of the unscaled NP on (SM, Sq), s_i = θ_i/d_i."""
+    problem = gallery.half_active(n=100, delta=1.0).problem
+    S = automatic_factors(problem.matrix, 1.0, "forward") / problem.diagonal
+    assert len(set(S.round(6))) > 1
+    scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q)
+    paths = [
+        np.array([step.z.copy() for step in islice(create("npsor", options).iterates(p, np.ones(100)), 20)])
+        for p, options in ((problem, {}), (scaled, UNSCALED))
+    ]
+    np.testing.assert_allclose(paths[0], paths[1], atol=1e-13)
+
+
+def test_automatic_scaling_pays() -> None:
+    """On grids it needs fewer sweeps than θ = 1, on a random matrix at most a fifth more."""
+    for text in ("half_active:n=400", "half_active:n=400,delta=0", "obstacle_2d:size=12", "american_put:size=50",
+                 "random_h_plus:n=300,row_scale=0,column_scale=0"):
+        problem = gallery.parse(text).problem
+        automatic, plain = (solve(problem, "npsor", scaling=word).iterations for word in ("auto", "diagonal"))
+        assert automatic <= (0.95 * plain if "random" not in text else 1.2 * plain)
+
+
+def test_the_paper_s_tables_run_unscaled() -> None:
+    """The tables set scaling=None for every projected-type method."""
+    assert all(contestants.paper_options(name, 1.7)["scaling"] is None for name in ("npgs", "npsor"))
+
+
+# --- The numbers behind it -----------------------------------------------------------------------------------
+
+
+def test_bounds_of_a_nonnegative_radius() -> None:
+    """They enclose LAPACK's spectral radius, on reducible and bipartite matrices too, and the input stays as it is."""
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        n = int(rng.integers(1, 10))
+        B = rng.random((n, n)) * (rng.random((n, n)) < rng.choice([0.2, 0.5, 1.0]))
+        given = sp.csr_array(B)
+        lower, upper = nonnegative_radius(given)
+        radius = max(abs(np.linalg.eigvals(B)))
+        assert lower <= radius * (1 + 1e-6) + 1e-5
+        assert radius <= upper * (1 + 1e-6) + 1e-5
+        assert upper - lower <= 1e-8 * max(upper, 1.0)
+        assert np.array_equal(given.toarray(), B)
+    lower, upper = nonnegative_radius(abs(gallery.paper_example_1(n=100).problem.csr - 8.0 * sp.eye_array(100)))
+    assert lower <= 4.0 * math.cos(math.pi / 11.0) <= upper <= lower + 1e-9
+
+
+def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
+    """The certified c is at least ρ(T), near it on irreducible T, and there is one wherever ρ(T) < 0.99."""
+    rng = np.random.default_rng(1)
+    covered = 0
+    for _ in range(100):
+        n = int(rng.integers(1, 8))
+        M = np.eye(n) * rng.uniform(0.5, 2.0) + 0.3 * rng.normal(size=(n, n)) / n
+        inner = np.tril(M) + 0.1 * rng.normal(size=(n, n))
+        D, identity = np.diag(np.diag(M)), np.eye(n)
+        T = abs(np.linalg.inv(inner + 2 * identity + D)) @ (abs(inner - M + identity + D) + abs(M - identity))
+        radius = max(abs(np.linalg.eigvals(T)))
+        found = theorem_4_1(M, inner)
+        assert (found is not None) == (radius < 1.0) or abs(radius - 1.0) < 0.01
+        if found is not None:
+            covered += 1
+            assert radius * (1 - 1e-12) <= found[0] <= radius + 0.01
+    assert 20 < covered < 100
+
+
+def test_a_splitting_of_one_s_own_is_covered_by_theorem_4_1() -> None:
+    """A splitting that is no part of M gets a rate from ρ(T) < 1, up to n = 500, and no claim beyond."""
+    for n, covered in ((30, True), (501, False)):
+        M = sp.diags_array([np.full(n - 1, -1.0), np.full(n, 4.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1])
+        problem = LCP(sp.csr_array(M), -np.ones(n))
+        guarantee = convergence_guarantee(problem, NPSplitting(splitting=sp.csr_array(1.1 * M)))
+        assert guarantee.is_guaranteed == covered
+        assert covered or "n > 500" in guarantee.theorem
+
+
+# --- The command ---------------------------------------------------------------------------------------------
+
+
+def told(*arguments: str) -> Any:
+    result = CliRunner().invoke(app, ["analyze", *arguments])
+    assert "Traceback" not in result.output
+    return result
+
+
+def test_the_command_tells_matrix_and_guarantees() -> None:
+    """One line a claim, one an algorithm, the paper's variants, and what its theorem says; exit code 0."""
+    result = told("paper_example_1:n=100")
+    assert result.exit_code == 0
+    for words in ("H₊-matrix                     yes", "npsor, scaling=none       not covered"):
+        assert words in result.stdout
+    assert "not covered by Theorem 4.2 as stated (ρ|L+U| = 3.84); covered after diagonal scaling" in result.stdout
+    lines = result.stdout.splitlines()
+    assert all(any(line.startswith(f"{name} ") for line in lines) for name in ("auto", *REGISTRY))
+
+
+@pytest.mark.parametrize("scene", ["paper_example_1:n=100", "murty:n=4", "obstacle_2d:size=6"])
+def test_the_command_keeps_to_a_hundred_columns(scene: str) -> None:
+    """No line of the table is longer than 100 columns, and a source stands in it once, in the legend."""
+    text = told(scene).stdout
+    assert max(map(len, text.splitlines())) <= 100
+    assert text.count("Kumar") == text.count("[1] Kumar")
+    assert text.count("doi:10.1137/0309028") <= 1
+
+
+def test_the_command_prints_json() -> None:
+    """--json is one JSON document with both tables and no number that JSON does not know."""
+    content = json.loads(told("murty:n=4", "--json").stdout, parse_constant=pytest.fail)
+    assert content["matrix"]["verdicts"]["is_h_plus"]["value"] is True
+    assert {row["algorithm"] for row in content["convergence"]} >= {"auto", *REGISTRY}
+
+
+@pytest.mark.parametrize("target", ["nonsense", "missing.npz", "murty:n=0", "murty:size=3"])
+def test_the_command_refuses_what_is_no_problem(target: str) -> None:
+    """Exit code 2 and one line on stderr."""
+    result = told(target)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("lcp-plugin: ")

@@ -1,0 +1,430 @@
+"""Proofs that constraints contradict: found where they do, never where they do not, checked by other code."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns import infeasible_by_margin
+from collection.truth import is_farkas
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Status, solve
+from lcp_plugin.core.certificates.criterion import references_of_parts
+from lcp_plugin.core.deadline import time_limit
+from lcp_plugin.methods.search import NoSolution, search
+from lcp_plugin.proofs.exact.exactly import exact_slack, is_exact_solution
+from lcp_plugin.proofs.exact.linear_systems import rank_profile, solve_exactly
+from lcp_plugin.proofs.exact.rational import integers
+from lcp_plugin.proofs.no_solution.exact_references import exactly_weighted
+from lcp_plugin.proofs.no_solution.farkas import CONTRADICTION, FarkasProgram
+from lcp_plugin.proofs.no_solution.infeasibility import (
+    ForcedContradiction,
+    contradictory_row,
+    decide_feasibility,
+    find_forced_contradiction,
+)
+from lcp_plugin.proofs.no_solution.linear_constraints import LinearConstraints
+from lcp_plugin.proofs.no_solution.refutation import Choices, Infeasibility
+
+
+def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:
+    """Integers M, q with yᵀw < 0 for all z: the last row completes an integer combination of the others."""
+    y = rng.integers(1, 4, n)
+    y[-1] = 1
+    M = rng.integers(-4, 5, (n, n))
+    q = rng.integers(-4, 5, n)
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    lower[:free] = -np.inf
+    slack = rng.integers(0, 2, n)
+    slack[:free] = 0
+    if boxes:
+        upper[free : free + boxes] = 2.0
+        y[free : free + boxes] = 0
+    M[-1] -= y @ M + slack
+    q[-1] -= y @ q + 1
+    return LCP(M.astype(float), q.astype(float), lower=lower, upper=upper)
+
+
+@pytest.mark.parametrize(("free", "boxes"), [(0, 0), (2, 0), (0, 2), (2, 2)])
+@pytest.mark.parametrize("n", [5, 12])
+def test_contradicting_constraints_are_proven(n: int, free: int, boxes: int) -> None:
+    """Problems built to contradict get a proof that independent fractions confirm."""
+    for seed in range(8):
+        problem = contradicting(np.random.default_rng(seed), n, free, boxes)
+        proof = decide_feasibility(problem).proof
+        assert proof is not None
+        assert is_farkas(problem, list(proof.exact_y))
+        assert proof.verify()
+        assert "contradict" in str(proof)
+
+
+@given(st.integers(0, 10**6))
+def test_feasible_problems_are_never_called_infeasible(seed: int) -> None:
+    """A problem built around a feasible point gets no proof, and the point returned is feasible."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 7))
+    M, z = rng.integers(-5, 6, (n, n)), rng.integers(0, 3, n)
+    lower = np.where(rng.random(n) < 0.2, -np.inf, 0.0)
+    upper = np.where(rng.random(n) < 0.3, 3.0, np.inf)
+    w = np.where(upper == np.inf, rng.integers(0, 2, n), -rng.integers(0, 2, n))
+    w[(lower == -np.inf) & (upper == np.inf)] = 0
+    problem = LCP(M, w - M @ z, lower=lower, upper=upper)
+    known = decide_feasibility(problem)
+    assert known.proof is None
+    assert known.verdict == "feasible"
+    assert known.point is not None
+    slack = problem.slack(known.point)
+    assert np.all(slack[upper == np.inf] >= -1e-6)
+    assert np.all(slack[lower == -np.inf] <= 1e-6)
+
+
+def test_random_doubles_are_repaired_exactly() -> None:
+    """A Farkas vector that exists only as a solution of linear equations is solved for, not rounded."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((40, 12))
+    y = np.abs(rng.standard_normal(40))
+    b = rng.standard_normal(40)
+    b -= y * (b @ y + 1.0) / (y @ y)
+    M = np.block([[np.eye(12), A.T], [-A, np.zeros((40, 40))]])
+    M[12:, :12] += np.outer(y, A.T @ y) / (y @ y)
+    lower = np.r_[np.full(12, -np.inf), np.zeros(40)]
+    problem = LCP(M, np.r_[np.zeros(12), b], lower=lower)
+    proof = decide_feasibility(problem).proof
+    assert proof is not None
+    assert is_farkas(problem, list(proof.exact_y))
+
+
+def test_the_proof_does_not_depend_on_units() -> None:
+    """Rows and columns in units apart by many powers of ten leave a contradiction provable."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        plain = contradicting(rng, 6)
+        rows, columns = 10.0 ** rng.integers(-9, 9, (6, 1)), 2.0 ** rng.integers(-20, 20, 6)
+        problem = LCP(plain.csr.toarray() * rows * columns - 1e-16 * rows * columns, plain.q * rows[:, 0])
+        proof = decide_feasibility(problem).proof
+        assert proof is not None
+        assert is_farkas(problem, list(proof.exact_y))
+
+
+@pytest.mark.full
+def test_a_large_problem_is_proven_exactly() -> None:
+    """For n = 3000 a proof is found, and other fractions confirm it."""
+    n = 3000
+    laplacian = sp.diags_array([-np.ones(n - 1), 2.1 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    problem = LCP(-laplacian, np.random.default_rng(0).standard_normal(n) - 0.5)
+    known = decide_feasibility(problem)
+    assert known.proof is not None
+    assert known.proof.verify()
+    assert is_farkas(problem, list(known.proof.exact_y))
+    assert Infeasibility.of(problem, dict.fromkeys(range(n), 1)).verify()
+
+
+@given(st.integers(0, 10**6))
+def test_a_contradiction_is_the_supremum_of_its_sum(seed: int) -> None:
+    """−c = sup qᵀy + (Mᵀy)ᵀz − yᵀw over all z and w that the bounds permit, by other fractions."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    M = rng.standard_normal((n, n)) * 10.0 ** rng.integers(-8, 9, (n, n))
+    kind = rng.integers(0, 3, n)
+    lower, upper = np.where(kind == 2, -1.5, 0.0), np.where(kind == 0, np.inf, 0.7)
+    problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
+    y = np.where(kind == 0, rng.random(n), 0.0)
+    found = Choices(problem, {}).contradiction(dict(enumerate(y)))
+    exact = [Fraction(value) for value in y.tolist()]
+    product = [sum(Fraction(a) * b for a, b in zip(column, exact, strict=True)) for column in M.T.tolist()]
+    highest = sum(Fraction(a) * Fraction(b) for a, b in zip(problem.q.tolist(), y.tolist(), strict=True))
+    is_open = [value > 0 and side == math.inf for value, side in zip(product, upper.tolist(), strict=True)]
+    for value, low, high, opened in zip(product, lower.tolist(), upper.tolist(), is_open, strict=True):
+        highest += 0 if opened else value * Fraction(high if value > 0 else low)
+    assert set(found.left) == {j for j, opened in enumerate(is_open) if opened}
+    assert found.plain == -highest
+
+
+def test_a_wrong_vector_does_not_verify() -> None:
+    """Proofs with a changed entry, a wrong sign or another problem's data are refused."""
+    problem = LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0])
+    assert Infeasibility(problem, (Fraction(1), Fraction(0))).verify()
+    assert not Infeasibility(problem, (Fraction(1), Fraction(1))).verify()
+    assert not Infeasibility(problem, (Fraction(-1), Fraction(0))).verify()
+    assert not Infeasibility(problem, (Fraction(0), Fraction(0))).verify()
+    assert not Infeasibility(problem.with_q([1.0, 2.0]), (Fraction(1), Fraction(0))).verify()
+
+
+@pytest.mark.parametrize("limit", [-1, 1.5, True, "many"])
+def test_effort_limits_are_checked(limit: object) -> None:
+    """An effort limit that is no whole number is refused with what was given."""
+    with pytest.raises(InvalidOption, match="effort_limit"):
+        decide_feasibility(LCP([[1]], [1]), effort_limit=limit)  # type: ignore[arg-type]
+
+
+def test_tiny_and_limited_problems_end_well() -> None:
+    """An empty problem is feasible; without effort nothing is decided unless a row speaks for itself."""
+    assert decide_feasibility(LCP(np.zeros((0, 0)), [])).verdict == "feasible"
+    assert decide_feasibility(LCP([[1, -1], [-1, 1]], [-1, -1]), effort_limit=0).verdict == "undecided"
+    assert decide_feasibility(LCP([[0]], [-1]), effort_limit=0).verdict == "infeasible"
+
+
+def test_forced_bounds_prove_what_no_linear_program_can() -> None:
+    """A feasible problem whose forced bounds contradict gets a chain that verifies; a changed one does not."""
+    problem = LCP([[0.0, 0.0], [1.0, 0.0]], [1.0, -1.0])
+    assert decide_feasibility(problem).verdict == "feasible"
+    proof = find_forced_contradiction(problem)
+    assert proof is not None
+    assert proof.steps == ((0, 1), (1, -1))
+    assert proof.verify()
+    assert not ForcedContradiction(problem, proof.steps[1:]).verify()
+    assert not ForcedContradiction(problem, proof.steps[:1]).verify()
+    assert not ForcedContradiction(problem, ((0, -1), (1, -1))).verify()
+    assert find_forced_contradiction(LCP([[2, 1], [1, 2]], [-5, 1])) is None
+
+
+def test_a_long_chain_keeps_only_the_rows_it_needs() -> None:
+    """In a chain of forced bounds, rows that the contradiction does not rest on are left out."""
+    n = 8
+    M = np.zeros((n, n))
+    M[1, 0], M[2, 1] = -1.0, 1.0
+    q = np.ones(n)
+    q[1], q[2] = 1.0, -2.0
+    proof = find_forced_contradiction(LCP(M, q, upper=[1.0, *[np.inf] * (n - 1)]))
+    assert proof is not None
+    assert {row for row, _ in proof.steps} == {0, 1, 2}
+
+
+def test_exact_solutions_are_told_from_rounded_ones() -> None:
+    """A third solves 3 z = 1 exactly, the double next to it does not."""
+    problem = LCP([[3.0, 0.0], [0.0, 1.0]], [-1.0, 5.0], lower=[0.0, -1.0], upper=[np.inf, -1.0])
+    z = [Fraction(1, 3), -1]
+    assert is_exact_solution(problem, z)
+    assert exact_slack(problem, z) == [0, 4]
+    assert not is_exact_solution(problem, [1 / 3, -1.0])
+    assert not is_exact_solution(problem, [Fraction(1, 3), -2])
+    with pytest.raises(InvalidProblem, match="length 2"):
+        exact_slack(problem, [1])
+    with pytest.raises(InvalidProblem, match="finite"):
+        exact_slack(problem, [np.nan, 0.0])
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=6))
+def test_integers_lose_nothing(values: list[float]) -> None:
+    """Doubles of any size, subnormal ones included, are integers times one power of two, exactly."""
+    whole, exponent = integers(np.array(values, dtype=float))
+    assert [Fraction(x) * Fraction(2) ** exponent for x in whole] == [Fraction(value) for value in values]
+
+
+@given(st.integers(0, 10**6))
+def test_exact_solves_satisfy_their_equations(seed: int) -> None:
+    """p-adic lifting returns the exact solution, or None just where the determinant is 0."""
+    rng = np.random.default_rng(seed)
+    k = int(rng.integers(1, 7))
+    big = int(10 ** rng.integers(1, 30))
+    A = [[int(x) * big + int(x) ** 3 for x in row] for row in rng.integers(-3, 4, (k, k))]
+    b = [int(x) for x in rng.integers(-9, 10, k)]
+    x = solve_exactly(A, b)
+    rank = len(rank_profile(A)[0])
+    assert (x is None) == (rank < k)
+    if x is not None:
+        assert [sum(a * v for a, v in zip(row, x, strict=True)) for row in A] == b
+
+
+def test_signs_of_one_row_refute_a_large_problem() -> None:
+    """A row of M ≤ 0 with q < 0 is a proof that a look at each entry finds; rows that can be satisfied are none."""
+    M = -abs(sp.random_array((5000, 5000), density=0.001, rng=np.random.default_rng(1), format="csr"))
+    proof = contradictory_row(LCP(M, np.full(5000, -1.0)))
+    assert proof is not None
+    assert proof.verify()
+    assert np.count_nonzero(proof.y) == 1
+    assert contradictory_row(LCP(M, np.full(5000, 1.0))) is None
+
+
+# --- By how much -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("seed", range(12))
+def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
+    """Every z within the bounds, the answers of all methods among them, has a residual of at least the margin."""
+    rng = np.random.default_rng(seed)
+    problem = contradicting(rng, 6, seed % 3, seed % 2)
+    proof = decide_feasibility(problem).proof
+    assert proof is not None
+    assert 0.0 < proof.margin < 1.0
+    points = [solve(problem, name, max_iterations=50).z for name in ("npsor", "newton", "interior_point", "lemke")]
+    points += [np.clip(rng.standard_normal(6) * 10.0 ** rng.integers(-2, 4), problem.lower, problem.upper)
+               for _ in range(40)]
+    for z in points:
+        certificate = Certificate.of(problem, z)
+        assert certificate.relative_residual >= proof.margin * (1.0 - 1e-12)
+
+
+@pytest.mark.parametrize("shift", [1e-2, 1e-6, 1e-10, 1e-14])
+def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) -> None:
+    """z₁ − z₂ ≥ 1 and z₂ − z₁ ≥ shift − 1 miss each other by shift/2: that is the margin, rounded down."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - shift])
+    exact = (Fraction(1.0) - Fraction(float(problem.q[1]))) / 2
+    proof = Infeasibility(problem, (Fraction(1), Fraction(1)))
+    assert 0.0 <= exact - Fraction(proof.margin) <= exact * Fraction(1e-14)
+    assert proof.excludes(proof.margin / 2) is (shift > 1e-13)  # below it is rounding of 1
+    assert not proof.excludes(proof.margin)
+    assert proof.excludes(1.0, tolerance_on="error")  # solved would be the proof of a solution
+    assert proof.exact
+
+
+@pytest.mark.parametrize("name", ["auto", "newton", "interior_point", "lemke"])
+def test_infeasible_is_said_only_beyond_the_tolerance(name: str) -> None:
+    """The same contradiction of 5e-7: refuted at a tolerance of 1e-8, solved at 1e-5, by every method."""
+    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
+    refuted = solve(problem, name)
+    assert refuted.status is Status.INFEASIBLE
+    assert refuted.infeasibility.margin > 1e-8
+    accepted = solve(problem, name, tolerance=1e-5)
+    assert accepted.status not in (Status.INFEASIBLE, Status.NO_SOLUTION)
+    assert accepted.residual >= refuted.infeasibility.margin * (1.0 - 1e-12)
+
+
+def test_a_small_contradiction_is_an_advice() -> None:
+    """Infeasible by 1e-12 beside data of size 1 is no status, and the advice has the number; the search finds more."""
+    problem = LCP([[0.0, 0.0, 0.0], [2.0, -2.0, -1.0], [0.0, 0.0, 0.0]], [2.0, -2.0, -1e-12])
+    searched = solve(problem)
+    assert searched.status is Status.NO_SOLUTION
+    assert searched.infeasibility.margin > 0.1
+    result = solve(problem, "lemke")
+    assert result.status is Status.STALLED
+    assert "infeasible, but only by 1e-12 relative" in result.advice
+    assert "infeasible, but only by 1e-12 relative" in result.explain()
+    assert result.infeasibility.exact
+    assert not result.is_refuted
+    assert 0.0 < result.infeasibility.margin < 1e-8
+
+
+def test_the_largest_margin_is_looked_for() -> None:
+    """A row that contradicts by 1e-14 hides no contradiction of 0.1 in two others."""
+    problem = LCP([[1.0, -1.0, -1.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, 0.8, -1e-14])
+    proof = decide_feasibility(problem).proof
+    assert proof is not None
+    assert proof.margin == pytest.approx(0.1, rel=1e-6)
+    assert solve(problem).status is Status.INFEASIBLE
+
+
+@pytest.mark.parametrize("t", [1e-3, 1e-6, 1e-10])
+def test_cases_have_a_margin_too(t: float) -> None:
+    """w₁ = 1 forces z₁ = 0, w₂ = z₁ − t asks for t: every z misses by t/2, which counts beyond the tolerance only."""
+    problem = LCP([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 2.0]], [1.0, -t, -2.0])
+    chain = find_forced_contradiction(problem)
+    tree = search(problem)
+    assert chain is not None
+    assert isinstance(tree, NoSolution)
+    for proof in (chain, tree):
+        assert proof.margin == pytest.approx(t / 2, rel=1e-9)
+        assert proof.margin <= t / 2
+    status = solve(problem).status
+    assert (status is Status.NO_SOLUTION) == (t > 1e-8)
+    near = np.array([t / 2, 0.0, 1.0 - t / 2])
+    assert Certificate.of(problem, near).relative_residual == pytest.approx(t / 2)
+
+
+@pytest.mark.parametrize(
+    ("M", "q"),
+    [([[-1e300]], [-1e-300]), ([[-1e-300]], [-1e300]), ([[-5e-324]], [-5e-324]), ([[-1e308, -1e308], [0, -1e308]],
+     [-1e308, -1e308]), ([[0, -5e-324], [0, 0]], [-1, 1e308])],
+)
+def test_margins_at_the_edge_of_the_numbers_are_sound(M: list[list[float]], q: list[float]) -> None:
+    """Whatever overflows or underflows on the way, the margin is the exact one, rounded down."""
+    problem = LCP(M, q)
+    proof = decide_feasibility(problem).proof
+    assert proof is not None
+    assert 1.0 - 1e-14 <= proof.margin <= 1.0
+
+
+@given(st.integers(0, 10**6))
+def test_the_reference_is_bounded_from_above(seed: int) -> None:
+    """‖r̂(z°)‖∞ in fractions is never above the bound that a margin is relative to."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    M = rng.standard_normal((n, n)) * 10.0 ** rng.integers(-8, 9, (n, n))
+    kind = rng.integers(0, 4, n)
+    lower, upper = np.where(kind == 3, -np.inf, 0.3 * kind), np.where(kind == 0, np.inf, 1e3)
+    problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
+    exact, bound = max(exactly_weighted(problem, problem.nearest_to_zero)), references_of_parts(problem)[1].max()
+    assert exact <= Fraction(bound)
+    assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
+
+
+def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> None:
+    """Where rounding is all that acts in the optimality conditions of a consistent program, nothing is refuted."""
+    assert infeasible_by_margin.one(16, 1685)[0] == []
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("case", range(24))
+def test_margins_are_told_as_they_were_planted(case: int) -> None:
+    """A share of the campaign `infeasible_by_margin`: its claims hold, case by case."""
+    bad, lines = infeasible_by_margin.one(11, case)
+    assert not bad
+    for kind, where, told in lines:
+        if where.startswith("≥"):
+            assert told in ("INFEASIBLE", "NO_SOLUTION", "infeasible"), kind
+
+
+def test_a_contradiction_between_numbers_of_many_sizes_is_found() -> None:
+    """Rows and bounds of sizes from 1e-3 to 1e3 that miss each other by less than 1 % of the residual at 0."""
+    case = infeasible_by_margin.planted_lcp(np.random.default_rng([5, 103]))
+    proof = decide_feasibility(case.problem).proof
+    assert proof is not None
+    assert proof.verify()
+    assert 0.9 * case.relative.low <= proof.margin <= case.relative.high
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_optimum_is_the_least_miss(seed: int) -> None:
+    """Of any rows, equations among them, and any bounds, kept or with units of their own: by strong duality."""
+    rng = np.random.default_rng(seed)
+    m, n = (int(size) for size in rng.integers(1, 8, 2))
+    matrix, q = rng.integers(-3, 4, (m, n)) * 10.0 ** rng.integers(-2, 3, (m, 1)), rng.integers(-4, 5, m) + 0.0
+    needs_rise, needs_fall = rng.random((2, m)) < 0.6
+    lower = np.where(rng.random(n) < 0.6, rng.integers(-2, 1, n), -np.inf)
+    upper = np.where(rng.random(n) < 0.6, lower + rng.integers(0, 3, n), np.inf)
+    upper[np.isinf(lower)] = np.inf
+    weights, unit = 10.0 ** rng.integers(-1, 2, m), float(seed % 2)
+    constraints = LinearConstraints(
+        sp.csr_array(matrix), q, needs_rise, needs_fall, lower, upper, weights, (np.full(n, unit), np.full(n, unit)),
+    )
+    answer = FarkasProgram(constraints, 1.0).solve()
+    t, low, high = weights[:, None], np.isfinite(lower), np.isfinite(upper)
+    inequalities = np.vstack([
+        np.hstack([-matrix, -t])[needs_rise], np.hstack([matrix, -t])[needs_fall],
+        np.hstack([-np.eye(n), np.full((n, 1), -unit)])[low], np.hstack([np.eye(n), np.full((n, 1), -unit)])[high],
+    ])
+    limits = np.concatenate([q[needs_rise], -q[needs_fall], -lower[low], upper[high]])
+    if not limits.size:
+        assert answer is None
+        return
+    least = linprog(np.append(np.zeros(n), 1.0), inequalities, limits, bounds=[(None, None)] * n + [(0.0, None)])
+    assert answer is not None
+    assert answer.is_contradiction == (least.fun > CONTRADICTION)
+    assert -answer.optimum == pytest.approx(least.fun, rel=1e-6, abs=1e-8)
+
+
+def test_no_further_proof_is_tried_after_the_time_limit() -> None:
+    """Multipliers that prove nothing are put right in other ways, in exact arithmetic, but only while there is time."""
+    rng = np.random.default_rng(0)
+    M = rng.standard_normal((12, 12))
+    problem = LCP(M - M.T, -1.0 - rng.random(12), upper=0.01)
+    ones, nothing = np.ones(12), np.zeros(12)
+    program = FarkasProgram(LinearConstraints(
+        problem.csr, problem.q, ones > 0.0, ones < 0.0, problem.lower, problem.upper, ones, (nothing, nothing),
+    ))
+    answer = program.solve()
+    assert answer is not None
+    tried: list[object] = []
+    program.proof(answer, tried.append)
+    with_time = len(tried)
+    tried.clear()
+    with time_limit(0.0):
+        program.proof(answer, tried.append)
+    assert len(tried) == 1 < with_time

@@ -1,0 +1,549 @@
+"""Verdicts on matrices are true, their proofs hold, and what is undecided says so."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns.graded_matrices import run_case
+
+from lcp_plugin import LCP, Certificate, error_bound
+from lcp_plugin.core.errors import InvalidProblem, UnsuitableMatrix
+from lcp_plugin.core.matrix.symmetry import is_nearly_symmetric
+from lcp_plugin.methods.direct.direct_methods import _seems_monotone
+from lcp_plugin.proofs.guarantees.guarantees import convergence_guarantee
+from lcp_plugin.proofs.verdicts import (
+    MatrixReport,
+    analyze,
+    comparison_certificate,
+    comparison_solve,
+    h_verdict,
+    p_matrix,
+    verdicts,
+)
+from lcp_plugin.proofs.verdicts.h_matrix import decide
+from lcp_plugin.proofs.verdicts.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
+from lcp_plugin.systems.comparison import ComparisonMatrix
+from lcp_plugin.systems.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
+from lcp_plugin.systems.factors import factor_fits
+
+CAMPAIGN = Path(__file__).parents[1] / "campaigns" / "matrix_verdicts.py"
+
+
+def laplacian(m: int) -> sp.csr_array:
+    """The five-point matrix on m × m points: row sums vanish inside."""
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(m, m))
+    return sp.csr_array(sp.kron(sp.eye_array(m), line) + sp.kron(line, sp.eye_array(m)))
+
+
+def with_radius(rng: np.random.Generator, n: int, radius: float) -> np.ndarray:
+    """A full matrix with random signs and ρ(D⁻¹|B|) = radius up to some ulps."""
+    B = rng.uniform(0.1, 1.0, (n, n))
+    np.fill_diagonal(B, 0.0)
+    v = 10.0 ** rng.uniform(-2, 2, n)
+    return B * rng.choice([-1.0, 1.0], (n, n)) + np.diag(B @ v / (v * radius))
+
+
+KNOWN = {
+    # matrix: verdicts, T F U in the order Z M dominant H+ definite semidefinite P
+    "identity": (np.eye(3), "TTTTTTT"),
+    "strictly dominant": ([[3, 1], [-2, 3]], "FFTTTTT"),
+    "M-matrix, not dominant": ([[1, -3], [-0.2, 1]], "TTFTFFT"),
+    "singular M-matrix": ([[1, -1], [-1, 1]], "TFFFFTF"),
+    "P but neither H nor definite": ([[1, -9], [1, 1]], "FFFFFFT"),
+    "definite, not H": ([[1, 5], [-5, 1]], "FFFFTTT"),
+    "negative diagonal": ([[-4, 1], [1, 4]], "FFTFFFF"),
+    "zero diagonal, skew": ([[0, 1], [-1, 0]], "FFFFFTF"),
+    "SPD, not H": ([[1, 0.6, 0.6], [0.6, 1, 0.6], [0.6, 0.6, 1]], "FFFFTTT"),
+    "indefinite minor": ([[1, 2], [2, 1]], "FFFFFFF"),
+    "lower triangular": ([[1, 0], [100, 1]], "FFFTFFT"),
+    "P block over P block": ([[1, -3, 7], [3, 0.5, 9], [0, 0, 2]], "FFFFFFT"),
+}
+CLAIMS = ("is_z_matrix", "is_m_matrix", "is_strictly_dominant", "is_h_plus", "is_positive_definite",
+          "is_positive_semidefinite", "is_p_matrix")
+
+
+@pytest.mark.parametrize("sparse", [False, True], ids=["dense", "sparse"])
+@pytest.mark.parametrize("name", KNOWN)
+def test_textbook_matrices(name: str, sparse: bool) -> None:
+    """Matrices whose classes are known by hand get exactly those, each with evidence."""
+    matrix, expected = KNOWN[name]
+    report = analyze(sp.csr_array(np.array(matrix, dtype=float)) if sparse else matrix)
+    found = "".join({True: "T", False: "F", None: "U"}[getattr(report, claim)] for claim in CLAIMS)
+    assert found == expected
+    assert all(report.evidence.values())
+
+
+def test_campaign_in_small() -> None:
+    """Random matrices of all kinds: no wrong verdict, none undecided at |1 − ρ| ≥ 1e-10, all proofs hold."""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    run = subprocess.run(
+        [sys.executable, str(CAMPAIGN), "--cases", "96", "--seed", "7"],
+        capture_output=True, text=True, check=False, env=environment,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+@pytest.mark.parametrize("n", [40, 600])
+@pytest.mark.parametrize("distance", [1e-9, 1e-12])
+def test_both_sides_of_singular(n: int, distance: float) -> None:
+    """At |1 − ρ| = 1e-9 and 1e-12 the right side of 1 is proven, also with rows and columns scaled by 1e±100."""
+    rng = np.random.default_rng(n)
+    for sign in (-1.0, 1.0):
+        M = with_radius(rng, n, 1.0 + sign * distance)
+        units = 10.0 ** rng.uniform(-100, 100, (n, 1)) * 10.0 ** rng.uniform(-100, 100, n)
+        for matrix in (M, M * units):
+            verdict = h_verdict(LCP(sp.csr_array(matrix), np.zeros(n)).matrix)
+            assert verdict.is_h == (sign < 0)
+            assert (verdict.certificate is not None) == (sign < 0)
+
+
+def test_laplacian_is_certified_through_a_solve() -> None:
+    """Dominant nowhere strictly inside: H₊, SPD and P with a margin that is positive on every row."""
+    for m in (5, 30, 90):
+        report = analyze(laplacian(m))
+        assert report.is_h_plus
+        assert report.is_positive_definite
+        assert report.is_p_matrix
+        assert report.is_irreducibly_dominant
+        assert not report.is_strictly_dominant
+        assert report.margin.min() > 0.0
+        exact = Fraction(4) * Fraction(report.v[0]) - Fraction(report.v[1]) - Fraction(report.v[m])
+        assert exact >= Fraction(report.margin[0])
+
+
+def test_beyond_singular_on_a_large_grid() -> None:
+    """The five-point matrix less a little more than its smallest eigenvalue is proven to be no H-matrix."""
+    m = 90
+    smallest = 8.0 * np.sin(np.pi / (2 * (m + 1))) ** 2
+    for factor, expected in ((0.999, True), (1.001, False)):
+        report = analyze(laplacian(m) - factor * smallest * sp.eye_array(m * m))
+        assert report.is_h_plus is expected
+        assert report.is_positive_definite is expected
+        assert (report.v is not None) == expected
+        assert (report.not_h_vector is not None) != expected
+
+
+def test_singular_laplacian_ties_are_exact() -> None:
+    """Row sums that vanish exactly prove that the matrix with Neumann boundary is no H-matrix, yet semidefinite."""
+    grid = laplacian(60)
+    neumann = sp.csr_array(grid - sp.diags_array(grid @ np.ones(3600)))
+    report = analyze(neumann)
+    assert report.is_h_plus is False
+    assert report.is_positive_semidefinite is True
+    assert report.semidefinite_delta == 0.0
+    assert not report.is_irreducibly_dominant
+
+
+def test_reducible_blocks_share_one_vector() -> None:
+    """Nearly singular diagonal blocks with huge couplings: one v for all of them, checked."""
+    rng = np.random.default_rng(0)
+    M = np.zeros((24, 24))
+    for k in range(3):
+        block = slice(8 * k, 8 * k + 8)
+        M[block, : 8 * k] = 1e6 * rng.normal(size=(8, 8 * k))
+        M[block, block] = with_radius(rng, 8, 1.0 - 1e-9)
+    order = rng.permutation(24)
+    report = analyze(M[np.ix_(order, order)])
+    assert report.is_h_plus
+    assert report.v is not None
+    assert report.blocks == 3
+    assert report.components == 1
+
+
+def test_verdict_without_a_vector_in_range() -> None:
+    """A triangular matrix whose v leaves the doubles is an H-matrix all the same, without a certificate."""
+    n = 400
+    M = sp.csr_array(sp.diags_array([1.0, -10.0], offsets=[0, -1], shape=(n, n)))
+    report = analyze(M)
+    assert report.is_h_plus is True
+    assert report.v is None
+    assert comparison_certificate(LCP(M, np.zeros(n)).matrix) is None
+
+
+def test_p_recursion_against_minors() -> None:
+    """The recursion agrees with all principal minors by LAPACK where those are far from 0."""
+    rng = np.random.default_rng(1)
+    from itertools import combinations
+
+    outcomes = set()
+    for n in (2, 3, 5, 8):
+        for _ in range(25):
+            M = rng.normal(size=(n, n)) + 1.2 * np.sqrt(n) * np.eye(n)
+            minors = [np.linalg.det(M[np.ix_(c, c)]) for k in range(1, n + 1) for c in combinations(range(n), k)]
+            assert is_p_matrix_by_recursion(sp.csr_array(M)) == (min(minors) > 0.0)
+            outcomes.add(min(minors) > 0.0)
+    assert outcomes == {True, False}
+
+
+def test_p_at_twenty_rows() -> None:
+    """With n = 20 a definite matrix in other units of rows and columns passes, one with a bad minor of 3 rows fails."""
+    rng = np.random.default_rng(2)
+    M = rng.normal(size=(20, 20))
+    M = (M - M.T + 0.5 * np.eye(20)) * 10.0 ** rng.uniform(-40, 40, (20, 1)) * 10.0 ** rng.uniform(-40, 40, 20)
+    report = analyze(M)
+    assert report.is_p_matrix is True
+    assert report.evidence["is_p_matrix"].startswith("recursive")
+    M = rng.normal(size=(20, 20)) / 9.0 + np.eye(20)
+    M[7:10, 7:10] = [[1.0, -2.0, 0.0], [0.0, 1.0, -2.0], [-2.0, 0.0, 1.0]]
+    report = analyze(M)
+    assert nonpositive_pair(report.csr) is None
+    assert report.is_p_matrix is False
+
+
+def test_pairs() -> None:
+    """A nonpositive 2×2 principal minor is found in any size, and a tie of huge entries is decided exactly."""
+    M = sp.lil_array(sp.eye_array(1000))
+    M[3, 700], M[700, 3] = 2.0**-600, 2.0**600
+    assert nonpositive_pair(M.tocsr()) == (3, 700)
+    M[700, 3] = np.nextafter(2.0**600, 0.0)
+    assert nonpositive_pair(M.tocsr()) is None
+
+
+def test_large_and_undecided_says_so() -> None:
+    """Where the number of minors explodes the verdict is None and the evidence says why."""
+    rng = np.random.default_rng(3)
+    M = rng.normal(size=(30, 30))
+    M = (M - M.T + 0.5 * np.eye(30)) * 10.0 ** rng.uniform(-2, 2, (30, 1))
+    report = analyze(M)
+    assert report.is_h_plus is False
+    assert report.is_positive_definite is False
+    assert report.is_p_matrix is None
+    assert "n = 30 > 20" in report.evidence["is_p_matrix"]
+
+
+@pytest.mark.parametrize("n", [30, 700])
+def test_definite_symmetric_part(n: int) -> None:
+    """A large skew part hides nothing: the symmetric part decides, dense and sparse, on both sides of singular."""
+    rng = np.random.default_rng(n)
+    S = sp.random_array((n, n), density=5.0 / n, rng=rng)
+    S = S + S.T
+    smallest = float(np.linalg.eigvalsh(S.toarray())[0])
+    skew = sp.random_array((n, n), density=5.0 / n, rng=rng)
+    for shift, expected in ((1e-6, True), (-1e-6, False)):
+        M = S + (shift - smallest) * sp.eye_array(n) + 10.0 * (skew - skew.T)
+        report = analyze(sp.csr_array(M))
+        assert report.is_positive_definite is expected
+        assert report.is_positive_semidefinite is expected
+        assert report.is_symmetric is False
+
+
+def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
+    """A singular matrix is never called definite, nor semidefinite beyond n = 10: λ_min ≥ −δ is no True."""
+    rng = np.random.default_rng(5)
+    factor = rng.integers(-4, 5, (30, 20)).astype(float)
+    gram = factor @ factor.T
+    gram[np.diag_indices(30)] += gram.diagonal() == 0.0
+    assert analyze(gram).is_positive_definite is None
+    assert analyze(gram).is_positive_semidefinite is None
+    assert analyze(gram).evidence["is_positive_semidefinite"].startswith("undecided: λ_min ≥ −")
+    gram[3, 3] = np.nextafter(gram[3, 3], 0.0)  # the columns of a Gram matrix are dependent: this one is indefinite
+    assert analyze(gram).is_positive_semidefinite is None
+    assert 0.0 < analyze(gram).semidefinite_delta < 1e-9 * gram.max()
+    assert analyze(gram[:3, :3] * 0 + [[1, 1, 0], [1, 1, 0], [0, 0, 1]]).is_positive_definite is False
+
+
+def test_symmetric_part_is_rounded_once() -> None:
+    """The symmetric part is exactly symmetric, and M itself where M is symmetric."""
+    M = np.random.default_rng(0).normal(size=(5, 5))
+    part = symmetric_part(M)
+    np.testing.assert_array_equal(part, part.T)
+    np.testing.assert_array_equal(symmetric_part(part), part)
+    assert is_positive_definite(np.array([[1e-320, 0.0], [0.0, 1.0]])) is True
+
+
+# --- What other rooms use -----------------------------------------------------------------------------------
+
+
+def random_graph(n: int, degree: int, shift: float) -> sp.csr_array:
+    """A symmetric matrix of random entries on a random graph, plus a multiple of the identity."""
+    rng = np.random.default_rng(0)
+    where = rng.integers(n, size=n * degree // 2), rng.integers(n, size=n * degree // 2)
+    R = sp.coo_array((rng.uniform(-1, 1, where[0].size), where), shape=(n, n)).tocsr()
+    return sp.csr_array(0.5 * (R + R.T) + shift * sp.eye_array(n))
+
+
+@pytest.mark.full
+def test_a_random_graph_is_not_factorised() -> None:
+    """Fill of order n² is foreseen: undecided in seconds, decided where dominance does it."""
+    M = random_graph(20_000, 8, 1.2)
+    assert not factor_fits(M)
+    report = analyze(M)
+    began = time.process_time()
+    print(report)
+    assert report.is_positive_definite is None
+    assert report.is_p_matrix is None
+    assert time.process_time() - began < 30.0
+    assert analyze(random_graph(20_000, 8, 12.0)).is_h_plus
+    assert is_positive_definite(M) is is_semidefinite_to_rounding(M) is None
+
+
+@pytest.mark.full
+def test_grids_are_factorised() -> None:
+    """A plane grid of a quarter million and a chain of a million unknowns fit, in whatever order, an arrow too."""
+    rng = np.random.default_rng(0)
+    n = 200_000
+    chain = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    order = rng.permutation(n)
+    shuffled = sp.csr_array(chain[order][:, order])
+    arrow = sp.lil_array((5000, 5000))
+    arrow[0], arrow[:, 0] = 1.0, 1.0
+    arrow.setdiag(5000.0)
+    for matrix in (chain, shuffled, laplacian(400), sp.csr_array(arrow)):
+        assert factor_fits(matrix)
+
+
+def test_too_many_blocks_are_not_looked_at() -> None:
+    """Whether M is P is left open where thousands of diagonal blocks would have to be asked."""
+    M = sp.csr_array(sp.kron(sp.eye_array(1500), np.array([[1.0, 3.0, 0.1], [-3.0, 1.0, 3.0], [0.2, -3.0, 1.0]])))
+    verdict = analyze(M).verdict("is_p_matrix")
+    assert verdict.value is None
+    assert "1500 diagonal blocks" in verdict.evidence
+
+
+def test_evidence_cannot_be_written_to() -> None:
+    """What a report hands out is shared by all who ask, and read-only."""
+    no = analyze([[1.0, 2.0], [2.0, 1.0]])
+    yes = analyze(laplacian(5))
+    certificate = comparison_certificate(LCP(laplacian(6), np.zeros(36)).matrix)
+    proof = decide(sp.csr_array(np.array([[2.0, 1.0], [1.0, 2.0]])), None).certificate
+    arrays = [no.not_h_vector, yes.v, yes.margin, yes.row_excess_signs, yes.block_labels]
+    arrays += [certificate.v, certificate.margin, proof.v, proof.margin, yes.diagonal, yes.csr.data]
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = -1.0
+    with pytest.raises(TypeError):
+        yes.scale_spread["entries"] = 0.0
+
+
+def test_ragged_rows_are_refused_as_by_lcp() -> None:
+    """Rows of unequal length are no matrix, and analyze says so in the words of LCP."""
+    with pytest.raises(InvalidProblem) as by_lcp:
+        LCP([[1, 2], [3]], [0, 0])
+    with pytest.raises(InvalidProblem) as by_analyze:
+        analyze([[1, 2], [3]])
+    assert str(by_analyze.value) == str(by_lcp.value)
+
+
+def test_the_empty_matrix_is_everything() -> None:
+    """Without rows every claim about all rows holds."""
+    report = analyze(np.zeros((0, 0)))
+    assert {name: report.verdict(name).value for name in report.evidence} == dict.fromkeys(report.evidence, True)
+
+
+@pytest.mark.parametrize(
+    ("M", "is_semidefinite"),
+    [
+        ([[1.0, 1.0], [1.0, 1.0]], True),
+        ([[1.0, 1.0], [1.0, 1.0 - 2.0**-53]], False),
+        ([[0.0, 0.0], [0.0, 1.0]], True),
+        ([[0.0, 1e-300], [1e-300, 1.0]], False),
+        ([[4.0, 2.0, -2.0], [2.0, 1.0, -1.0], [-2.0, -1.0, 1.0]], True),
+        ([[1.0, 5.0], [-3.0, 1.0]], True),
+        ([[1.0, 5.0], [-3.0 + 2.0**-50, 1.0]], False),
+    ],
+)
+def test_semidefinite_is_exact_when_small(M: list[list[float]], is_semidefinite: bool) -> None:
+    """Up to n = 10 semidefiniteness is decided in rational arithmetic, without any δ."""
+    report = analyze(M)
+    assert report.is_positive_semidefinite is is_semidefinite
+    assert report.semidefinite_delta == (0.0 if is_semidefinite else None)
+
+
+# Rational arithmetic says of their principal minors: that of rows 0 to 3 is negative; all are at least 1.
+NEGATIVE_MINOR = [
+    [1, 1e137, 0, 1e132, -1e-240], [-1e92, 1, 0, 0, -1e-211], [0, 1e-95, 1, 0, 1e36], [0, 0, -1e101, 1, 0],
+    [0, 0, 0, 1e-257, 1],
+]
+MINORS_OF_ONE = [[1, 0, 0, -1e103], [1, 1, 1e84, 0], [0, -1e128, 1, 0], [0, -1e201, 0, 1]]
+
+
+@pytest.mark.parametrize("without_integers", [False, True])
+@pytest.mark.parametrize(("M", "is_p"), [(NEGATIVE_MINOR, False), (MINORS_OF_ONE, True)])
+def test_p_at_the_ends_of_the_range(
+    M: list[list[float]], is_p: bool, without_integers: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pivot that overflows to −∞ with an infinite margin proves nothing, neither that M is P nor that it is not."""
+    if without_integers:
+        monkeypatch.setattr(p_matrix, "LARGEST_WORK", 0.0)
+    found = analyze(M).is_p_matrix
+    assert found is is_p or (without_integers and found is None)
+    lemke = convergence_guarantee(LCP(M, -np.ones(len(M))), "lemke")
+    assert lemke.is_guaranteed == (found is True)
+
+
+def test_certificate_is_shared() -> None:
+    """Problems with the same matrix share the certificate and the report, and the diagonal's sign is not its matter."""
+    problem = LCP([[-3, 1], [1, 3]], [1, 1])
+    certificate = comparison_certificate(problem.matrix)
+    assert comparison_certificate(problem.with_q([0, 0]).matrix) is certificate
+    assert analyze(problem) is analyze(problem.with_q([5, 5]))
+    assert analyze(problem).is_h_matrix
+    assert not analyze(problem).is_h_plus
+    np.testing.assert_array_equal(certificate.margin, [2.0, 2.0])
+
+
+def test_m_matrix_proofs() -> None:
+    """The cheap effort settles what is far from singular, on both sides, and leaves the rest to full."""
+    assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 4.0]])), None).is_h is True
+    assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 1.0]])), None).is_h is False
+    grid = laplacian(30)
+    assert decide(grid, None).is_h is None
+    proof = decide(grid, lambda: ComparisonMatrix(grid))
+    assert proof.is_h is True
+    assert proof.lower <= np.cos(np.pi / 31) + 1e-12 <= proof.upper + 1e-12
+
+
+@pytest.mark.parametrize("m", [6, 40, 90])
+@pytest.mark.parametrize("contrast", [1.0, 1e9])
+def test_comparison_solves(m: int, contrast: float) -> None:
+    """Solutions on all rows and on a part meet the tolerance, by LAPACK, LU and multigrid, in any unit of the rows."""
+    grid = laplacian(m)
+    n = m * m
+    units = np.where(np.arange(n) % 7 == 0, contrast, 1.0)
+    M = sp.csr_array(sp.diags_array(units) @ abs(grid))
+    problem = LCP(M, np.zeros(n))
+    rhs = units * np.random.default_rng(0).random(n)
+    part = np.arange(n) % m < 0.8 * m
+    for rows in (None, part, np.zeros(n, dtype=bool)):
+        x = comparison_solve(problem.matrix, rhs, rows, tolerance=1e-6)
+        kept = np.ones(n, dtype=bool) if rows is None else rows
+        residual = (grid @ x - rhs / units)[kept]
+        assert np.linalg.norm(residual) <= 3e-6 * np.linalg.norm((rhs / units)[kept])
+        assert not x[~kept].any()
+
+
+def test_comparison_solve_needs_a_diagonal() -> None:
+    """A zero on the diagonal is told with its row; a singular ⟨M⟩ gives None."""
+    with pytest.raises(InvalidProblem, match=r"M\[1, 1\] = 0"):
+        comparison_solve(LCP([[1, 1], [1, 0]], [0, 0]).matrix, np.ones(2))
+    assert comparison_solve(LCP([[1, 1], [1, 1]], [0, 0]).matrix, np.ones(2)) is None
+
+
+# --- The report ---------------------------------------------------------------------------------------------
+
+
+def test_report_prints_and_survives_json() -> None:
+    """The table has one line a verdict; the content is JSON and agrees with the properties."""
+    report = analyze([[0.0, 1.0], [1e-8, -2.0]])
+    text = str(report)
+    content = json.loads(json.dumps(report.to_content()))
+    assert "1 zero, 1 negative" in text
+    for name, verdict in content["verdicts"].items():
+        assert verdict["value"] == getattr(report, name)
+        assert verdict["evidence"] in text
+    assert content["zero_diagonal"] == [0]
+    assert content["scale_spread"]["entries"] == pytest.approx(np.log10(2e8))
+    with pytest.raises(KeyError, match="is_h_plus"):
+        report.verdict("is_nice")
+
+
+def test_nothing_is_computed_before_it_is_asked() -> None:
+    """Making a report computes no verdict, and one verdict does not compute all."""
+    report = analyze(laplacian(4))
+    decided = [verdicts.symmetric, verdicts.h_matrix, verdicts.positive_definite]
+    assert not any(verdict.is_known(report.matrix) for verdict in decided)
+    assert report.is_symmetric
+    assert [verdict.is_known(report.matrix) for verdict in decided] == [True, False, False]
+
+
+@pytest.mark.parametrize(("form", "M"), [
+    ("diagonal", np.eye(2)), ("lower", [[1, 0], [1, 1]]), ("upper", [[1, 1], [0, 1]]), (None, [[1, 1], [1, 1]]),
+])
+def test_triangular_forms(form: str | None, M: object) -> None:
+    """The triangular form is named."""
+    report = analyze(M)
+    assert report.triangular_form == form
+    assert report.is_triangular is (form is not None)
+
+
+@pytest.mark.parametrize("M", [[1.0, 2.0], [[1.0, 2.0]], [[np.inf]], 3.0])
+def test_no_matrix(M: object) -> None:
+    """What is no finite square matrix is refused as a problem would refuse it."""
+    with pytest.raises(InvalidProblem):
+        analyze(M)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(4))
+def test_graded_matrices_against_rational_arithmetic(seed: int) -> None:
+    """Verdicts, guarantees and bounds on 35 matrices of entries from 1e-300 to 1e300; the campaign judges thousands."""
+    counts: Counter[tuple[str, str]] = Counter()
+    assert [line for k in range(35) for line in run_case(200 + seed, k, counts)] == []
+    assert counts["is_p_matrix", "right"] > 25
+    assert counts["error bound", "finite"] > 20
+    assert counts["guarantee", "judged"] > 0
+
+
+@pytest.mark.parametrize(
+    "M",
+    [
+        [[1e-300, 1e-300, -1e300], [1.7e308, 1e-300, 1e-150], [-1.0, -1.7e308, 1e-300]],
+        [[1.0, 1.0, 1e-300], [1.7e308, 1e300, 1e-300], [1e-300, 0.0, 1e150]],
+        [[1.7e308, -1e300, 1.0], [0.0, 1.0, 1e150], [0.0, -1e150, 1e300]],
+        [[1e300, -1.7e308, 1.7e308], [1e-150, 1.7e308, -1.7e308], [-1.7e308, 0.0, 1e150]],
+        [[1e-300, -1.7e308, 2.0], [-1.0, 1e-300, 1e-300], [1e-150, 1.0, 1e-300]],
+        [[1e150, -1e300, 1e150], [0.0, 1.7e308, -1.7e308], [1e300, -1e300, 0.0]],
+        [[1e300, 1e-300], [0.0, 1e-300]],
+    ],
+)
+def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]]) -> None:
+    """What overflows inside a question about M is nobody's RuntimeWarning (an error here) and no OverflowError."""
+    def problem() -> LCP:
+        return LCP(M, -np.ones(len(M)))
+
+    comparison_certificate(problem().matrix)
+    if problem().diagonal.all():
+        comparison_solve(problem().matrix, np.ones(len(M)))
+    assert str(analyze(M))
+    assert analyze(M).semidefinite_delta is None or analyze(M).semidefinite_delta >= 0.0
+    for name in ("npsor", "psor", "msor", "npsplitting", "lemke"):
+        assert convergence_guarantee(problem(), name).verdict
+    with contextlib.suppress(UnsuitableMatrix):
+        assert error_bound(problem(), np.ones(len(M))).infinity >= 0.0
+    assert Certificate.of(problem(), np.ones(len(M))).scale_spread >= 1.0
+    is_nearly_symmetric(problem().matrix)
+    _seems_monotone(problem(), None)
+
+
+def test_a_library_without_room_is_no_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where memory ends while scipy is being loaded, analyze says MemoryError, not ImportError, and keeps nothing."""
+    def no_room(report: object) -> None:
+        raise ImportError("failed to map segment from shared object")
+
+    report = analyze([[2.0, 1.0], [1.0, 2.0]])
+    with monkeypatch.context() as patched:
+        patched.setattr(type(report).is_positive_definite, "decide", no_room)
+        with pytest.raises(MemoryError, match="is_positive_definite was to be decided: failed to map"):
+            report.verdict("is_positive_definite")
+    assert report.is_positive_definite is True
+
+
+def test_a_symmetric_part_near_the_largest_double_is_no_error() -> None:
+    """With more than 10 rows a symmetric part that overflows when it is widened is undecided, not refused."""
+    skew = np.triu(np.random.default_rng(0).uniform(-1.0, 1.0, (12, 12)), 1)
+    M = np.ldexp(np.eye(12) * 15.0 + skew - skew.T, 1019)
+    assert analyze(M).is_positive_definite is True
+    M[0, 1] = M[1, 0] = np.finfo(np.float64).max
+    assert analyze(M).is_positive_definite is None
+    assert "ends of the range" in analyze(M).evidence["is_positive_semidefinite"]
+
+
+def test_a_report_takes_what_analyze_takes() -> None:
+    """``MatrixReport`` of a problem, an array or a list says what ``analyze`` says."""
+    M = [[2.0, -1.0], [-1.0, 2.0]]
+    for given in (LCP(M, [0.0, 0.0]), M, np.array(M), sp.csr_array(M)):
+        assert MatrixReport(given).is_m_matrix is True
+        assert str(MatrixReport(given)) == str(analyze(given))
+    with pytest.raises(InvalidProblem):
+        MatrixReport("a matrix")

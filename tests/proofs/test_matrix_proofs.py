@@ -1,0 +1,536 @@
+"""The parts that verdicts on matrices are made of, each against rational arithmetic or its definition."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact import determinant, principal_minors
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP
+from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin.core.kernels.floats import UNIT
+from lcp_plugin.core.matrix.equilibration import scaled, scaling_exponents
+from lcp_plugin.core.matrix.matrix import Matrix
+from lcp_plugin.core.matrix.symmetry import (
+    ROUNDED,
+    asymmetry,
+    is_symmetric_entrywise,
+    is_symmetric_to_rounding,
+    mismatch,
+)
+from lcp_plugin.core.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
+from lcp_plugin.proofs.exact.linear_systems import (
+    exact_rows,
+    has_nonnegative_pivots,
+    has_positive_minors,
+    has_positive_pivots,
+)
+from lcp_plugin.proofs.verdicts import analyze, h_matrix, h_verdict, p_matrix, verdicts
+from lcp_plugin.proofs.verdicts.h_matrix import _centred, _joined, is_nonpositive, positive_margin
+from lcp_plugin.proofs.verdicts.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
+from lcp_plugin.systems.comparison import KRYLOV_STEPS, LinearSystem
+from lcp_plugin.systems.definiteness import (
+    condition_estimate,
+    is_positive_definite,
+    is_semidefinite_to_rounding,
+    positive_definite_solver,
+    symmetric_part,
+)
+from lcp_plugin.systems.factors import positive_factor, sparse_lu
+from lcp_plugin.systems.graph import row_excess_signs, scale_spread
+from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection
+
+# --- Small matrices in rational arithmetic ------------------------------------------------------------------
+
+
+@st.composite
+def small_matrices(draw: st.DrawFn) -> list[list[Fraction]]:
+    """Square matrices of small integers, half of them symmetric, with a diagonal that is often not negative."""
+    n = draw(st.integers(1, 4))
+    rows = [[draw(st.integers(-2, 2)) for _ in range(n)] for _ in range(n)]
+    for i in range(n):
+        rows[i][i] = draw(st.integers(-1, 5))
+    if draw(st.booleans()):
+        rows = [[rows[min(i, j)][max(i, j)] for j in range(n)] for i in range(n)]
+    return [[Fraction(entry) for entry in row] for row in rows]
+
+
+@settings.get_profile("many")
+@given(small_matrices())
+def test_rational_verdicts_are_the_minors(A: list[list[Fraction]]) -> None:
+    """P: every principal minor is positive. Pivots: the leading ones are. Semidefinite: no minor is negative."""
+    n, minors = len(A), principal_minors(A)
+    leading = [determinant([row[:k] for row in A[:k]]) for k in range(1, n + 1)]
+    assert has_positive_minors(A) == all(minor > 0 for minor in minors)
+    assert has_positive_pivots(A) == all(minor > 0 for minor in leading)
+    if all(A[i][j] == A[j][i] for i in range(n) for j in range(n)):
+        assert has_nonnegative_pivots(A) == all(minor >= 0 for minor in minors)
+
+
+@settings.get_profile("many")
+@given(small_matrices())
+def test_verdicts_on_small_integers_are_the_minors(A: list[list[Fraction]]) -> None:
+    """The report on a matrix of small integers, singular ones among them, says what its minors say."""
+    report = analyze([[float(entry) for entry in row] for row in A])
+    symmetric = [[entry + A[j][i] for j, entry in enumerate(row)] for i, row in enumerate(A)]
+    comparison = [[abs(e) if i == j else -abs(e) for j, e in enumerate(row)] for i, row in enumerate(A)]
+    assert report.is_p_matrix is all(minor > 0 for minor in principal_minors(A))
+    assert report.is_positive_definite is all(minor > 0 for minor in principal_minors(symmetric))
+    assert report.is_positive_semidefinite is all(minor >= 0 for minor in principal_minors(symmetric))
+    assert report.is_h_matrix is all(minor > 0 for minor in principal_minors(comparison))
+
+
+# --- ⟨M⟩v > 0 and ⟨M⟩y ≤ 0 ----------------------------------------------------------------------------------
+
+
+def hidden_sign(sign: int, other_rows: int) -> sp.csr_array:
+    """A matrix whose first row sum of ⟨M⟩ has a sign that the compensated sum does not see; the others are plain."""
+    rng = np.random.default_rng(0)
+    others = np.ldexp(rng.random(60), rng.integers(-40, 1, 60)).tolist()
+    diagonal = float(np.nextafter(sum(others), np.inf)) + 2.0**-40
+    while (rest := Fraction(diagonal) - sum(map(Fraction, others))) > Fraction(2.0**-190):
+        nearest = float(rest)
+        others.append(nearest if Fraction(nearest) < rest else float(np.nextafter(nearest, 0.0)))
+    if sign <= 0:
+        others.append(float(rest) if sign == 0 else float(np.nextafter(float(rest), np.inf)))
+    M = sp.lil_array(sp.eye_array(len(others) + 1))
+    M[1:, 0] = 1.0 - 0.5 * other_rows
+    M[0, 0], M[0, 1:] = diagonal, others
+    return sp.csr_array(M)
+
+
+@pytest.mark.parametrize("sign", [-1, 0, 1])
+def test_signs_that_the_sums_hide_are_decided_exactly(sign: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the compensated sum of a row leaves its sign open, a proof asks rational arithmetic, for some rows only."""
+    M = hidden_sign(sign, 1)
+    ones = np.ones(M.shape[0])
+    value, radius = comparison_product(M, ones)
+    exact = exact_comparison_row(M, ones, 0)
+    assert (exact > 0) - (exact < 0) == sign
+    assert lower_end(value, radius)[0] < 0.0 < upper_end(value, radius)[0]
+    assert row_excess_signs(Matrix(M)).tolist() == [sign] + [1] * (ones.size - 1)
+    margin = positive_margin(M, ones)
+    assert (margin is not None) == (sign > 0)
+    assert margin is None or 0 < Fraction(margin[0]) <= exact
+    assert not is_nonpositive(M, ones)
+    for other_rows in (0, -1):
+        assert is_nonpositive(hidden_sign(sign, other_rows), ones) == (sign <= 0)
+        assert positive_margin(hidden_sign(sign, other_rows), ones) is None
+    monkeypatch.setattr(h_matrix, "EXACT_ROWS", 0)
+    assert positive_margin(M, ones) is None
+    assert not is_nonpositive(hidden_sign(sign, 0), ones)
+
+
+@pytest.mark.parametrize("v", [[1.0, 0.0], [1.0, -1.0], [1.0, np.inf], [1.0, np.nan]])
+def test_no_proof_from_a_vector_that_is_none(v: list[float]) -> None:
+    """A proof needs v positive and finite; or y finite, not negative and not zero."""
+    assert positive_margin(sp.csr_array(np.eye(2)), np.array(v)) is None
+    assert is_nonpositive(sp.csr_array([[0.0, 1.0], [1.0, 0.0]]), np.array(v)) == (v[1] == 0.0)
+    assert not is_nonpositive(sp.csr_array([[0.0, 1.0], [1.0, 0.0]]), np.zeros(2))
+
+
+def test_centred_vectors_keep_their_direction() -> None:
+    """A vector is multiplied by one power of two that brings its ends around 1; without a positive entry it stays."""
+    v = np.array([2.0**-900, 3.0 * 2.0**-700, 0.0])
+    centred = _centred(v)
+    factor = centred[0] / v[0]
+    np.testing.assert_array_equal(centred, v * factor)
+    assert 0.25 <= np.sqrt(centred[0] * centred[1]) <= 4.0
+    for other in (np.zeros(2), np.array([1.0, np.inf])):
+        np.testing.assert_array_equal(_centred(other), other)
+
+
+@pytest.mark.parametrize("n", [3, 12])
+@pytest.mark.parametrize("decades", [0.0, 2.0])
+@pytest.mark.parametrize("radius", [0.3, 0.999, 1.001, 3.0])
+def test_bounds_enclose_the_spectral_radius(n: int, decades: float, radius: float) -> None:
+    """It holds that lower ≤ ρ(D⁻¹|B|) ≤ upper on both sides of 1, on the side of 1 that the verdict is on."""
+    rng = np.random.default_rng(n)
+    B = rng.uniform(0.5, 1.0, (n, n))
+    np.fill_diagonal(B, 0.0)
+    D = 10.0 ** rng.uniform(-decades, decades, n)
+    M = np.diag(D) + radius / max(abs(np.linalg.eigvals(B / D[:, None]))) * B
+    verdict = h_verdict(LCP(M, np.zeros(n)).matrix)
+    assert verdict.is_h is (radius < 1.0)
+    assert verdict.lower * (1.0 - 1e-12) <= radius <= verdict.upper * (1.0 + 1e-12)
+    assert verdict.upper < 1.0 if radius < 1.0 else verdict.lower >= 1.0
+    if abs(radius - 1.0) > 0.1 and not decades:
+        assert "= 1: " in verdict.evidence
+
+
+def test_a_tie_of_two_rows_is_settled_by_elimination() -> None:
+    """1 − 3·fl(1/3) = 2⁻⁵⁴ > 0: an H-matrix, though no v in doubles shows it; with the next double it is none."""
+    third = 1.0 / 3.0
+    verdict = h_verdict(LCP([[1.0, -3.0], [-third, 1.0]], [0.0, 0.0]).matrix)
+    assert verdict.is_h is True
+    assert verdict.evidence.startswith("exact elimination")
+    assert h_verdict(LCP([[1.0, -3.0], [-float(np.nextafter(third, 1.0)), 1.0]], [0.0, 0.0]).matrix).is_h is False
+
+
+def test_a_block_that_is_no_h_matrix_is_the_proof() -> None:
+    """One bad diagonal block among good and single ones makes the whole no H-matrix, with a y that is checked."""
+    bad, good = np.array([[1.0, -2.0], [-0.6, 1.0]]), np.array([[1.0, -3.0], [-0.3, 1.0]])
+    M = np.zeros((5, 5))
+    M[:2, :2], M[2:4, 2:4], M[4, 4], M[:2, 2:] = good, good, 1.0, 1e6
+    assert analyze(M).is_h_plus is True
+    assert analyze(M).v is not None
+    M[:2, :2] = bad
+    report = analyze(M)
+    assert report.is_h_plus is False
+    assert is_nonpositive(report.csr, report.not_h_vector)
+    growing = sp.diags_array([1.0, -10.0], offsets=[0, -1], shape=(400, 400))  # its v leaves the doubles
+    for first, second in ((sp.csr_array(bad), growing), (growing, sp.csr_array(bad))):
+        report = analyze(sp.csr_array(sp.block_array([[first, None], [None, second]])))
+        assert report.is_h_plus is False
+        assert report.evidence["is_h_plus"].startswith("a diagonal block: ")
+        assert is_nonpositive(report.csr, report.not_h_vector)
+
+
+@pytest.mark.parametrize("labels", [[0, 0, 1, 1], [1, 1, 0, 0]])
+def test_one_vector_for_all_blocks_whatever_their_numbers(labels: list[int]) -> None:
+    """Blocks are joined along their couplings, in whatever order they are numbered."""
+    M = np.zeros((4, 4))
+    M[:2, :2] = M[2:, 2:] = [[2.0, -1.0], [-1.0, 2.0]]
+    M[:2, 2:] = -1e6
+    certificate = _joined(sp.csr_array(M), 2, np.array(labels), np.ones(4), np.ones(4))
+    assert certificate is not None
+    assert (M @ certificate.v >= certificate.margin).all()
+    assert (certificate.margin > 0.0).all()
+
+
+# --- Definiteness -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
+def test_symmetric_part_of_the_smallest_and_largest_entries(build: type) -> None:
+    """Nothing is lost below 2⁻¹⁰²² and nothing overflows: a symmetric matrix is its own symmetric part."""
+    for entry in (5e-324, 1.5e-323, 1.7e308):
+        M = build([[4.0, entry], [entry, 4.0]])
+        part = symmetric_part(M)
+        np.testing.assert_array_equal(part.toarray() if sp.issparse(part) else part, [[4.0, entry], [entry, 4.0]])
+
+
+@pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
+@pytest.mark.parametrize("c", [0.5, 0.9, -0.99])
+def test_condition_estimate_is_the_condition_number(build: type, c: float) -> None:
+    """D (unit diagonal, c beside it) D has the condition (1 + |c|)/(1 − |c|) whatever D; the estimate is not above."""
+    D = np.array([1e-5, 1.0, 1e5])
+    unit = np.array([[1.0, c, 0.0], [c, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    P = build(D[:, None] * unit * D)
+    exact = (1.0 + abs(c)) / (1.0 - abs(c))
+    assert 0.5 * exact <= condition_estimate(P, positive_definite_solver(P)) <= exact * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
+@pytest.mark.parametrize("diagonal_only", [True, False])
+def test_solvers_take_vectors_and_matrices(build: type, diagonal_only: bool) -> None:
+    """P⁻¹ rhs of one right-hand side and of several at once, in any unit of the rows."""
+    D = np.array([1e-5, 1.0, 1e5])
+    unit = np.eye(3) if diagonal_only else np.eye(3) + 0.25 - 0.25 * np.eye(3)
+    P = D[:, None] * unit * D
+    solve = positive_definite_solver(build(P))
+    X = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]) / D[:, None]
+    np.testing.assert_allclose(solve(P @ X), X, rtol=1e-12)
+    np.testing.assert_allclose(solve(P @ X[:, 0]), X[:, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("first", [1.0, 26.0])
+def test_pivots_stay_on_the_diagonal(first: float) -> None:
+    """A definite matrix is factorised without exchanges, also where a pivot is smaller than what stands beside it."""
+    factor = positive_factor(sp.csc_array([[first, 5.0], [5.0, 27.0 - first]]))
+    assert factor is not None
+    assert positive_factor(sp.csc_array([[first, 5.5], [5.5, 27.0 - first]])) is None
+
+
+def test_explicit_zeros_do_not_count_for_the_rank() -> None:
+    """A stored zero puts nothing on the diagonal, and the matrix given is not changed by looking."""
+    M = sp.csc_array((np.array([0.0, 0.0, 1.0]), (np.array([0, 1, 1]), np.array([0, 0, 1]))), shape=(2, 2))
+    with pytest.raises(RuntimeError, match="no order of the rows"):
+        sparse_lu(M)
+    assert M.nnz == 3
+
+
+@pytest.mark.parametrize("eigenvalue", [1e-9, 0.0, -1e-9])
+@pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
+def test_definite_beyond_rounding_in_any_unit(eigenvalue: float, build: type) -> None:
+    """With n = 30 the sign of the least eigenvalue ±1e-9 is proven, of ±0 never claimed, in any unit of the rows."""
+    rng = np.random.default_rng(3)
+    Q = np.linalg.qr(rng.standard_normal((30, 30)))[0]
+    values = np.linspace(1.0, 2.0, 30)
+    values[0] = eigenvalue
+    unit = np.exp2(rng.integers(-60, 60, 30))
+    P = unit[:, None] * (Q * values @ Q.T) * unit
+    P = build(np.tril(P) + np.tril(P, -1).T)
+    assert is_positive_definite(P) is {1e-9: True, 0.0: None, -1e-9: False}[eigenvalue]
+
+
+@pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
+@pytest.mark.parametrize(("share", "expected"), [(-2.0, False), (-0.5, None), (0.5, None), (2.0, True)])
+def test_definiteness_is_claimed_beyond_the_margin_only(share: float, expected: bool | None, build: type) -> None:
+    """With n = 30 and a unit diagonal an eigenvalue is told from 0 where it exceeds n (n + 4) 2⁻⁵², not before."""
+    n = 30
+    ones = np.ones((n, n)) / n
+    P = np.eye(n) - ones + share * n * (n + 4) * 2.0**-52 * ones
+    assert is_positive_definite(build(np.tril(P) + np.tril(P, -1).T)) is expected
+
+
+@pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
+def test_a_row_of_zeros_is_semidefinite(build: type) -> None:
+    """A zero on the diagonal has to have nothing beside it, and then does not count."""
+    assert is_semidefinite_to_rounding(build([[0.0, 0.0, 0.0], [0.0, 4.0, 2.0], [0.0, 2.0, 1.0]])) is True
+    assert is_semidefinite_to_rounding(build([[0.0, 0.0, 0.0], [0.0, 4.0, 2.1], [0.0, 2.1, 1.0]])) is False
+    assert is_semidefinite_to_rounding(build([[0.0, 1e-9, 0.0], [1e-9, 4.0, 2.0], [0.0, 2.0, 1.0]])) is False
+
+
+def test_dominance_decides_what_is_too_large_for_a_factor() -> None:
+    """A large matrix with an H₊ symmetric part is definite though it is not symmetric and nothing can be factorised."""
+    rng = np.random.default_rng(0)
+    n = 20_000
+    where = rng.integers(n, size=8 * n), rng.integers(n, size=8 * n)
+    M = sp.coo_array((rng.uniform(-1, 1, 8 * n), where), shape=(n, n)).tocsr()
+    report = analyze(sp.csr_array(M + 16.0 * sp.eye_array(n)))
+    assert report.is_positive_definite is True
+    assert report.evidence["is_positive_definite"].startswith("the symmetric part is H₊")
+
+
+def test_diagonals_near_the_smallest_doubles_are_undecided() -> None:
+    """Where rounding of the symmetric part is not small beside the diagonal, nothing is claimed of large matrices."""
+    rng = np.random.default_rng(0)
+    skew = rng.standard_normal((12, 12))
+    S = np.eye(12) + 0.5 * np.ones((12, 12)) + skew - skew.T
+    assert analyze(S).is_positive_definite is True
+    tiny = analyze(np.ldexp(S, -1040))
+    assert tiny.is_positive_definite is tiny.is_positive_semidefinite is None
+    assert "ends of the range" in tiny.evidence["is_positive_semidefinite"]
+
+
+# --- Symmetry, structure, pairs, words ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("i", "j"), [(0, 1), (3, 290), (290, 3), (299, 270), (255, 256)])
+def test_symmetry_to_rounding_is_its_definition(i: int, j: int) -> None:
+    """|m_ij − m_ji| against 1e-13 √(size_i size_j), dense by tiles and sparse, in a small and a large unit."""
+    rng = np.random.default_rng(0)
+    M = rng.standard_normal((300, 300))
+    M = M + M.T
+    unit = np.ones(300)
+    unit[j] = 1e6
+    M = unit[:, None] * M * unit
+    np.fill_diagonal(M, unit**2)
+    for factor, expected in ((0.5, True), (2.0, False)):
+        other = M.copy()
+        other[i, j] = M[i, j] + factor * ROUNDED * unit[i] * unit[j]
+        assert is_symmetric_to_rounding(other) is expected
+        assert is_symmetric_to_rounding(sp.csr_array(other)) is expected
+        assert is_symmetric_to_rounding(other, unit**2 * 1e3)
+        distance, where = mismatch(sp.csr_array(other), unit**2, ROUNDED)
+        assert distance == abs(other[i, j] - other[j, i])
+        assert where is None if expected else set(where) == {i, j}
+    assert mismatch(sp.csr_array(M), unit**2, ROUNDED) == (0.0, None)
+
+
+def test_asymmetry_of_an_entry() -> None:
+    """The largest relative difference, over entries that are stored on one side only too."""
+    assert asymmetry(Matrix([[1.0, 3.0], [3.0, 1.0]])) == 0.0
+    assert asymmetry(Matrix([[1.0, 3.0, 0.0], [4.0, 1.0, 0.0], [0.0, 0.0, 1.0]])) == 0.25
+    assert asymmetry(Matrix([[1.0, 3.0, 1e-9], [4.0, 1.0, 0.0], [0.0, 0.0, 1.0]])) == 1.0
+    assert is_symmetric_entrywise(sp.csr_array([[1.0, 3.0], [3.0 * (1.0 + 1e-13), 1.0]]))
+    assert not is_symmetric_entrywise(sp.csr_array([[1.0, 3.0], [3.0 * (1.0 + 1e-9), 1.0]]))
+
+
+@settings.get_profile("many")
+@given(st.lists(st.integers(-3, 3), min_size=9, max_size=9))
+def test_pairs_are_the_two_by_two_minors(entries: list[int]) -> None:
+    """With a diagonal 1, 2, 4 a pair is named exactly where a minor of two rows is not positive."""
+    A = np.array(entries, dtype=float).reshape(3, 3)
+    np.fill_diagonal(A, [1.0, 2.0, 4.0])
+    bad = {(i, j) for i, j in ((0, 1), (0, 2), (1, 2)) if A[i, i] * A[j, j] <= A[i, j] * A[j, i]}
+    found = nonpositive_pair(sp.csr_array(A))
+    assert found in bad if bad else found is None
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_schur_complements_are_enclosed(size: float) -> None:
+    """Where the entries are right to their bounds, the exact Schur complement is within the bounds returned."""
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((200, 4, 4)) * size
+    values[:, 0, 0] = (1.0 + rng.random(200)) * size
+    for bounds in (np.zeros_like(values), 1e-3 * np.abs(values)):
+        true = values + bounds * rng.choice([-1.0, 1.0], values.shape)
+        found, error = _schur(values, bounds)
+        assert (error < 200.0 * (UNIT * size + bounds.max())).all()
+        for A, S, E in zip(true, found, error, strict=True):
+            A = [[Fraction(float(entry)) for entry in row] for row in A]
+            exact = [[a - row[0] * top / A[0][0] for a, top in zip(row[1:], A[0][1:], strict=True)] for row in A[1:]]
+            for row, near, radius in zip(exact, S, E, strict=True):
+                for truth, value, limit in zip(row, near, radius, strict=True):
+                    assert abs(truth - Fraction(float(value))) <= Fraction(float(limit))
+
+
+@pytest.mark.parametrize("reach", [100, 500, 1000])
+def test_schur_complements_are_enclosed_over_all_exponents(reach: int) -> None:
+    """The same where quotients underflow before a large factor; what overflows has a bound that is no number."""
+    rng = np.random.default_rng(reach)
+    values = np.ldexp(rng.standard_normal((300, 3, 3)), rng.integers(-reach, reach, (300, 3, 3)))
+    values[:, 0, 0] = np.abs(values[:, 0, 0])
+    for bounds in (np.zeros_like(values), 1e-3 * np.abs(values)):
+        with np.errstate(all="ignore"):
+            found, error = _schur(values, bounds)
+        true = values + bounds * rng.choice([-1.0, 1.0], values.shape)
+        known = 0
+        for A, S, E in zip(true, found, error, strict=True):
+            A = [[Fraction(float(entry)) for entry in row] for row in A]
+            exact = [[a - row[0] * top / A[0][0] for a, top in zip(row[1:], A[0][1:], strict=True)] for row in A[1:]]
+            for row, near, radius in zip(exact, S, E, strict=True):
+                for truth, value, limit in zip(row, near, radius, strict=True):
+                    if np.isfinite(value) and np.isfinite(limit):
+                        known += 1
+                        assert abs(truth - Fraction(float(value))) <= Fraction(float(limit))
+        assert known > 500
+
+
+@pytest.mark.parametrize(
+    ("entry", "is_p"), [(4.0, False), (np.nextafter(4.0, 0.0), True), (np.nextafter(4.0, 5.0), False)]
+)
+def test_minors_that_rounding_hides_are_settled_in_integers(
+    entry: float, is_p: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Among 14 rows a minor that vanishes, or misses that by one unit in the last place, is decided."""
+    skew = np.triu(np.random.default_rng(2).integers(-3, 4, (14, 14)), 1).astype(float)
+    M = 4.0 * np.eye(14) + skew - skew.T
+    M[:2, 2:], M[0, 1], M[1, 0] = 0.0, 4.0, entry
+    assert is_p_matrix_by_recursion(sp.csr_array(M)) is is_p
+    monkeypatch.setattr(p_matrix, "LARGEST_WORK", 0.0)
+    assert is_p_matrix_by_recursion(sp.csr_array(M)) is None
+
+
+def test_ten_rows_are_always_decided() -> None:
+    """However many minors rounding hides, and however long the numbers are, up to n = 10 there is an answer."""
+    rng = np.random.default_rng(0)
+    skew = np.triu(rng.standard_normal((10, 10)), 1)
+    M = np.ldexp(np.eye(10) + skew - skew.T, 900)
+    M[:, 5:] = np.ldexp(M[:, 5:], -1900)
+    M[5:, :] = np.nextafter(M[5:, :], 1.0)
+    A = sp.csr_array(M)
+    everything = list(range(512, 1024))
+    assert p_matrix._settled(exact_rows(A), everything) is has_positive_minors(exact_rows(A))
+
+
+def test_evidence_names_the_row() -> None:
+    """The first row that fails is named, with = or < as it fails."""
+    equal = analyze([[3.0, 1.0, 1.0], [1.0, 3.0, 2.0], [1.0, 1.0, 2.0]])
+    assert equal.evidence["is_strictly_dominant"] == "|m_ii| = Σ|m_ij| on row 1"
+    assert "strictly on 1 of 3 rows" in equal.evidence["is_irreducibly_dominant"]
+    less = analyze([[3.0, 2.0, 1.0], [1.0, 3.0, 2.0], [1.0, 2.0, 2.0]])
+    assert less.row_excess_signs.tolist() == [0, 0, -1]
+    assert less.evidence["is_irreducibly_dominant"] == "|m_ii| < Σ|m_ij| on row 2"
+    assert less.evidence["is_strictly_dominant"] == "|m_ii| = Σ|m_ij| on row 0"
+    assert analyze([[1.0, 2.0], [0.0, 1.0]]).evidence["is_strictly_dominant"] == "|m_ii| < Σ|m_ij| on row 0"
+    ties = analyze([[1.0, 1.0], [1.0, 1.0]])
+    assert ties.is_irreducibly_dominant is False
+    assert ties.evidence["is_irreducibly_dominant"] == "|m_ii| = Σ|m_ij| on every row"
+    assert analyze(np.diag([0.0, 1.0, -2.0])).zero_diagonal.tolist() == [0]
+    assert analyze(np.diag([0.0, 1.0, -2.0])).negative_diagonal.tolist() == [2]
+
+
+def test_the_symmetric_part_is_shared_and_read_only() -> None:
+    """There is one symmetric part, and nobody can write to it."""
+    matrix = Matrix([[1.0, 2.0], [0.0, 1.0]])
+    assert verdicts.sparse_symmetric_part(matrix) is verdicts.sparse_symmetric_part(matrix)
+    np.testing.assert_array_equal(verdicts.symmetric_part_of(matrix), [[1.0, 1.0], [1.0, 1.0]])
+    with pytest.raises(ValueError, match="read-only"):
+        verdicts.sparse_symmetric_part(matrix).data[0] = 5.0
+
+
+def test_scale_spread_is_of_entries_rows_columns_and_diagonal() -> None:
+    """Decades between the largest and the smallest nonzero magnitude, each of its own kind."""
+    spread = scale_spread(Matrix([[1e3, 0.0, 1e-2], [0.0, -1e1, 0.0], [0.0, 1e4, 0.0]]))
+    assert spread == pytest.approx({"entries": 6.0, "rows": 3.0, "columns": 6.0, "diagonal": 2.0})
+
+
+@pytest.mark.parametrize("M", [np.ones(2), np.ones((2, 3)), np.array(1.0)])
+def test_arrays_that_are_no_matrix(M: np.ndarray) -> None:
+    """Vectors, numbers and rectangles are refused in the words of a problem."""
+    with pytest.raises(InvalidProblem, match="square"):
+        analyze(M)
+
+
+@pytest.mark.parametrize("is_symmetric", [True, False])
+def test_krylov_meets_its_tolerance_or_says_no(is_symmetric: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """‖rhs − M x‖₂ ≤ tolerance ‖rhs‖₂ where a solution is returned; None after the steps granted, and no more."""
+    n = 200
+    below = -1.0 if is_symmetric else -1.5
+    M = sp.csr_array(sp.diags_array([below, 1.0 - below, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
+    rhs = np.random.default_rng(0).random(n)
+    system = LinearSystem(M, is_symmetric)
+    x = system.iterated(rhs, 1e-3)
+    assert np.linalg.norm(rhs - M @ x) <= 1.01e-3 * np.linalg.norm(rhs)
+    steps: list[int] = []
+    monkeypatch.setattr(KrylovCorrection, "step", lambda _: steps.append(1) or True)
+    assert system.iterated(rhs, 1e-3) is None
+    assert len(steps) == KRYLOV_STEPS
+
+
+# --- Equilibration ------------------------------------------------------------------------------------------
+
+
+def equilibrated(M: np.ndarray, *, is_symmetric: bool = False) -> np.ndarray | None:
+    """M scaled by its powers of two, or None where it needs none."""
+    sparse = sp.csr_array(M)
+    exponents = scaling_exponents(sparse, is_symmetric)
+    return None if exponents is None else scaled(sparse, exponents).toarray()
+
+
+def test_moderate_matrices_are_not_scaled() -> None:
+    """Up to 2²⁰ between pivots and 2¹⁰ beside a pivot nothing is scaled, however an entry compares with other rows."""
+    M = np.array([[1.0, 2.0**9], [2.0**19, 2.0**19]])
+    assert equilibrated(M) is None
+    for i, j, entry in ((0, 1, 2.0**11), (1, 1, 2.0**21), (0, 0, -(2.0**-2))):
+        other = M.copy()
+        other[i, j] = entry
+        assert equilibrated(other) is not None
+
+
+@pytest.mark.parametrize("n", [20, 400])
+def test_scaling_undoes_units(n: int) -> None:
+    """Rows and columns in units of 2^±200 come back to a balanced matrix with a diagonal near 1, without rounding."""
+    rng = np.random.default_rng(n)
+    plain = np.where(rng.random((n, n)) < 40.0 / n, rng.uniform(0.5, 1.0, (n, n)), 0.0)
+    np.fill_diagonal(plain, rng.uniform(0.5, 1.0, n))
+    row, column = np.exp2(rng.integers(-200, 200, n)), np.exp2(rng.integers(-200, 200, n))
+    found = equilibrated(row[:, None] * plain * column)
+    mirrored = plain + plain.T
+    mirrored[::2, ::2] += np.diag(mirrored.diagonal()[::2])
+    symmetric = equilibrated(row[:, None] * mirrored * row, is_symmetric=True)
+    np.testing.assert_array_equal(symmetric, symmetric.T)
+    for matrix, original in ((found, plain), (symmetric, mirrored)):
+        np.testing.assert_array_equal(np.frexp(matrix)[0], np.frexp(original)[0])
+        assert 0.45 <= matrix.diagonal().min() <= matrix.diagonal().max() <= 2.2
+        assert matrix.max() <= 16.0
+
+
+def test_balancing_goes_beyond_a_similarity() -> None:
+    """Where no similarity makes all entries alike, rows and columns end up with sums of like size."""
+    rng = np.random.default_rng(0)
+    M = np.exp2(rng.uniform(-30.0, 30.0, (6, 6)))
+    np.fill_diagonal(M, 1.0)
+    off = equilibrated(M) * (1.0 - np.eye(6))
+    assert np.abs(np.log2(off.sum(axis=0) / off.sum(axis=1))).max() <= 1.5
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_irreducible_means_one_block(count: int) -> None:
+    """A block diagonal or triangular matrix of two blocks is reducible, and its report counts them."""
+    block = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    M = np.kron(np.eye(count), block)
+    for matrix in (M, M + np.triu(np.ones(M.shape), 2) * (count > 1)):
+        report = analyze(matrix)
+        assert report.blocks == count
+        assert report.is_irreducible is (count == 1)
+        assert report.is_irreducibly_dominant is (count == 1)
+    assert analyze(M).components == count

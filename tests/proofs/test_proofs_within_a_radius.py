@@ -1,0 +1,185 @@
+"""Rows that should depend on each other but do not as doubles: what is refuted within a radius, and what not."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, certify, solve
+from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
+from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.proofs.no_solution.linear_constraints import WIDE
+
+DECIMAL = np.array([[0.1, 0.2, 0.3], [0.7, 0.1, 0.2], [0.8, 0.3, 0.5]])  # .1 + .7 ≠ .8
+CONTRADICTORY, MET = [1.0, 2.0, 3.1], [0.6, 1.0, 1.6]
+
+
+def decimals(rng: np.random.Generator, *shape: int) -> Any:
+    """Numbers of one decimal in [−1, 1]."""
+    return np.round(rng.uniform(-1.0, 1.0, shape), 1)
+
+
+def redundant_program(kind: str, seed: int) -> QuadraticProgram:
+    """Decimal equations of which the last combines the others: met, contradictory, or met with a direction of descent.
+
+    In every other program the objective is curved; in every third there are bounds that nobody reaches.
+    """
+    rng = np.random.default_rng([seed, 31])
+    n = int(rng.integers(3, 10))
+    m = int(rng.integers(2, n + 1))
+    A = decimals(rng, m - 1, n)
+    factors = rng.integers(1, 4, m - 1) / 10 if rng.random() < 0.5 else np.ones(m - 1)
+    A = np.vstack([A, factors @ A])
+    b = A @ decimals(rng, n)
+    is_curved = seed % 2 == 0
+    P, c = np.zeros((n, n)), decimals(rng, n)
+    if kind == "unbounded":
+        P = 2.0 * np.outer(A[0], A[0]) if is_curved else P
+    elif kind == "infeasible":
+        P = np.eye(n) if is_curved else P
+        b[-1] += 0.1 * rng.integers(1, 10)
+    else:
+        P, c = (np.eye(n), c) if is_curved else (P, A.T @ decimals(rng, m))
+    lower = np.where((np.arange(n) == 0) & (seed % 3 == 0) & (kind != "unbounded"), -20.0, -np.inf)
+    return QuadraticProgram(P, c, A=A, b=b, lower=lower)
+
+
+@pytest.mark.parametrize(("is_linear", "b", "status"), [
+    (False, CONTRADICTORY, cp.INFEASIBLE), (True, CONTRADICTORY, cp.INFEASIBLE), (True, MET, cp.UNBOUNDED),
+    (False, MET, cp.OPTIMAL),
+])
+def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status: str) -> None:
+    """Rows that are redundant but for rounding: infeasible, unbounded or optimal, as every other solver says."""
+    x = cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(cp.sum(x) if is_linear else cp.sum_squares(x)), [DECIMAL @ x == b])
+    problem.solve(solver=QPSolver)
+    assert problem.status == status
+    result = problem.solver_stats.extra_stats
+    if status != cp.OPTIMAL:
+        assert WIDE <= result.proof.radius < np.inf
+        assert "up to" in result.explain()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
+def test_redundant_decimal_programs_are_refuted(kind: str) -> None:
+    """All of 200 random programs get a proof that verifies and says so within a wide radius, or plainly."""
+    within = 0
+    for seed in range(200):
+        program = redundant_program(kind, seed)
+        proof = program.refutation()
+        assert proof is not None, seed
+        assert proof.verdict == kind, seed
+        assert proof.verify(), seed
+        within += proof.radius < np.inf
+    assert within >= 50  # in the others the sums happen to be exact
+
+
+@pytest.mark.full
+def test_redundant_decimal_programs_that_are_met_are_never_refuted() -> None:
+    """None of 200 consistent programs with the same rows has a proof that counts."""
+    assert [seed for seed in range(200) if redundant_program("optimal", seed).refutation() is not None] == []
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
+    """Every x up to the radius misses some row by the margin, in exact arithmetic; far beyond it one meets them all."""
+    rng = np.random.default_rng(seed)
+    program = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
+    proof = program.refutation()
+    assert isinstance(proof, QPInfeasibility)
+    unit = program.constraints.unit
+
+    def residual(x: Any) -> Fraction:
+        sums = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True)) for row in DECIMAL.tolist()]
+        return max(abs(s - Fraction(b)) / Fraction(u) for s, b, u in zip(sums, CONTRADICTORY, unit.tolist()))  # noqa: B905
+
+    for size in (1.0, 1e8, 1e12, proof.radius):
+        x = rng.uniform(-size, size, 3)
+        assert residual(x) >= Fraction(proof.margin)
+    flat = np.linalg.svd(DECIMAL)[2][-1]
+    start = np.linalg.lstsq(DECIMAL, np.array(CONTRADICTORY), rcond=1e-10)[0]
+    for length in (1e9, -1e12, 0.9 * proof.radius):
+        assert residual(start + length * flat) >= Fraction(proof.margin)
+    assert QPSolution(program, start, [], np.zeros(3), np.zeros(3), np.zeros(3)).primal_residual >= proof.margin
+
+
+def test_a_tampered_proof_within_a_radius_does_not_verify() -> None:
+    """Other signs, a direction upwards, or rounding replaced by data: no proof."""
+    infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY).refutation()
+    unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET).refutation()
+    assert isinstance(infeasible, QPInfeasibility)
+    assert isinstance(unbounded, QPUnboundedness)
+    first, *rest = infeasible.multipliers
+    assert not replace(infeasible, multipliers=tuple(-y for y in infeasible.multipliers)).verify()
+    assert not replace(infeasible, multipliers=(first * Fraction(1 + 1e-9), *rest)).verify()
+    assert not replace(unbounded, direction=tuple(-d for d in unbounded.direction)).verify()
+    moved = tuple(x + Fraction(1, 1000) for x in unbounded.point)
+    assert not replace(unbounded, point=moved).verify()
+
+
+@pytest.mark.parametrize("small", [1e-6, 1e-9, 1e-12, 1e-15])
+def test_a_small_coefficient_is_data_and_no_rounding(small: float) -> None:
+    """x₁ = 0, x₁ + small x₂ = 1 has the solution x₂ = 1/small, however far out: never infeasible."""
+    A, b = np.array([[1.0, 0.0], [1.0, small]]), np.array([0.0, 1.0])
+    for P in (np.zeros((2, 2)), np.eye(2)):
+        assert QuadraticProgram(P, [0.0, 0.0], A=A, b=b).proof_of_no_minimum is None
+    result = solve(LCP(A, -b, lower=-np.inf))
+    assert not result.is_refuted
+    assert result.infeasibility is None
+
+
+def test_a_linear_complementarity_problem_within_a_radius() -> None:
+    """Free rows that contradict but for rounding: no status, as M near a singular one has answers that far out."""
+    problem = LCP(DECIMAL, -np.array(CONTRADICTORY), lower=-np.inf)
+    result = solve(problem)
+    assert not result.is_refuted
+    assert not result.is_solved
+    assert "infeasible up to ‖z‖∞ = " in result.advice
+    proof = result.infeasibility
+    assert WIDE * 3.1 < proof.radius < np.inf
+    assert proof.margin > 1e-4
+    assert "of all z up to" in result.explain()
+    assert not proof.exact
+    assert not proof.excludes(1e-8, tolerance_on="error")
+    assert not replace(proof, exact_y=tuple(-y for y in proof.exact_y)).verify()
+    assert solve(LCP(DECIMAL, -np.array(MET), lower=-np.inf)).status is Status.SOLVED
+
+
+def test_certify_proves_nothing_within_a_radius() -> None:
+    """What `certify` says holds of all x: a proof within a radius proves neither infeasible nor unbounded."""
+    infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
+    unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET)
+    assert math.isfinite(infeasible.proof_of_no_minimum.radius)  # type: ignore[union-attr]
+    assert certify(infeasible, claim="infeasible").verdict != "proved"
+    assert certify(unbounded, claim="unbounded").verdict != "proved"
+
+
+def test_values_of_another_solver_far_out_refute_no_answer() -> None:
+    """An earlier value of 4e16 in the variables, where rows that should cancel do not, says nothing of an optimum."""
+    A = np.array([[0.8, 0.4, 0.9, 0.6, -0.7, 0.1, 0.5, 0.9]] * 2)
+    x = cp.Variable(8)
+    problem = cp.Problem(cp.Minimize(-0.4 * A[0] @ x), [A @ x == A @ np.full(8, 0.4)])
+    direction = np.linalg.svd(A[:1])[2][1:].sum(axis=0)
+    for size in (1e14, 1e17, 1e20, 1e246):
+        x.value = size * direction
+        problem.solve(solver=QPSolver)
+        assert problem.status == cp.OPTIMAL
+
+
+def test_multipliers_of_1e21_excuse_no_gradient() -> None:
+    """Rows in units 1e±6, unbounded but for rounding: no "optimal" whose gradient is wrong beside the objective's."""
+    scale, x = np.array([1e-6, 1e6, 1e-3]), cp.Variable(3)
+    rows = [(scale[:, None] * DECIMAL) @ x == scale * np.array(MET)]
+    problem = cp.Problem(cp.Minimize(cp.sum(x)), rows)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # cvxpy's: the answer may be inaccurate
+        problem.solve(solver=QPSolver)
+    assert problem.status != cp.OPTIMAL

@@ -1,0 +1,109 @@
+"""A matrix with the wrong sign is told so at once, what may solve it is tried, and nothing that takes long."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import LCP, Status, all_solutions, analyze, solve
+from lcp_plugin.methods.direct.direct_methods import direct_methods
+from lcp_plugin.methods.search.stages import LargestPoint
+from lcp_plugin.proofs.verdicts.sign import sign_remark
+
+
+def negated_laplacian(k: int) -> sp.csr_array:
+    """Return minus the five-point stencil on k × k nodes."""
+    line = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(k, k))
+    return sp.csr_array(sp.kron(line, sp.eye_array(k)) + sp.kron(sp.eye_array(k), line))
+
+
+def stages_of(result: Any) -> list[str]:
+    return [stage.name for stage in result.stages]
+
+
+@pytest.mark.parametrize("k", [4, 10, 50])
+def test_a_negated_m_matrix_is_decided_by_one_linear_solve(k: int) -> None:
+    """−M an M-matrix and z ≥ 0: z = −M⁻¹q solves the problem, or a proof says that nothing does."""
+    M, rng = negated_laplacian(k), np.random.default_rng(k)
+    infeasible = solve(LCP(M, rng.standard_normal(k * k)))
+    assert infeasible.status is Status.INFEASIBLE
+    assert infeasible.infeasibility.verify()
+    feasible = solve(LCP(M, -M @ rng.random(k * k)))
+    assert feasible.is_solved
+    if k == 50:
+        assert stages_of(infeasible) == stages_of(feasible) == ["npsor", "largest_point"]
+        assert max(infeasible.work, feasible.work) < 20.0
+
+
+@pytest.mark.parametrize("bounds", [{"lower": -1.0}, {"lower": np.r_[-np.inf, np.zeros(15)]}])
+def test_lower_bounds_may_be_any(bounds: dict[str, Any]) -> None:
+    """The same holds for lower bounds of any kind, free rows included, as far as a proof can be had."""
+    M, statuses = negated_laplacian(4), set()
+    for seed in range(20):
+        problem = LCP(M, 3.0 * np.random.default_rng(seed).standard_normal(16), **bounds)
+        result = solve(problem)
+        x = -np.linalg.solve(M.toarray(), problem.q)
+        assert result.is_solved == bool((x >= problem.lower - 1e-12).all())
+        statuses.add(result.status)
+    assert statuses <= {Status.SOLVED, Status.INFEASIBLE}
+
+
+def test_ninety_thousand_unknowns_of_the_wrong_sign_take_no_factor() -> None:
+    """Neither interior_point nor newton is tried, and advice and explanation ask for the sign of M."""
+    n = 90_000
+    result = solve(LCP(negated_laplacian(300), np.random.default_rng(300).standard_normal(n)))
+    assert result.status is Status.STALLED
+    assert stages_of(result) == ["npsor", "largest_point"]
+    assert result.work < 20.0
+    assert "in double precision no z within its bounds has w ≥ 0" in result.advice
+    assert "algorithm=" not in result.advice
+    for said in (result.advice, result.explain()):
+        assert "M[0, 0] = -4.0), and −M is a positive definite M-matrix: is its sign right?" in said
+
+
+def test_a_solved_problem_of_the_wrong_sign_is_told_in_its_explanation() -> None:
+    """A box has solutions whatever M is: SOLVED, and explain() names the sign."""
+    result = solve(LCP(negated_laplacian(10), np.ones(100), upper=1.0))
+    assert result.is_solved
+    assert "is its sign right?" in result.explain()
+    assert "is its sign right?" not in result.advice
+
+
+@pytest.mark.parametrize(
+    ("M", "words"),
+    [
+        ([[-2.0, 1.0], [1.0, -2.0]], "(M[0, 0] = -2.0), and −M is a positive definite M-matrix: is its sign right?"),
+        ([[-2.0, 1.0], [0.5, -2.0]], "and −M is an M-matrix"),
+        ([[-2.0, -1.0], [1.0, -2.0]], "and −M is an H₊-matrix"),
+        ([[-1.0, -2.0], [2.0, -3.0]], "(M[0, 0] = -1.0): is its sign right?"),
+        ([[-1.0, 2.0], [2.0, 0.0]], ""),
+        (np.zeros((0, 0)), ""),
+    ],
+)
+def test_the_remark_says_what_is_proved(M: Any, words: str) -> None:
+    """Where every diagonal entry is negative, the remark shows one and says what −M is proved to be; else nothing."""
+    said = sign_remark(LCP(M, np.zeros(len(M))).matrix)
+    assert words in said
+    assert bool(said) == bool(words)
+    if "M-matrix" in words:
+        assert analyze(-np.array(M)).is_m_matrix
+
+
+def test_a_negated_z_matrix_that_is_no_m_matrix_is_left_to_others() -> None:
+    """Where −M is a Z-matrix and no M-matrix, −M⁻¹q proves nothing, and is not asked for."""
+    problem = LCP([[-1.0, 2.0], [2.0, -1.0]], [-1.0, -1.0])
+    assert not any(step.proof for step in LargestPoint().iterates(problem, np.zeros(2)))
+    assert {tuple(map(float, one.z)) for one in all_solutions(problem)} == {(1.0, 1.0)}
+    assert "largest_point" not in [choice.algorithm.name for choice in direct_methods(problem)]
+    assert solve(problem).is_solved
+
+
+def test_without_proofs_the_contradiction_is_told() -> None:
+    """With refute=False the run ends STALLED where doubles say that no z is near a solution."""
+    result = solve(LCP(negated_laplacian(12), np.random.default_rng(0).standard_normal(144)), refute=False)
+    assert result.status is Status.STALLED
+    assert result.infeasibility is None
+    assert "in double precision no z within its bounds has w ≥ 0" in result.advice

@@ -1,0 +1,650 @@
+"""The strategies: whatever they draw is, in exact arithmetic, what they promise, and it shrinks well."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact import exact_rows, has_positive_pivots, principal_minors
+from fresh_process import printed_by
+from hypothesis import Phase, find, given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, analyze, strategies
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem
+from lcp_plugin.strategies import (
+    assert_solves,
+    complementarity_models,
+    convex_qps,
+    h_plus_matrices,
+    indefinite_matrices,
+    infeasible_lcps,
+    lcps,
+    m_matrices,
+    not_h_matrices,
+    p_matrices,
+    positive_definite_matrices,
+    positive_semidefinite_matrices,
+    solved_lcps,
+    strictly_dominant_matrices,
+    z_matrices,
+)
+
+FIRST = settings(max_examples=5, phases=[Phase.generate])
+SEARCH = settings(max_examples=2000, phases=[Phase.generate, Phase.shrink])
+
+H_PLUS = {
+    "default": h_plus_matrices(),
+    "half empty": h_plus_matrices(density=0.5),
+    "wild scales": h_plus_matrices(row_scale=400, column_scale=400),
+    "nearly singular": h_plus_matrices(margin=2.0**-30),
+    "sparse": h_plus_matrices(st.integers(0, 6), density=0.3, dense=False),
+    "diagonal": h_plus_matrices(density=0.0),
+}
+POSITIVE_DEFINITE = {
+    "default": positive_definite_matrices(),
+    "half empty": positive_definite_matrices(density=0.5),
+    "wild scales": positive_definite_matrices(scale=400),
+    "nearly singular": positive_definite_matrices(margin=2.0**-30),
+    "sparse": positive_definite_matrices(st.integers(0, 6), density=0.3, dense=False),
+}
+SOLVED = {
+    "default": solved_lcps(),
+    "bounds": solved_lcps(bounds=True),
+    "wild scales": solved_lcps(bounds=True, row_scale=400, column_scale=400),
+    "nearly singular": solved_lcps(h_plus_matrices(margin=2.0**-30), bounds=True, column_scale=50),
+    "sparse": solved_lcps(h_plus_matrices(st.integers(0, 6), dense=False), row_scale=50),
+    "scaled matrices": solved_lcps(h_plus_matrices(row_scale=100) | positive_definite_matrices(scale=5)),
+}
+
+
+def is_h_plus(matrix: object) -> bool:
+    """A Z-matrix is a nonsingular M-matrix exactly if elimination without exchanges has positive pivots."""
+    rows = exact_rows(matrix)
+    comparison = [[value if i == j else -abs(value) for j, value in enumerate(row)] for i, row in enumerate(rows)]
+    return has_positive_pivots(comparison)
+
+
+def is_positive_definite(matrix: object) -> bool:
+    """Symmetric, and positive pivots in LDLᵀ."""
+    rows = exact_rows(matrix)
+    return rows == [list(column) for column in zip(*rows, strict=True)] and has_positive_pivots(rows)
+
+
+def exact_slack(problem: LCP, z: tuple[Fraction, ...]) -> list[Fraction]:
+    """M z + q in exact arithmetic."""
+    rows = exact_rows(problem.M)
+    return [
+        Fraction(q) + sum((m * x for m, x in zip(row, z, strict=True)), Fraction(0))
+        for q, row in zip(problem.q.tolist(), rows, strict=True)
+    ]
+
+
+def kind(z: Fraction, w: Fraction, lower: float, upper: float) -> str:
+    """The place of a row: between or at which bound, and the sign of its slack; "wrong" where it is no solution."""
+    at_lower, at_upper = z == lower, z == upper
+    if not lower <= z <= upper or (w > 0 and not at_lower) or (w < 0 and not at_upper):
+        return "wrong"
+    place = "fixed" if at_lower and at_upper else "lower" if at_lower else "upper" if at_upper else "between"
+    if place == "between":
+        place = {0: "free", 1: "half bounded", 2: "boxed"}[int(np.isfinite(lower)) + int(np.isfinite(upper))]
+    return place if w == 0 else f"{place}, w {'>' if w > 0 else '<'} 0"
+
+
+def kinds(problem: LCP, z: tuple[Fraction, ...]) -> list[str]:
+    slack = exact_slack(problem, z)
+    return [kind(*row) for row in zip(z, slack, problem.lower.tolist(), problem.upper.tolist(), strict=True)]
+
+
+# --- What is drawn is what is promised --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", H_PLUS)
+def test_h_plus_matrices_are_h_plus(name: str) -> None:
+    """In rational arithmetic the comparison matrix of every drawn matrix is a nonsingular M-matrix."""
+
+    @given(H_PLUS[name])
+    def check(matrix: object) -> None:
+        assert matrix.dtype == np.float64
+        assert sp.issparse(matrix) == (name == "sparse")
+        assert is_h_plus(matrix)
+
+    check()
+
+
+@pytest.mark.parametrize("name", POSITIVE_DEFINITE)
+def test_positive_definite_matrices_are_positive_definite(name: str) -> None:
+    """In rational arithmetic every drawn matrix is symmetric with positive pivots."""
+
+    @given(POSITIVE_DEFINITE[name])
+    def check(matrix: object) -> None:
+        assert matrix.dtype == np.float64
+        assert sp.issparse(matrix) == (name == "sparse")
+        assert is_positive_definite(matrix)
+
+    check()
+
+
+@pytest.mark.parametrize("name", SOLVED)
+def test_solved_lcps_are_solved(name: str) -> None:
+    """In rational arithmetic on the stored data the drawn z lies within the bounds and is complementary."""
+
+    @given(SOLVED[name])
+    def check(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+        problem, z = drawn
+        assert "wrong" not in kinds(problem, z)
+        assert [Fraction(value) for value in np.array(z, dtype=float).tolist()] == list(z)
+        assert problem.is_plain or name not in ("default", "sparse", "scaled matrices")
+
+    check()
+
+
+def test_exact_checks_can_fail() -> None:
+    """The oracles of this file refuse a matrix that is neither, and a point that is no solution."""
+    matrix = np.array([[1.0, 2.0], [1.0, 1.0]])
+    assert not is_h_plus(matrix)
+    assert not is_positive_definite(matrix)
+    assert not is_positive_definite(np.array([[1.0, 2.0], [2.0, 3.0]]))
+    assert not is_h_plus(np.array([[1.0, 1.0], [1.0, 1.0]]))
+    assert kinds(LCP([[1.0]], [-1.0]), (Fraction(1, 2),)) == ["wrong"]
+    assert kinds(LCP([[1.0]], [-1.0], upper=0.5), (Fraction(1, 2),)) == ["upper, w < 0"]
+
+
+# --- The other classes, each with an oracle in fractions ----------------------------------------------------
+
+
+def doubled_symmetric_part(matrix: object) -> list[list[Fraction]]:
+    rows = exact_rows(matrix)
+    return [[rows[i][j] + rows[j][i] for j in range(len(rows))] for i in range(len(rows))]
+
+
+def rank(rows: list[list[Fraction]]) -> int:
+    rows, found = [row.copy() for row in rows], 0
+    for column in range(len(rows)):
+        pivot = next((i for i in range(found, len(rows)) if rows[i][column]), None)
+        if pivot is not None:
+            rows[found], rows[pivot] = rows[pivot], rows[found]
+            for i in range(found + 1, len(rows)):
+                factor = rows[i][column] / rows[found][column]
+                rows[i] = [a - factor * b for a, b in zip(rows[i], rows[found], strict=True)]
+            found += 1
+    return found
+
+
+def is_z(matrix: object) -> bool:
+    return all(value <= 0 for i, row in enumerate(exact_rows(matrix)) for j, value in enumerate(row) if i != j)
+
+
+def is_dominant(matrix: object) -> bool:
+    return all(2 * abs(row[i]) > sum(map(abs, row)) for i, row in enumerate(exact_rows(matrix)))
+
+
+def is_h(matrix: np.ndarray) -> bool:
+    diagonal = matrix.diagonal()
+    return is_h_plus(matrix - np.diag(diagonal) + np.diag(abs(diagonal)))
+
+
+def is_definite(matrix: object) -> bool:
+    return has_positive_pivots(doubled_symmetric_part(matrix))
+
+
+def is_semidefinite(matrix: object) -> bool:
+    return all(minor >= 0 for minor in principal_minors(doubled_symmetric_part(matrix)))
+
+
+def is_p(matrix: object) -> bool:
+    return all(minor > 0 for minor in principal_minors(exact_rows(matrix)))
+
+
+def is_indefinite(matrix: object) -> bool:
+    """Neither it nor its negative is semidefinite."""
+    return not is_semidefinite(matrix) and not is_semidefinite(-np.asarray(matrix))
+
+
+FEW = st.integers(1, 5)
+SOME = st.integers(2, 5)
+# strategy, oracle, verdict of analyze and its value
+CLASSES = {
+    "z": (z_matrices(FEW, density=0.6), is_z, "is_z_matrix", True),
+    "z near m": (z_matrices(FEW, margin=2.0**-30, row_scale=40), is_z, "is_z_matrix", True),
+    "m": (m_matrices(FEW), lambda M: is_z(M) and is_h_plus(M), "is_m_matrix", True),
+    "m scaled": (m_matrices(FEW, row_scale=99, column_scale=99, margin=2.0**-20), is_h_plus, "is_m_matrix", True),
+    "dominant": (strictly_dominant_matrices(FEW, row_scale=99), is_dominant, "is_h_plus", True),
+    "dominant signed": (strictly_dominant_matrices(FEW, signed=True), is_dominant, "is_strictly_dominant", True),
+    "definite": (positive_definite_matrices(FEW, symmetric=False), is_definite, "is_positive_definite", True),
+    "semidefinite": (positive_semidefinite_matrices(FEW), is_semidefinite, "is_positive_semidefinite", True),
+    "semidefinite skew": (
+        positive_semidefinite_matrices(SOME, rank=2, symmetric=False, margin=2.0**-20), is_semidefinite,
+        "is_positive_semidefinite", True,
+    ),
+    "p": (p_matrices(FEW), is_p, "is_p_matrix", True),
+    "p scaled": (p_matrices(FEW, row_scale=9, column_scale=9, margin=2.0**-9), is_p, "is_p_matrix", True),
+    "p, not h": (
+        not_h_matrices(SOME, p_matrix=True, row_scale=9), lambda M: is_p(M) and not is_h(M), "is_h_matrix", False
+    ),
+    "not h": (not_h_matrices(FEW), lambda M: not is_h(M), "is_h_matrix", False),
+    "narrowly not h": (
+        not_h_matrices(SOME, density=0.2, margin=2.0**-30, column_scale=40), lambda M: not is_h(M), "is_h_matrix", False
+    ),
+    "indefinite": (indefinite_matrices(SOME), is_indefinite, "is_positive_semidefinite", False),
+    "indefinite skew": (
+        indefinite_matrices(SOME, symmetric=False, scale=9, margin=2.0**-20), is_indefinite, "is_positive_semidefinite",
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_classes_hold_in_fractions(name: str) -> None:
+    """Every matrix drawn is of its class by minors, pivots and sums in fractions, and `analyze` does not disagree."""
+    strategy, oracle, verdict, value = CLASSES[name]
+
+    @settings.get_profile("few")
+    @given(strategy)
+    def check(matrix: np.ndarray) -> None:
+        assert oracle(matrix)
+        assert getattr(analyze(matrix), verdict) is value
+
+    check()
+
+
+@pytest.mark.parametrize("wanted", [0, 1, 3])
+def test_ranks_are_exact(wanted: int) -> None:
+    """The rank asked for is the rank in fractions, with a skew part too."""
+
+    @settings.get_profile("few")
+    @given(
+        positive_semidefinite_matrices(4, rank=wanted), positive_semidefinite_matrices(5, rank=wanted, symmetric=False)
+    )
+    def check(symmetric: np.ndarray, skew: np.ndarray) -> None:
+        assert rank(exact_rows(symmetric)) == rank(exact_rows(skew)) == wanted
+
+    check()
+
+
+INFEASIBLE = {
+    "default": infeasible_lcps(),
+    "bounds": infeasible_lcps(bounds=True, density=0.5),
+    "monotone": infeasible_lcps(SOME, monotone=True, bounds=0.5, dense=False),
+    "narrow": infeasible_lcps(margin=2.0**-20, bounds=0.3, row_scale=300, column_scale=300),
+}
+
+
+@pytest.mark.parametrize("name", INFEASIBLE)
+def test_infeasible_lcps_have_a_proof(name: str) -> None:
+    """The Farkas vector holds in fractions, for plain problems by its definition, and M is monotone where asked."""
+
+    @settings.get_profile("few")
+    @given(INFEASIBLE[name])
+    def check(drawn: tuple[LCP, object]) -> None:
+        problem, proof = drawn
+        assert proof.verify()
+        assert max(map(abs, proof.exact_y)) == 1
+        assert name != "monotone" or is_semidefinite(problem.M)
+        if problem.is_plain:
+            rows = exact_rows(problem.M)
+            assert min(proof.exact_y) >= 0
+            products = [sum(y * row[j] for y, row in zip(proof.exact_y, rows, strict=True)) for j in range(problem.n)]
+            assert max(products) <= 0
+            assert sum(y * Fraction(q) for y, q in zip(proof.exact_y, problem.q.tolist(), strict=True)) < 0
+
+    check()
+
+
+def times(matrix: object, x: tuple[Fraction, ...]) -> list[Fraction]:
+    return [sum((a * b for a, b in zip(row, x, strict=True)), Fraction(0)) for row in exact_rows(matrix)]
+
+
+def test_convex_qps_are_solved() -> None:
+    """The answer is feasible, stationary and complementary in fractions, and the objective is its value."""
+
+    @given(convex_qps(bounds=0.7))
+    def check(drawn: tuple[object, object]) -> None:
+        program, answer = drawn
+        exact = [list(map(Fraction, values.tolist())) for values in (program.c, program.h, program.b)]
+        gradient, h, b = exact
+        bent = times(program.P, answer.x)
+        forces = [times(program.G.T, answer.inequality), times(program.A.T, answer.equality)]
+        columns = zip(bent, gradient, *forces, answer.lower, answer.upper, strict=True)
+        assert all(p + c + g + a - low + high == 0 for p, c, g, a, low, high in columns)
+        gaps = [right - left for left, right in zip(times(program.G, answer.x), h, strict=True)]
+        assert times(program.A, answer.x) == b
+        assert min(*gaps, *answer.inequality, *answer.lower, *answer.upper, 0, 0) >= 0
+        assert all(gap * multiplier == 0 for gap, multiplier in zip(gaps, answer.inequality, strict=True))
+        for x, low, high, at_low, at_high in zip(
+            answer.x, program.lower.tolist(), program.upper.tolist(), answer.lower, answer.upper, strict=True
+        ):
+            assert low <= x <= high
+            assert at_low == 0 or x == low
+            assert at_high == 0 or x == high
+        value = sum((x * (p / 2 + c) for x, p, c in zip(answer.x, bent, gradient, strict=True)), Fraction(0))
+        assert answer.objective == value
+
+    check()
+
+
+def test_complementarity_models_have_their_answers() -> None:
+    """A solve of the model in cvxpy finds the values that were planted."""
+
+    @settings.get_profile("few")
+    @given(complementarity_models(p_matrices(st.integers(1, 4))))
+    def check(drawn: tuple[object, dict[str, np.ndarray]]) -> None:
+        model, answers = drawn
+        model.solve(method="LCP", tolerance=1e-12)
+        for name, value in answers.items():
+            np.testing.assert_allclose(model.var_dict[name].value, value, atol=1e-5)
+
+    check()
+
+
+@pytest.mark.full
+def test_shares_are_obeyed() -> None:
+    """Shares of 0 and 1 are exact, others rough; without any, q is anything."""
+    small = h_plus_matrices(st.integers(1, 4))
+    assert set(counted(solved_lcps(small, active=1, degenerate=0), 40)) == {"lower, w > 0"}
+    assert set(counted(solved_lcps(small, active=0, degenerate=1), 40)) == {"lower"}
+    counts = counted(solved_lcps(small, active=0.1, degenerate=0.1))
+    assert counts["half bounded"] > 0.5 * counts.total()
+    seen = []
+
+    @given(lcps(h_plus_matrices(2), degenerate=1), lcps(h_plus_matrices(2), bounds=0.5))
+    def collect(degenerate: LCP, anything: LCP) -> None:
+        assert not degenerate.q.any()
+        seen.append(anything.is_plain)
+
+    collect()
+    assert 0 < sum(seen) < len(seen)
+
+
+# --- The judge ----------------------------------------------------------------------------------------------
+
+
+def verdict_on(solver: object, **options: object) -> str:
+    with pytest.raises(AssertionError) as found:
+        assert_solves(solver, max_examples=100, **options)
+    return str(found.value)
+
+
+def exact_diagonal(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    return np.clip(-q / M.diagonal(), lower, upper)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (lambda z: z * np.nan, "z is not finite"),
+        (lambda z: np.append(z, 0.0), "real numbers in an array of shape"),
+        (lambda z: z - 2.0, r"z is outside its bounds: z\[0\] = -1, but lower\[0\] = 0"),
+        (lambda z: z * 0.0, r"w has the wrong sign: w\[0\] = -1, but z\[0\] = 0 is at its lower bound 0"),
+        (lambda z: z + 0.5, r"z is not complementary: w\[0\] = 0.5, but z\[0\] = 1.5 lies between"),
+        (lambda z: None, "it gave up \\(returned None\\) on a problem that has a solution"),
+        (lambda z: 1 / 0, "it gave up \\(raised ZeroDivisionError: division by zero\\)"),
+    ],
+)
+def test_the_judge_names_what_is_wrong(spoil: object, complaint: str) -> None:
+    """Each kind of wrong answer is named, on the 1 × 1 identity with q = −1, 0 or 1."""
+    report = verdict_on(lambda *data: spoil(exact_diagonal(*data)), matrices=h_plus_matrices(density=0))
+    assert re.search(complaint, report), report
+    assert re.search(r"M = \[\[1\]\], q = \[(-1|0|1)\], lower = \[0\], upper = \[inf\]", report), report
+
+
+def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
+    """On a nearly singular matrix a small residual does not hide a wrong answer, unless that is asked for."""
+    nearly = st.just(np.array([[1.0 + 2.0**-30, -1.0], [-1.0, 1.0]]))
+
+    def careless(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        z = least_squares_point(M, q)
+        return z + 1.0 if z.min() > 0 else z * 0.0
+
+    def least_squares_point(M: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(M, -q)
+
+    inactive = {"matrices": nearly, "tolerance": 10.0}
+    assert "z is far from the exact answer" in verdict_on(careless, **inactive)
+    assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive)
+
+
+@pytest.mark.full
+def test_the_judge_shows_problems_without_solution() -> None:
+    """A solver that claims to have solved a problem without solution is found, with the proof, where that is asked."""
+    only_those = {"matrices": h_plus_matrices(1), "infeasible": True, "may_give_up": True}
+    report = verdict_on(lambda M, q, *bounds: exact_diagonal(M, q, *bounds) if M[0, 0] > 0 else q * 0.0, **only_those)
+    assert "it claims to have solved a problem that has no solution" in report
+    assert "contradict; proof: exact" in report
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("is_dense", [True, False])
+def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
+    """Arrays come as arrays though an LCP keeps nearly empty ones as CSR, and the other way round."""
+    forms = set()
+
+    def solver(M: object, *others: np.ndarray) -> None:
+        forms.add(type(M))
+
+    matrices = h_plus_matrices(st.integers(1, 6), density=0.5, dense=is_dense)
+    assert_solves(solver, matrices=matrices, bounds=True, infeasible=True, may_give_up=True, max_examples=40)
+    assert forms == {np.ndarray if is_dense else sp.csr_array}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("answer", [lambda z: (z, 0), lambda z: [z, "solved"], lambda z: {"z": z}])
+def test_the_judge_names_answers_that_are_no_arrays(answer: object) -> None:
+    """A pair (z, flag), as many solvers return it, and anything else is a wrong answer and no crash of the judge."""
+    report = verdict_on(lambda *data: answer(exact_diagonal(*data)), matrices=h_plus_matrices(density=0))
+    assert "z must be 1 real numbers in an array of shape (1,), got" in report
+    assert "M = [[1]]" in report
+
+
+def test_the_judge_refuses_wrong_options() -> None:
+    """Options out of range are refused before anything is drawn."""
+    for options, message in (
+        ({"matrices": np.eye(2)}, r"matrices must be a strategy such as p_matrices\(4\), got ndarray"),
+        ({"max_examples": 0}, "max_examples must be a whole number ≥ 1, got 0"),
+        ({"tolerance": -1.0}, "tolerance must be a number ≥ 0, got -1.0"),
+        ({"bounds": 2.0}, r"bounds must lie in \[0, 1\], got 2.0"),
+    ):
+        with pytest.raises(InvalidOption, match=message):
+            assert_solves(exact_diagonal, **options)
+    with pytest.raises(InvalidOption, match="solver must be callable as"):
+        assert_solves(np.eye(2))
+
+
+# --- Everything occurs ------------------------------------------------------------------------------------
+
+
+def counted(strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examples: int = 150) -> Counter[str]:
+    """How often each kind of row occurs in that many drawn problems."""
+    counts: Counter[str] = Counter()
+
+    @settings(max_examples=examples)
+    @given(strategy)
+    def count(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+        counts.update(kinds(*drawn))
+
+    count()
+    return counts
+
+
+@pytest.mark.full
+def test_active_inactive_and_degenerate_rows_occur() -> None:
+    """Each of the three kinds makes up at least a sixth of the rows of plain problems."""
+    counts = counted(solved_lcps(h_plus_matrices(FEW)))
+    assert set(counts) == {"half bounded", "lower", "lower, w > 0"}
+    assert min(counts.values()) > counts.total() / 6
+
+
+@pytest.mark.full
+def test_every_kind_of_bound_occurs() -> None:
+    """Free rows, rows inside boxes and half lines, at each bound with w = 0 or not, and fixed rows all occur often."""
+    counts = counted(solved_lcps(bounds=True), 300)
+    sides = ["lower", "lower, w > 0", "upper", "upper, w < 0", "fixed", "fixed, w > 0", "fixed, w < 0"]
+    assert set(counts) == {"free", "half bounded", "boxed", *sides}
+    assert min(counts.values()) > counts.total() / 100
+
+
+def test_options_do_what_they_say() -> None:
+    """Density thins out, scales spread, a small margin nearly makes singular, a size is obeyed."""
+    nonzeros, spreads, slimmest = {0.25: [], 1.0: []}, [], []
+
+    @given(st.sampled_from(list(nonzeros)).flatmap(lambda p: st.tuples(st.just(p), h_plus_matrices(7, density=p))))
+    def collect_density(drawn: tuple[float, np.ndarray]) -> None:
+        density, matrix = drawn
+        nonzeros[density].append(np.count_nonzero(matrix))
+
+    @given(h_plus_matrices(7, row_scale=30), h_plus_matrices(7, margin=2.0**-20))
+    def collect(wild: np.ndarray, near: np.ndarray) -> None:
+        assert wild.shape == near.shape == (7, 7)
+        spreads.append(np.ptp(np.log2(wild.diagonal())))
+        slimmest.append((2 * near.diagonal() - abs(near).sum(axis=1)).max())
+
+    collect_density()
+    collect()
+    assert np.mean(nonzeros[0.25]) < 0.6 * np.mean(nonzeros[1.0])
+    assert np.max(spreads) > 20
+    assert np.max(slimmest) <= 9 * 2.0**-20
+
+
+def test_positive_definite_matrices_leave_h_plus() -> None:
+    """Most of the larger positive definite matrices are no H₊-matrices, so they test something else."""
+    outside = []
+
+    @given(positive_definite_matrices(6))
+    def collect(matrix: np.ndarray) -> None:
+        outside.append(not is_h_plus(matrix))
+
+    collect()
+    assert np.mean(outside) > 0.5
+
+
+# --- Shrinking --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["default", "wild scales", "nearly singular"])
+def test_h_plus_matrices_shrink_to_the_identity(name: str) -> None:
+    """The simplest matrix of any options is the identity: 1 × 1, or with the margin on its diagonal."""
+    simplest = find(H_PLUS[name], lambda matrix: matrix.shape[0] > 0, settings=SEARCH)
+    assert exact_rows(simplest) == [[Fraction(1, 2**30) if name == "nearly singular" else 1]]
+
+
+@pytest.mark.parametrize("name", ["default", "sparse", "nearly singular"])
+def test_positive_definite_matrices_shrink_to_the_identity(name: str) -> None:
+    """The simplest matrix of any options is the identity: 1 × 1, or with the margin on its diagonal."""
+    simplest = find(POSITIVE_DEFINITE[name], lambda matrix: matrix.shape[0] > 0, settings=SEARCH)
+    assert exact_rows(simplest) == [[Fraction(1, 2**30) if name == "nearly singular" else 1]]
+
+
+@pytest.mark.full
+def test_counterexamples_are_small() -> None:
+    """What is found for a claim that breaks at an off-diagonal entry or at a slack has only small integers."""
+    matrix = find(
+        h_plus_matrices(st.integers(1, 4), row_scale=20), lambda M: np.count_nonzero(M) > len(M), settings=SEARCH
+    )
+    assert sorted(abs(matrix).ravel().tolist()) == [0.0, 1.0, 1.0, 2.0]
+    small = solved_lcps(h_plus_matrices(st.integers(1, 3)))
+    problem, z = find(small, lambda drawn: drawn[0].n == 2 and exact_slack(*drawn)[0] > 0, settings=SEARCH)
+    assert np.array_equal(problem.M.toarray() if sp.issparse(problem.M) else problem.M, np.eye(2))
+    assert exact_slack(problem, z)[0] == 1
+    assert max(z) <= 1
+
+
+# --- What cannot be drawn ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: h_plus_matrices(-1), "size must be a whole number ≥ 0 or a strategy of such, got -1"),
+        (lambda: h_plus_matrices(2.0), "size must be a whole number ≥ 0 or a strategy of such, got 2.0"),
+        (lambda: h_plus_matrices(True), "size must be a whole number ≥ 0 or a strategy of such, got True"),
+        (lambda: h_plus_matrices(density=1.5), r"density must lie in \[0, 1\], got 1.5"),
+        (lambda: h_plus_matrices(density=float("nan")), r"density must lie in \[0, 1\], got nan"),
+        (lambda: h_plus_matrices(row_scale=401), "row_scale must be a whole number from 0 to 400, got 401"),
+        (lambda: h_plus_matrices(column_scale=-1), "column_scale must be a whole number from 0 to 400, got -1"),
+        (lambda: positive_definite_matrices(scale=1.0), "scale must be a whole number from 0 to 400, got 1.0"),
+        (lambda: h_plus_matrices(margin=0.3), r"margin must be a power of two from 2\*\*-30 to 1, got 0.3"),
+        (lambda: positive_definite_matrices(margin=0.0), r"margin must be a power of two from 2\*\*-30 to 1, got 0.0"),
+        (lambda: not_h_matrices(0), "size must be a whole number ≥ 1 or a strategy of such, got 0"),
+        (lambda: indefinite_matrices(1), "size must be a whole number ≥ 2 or a strategy of such, got 1"),
+        (lambda: positive_semidefinite_matrices(2, rank=3), "size must be a whole number ≥ 3 or a strategy"),
+        (lambda: positive_semidefinite_matrices(rank=-1), "rank must be a whole number ≥ 0, got -1"),
+        (lambda: solved_lcps(active=0.8, degenerate=0.4), "active \\+ degenerate must be at most 1, got 0.8 \\+ 0.4"),
+        (lambda: lcps(bounds=-0.5), r"bounds must lie in \[0, 1\], got -0.5"),
+        (lambda: h_plus_matrices(densty=1), "h_plus_matrices: .*'densty'; it takes size, density, row_scale, column"),
+        (lambda: solved_lcps(row_scale=True), "row_scale must be a whole number from 0 to 400, got True"),
+    ],
+)
+def test_wrong_options_are_refused_at_once(build: object, message: str) -> None:
+    """An option out of range is refused when the strategy is made, with the value and the range."""
+    with pytest.raises(InvalidOption, match=message):
+        build()
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.array([[2.0**60, 1.0], [1.0, 2.0**60]]), np.full((1, 1), np.finfo(float).max)], ids=["wide", "huge"]
+)
+def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
+    """Where a double cannot hold q = w − M z the problem is refused, not drawn with a wrong answer."""
+    with pytest.raises(InvalidProblem, match="not free of rounding in row 0"):
+        find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("exponent", [-400, 400])
+def test_scales_beyond_the_range_of_doubles_are_refused(exponent: int) -> None:
+    """Scaled matrices scaled again are exact, or refused: what underflows would be a problem with another answer."""
+    matrices = st.just(np.ldexp(np.array([[3.0, 1.0], [1.0, 3.0]]), exponent))
+    outcomes = Counter()
+
+    @settings(max_examples=600)
+    @given(st.data())
+    def check(data: st.DataObject) -> None:
+        try:
+            drawn = data.draw(solved_lcps(matrices, row_scale=400, column_scale=400))
+        except InvalidProblem as error:
+            outcomes[str(error).partition(", given")[0]] += 1
+        else:
+            assert "wrong" not in kinds(*drawn)
+            outcomes["drawn"] += 1
+
+    check()
+    assert set(outcomes) == {
+        "drawn", "row_scale and column_scale move an entry of M or q beyond the range of doubles"
+    }
+
+
+def test_nothing_is_drawn_in_vain() -> None:
+    """Valid by construction: the module neither filters nor assumes."""
+    for file in Path(strategies.__file__).parent.glob("*.py"):
+        source = file.read_text(encoding="utf-8")
+        assert not [word for word in (".filter(", "assume(", "reject(") if word in source], file.name
+
+
+def test_a_counterexample_can_be_copied() -> None:
+    """What hypothesis prints of a failing problem is the call that makes it, with M and q in it."""
+
+    @settings(derandomize=True, database=None, phases=[Phase.generate], report_multiple_bugs=False)
+    @given(problem=strategies.lcps(strategies.h_plus_matrices(2), active=1))
+    def fails(problem: LCP) -> None:
+        raise AssertionError
+
+    with pytest.raises(AssertionError) as caught:
+        fails()
+    assert "problem=LCP([[1.0, 0.0], [0.0, 1.0]], [1.0, 1.0])" in "\n".join(caught.value.__notes__)
+
+
+def test_hypothesis_loads_with_the_strategies_only() -> None:
+    """``import lcp_plugin`` leaves hypothesis alone; the first use of ``lcp_plugin.strategies`` loads it."""
+    code = (
+        "import sys, lcp_plugin\n"
+        "before = 'hypothesis' in sys.modules\n"
+        "lcp_plugin.strategies.h_plus_matrices()\n"
+        "print(before, 'hypothesis' in sys.modules)"
+    )
+    assert printed_by(code).split() == ["False", "True"]

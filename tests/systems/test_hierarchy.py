@@ -1,0 +1,565 @@
+"""The hierarchy: its operators, its truncation, its V-cycle; references are scipy's sparse products."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lcp_plugin import gallery
+from lcp_plugin.core.checks import read_only
+from lcp_plugin.core.kernels.threads import threads_for
+from lcp_plugin.core.matrix.symmetry import is_symmetric_entrywise
+from lcp_plugin.gallery.stencil import balanced_matrix
+from lcp_plugin.systems.hierarchy import coarsening, galerkin, grids, levels, sweeps, vectors
+from lcp_plugin.systems.hierarchy.grids import Blocks, Hierarchy, Operator
+from lcp_plugin.systems.hierarchy.levels import build_hierarchy
+from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
+
+SCENES = [
+    "obstacle_2d:size=20", "obstacle_3d:size=8", "coefficient_jumps:size=21", "convection_diffusion:size=20",
+    "rotated_anisotropy:size=20", "journal_bearing:size=20,eccentricity=0.95", "american_put:size=300",
+    "optimal_stopping:size=17,swirl=-7",
+]
+
+
+def as_scipy(operator: Operator, columns: int) -> sp.csr_array:
+    return sp.csr_array((operator.data, operator.indices, operator.indptr), shape=(operator.indptr.size - 1, columns))
+
+
+def random_matrix(seed: int, n: int, density: float) -> sp.csr_array:
+    """A canonical matrix with a full, positive diagonal and entries of both signs."""
+    generator = np.random.default_rng(seed)
+    entries = generator.normal(size=(n, n)) * (generator.random((n, n)) < density)
+    np.fill_diagonal(entries, generator.uniform(0.5, 2.0, n))
+    return sp.csr_array(entries)
+
+
+@pytest.fixture(params=SCENES)
+def hierarchy(request: pytest.FixtureRequest) -> Hierarchy:
+    return build_hierarchy(gallery.parse(request.param).problem.csr, coarsest=3)
+
+
+# --- Operators ----------------------------------------------------------------------------------------------
+
+
+def test_interpolation_is_nonnegative_and_injects(hierarchy: Hierarchy) -> None:
+    """No weight is negative, and a coarse unknown takes the value of itself."""
+    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+        P = as_scipy(transfer.prolongation, coarser.n)
+        assert P.data.min() > 0.0
+        assert np.array_equal(P[np.flatnonzero(transfer.is_coarse)].toarray(), np.eye(coarser.n))
+        assert (as_scipy(transfer.restriction, grid.n) != P.T).nnz == 0
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=20", "coefficient_jumps:size=21", "rotated_anisotropy:size=12"])
+def test_constants_are_reproduced_where_rows_sum_to_zero(text: str) -> None:
+    """A row of M that sums to zero and interpolates at all has weights that sum to one, on every grid."""
+    M = gallery.parse(text).problem.csr
+    found = 0
+    hierarchy = build_hierarchy(M, coarsest=3)
+    for grid, transfer in zip(hierarchy.grids, hierarchy.transfers, strict=False):
+        matrix = as_scipy(grid.matrix, grid.n)
+        sums, scale = matrix.sum(axis=1), abs(matrix).sum(axis=1)
+        weights = np.add.reduceat(transfer.prolongation.data, transfer.prolongation.indptr[:-1])
+        is_empty = np.diff(transfer.prolongation.indptr) == 0
+        balanced = (np.abs(sums) <= 1e-12 * scale) & ~is_empty
+        found += np.count_nonzero(balanced)
+        np.testing.assert_allclose(weights[balanced], 1.0, rtol=0, atol=1e-10)
+    assert found > 50
+
+
+def test_coarse_matrices_are_galerkin_products(hierarchy: Hierarchy) -> None:
+    """Every coarse matrix is PᵀMP by scipy, with sorted rows, every diagonal entry stored, and read-only."""
+    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+        P, fine = as_scipy(transfer.prolongation, coarser.n), as_scipy(grid.matrix, grid.n)
+        coarse = as_scipy(coarser.matrix, coarser.n)
+        expected = P.T @ fine @ P
+        assert abs(coarse - expected).max() <= 1e-13 * abs(expected).max()
+        assert coarse.has_canonical_format
+        assert np.array_equal(coarser.matrix.indices[coarser.split], np.arange(coarser.n))
+        assert not any(array.flags.writeable for array in coarser.matrix.arrays)
+
+
+@given(st.integers(0, 10**6), st.integers(2, 40), st.floats(0.02, 1.0))
+def test_products_and_transposes_of_any_matrices(seed: int, n: int, density: float) -> None:
+    """RMP and Pᵀ agree with scipy for matrices of any density, whether or not the first room suffices."""
+    M = random_matrix(seed, n, density)
+    generator = np.random.default_rng(seed + 1)
+    columns = int(generator.integers(1, n + 1))
+    P = sp.csr_array(generator.random((n, columns)) * (generator.random((n, columns)) < density))
+    arrays, p = (M.indptr, M.indices, M.data), (P.indptr, P.indices, P.data)
+    r = galerkin.transposed(columns, *p)
+    assert (as_scipy(Operator(*r), n) != P.T).nnz == 0
+    c = galerkin.galerkin_product(arrays, p, r, r[0].size - 1)
+    expected = (P.T @ M @ P).toarray()
+    np.testing.assert_allclose(as_scipy(Operator(*c), columns).toarray(), expected, rtol=0, atol=1e-12 * (1 + n))
+    assert galerkin.count_products(M.indptr, M.indices, P.indptr) == (P != 0).sum(axis=1) @ ((M != 0) @ (P != 0).sum(1))
+
+
+def test_a_product_that_outgrows_its_room() -> None:
+    """A coarse matrix with many more entries than the fine one is complete."""
+    n = 400
+    M = sp.csr_array(sp.eye_array(n, format="csr"))
+    P = sp.csr_array(np.random.default_rng(0).random((n, 200)))
+    p = P.indptr, P.indices, P.data
+    c = galerkin.galerkin_product((M.indptr, M.indices, M.data), p, galerkin.transposed(200, *p), 200)
+    np.testing.assert_allclose(as_scipy(Operator(*c), 200).toarray(), P.T @ P.toarray(), rtol=1e-12)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 12), st.floats(0.05, 1.0), st.sampled_from(["as is", "mirrored", "bent"]))
+def test_symmetry_is_found_exactly(seed: int, n: int, density: float, kind: str) -> None:
+    """`is_symmetric_entrywise` says what the dense matrix says, for any pattern."""
+    dense = random_matrix(seed, n, density).toarray()
+    if kind != "as is":
+        dense = dense + dense.T
+    if kind == "bent":
+        dense[0, -1] *= 1.0 + 1e-6
+    M = sp.csr_array(dense)
+    assert is_symmetric_entrywise(M) == np.array_equal(dense, dense.T)
+
+
+@pytest.mark.full
+def test_wide_indices_give_the_same_hierarchy() -> None:
+    """64-bit indices lead to the same grids, bit for bit."""
+    M = gallery.build("coefficient_jumps", size=30).problem.csr
+    wide = sp.csr_array(M)
+    wide.indices, wide.indptr = M.indices.astype(np.int64), M.indptr.astype(np.int64)
+    narrow_grids, wide_grids = build_hierarchy(M).grids, build_hierarchy(wide).grids
+    assert len(narrow_grids) == len(wide_grids) > 2
+    for one, other in zip(narrow_grids, wide_grids, strict=True):
+        assert other.matrix.indices.dtype == np.int64
+        assert np.array_equal(one.matrix.data, other.matrix.data)
+
+
+@pytest.mark.full
+def test_a_huge_matrix_is_counted_with_wide_indices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where coarser matrices could have more entries than 32 bits count, all grids have 64-bit indices."""
+    M = gallery.build("obstacle_2d", size=20).problem.csr
+    usual = build_hierarchy(M)
+    monkeypatch.setattr(levels, "LARGEST_NARROW", 100)
+    for one, other in zip(usual.grids, build_hierarchy(M).grids, strict=True):
+        assert (one.matrix.indices.dtype, other.matrix.indices.dtype) == (np.int32, np.int64)
+        assert np.array_equal(one.matrix.data, other.matrix.data)
+
+
+@pytest.mark.parametrize("decades", [3, 6, 10])
+def test_interpolation_reaches_through_fine_unknowns(decades: int) -> None:
+    """Where couplings jump from edge to edge few rows have a coarse one near: still every fine row interpolates."""
+    generator = np.random.default_rng(0)
+    size = 40
+    across, along = 10.0 ** (decades * generator.random((2, size + 1, size)))
+    legs = [-across[:-1], -along.T[:, :-1]], [-across[1:], -along.T[:, 1:]]
+    M = balanced_matrix((size, size), legs)
+    hierarchy = build_hierarchy(M)
+    P = hierarchy.transfers[0].prolongation
+    assert np.diff(P.indptr).min() >= 1
+    correction = KrylovCorrection(Truncation(hierarchy), generator.normal(size=size**2), True)
+    begun = np.linalg.norm(correction.residual)
+    for _ in range(16):
+        assert correction.step()
+    assert np.linalg.norm(correction.residual) <= 1e-6 * begun
+
+
+@pytest.mark.parametrize("text", SCENES)
+def test_scenes_keep_their_units(text: str) -> None:
+    """No other units are tried where rows do not sum to less than zero."""
+    M = gallery.parse(text).problem.csr
+    _, _, lacking = coarsening.couplings_by_sign(M.indptr, M.indices, M.data)
+    assert vectors.units_of(M, lacking) == (None, 0.0)
+
+
+@pytest.mark.parametrize("is_symmetric", [True, False])
+def test_units_are_found(is_symmetric: bool) -> None:
+    """Of D M D and M D, M with rows that sum to zero, the units are 1/D but for a factor that varies slowly."""
+    M = gallery.build("obstacle_2d", size=30).problem.csr
+    d = 10.0 ** np.random.default_rng(0).uniform(-4, 4, M.shape[0])
+    scaled = sp.csr_array((sp.diags_array(d) if is_symmetric else sp.eye_array(d.size)) @ M @ sp.diags_array(d))
+    _, _, lacking = coarsening.couplings_by_sign(scaled.indptr, scaled.indices, scaled.data)
+    v, work = vectors.units_of(scaled, lacking)
+    assert v is not None
+    assert 0.0 < work <= 50 * M.nnz
+    field = (v * d).reshape(30, 30)[3:-3, 3:-3]
+    assert max(np.abs(np.diff(np.log(field), axis=axis)).max() for axis in (0, 1)) <= 0.2
+
+
+# --- When to stop -------------------------------------------------------------------------------------------
+
+
+def test_positive_couplings_raise_the_strength() -> None:
+    """A rotated anisotropy counts only couplings above half the largest; the rule is the documented one."""
+    M = gallery.build("rotated_anisotropy", size=30).problem.csr
+    chosen, stronger, usual = build_hierarchy(M), build_hierarchy(M, strength=0.5), build_hierarchy(M, strength=0.25)
+    sizes = [[grid.n for grid in h.grids] for h in (chosen, stronger, usual)]
+    assert sizes[0] == sizes[1] != sizes[2]
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("entries", [4, 7, 20])
+def test_a_matrix_without_geometry_is_noticed_early(entries: int) -> None:
+    """A random sparse matrix gets no coarser grids, for no more than 40 passes over it."""
+    n = 20_000
+    generator = np.random.default_rng(entries)
+    B = sp.csr_array(
+        (generator.random(n * entries), (np.repeat(np.arange(n), entries), generator.integers(0, n, n * entries))),
+        shape=(n, n),
+    )
+    M = sp.csr_array(sp.diags_array(B.sum(axis=1) + 1e-3) - B)
+    M.sum_duplicates()
+    hierarchy = build_hierarchy(M)
+    assert not hierarchy.is_helpful
+    assert len(hierarchy.grids) == 1
+    assert hierarchy.work <= 40 * M.nnz
+
+
+@pytest.mark.parametrize("density", [0.02, 0.3, 1.0])
+def test_a_dense_matrix_costs_little(density: float) -> None:
+    """A hierarchy of a small matrix with many entries a row costs no more than 40 passes over it either."""
+    M = random_matrix(1, 600, density)
+    assert build_hierarchy(M).work <= 40 * M.nnz
+
+
+def test_nothing_coupled_needs_no_coarser_grid() -> None:
+    """A diagonal matrix, and one with positive couplings only, is its own coarsest grid."""
+    for M in (sp.eye_array(100, format="csr"), sp.csr_array(np.eye(100) + 0.001)):
+        hierarchy = build_hierarchy(sp.csr_array(M))
+        assert len(hierarchy.grids) == 1
+        assert hierarchy.is_helpful
+
+
+def test_extreme_entries_do_not_break_the_set_up() -> None:
+    """Entries near the ends of the floating-point range give finite weights and inverses, or none."""
+    M = gallery.build("obstacle_2d", size=12).problem.csr
+    for scale in (1e-305, 1e-290, 1e300):
+        hierarchy = build_hierarchy(sp.csr_array(M * scale), coarsest=5)
+        assert all(np.isfinite(grid.inverse).all() for grid in hierarchy.grids)
+        assert all(np.isfinite(transfer.prolongation.data).all() for transfer in hierarchy.transfers)
+
+
+# --- Truncation ---------------------------------------------------------------------------------------------
+
+
+def from_scratch(hierarchy: Hierarchy, is_free: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return (matrix, free) of every coarser grid by products of whole truncated matrices."""
+    found = []
+    matrix, free = as_scipy(hierarchy.grids[0].matrix, is_free.size).toarray(), is_free
+    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+        left = coupling(np.where(free, matrix, 0.0)) / diagonal_and_positive(matrix)
+        before = coupling(whole := as_scipy(grid.matrix, free.size).toarray()) / diagonal_and_positive(whole)
+        is_held = (left < vectors.HELD * before) & ~transfer.is_coarse
+        P = as_scipy(transfer.prolongation, coarser.n).toarray() * (free & ~is_held)[:, None]
+        matrix = P.T @ matrix @ P
+        free = matrix.diagonal() > 0.0
+        found.append((matrix, free))
+    return found
+
+
+def coupling(matrix: np.ndarray) -> np.ndarray:
+    return -np.minimum(matrix, 0.0).sum(axis=1)
+
+
+def diagonal_and_positive(matrix: np.ndarray) -> np.ndarray:
+    return np.maximum(np.maximum(matrix, 0.0).sum(axis=1), 1e-300)
+
+
+@pytest.mark.parametrize("text", SCENES)
+def test_an_update_equals_a_computation_from_scratch(text: str) -> None:
+    """After any sequence of free sets, every coarse matrix is the product with the truncated interpolation."""
+    hierarchy = build_hierarchy(gallery.parse(text).problem.csr, coarsest=3)
+    generator = np.random.default_rng(0)
+    truncation = Truncation(hierarchy)
+    top = truncation.grids[0]
+    for share in (0.5, 0.02, 0.02, 0.0, 0.9, 0.3):
+        flips = generator.random(top.is_free.size) < share
+        top.free_changed[:] = flips
+        top.is_free ^= flips
+        truncation.update()
+        for level, (matrix, free) in zip(truncation.grids[1:], from_scratch(hierarchy, top.is_free), strict=True):
+            np.testing.assert_allclose(
+                as_scipy(Operator(level.grid.matrix.indptr, level.grid.matrix.indices, level.values), free.size)
+                .toarray(), matrix, rtol=0, atol=1e-12 * max(abs(level.grid.matrix.data).max(), 1.0),
+            )
+            assert np.array_equal(level.is_free, free)
+            assert np.array_equal(level.inverse > 0.0, free)
+
+
+def test_an_update_without_a_change_touches_little() -> None:
+    """Where nothing changed, an update reads the finest grid once and computes nothing."""
+    hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=40).problem.csr)
+    truncation = Truncation(hierarchy)
+    truncation.update()
+    grid, transfer = hierarchy.grids[0], hierarchy.transfers[0]
+    assert truncation.take_work() == grid.matrix.data.size + transfer.restriction.data.size
+
+
+def test_release_undoes_truncation() -> None:
+    """A truncation that starts afresh has the hierarchy's own values again."""
+    hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=20).problem.csr, coarsest=3)
+    truncation = Truncation(hierarchy)
+    truncation.grids[0].is_free[::3] = False
+    truncation.grids[0].free_changed[::3] = True
+    truncation.update()
+    truncation.start_at(0)
+    for level in truncation.grids:
+        assert level.is_free.all()
+        assert np.array_equal(level.values, level.grid.matrix.data)
+        assert np.array_equal(level.inverse, level.grid.inverse)
+
+
+SYMMETRIC = [text for text in SCENES if not text.startswith(("convection", "american", "optimal"))]
+
+
+@pytest.mark.parametrize("text", SYMMETRIC)
+def test_a_truncated_cycle_is_symmetric_and_lowers_the_energy(text: str) -> None:
+    """The V-cycle on the free set F is a symmetric map, leaves the rest at 0, and lowers ½ xᵀMx − bᵀx."""
+    M = gallery.parse(text).problem.csr
+    truncation = Truncation(build_hierarchy(M, coarsest=3))
+    generator = np.random.default_rng(3)
+    top = truncation.grids[0]
+    top.is_free[:] = generator.random(top.is_free.size) < 0.8
+    top.free_changed[:] = ~top.is_free
+    truncation.update()
+    right, answers = generator.normal(size=(2, top.is_free.size)) * top.is_free, []
+    for b in right:
+        top.b[:] = b
+        truncation.correct(0)
+        x = top.x.copy()
+        assert not x[~top.is_free].any()
+        assert 0.5 * x @ (M @ x) - b @ x < 0.0
+        answers.append(x)
+    assert right[0] @ answers[1] == pytest.approx(right[1] @ answers[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=8", "convection_diffusion:size=8"])
+def test_the_coarsest_grid_is_solved(text: str) -> None:
+    """A cycle on the coarsest grid answers the free rows' system, of M and of Mᵀ; after each change of the free set."""
+    M = gallery.parse(text).problem.csr
+    truncation = Truncation(build_hierarchy(M, coarsest=100))
+    top = truncation.grids[0]
+    generator = np.random.default_rng(0)
+    for _ in range(3):
+        flips = generator.random(top.is_free.size) < 0.3
+        top.free_changed[:] = flips
+        top.is_free ^= flips
+        truncation.update()
+        free = np.flatnonzero(top.is_free)
+        for matrix, correct in ((M, truncation.correct), (M.T, truncation.correct_transposed)):
+            top.b[:] = generator.normal(size=top.b.size)
+            correct(0)
+            expected = np.zeros(top.b.size)
+            expected[free] = np.linalg.solve(matrix.toarray()[np.ix_(free, free)], top.b[free])
+            np.testing.assert_allclose(top.x, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_a_coarsest_grid_without_unknowns_is_solved_in_silence(capfd: pytest.CaptureFixture[str]) -> None:
+    """A rank may have no unknowns left there: LAPACK is not asked, and does not print."""
+    truncation = Truncation(build_hierarchy(sp.csr_array((0, 0))))
+    truncation.correct(0)
+    truncation.correct_transposed(0)
+    factor, work = truncation.grids[0].factor()
+    assert factor is not None
+    assert factor.solve(np.empty(0)).size == work == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_sweeps_agree_with_triangular_solves() -> None:
+    """The first forward sweep is a solve with the lower triangle; what it leaves is −U x."""
+    M = gallery.build("convection_diffusion", size=15).problem.csr
+    grid = levels.build_hierarchy(M, coarsest=1000).grids[0]
+    b = np.random.default_rng(0).normal(size=M.shape[0])
+    x, residual = np.empty_like(b), np.empty_like(b)
+    sweeps.first_sweep(grid.rows, grid.blocks, grid.inverse, b, x)
+    sweeps.residual_after_first_sweep(grid.rows, grid.blocks, grid.inverse, np.zeros(0), b, x, residual)
+    dense = M.toarray()
+    np.testing.assert_allclose(x, np.linalg.solve(np.tril(dense), b), rtol=1e-11)
+    np.testing.assert_allclose(residual, b - dense @ x, rtol=0, atol=1e-12)
+    sweeps.sweep(grid.rows, grid.blocks, grid.inverse, True, b, x)
+    np.testing.assert_allclose((b - dense @ x)[0], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=12", "rotated_anisotropy:size=12", "obstacle_3d:size=6"])
+@pytest.mark.parametrize("share_free", [1.0, 0.7])
+def test_sweeps_in_blocks_are_gauss_seidel_in_the_order_of_the_blocks(text: str, share_free: float) -> None:
+    """Even blocks first and then odd ones, backward the other way round; the first sweep tells the residual it left."""
+    M = gallery.parse(text).problem.csr
+    n, generator = M.shape[0], np.random.default_rng(0)
+    grid = levels.build_hierarchy(M, coarsest=1000).grids[0]
+    reach = int(np.abs(M.tocoo().row - M.tocoo().col).max())
+    edges = np.linspace(0, n, 5).astype(np.int64)
+    assert np.diff(edges).min() >= reach
+    blocks = Blocks(read_only(edges), reach)
+    b, start, free = generator.normal(size=n), generator.normal(size=n), generator.random(n) < share_free
+    inverse = grid.inverse * free
+    order = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in (0, 2, 1, 3)])
+    kept = order[free[order]]
+    dense, right = M.toarray()[np.ix_(kept, kept)], b[kept]
+
+    x, residual = np.full(n, np.nan), np.empty(n)
+    sweeps.first_sweep(grid.rows, blocks, inverse, b, x)
+    sweeps.residual_after_first_sweep(grid.rows, blocks, inverse, np.zeros(0), b, x, residual)
+    np.testing.assert_allclose(x[kept], np.linalg.solve(np.tril(dense), right), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(residual[kept], right - dense @ x[kept], rtol=0, atol=1e-12)
+    assert not x[~free].any()
+    assert not residual[~free].any()
+    sweeps.sweep(grid.rows, blocks, inverse, True, b, x)
+    before = np.linalg.solve(np.tril(dense), right)
+    after = np.linalg.solve(np.triu(dense), right - np.tril(dense, -1) @ before)
+    np.testing.assert_allclose(x[kept], after, rtol=0, atol=1e-12)
+
+    q, lower, upper = map(read_only, (-b, np.full(n, -0.1), np.full(n, 0.2)))
+    z, expected = start.copy(), start.copy()
+    sweeps.projected_sweep(grid.rows, blocks, (grid.inverse, q, lower, upper), 1.0, False, z)
+    for i in order:
+        w = (M[[i]] @ expected)[0] - b[i]
+        expected[i] = np.clip(expected[i] - w / M[i, i], -0.1, 0.2)
+    np.testing.assert_allclose(z, expected, rtol=0, atol=1e-12)
+
+
+def test_blocks_of_one_kind_do_not_meet() -> None:
+    """No row of a block has an entry in the next block but one; nonsymmetric matrices and short ones have one block."""
+    hierarchy = levels.build_hierarchy(gallery.parse("obstacle_2d:size=300").problem.csr)
+    several = [grid for grid in hierarchy.grids if grid.blocks.edges.size > 2]
+    assert several
+    for grid in several:
+        edges, indptr, indices, _ = grid.blocks.edges, *grid.matrix.arrays
+        block = np.searchsorted(edges, np.arange(grid.n), side="right") - 1
+        rows = np.repeat(np.arange(grid.n), np.diff(indptr))
+        assert np.abs(block[rows] - block[indices]).max() == 1
+        assert grid.blocks.count(0) == grid.blocks.count(1) >= 2
+    wind = gallery.parse("convection_diffusion:size=300").problem.csr
+    for matrix, scales_rows in ((wind, True), (gallery.parse("obstacle_2d:size=100").problem.csr, False)):
+        assert levels.build_hierarchy(matrix, scales_rows=scales_rows).grids[0].blocks.edges.size == 2
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=60", "coefficient_jumps:size=64,contrast=1e6"])
+def test_cycles_in_single_precision_are_those_in_double_to_its_rounding(text: str) -> None:
+    """A V-cycle on some free unknowns, and its transpose, whatever unit the right-hand side has."""
+    M = gallery.parse(text).problem.csr
+    generator = np.random.default_rng(1)
+    b, free = generator.normal(size=M.shape[0]), generator.random(M.shape[0]) < 0.8
+    answers = []
+    for single in (False, True):
+        hierarchy = build_hierarchy(M, single=single)
+        assert hierarchy.is_single == single
+        truncation = Truncation(hierarchy)
+        top = truncation.grids[0]
+        top.is_free[:] = free
+        top.free_changed[:] = ~free
+        truncation.update()
+        for unit in (1.0, 2.0**-180):
+            for correct in (truncation.correct, truncation.correct_transposed):
+                truncation.unit = unit
+                np.multiply(b, unit, out=top.b)
+                correct(0)
+                answers.append(top.x / unit)
+    for double, single in zip(answers[:4], answers[4:], strict=True):
+        np.testing.assert_allclose(single, double, rtol=0, atol=1e-4 * np.abs(double).max())
+
+
+@pytest.mark.parametrize("text", ["obstacle_2d:size=20", "convection_diffusion:size=20"])
+def test_single_precision_does_not_see_the_unit_of_m(text: str) -> None:
+    """The coarser grids of 2^±900 M are those of M bit for bit; pivots too far from one another ask for double."""
+    M = gallery.parse(text).problem.csr
+    usual, *others = (
+        build_hierarchy(M * scale, coarsest=5, single=True, scales_rows=text.startswith("conv"))
+        for scale in (1.0, 2.0**900, 2.0**-900)
+    )
+    assert usual.is_single
+    for other in others:
+        for ours, plain in zip(other.grids[1:], usual.grids[1:], strict=True):
+            np.testing.assert_array_equal(ours.matrix.data, plain.matrix.data)
+    far = sp.diags_array(np.where(np.arange(400) % 2, 1e15, 1e-15)) @ M
+    assert not build_hierarchy(sp.csr_array(far), coarsest=5, single=True, scales_rows=True).is_single
+
+
+WITH_RUNS = [
+    "obstacle_2d:size=40", "obstacle_3d:size=34", "journal_bearing:size=40,eccentricity=0.9",
+    "rotated_anisotropy:size=40", "convection_diffusion:size=40,diffusion=0.01",
+    "coefficient_jumps:size=64,contrast=1e2", "random_h_plus:n=500",
+]
+
+
+@pytest.mark.parametrize("text", WITH_RUNS)
+def test_runs_of_equal_rows_change_nothing_but_rounding(text: str) -> None:
+    """Sweeps, residuals and products over runs of equal rows are those row by row, on every grid."""
+    generator = np.random.default_rng(0)
+    hierarchy = levels.build_hierarchy(gallery.parse(text).problem.csr)
+    for grid in hierarchy.grids:
+        one_by_one = np.array([[0, grid.n, 0]])
+        one_by_one.flags.writeable = False
+        b, start, free = generator.normal(size=grid.n), generator.normal(size=grid.n), generator.random(grid.n) < 0.7
+        inverse, lower, upper = grid.inverse * free, np.full(grid.n, -0.1), np.full(grid.n, 0.2)
+        found = []
+        for which in (grid.runs, one_by_one):
+            rows = *grid.rows[:4], which
+            vectors = tuple(map(read_only, (grid.inverse, b, lower, upper)))
+            x, z, residual = np.empty(grid.n), start.copy(), np.empty(grid.n)
+            sweeps.first_sweep(rows, grid.blocks, inverse, b, x)
+            results = [x.copy()]
+            sweeps.residual_after_first_sweep(rows, grid.blocks, inverse, np.zeros(0), b, x, residual)
+            results.append(residual.copy())
+            for backward in (True, False):
+                sweeps.sweep(rows, grid.blocks, inverse, backward, b, x)
+                sweeps.projected_sweep(rows, grid.blocks, vectors, 1.1, backward, z)
+                results += [x.copy(), z.copy()]
+            is_free, changed = np.ones(grid.n, np.bool_), np.zeros(grid.n, np.bool_)
+            numbers = sweeps.free_rows(rows, vectors, z, False, is_free, changed, residual)
+            sweeps.free_product(rows, inverse, start, x)
+            found.append([*results, residual, x, np.array(numbers)])
+        for ours, plain in zip(*found, strict=True):
+            np.testing.assert_allclose(ours, plain, rtol=0, atol=1e-11 * np.abs(plain).max())
+
+
+@pytest.mark.parametrize("text", WITH_RUNS)
+def test_repeated_rows_of_a_product_are_copied_bit_for_bit(text: str) -> None:
+    """A coarse matrix has the same bits whether or not rows that repeat are copied."""
+    hierarchy = levels.build_hierarchy(gallery.parse(text).problem.csr)
+    for grid, below, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+        computed = galerkin.galerkin_product(
+            grid.matrix.arrays, transfer.prolongation.arrays, transfer.restriction.arrays, below.n
+        )
+        for ours, plain in zip(below.matrix.arrays, computed, strict=True):
+            np.testing.assert_array_equal(ours, plain)
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 0.2))
+def test_what_changed_drops_out_of_runs(seed: int, share: float) -> None:
+    """EqualRows cover all rows once, in order; those taken at once hold no changed row and are equal rows."""
+    grid = levels.build_hierarchy(gallery.parse("obstacle_2d:size=40").problem.csr, coarsest=10_000).grids[0]
+    changed = np.random.default_rng(seed).random(grid.n) < share
+    left = grids.without(grid.runs, changed)
+    assert left[0, 0] == 0
+    assert left[-1, 1] == grid.n
+    assert np.array_equal(left[1:, 0], left[:-1, 1])
+    indptr, indices, data = grid.matrix.arrays
+    for first, end, reach in left:
+        if reach > 0:
+            assert not changed[first:end].any()
+            row = slice(indptr[first], indptr[first + 1])
+            for i in range(first, end):
+                other = slice(indptr[i], indptr[i + 1])
+                assert np.array_equal(data[row], data[other])
+                assert np.array_equal(indices[row] - first, indices[other] - i)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_pieces_see_symmetry_as_one_does(threads: int) -> None:
+    """An entry without its mirror, left or right of the diagonal, or one that differs is found, whoever looks."""
+    M = gallery.build("obstacle_2d", size=230).problem.csr
+    row = M.shape[0] // 3
+    left, right = int(M.indptr[row]), int(M.indptr[row + 1]) - 1
+    with threads_for(threads):
+        assert is_symmetric_entrywise(M)
+        for k in (left, right):
+            other = M.copy()
+            other.data[k] *= 1.0 + 1e-9
+            assert not is_symmetric_entrywise(other)
+            keep = np.arange(M.nnz) != k
+            indptr = np.append(0, np.cumsum(keep))[M.indptr]
+            without = sp.csr_array((M.data[keep], M.indices[keep], indptr.astype(M.indptr.dtype)), shape=M.shape)
+            assert not is_symmetric_entrywise(without)
+            transposed = galerkin.transposed(M.shape[0], without.indptr, without.indices, without.data)
+            expected = without.T.tocsr()
+            assert all(map(np.array_equal, transposed, (expected.indptr, expected.indices, expected.data)))

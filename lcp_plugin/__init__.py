@@ -3,6 +3,7 @@
 Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below load on first use, so that
 ``import lcp_plugin`` costs no more than numpy and scipy.sparse. Each has its help; these are pages on a whole subject:
 
+- ``help("lcp_plugin.core")``: what every solve needs, and in which order to read it
 - ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
 - ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games, absolute value equations
 - ``help("lcp_plugin.core.policy.choice")``: what algorithm="auto" does

@@ -91,3 +91,27 @@ def sample(rows: list[pytest.Item]) -> list[pytest.Item]:
         chosen.append(row)
         missing -= values[row]
     return chosen
+
+
+TAKEN_OUT = os.environ.get("LCP_PLUGIN_TAKEN_OUT", "")  # the room that tests/take_out.py has removed
+NOT_HERE = ("No module named 'lcp_plugin.", "this installation of lcp_plugin does")
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> object:
+    """Leave out files of tests that import a room which was taken out."""
+    report = (yield).get_result()
+    if TAKEN_OUT and report.failed and any(words in str(report.longrepr) for words in NOT_HERE):
+        report.outcome, report.longrepr, report.result = "passed", None, []
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> object:
+    """Skip a test that asks for a room which was taken out, and is told so."""
+    report = (yield).get_result()
+    if TAKEN_OUT and report.failed and call.excinfo is not None:
+        error: BaseException | None = call.excinfo.value
+        while error is not None:
+            if any(words in str(error) for words in NOT_HERE):
+                report.outcome, report.longrepr = "skipped", (str(item.path), 0, f"needs more than is left: {error}")
+            error = error.__cause__ or error.__context__

@@ -357,8 +357,8 @@ def test_shell_completes_scenes_and_algorithms() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("matrix/hierarchy/grids.py", "    return low\n", "    return runs.shape[0]\n"),
-    ("matrix/hierarchy/galerkin.py", "touched[i] = is_row_changed[i]", "touched[i] = 0 * is_row_changed[i]"),
+    ("systems/hierarchy/grids.py", "    return low\n", "    return runs.shape[0]\n"),
+    ("systems/hierarchy/galerkin.py", "touched[i] = is_row_changed[i]", "touched[i] = 0 * is_row_changed[i]"),
 ])
 def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
     file: str, old: str, new: str, tmp_path: Path
@@ -373,7 +373,7 @@ def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
         "galerkin.mark_rows(*operands)\n"
         "print(galerkin.__file__, touched[0], sum(galerkin._mark_rows.stats.cache_hits.values()))"
     )
-    at = str(tmp_path / "lcp_plugin" / "matrix" / "hierarchy" / "galerkin.py")
+    at = str(tmp_path / "lcp_plugin" / "systems" / "hierarchy" / "galerkin.py")
     cache = str(tmp_path / "cache")
     for hits in "01":
         assert in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="") == f"{at} 1 {hits}"

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
-import re
 from pathlib import Path
 
 import pytest
 from fresh_process import printed_by
+from picture import ARROWS, FOLDERS, LINES, above, explained, room_of
+from take_out import code_lines
 
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
@@ -18,23 +19,12 @@ from lcp_plugin.rooms import OFFERS
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
 FLOORS = 14
+CORE = 5000  # lines of code, which are read in an afternoon
 HEAVY = (
     "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
     "qpsolvers", "quantecon", "cvxpylayers",
 )
-FRONT_DOORS = ("__init__", "__main__", "rooms")
-
-
-def rooms_by_line() -> dict[str, int]:
-    """The picture: room → line, counted from the top."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## How it is built")[1]
-    picture = re.search(r"```text\n(.*?)```", text, re.S)
-    assert picture is not None
-    return {room: k for k, line in enumerate(picture[1].splitlines()) for room in line.split()}
-
-
-def room_of(file: Path) -> str:
-    return file.relative_to(PACKAGE).with_suffix("").parts[0]
+FRONT_DOORS = ("__init__", "__main__", "rooms", "algorithms", "methods", "problems", "doors")
 
 
 def module_of(file: Path) -> str:
@@ -42,7 +32,7 @@ def module_of(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-FILES = sorted(file for file in PACKAGE.rglob("*.py") if room_of(file) not in FRONT_DOORS)
+FILES = sorted(file for file in PACKAGE.rglob("*.py") if room_of(file) not in (*FRONT_DOORS, "__init__"))
 MODULES = {module_of(file): file for file in FILES}
 
 
@@ -72,22 +62,39 @@ def imported_modules(file: Path) -> set[str]:
 IMPORTS = {module: imported_modules(file) for module, file in MODULES.items()}
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
-def test_arrows_point_up_the_picture(file: Path) -> None:
-    """A file imports only from its own line or lines above it, inside functions too."""
-    lines = rooms_by_line()
-    module = module_of(file)
-    for target in IMPORTS[module]:
-        assert lines[room_of(MODULES[target])] <= lines[room_of(file)], f"{module} → {target}"
-
-
-def test_no_two_files_import_each_other() -> None:
-    """The files can be put in an order in which each imports only earlier ones, inside functions too."""
-    waiting = {module: set(targets) for module, targets in IMPORTS.items()}
+def assert_has_no_circle(imports: dict[str, set[str]]) -> None:
+    waiting = dict(imports)
     while waiting:
-        ready = {module for module, targets in waiting.items() if not targets & waiting.keys()}
+        ready = {one for one, targets in waiting.items() if not targets & waiting.keys()}
         assert ready, f"in a circle: {sorted(waiting)}"
-        waiting = {module: targets for module, targets in waiting.items() if module not in ready}
+        waiting = {one: targets for one, targets in waiting.items() if one not in ready}
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_arrows_stand_in_the_picture(file: Path) -> None:
+    """A file imports from its own room, from the core, and from where the picture's arrows lead, in functions too."""
+    room = room_of(file)
+    for target in IMPORTS[module_of(file)]:
+        assert room_of(MODULES[target]) in {room, "core", *ARROWS[room]}, f"{module_of(file)} → {target}"
+
+
+def test_every_arrow_is_needed() -> None:
+    """The picture draws no arrow that no file has."""
+    drawn = {(room, target) for room, targets in ARROWS.items() for target in targets}
+    has = {(room_of(MODULES[one]), room_of(MODULES[other])) for one, targets in IMPORTS.items() for other in targets}
+    assert not drawn - has
+
+
+def test_no_rooms_and_no_files_import_each_other() -> None:
+    """Rooms can be put in an order in which each imports only earlier ones, and so can files."""
+    assert_has_no_circle(ARROWS)
+    assert_has_no_circle(IMPORTS)
+
+
+def test_the_core_is_read_in_an_afternoon() -> None:
+    """The core imports no room, and has at most so many lines of code."""
+    assert not ARROWS["core"]
+    assert sum(code_lines(file) for file in FILES if room_of(file) == "core") <= CORE
 
 
 def test_the_front_door_offers_a_file_nothing_but_the_version() -> None:
@@ -98,7 +105,7 @@ def test_the_front_door_offers_a_file_nothing_but_the_version() -> None:
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module is None and node.level == depth:
                 asked |= {alias.name for alias in node.names}
-    assert asked - {room_of(file) for file in FILES} == {"__version__"}
+    assert asked - set(ARROWS) == {"__version__"}
 
 
 @pytest.mark.parametrize(
@@ -120,19 +127,19 @@ def test_a_room_that_is_not_here_is_named() -> None:
 
 def test_the_house_has_few_floors() -> None:
     """The picture has at most 14 lines."""
-    assert len(set(rooms_by_line().values())) <= FLOORS
+    assert len(LINES) <= FLOORS
 
 
 def test_picture_shows_every_room() -> None:
-    """The picture names every module and folder of the package, and nothing else."""
-    assert set(rooms_by_line()) == {room_of(file) for file in FILES}
+    """The picture names every room of the package once, and nothing else; each lies where its name says."""
+    assert set(ARROWS) == {room_of(file) for file in FILES}
+    assert all(folder.exists() for folder in FOLDERS.values())
+    assert above("commands") == set()
 
 
 def test_table_below_the_picture_explains_every_room() -> None:
     """The table explains each room of the picture once."""
-    section = (ROOT / "README.md").read_text(encoding="utf-8").split("| room | what is in it |")[1].split("\n\n")[0]
-    explained = [room for row in section.splitlines()[2:] for room in re.findall(r"`(\w+)`", row.split("|")[1])]
-    assert sorted(explained) == sorted(rooms_by_line())
+    assert sorted(explained()) == sorted(ARROWS)
 
 
 def test_modules_stay_short() -> None:

@@ -18,19 +18,19 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages it shows; the longest match counts
-    "solve": ("Solve: problems, methods, what comes back", "problem solving settings policy algorithms errors"),
-    "model": ("Model: in cvxpy, as a program, a game, an equation", "modeling conversions"),
+    "solve": ("Solve: problems, methods, what comes back", "core algorithms methods problems"),
+    "model": ("Model: in cvxpy, as a program, a game, an equation", "modeling problems.programs "
+              "problems.reformulations"),
     "prove": (
         "Prove: a matrix, a method, an error, an answer",
-        "certificates matrix algorithms.search solving.certification solving.program_proofs solving.guarantees",
+        "proofs core.certificates methods.search problems.programs.certification problems.programs.program_proofs",
     ),
-    "batch": ("Batch: many problems at once", "solving.batch solving.batch_run solving.program_batch solving.march "
-              "problems.programs.program_batch"),
-    "differentiate": ("Differentiate: how the answer changes", "learn solving.derivative solving.batch_derivative"),
-    "measure": ("Measure: scenes, pictures, tests of solvers", "evidence strategies"),
-    "doors": ("Doors: other languages, files, machines", "doors pyomo modeling.nl communicator commands"),
+    "batch": ("Batch: many problems at once", "problems.batches problems.march problems.programs.program_batch"),
+    "differentiate": ("Differentiate: how the answer changes", "doors.learn problems.sensitivity"),
+    "measure": ("Measure: scenes, pictures, tests of solvers", "gallery evidence strategies"),
+    "doors": ("Doors: other languages, files, machines", "doors pyomo ranks commands"),
 }
-TOGETHER = ("errors",)  # a room whose names stand on one page
+TOGETHER = ("core.errors",)  # a room whose names stand on one page
 
 
 def subject_of(room: str) -> str:

@@ -42,7 +42,7 @@ class Step:
     is_settling : bool
         The algorithm has just changed a parameter of its own: a residual that does not fall now is no standstill.
     proof : object, optional
-        Of `certificates`: that the problem has no solution. The driver verifies it before it believes it.
+        Of `proofs`: that the problem has no solution. The driver verifies it before it believes it.
     remark : str
         A clause for the advice of a run that does not solve the problem: what was left undecided, and what to do.
     label : str

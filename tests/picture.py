@@ -1,0 +1,53 @@
+"""README's picture of the house: its rooms, where they lie, and the arrows between them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "lcp_plugin"
+GROUPS = ("methods", "problems", "doors")  # folders of rooms
+
+
+def _section() -> str:
+    return (ROOT / "README.md").read_text(encoding="utf-8").split("## How it is built")[1].split("\n## ")[0]
+
+
+def _arrows(line: str) -> dict[str, set[str]]:
+    """Return what the rooms of a line may import: "a, b → c, d · e" says that a and b may import c and d."""
+    found: dict[str, set[str]] = {}
+    for part in line.split(" · "):
+        rooms, _, targets = part.partition("→")
+        found |= {room: set(re.findall(r"\w+", targets)) for room in re.findall(r"\w+", rooms)}
+    return found
+
+
+_picture = re.search(r"```text\n(.*?)```", _section(), re.S)
+LINES = _picture[1].splitlines() if _picture else []
+ARROWS = {room: targets for line in LINES for room, targets in _arrows(line).items()}  # beside those to the core
+FOLDERS = {
+    room: next((room_folder for group in ("", *GROUPS) if (room_folder := PACKAGE / group / room).exists()),
+               PACKAGE / "doors" / f"{room}.py")
+    for room in ARROWS
+}  # fmt: skip
+
+
+def explained() -> list[str]:
+    """The rooms that the table below the picture explains."""
+    rows = _section().split("| room | what is in it |")[1].split("\n\n")[0].splitlines()[2:]
+    return [room for row in rows for room in re.findall(r"`(\w+)`", row.split("|")[1])]
+
+
+def room_of(file: Path) -> str:
+    """The room of a file of the package."""
+    parts = file.relative_to(PACKAGE).with_suffix("").parts
+    return parts[1] if parts[0] in GROUPS and len(parts) > 1 else parts[0]
+
+
+def above(room: str) -> set[str]:
+    """The rooms that need it, by one arrow or several."""
+    found: set[str] = set()
+    while more := {other for other, targets in ARROWS.items() if targets & {room, *found}} - found:
+        found |= more
+    return set(ARROWS) - {"core"} if room == "core" else found

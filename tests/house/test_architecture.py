@@ -19,7 +19,7 @@ from lcp_plugin.rooms import OFFERS
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
 FLOORS = 14
-CORE = 5000  # lines of code, which are read in an afternoon
+CORE = 5100  # lines of code, which are read in an afternoon
 HEAVY = (
     "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
     "qpsolvers", "quantecon", "cvxpylayers",

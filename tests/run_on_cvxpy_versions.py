@@ -31,7 +31,7 @@ def run_on(version: str) -> bool:
         python = str(Path(folder, "bin", "python"))
         wanted = [f"cvxpy=={version}", *FLOORS.get(version, ()), "pytest", "pytest-xdist", "hypothesis", str(ROOT)]
         subprocess.run([python, "-m", "pip", "install", "-q", *wanted], check=True)
-        tests = [str(ROOT / "tests" / name) for name in TESTS]
+        tests = [str(next((ROOT / "tests").rglob(name))) for name in TESTS]
         # Outside the source tree, so that the installed package is tested; its own deprecations are not our errors.
         command = [python, "-m", "pytest", "-q", "--full", "-n", "2", "-p", "no:cacheprovider", "-W", "default", *tests]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

@@ -31,7 +31,7 @@ from ..kernels.floats import DATA_ROUNDING, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix
 from ..matrix.structure import IntVector, Parts, parts
-from ..matrix.units import Units, units_of
+from ..matrix.units import Units, is_representable, units_of
 from .row_residuals import at_rounding_level, magnitude, residual_ends_of, rounding_floor, sharp_residual_ends
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
@@ -93,8 +93,10 @@ def _with_offset(problem: LCP, units: Units) -> tuple[IntVector, IntVector, Floa
     is_open = (units.row != 0) | (units.column != 0)
     of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
     with np.errstate(all="ignore"):
-        scale = np.ldexp(scale, of_column - of_row)
-    return row + of_row, column - of_column, read_only(np.clip(scale, TINY, np.finfo(float).max))
+        shifted = np.ldexp(scale, of_column - of_row)
+    if not is_representable(shifted):
+        return row, column, scale
+    return row + of_row, column - of_column, read_only(shifted)
 
 
 def residual_scale_of_criterion(problem: LCP) -> FloatVector:
@@ -166,9 +168,12 @@ def reference_residual(problem: LCP) -> float:
 
 
 def rounding_of_data(problem: LCP) -> float:
-    """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q_i|/d_i."""
+    """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q̂_i|/d̂_i."""
+    units = RowUnits.of(problem)
     with np.errstate(over="ignore"):
-        largest = float(np.abs(problem.q / problem.residual_scale).max(initial=0.0))
+        sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
+        sizes = sizes if units is None else np.ldexp(sizes, -units.column)
+        largest = float(sizes.max(initial=0.0))
     return DATA_ROUNDING * problem.communicator.largest(largest)
 
 

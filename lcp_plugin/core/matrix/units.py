@@ -110,7 +110,10 @@ def are_in_one_unit(matrices: Any) -> BoolVector:
 
 
 def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector) -> Units | None:
-    """Return the units of these exponents, centred, but 0 in parts whose unknowns they leave alike."""
+    """Return the units of these exponents, centred, but 0 in parts whose unknowns they leave alike.
+
+    None where all are alike, and where an entry or what w is divided by is beyond the range of doubles.
+    """
     first = np.unique(labels, return_inverse=True)[1]
     most, least = (_extremes(column, first, side) for side in (np.maximum, np.minimum))
     middle = (most + least) // 2
@@ -119,13 +122,22 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
         return None
     row, column = (np.where(is_alike, 0, side) for side in (row + middle[first], column - middle[first]))
     of_row, of_column = _components(matrix.csr)
-    balanced = Matrix(scaled(matrix.array, Exponents(row, column)))
+    M = scaled(matrix.array, Exponents(row, column))
+    if not np.isfinite(M.data if sp.issparse(M) else M).all():
+        return None
+    balanced = Matrix(M)
     units_of.keep(balanced, None)
     with np.errstate(all="ignore"):
         scale = np.ldexp(balanced.residual_scale, -(row + column))
+    if not is_representable(scale):
+        return None
     row, column, of_row, of_column = (read_only(side) for side in (row, column, of_row, of_column))
-    scale = np.maximum(scale, np.finfo(float).tiny)
     return Units(row, column, of_row, of_column, balanced, read_only(scale))
+
+
+def is_representable(scale: FloatVector) -> bool:
+    """Return whether all scales are normal numbers: beside 0 or ∞ no w would count, or none but 0."""
+    return bool(((scale >= np.finfo(float).tiny) & (scale <= np.finfo(float).max)).all())
 
 
 def _is_even(matrix: Matrix) -> bool:

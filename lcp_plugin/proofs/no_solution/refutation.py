@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import residual_scale_of_criterion, rounding_of_data
+from ...core.certificates.criterion import RowUnits, residual_scale_of_criterion, rounding_of_data
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
@@ -54,11 +54,14 @@ class Closing:
         At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the part of row i.
     absolute : Fraction
         At least Σ weight_i.
+    weighted : Fraction
+        The same in the units of the criterion.
     """
 
     contradiction: Fraction
     relative: Fraction
     absolute: Fraction
+    weighted: Fraction
 
 
 class Refutation:
@@ -116,8 +119,8 @@ class Refutation:
 
     @property
     def is_rounding(self) -> bool:
-        """Whether what contradicts is no more than rounding of the largest number in q: of max_i |q_i|/d_i."""
-        return self.absolute_margin <= rounding_of_data(self.problem)
+        """Whether what contradicts is no more than rounding of the largest number in q, in balanced units."""
+        return rounded_down(self._least[2]) <= rounding_of_data(self.problem)
 
     def excludes(
         self, tolerance: float, tolerance_on: str = "residual", absolute_tolerance: float = 0.0,
@@ -137,15 +140,16 @@ class Refutation:
         )
 
     @cached_property
-    def _least(self) -> tuple[Fraction | None, Fraction | None]:
-        """The least relative residual, and the least one; None for ∞."""
+    def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
+        """The least relative residual, the least one, and that in the units of the criterion; None for ∞."""
         found = list(self.closings())
         closings = [closing for closing in found if closing is not None]
         if len(closings) < len(found):
-            return ZERO, ZERO
+            return ZERO, ZERO, ZERO
         relative = [one.contradiction / one.relative for one in closings if one.relative]
         absolute = [one.contradiction / one.absolute for one in closings if one.absolute]
-        return min(relative, default=None), min(absolute, default=None)
+        weighted = [one.contradiction / one.weighted for one in closings if one.weighted]
+        return min(relative, default=None), min(absolute, default=None), min(weighted, default=None)
 
 
 class Choices(NamedTuple):
@@ -200,9 +204,13 @@ class Choices(NamedTuple):
         leaving = {i: abs(value) for i, value in found.product.items()
                    if path.get(i) == (LOWER if value > 0 else UPPER)}  # of z_i from its bound
         shares = [*scaled, *leaving.items()]
+        units = RowUnits.of(self.problem)
+        absolute = sum((share for _, share in shares), ZERO)
         return Closing(
-            found.size, sum((share * exact_reference(self.problem, i) for i, share in shares), ZERO),
-            sum((share for _, share in shares), ZERO),
+            found.size, sum((share * exact_reference(self.problem, i) for i, share in shares), ZERO), absolute,
+            absolute if units is None else sum(
+                (share * Fraction(2) ** int(units.column[i]) for i, share in shares), ZERO
+            ),
         )
 
 

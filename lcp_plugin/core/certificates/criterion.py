@@ -3,7 +3,9 @@
 In the units R, C of :mod:`lcp_plugin.core.matrix.units`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in each
 part P, a connected component of the graph of M,
 
-    ‖r̂_P(z)‖∞ ≤ max(tolerance · ‖r̂_P(z°)‖∞, absolute tolerance),  r̂_i = ẑ_i − mid(l̂_i, û_i, ẑ_i − ŵ_i / d̂_i).
+    |r̂_i(z)| ≤ tolerance · ‖r̂_P(z°)‖∞ for each row i of P,  r̂_i = ẑ_i − mid(l̂_i, û_i, ẑ_i − ŵ_i / d̂_i),
+
+or |r_i| ≤ absolute tolerance, in the caller's unit of z_i.
 
 In the caller's units r̂_i is r_i, with d̂_i / 2^(row_i + column_i) for d_i, times the *weight* 2^−column_i: this is how
 a certificate computes it, on the caller's data. A run works on the problem in these units, and there, with 2^k_P for
@@ -12,8 +14,9 @@ speaks of every part within a factor 2. Where ‖r̂_P(z°)‖∞ = 0 the answer
 components of the graph of rows and columns (zero diagonals: games, linear programs), M̂ leaves the unit of each open,
 and q̂ at z° decides: its largest entry in the rows of each lies in [½, 1).
 
-What it does not see: units that M cannot tell (a factor of 2⁸ between unknowns, rows that dominate), and jumps in mixed
-units, whose stiff part counts more than its share. Rows over ranks keep the units they are given in.
+What it does not see: units that M cannot tell (an M of entries within 2¹⁰, a factor of 2⁸ between unknowns, rows that
+dominate, a row of zeros: such keep the units they are given in, so that beside the same M in mixed units the residual
+may differ), and jumps in mixed units, whose stiff part counts more than its share. Rows over ranks keep their units.
 """
 
 from __future__ import annotations

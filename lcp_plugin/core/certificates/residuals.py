@@ -56,8 +56,7 @@ class Certificate:
     relative_residual : float
         The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts P, the connected components of the graph of M, with
         r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the units
-        in which M is balanced (:mod:`lcp_plugin.core.certificates.criterion`): the units of rows and unknowns do not
-        change it.
+        in which M is balanced (:mod:`lcp_plugin.core.certificates.criterion`): mixed units do not change it.
     parts : int
         How many parts there are.
     natural_residual : float
@@ -331,8 +330,9 @@ class Certificate:
 
     @cached_property
     def scale_spread(self) -> float:
-        """The largest residual scale d_i divided by the smallest; 1 for an empty problem."""
-        scale = self.problem.residual_scale
+        """The largest d_i divided by the smallest, in the units of the criterion; 1 for an empty problem."""
+        units, scale = self._units, self._scale
+        scale = scale if units is None else np.ldexp(scale, units.row + units.column)
         extremes = scale.max(initial=-np.inf), -scale.min(initial=np.inf)
         most, minus_least = self.problem.communicator.all_largest(*map(float, extremes))
         with np.errstate(over="ignore"):

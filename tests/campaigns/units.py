@@ -2,12 +2,12 @@
 
     python tests/campaigns/units.py --cases 500 --seed 0
 
-Of each kind, in random units of rows and unknowns (powers of two from 2⁻²⁰ to 2²⁰; "smooth": such as differ little
-from one unknown to the next), so many cases. An answer wrong by 10⁻³ in one unknown's own unit must not pass a
+Of each kind, in random units of rows and unknowns (powers of two from 2⁻²⁰ to 2²⁰; "smooth": such as differ little from
+one unknown to the next), so many cases. An answer wrong by 10⁻³ in one unknown's own unit must not pass a
 tolerance of 1e-6, unless it solves the problem too, as multipliers may; one that is right to 10⁻¹⁰ must pass 1e-8; the
-same problem in two mixed units must have the same residual and the same status; what auto calls SOLVED must be as near
-as the planted answer. Exit code 1 where one of these fails, but for "jumps": coefficients that jump by 2¹⁰ to 2³⁰ in
-mixed units, which nothing in M tells from these.
+same problem in two units, neither of which M keeps, must have the same residual and the same status; what auto calls
+SOLVED must be as near as the planted answer. Exit code 1 where one of these fails, but for "jumps": coefficients that
+jump by 2¹⁰ to 2³⁰ in mixed units, which nothing in M tells from these.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin import LCP, Certificate, solve
+from lcp_plugin.core.matrix.units import units_of
 
 Entries = np.ndarray
 
@@ -126,11 +127,12 @@ def judged(kind: Any, seed: int, units: str) -> list[str]:
         found.append("right refused")
     others = random_units(seed + 10**6, z.size, units)
     again = measured(M, q, *others)
-    if units == "mixed" and Certificate.of(again, wrong * others[1]).relative_residual != residual:
+    are_mixed = units_of(problem.matrix) is not None and units_of(again.matrix) is not None
+    if are_mixed and Certificate.of(again, wrong * others[1]).relative_residual != residual:
         found.append("other units, another residual")
     result, other = solve(problem), solve(again)
     found.append(f"auto {result.status.name}")
-    if units == "mixed" and other.status is not result.status:
+    if are_mixed and other.status is not result.status:
         found.append("other units, another status")
     if result.is_solved and not np.abs(result.z / of_z - z).max() <= 1e-3 and not is_answer(M, q, result.z / of_z):
         found.append("SOLVED, but far")

@@ -88,6 +88,7 @@ def answered(kind: Any, seed: int) -> tuple[Entries, Entries, Entries]:
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     M = kind(rng, int(rng.integers(4, 13)))
     is_free = rng.random(len(M)) < 0.6
+    is_free[[0, -1]] = True  # so that q says something of both blocks of a game
     sizes = np.exp(rng.uniform(-1.0, 1.0, (2, len(M))))
     z, w = np.where(is_free, sizes[0], 0.0), np.where(is_free, 0.0, sizes[1] * np.abs(M).max(axis=1))
     return M, w - M @ z, z

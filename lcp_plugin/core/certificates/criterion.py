@@ -12,7 +12,7 @@ a certificate computes it, on the caller's data. A run works on the problem in t
 each part, so that 2^k_P ‖r̂_P(z°)‖∞ lies in [1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm
 speaks of every part within a factor 2. Where ‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where a part falls into several
 components of the graph of rows and columns (zero diagonals: games, linear programs), M̂ leaves the unit of each open,
-and q̂ at z° decides: its largest entry in the rows of each lies in [½, 1).
+and q̂ at z° decides: its largest entry in the rows of each lies in [½, 1). Where it is 0 in all of them, nothing does.
 
 What it does not see: units that M cannot tell (an M of entries within 2¹⁰, a factor of 2⁸ between unknowns, rows that
 dominate, a row of zeros: such keep the units they are given in, so that beside the same M in mixed units the residual
@@ -93,7 +93,8 @@ def _with_offset(problem: LCP, units: Units) -> tuple[IntVector, IntVector, Floa
     largest = np.zeros(2 * problem.n)
     np.maximum.at(largest, units.of_row, np.where(np.isfinite(slack), slack, 0.0))
     shift = np.where(largest > 0.0, -np.frexp(largest)[1], 0).astype(np.int64)
-    is_open = (units.row != 0) | (units.column != 0)
+    has_units = np.maximum(np.abs(units.row), np.abs(units.column)).astype(np.float64)
+    is_open = for_each_row(problem, largest_of_parts(problem, has_units)) > 0.0
     of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
     with np.errstate(all="ignore"):
         shifted = np.ldexp(scale, of_column - of_row)

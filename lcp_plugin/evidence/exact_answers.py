@@ -289,7 +289,7 @@ def _lie_about_residual(result: Result) -> str:
         floors = rounding_floors(problem, result.z)
         explained = all(r <= FLOORS_MEASURED * floor for r, floor in zip(residuals, floors, strict=True))
         if result.infeasibility is not None and result.infeasibility.is_rounding:
-            explained |= max(residuals) <= Fraction(rounding_of_data(problem)) * (1 + EPSILON)
+            explained |= max(exactly_weighted(problem, result.z)) <= Fraction(rounding_of_data(problem)) * (1 + EPSILON)
         return "" if explained else "PRECISION_LIMIT, but rounding does not explain the residual"
     residuals = exactly_weighted(problem, result.z)
     references = _references(problem, exactly_weighted(problem, problem.nearest_to_zero))

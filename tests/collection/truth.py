@@ -283,9 +283,10 @@ class ExactData:
         return [r * weight for r, weight in zip(self.residual(z), self.weights, strict=True)]
 
     def misses_by_rounding_of_q(self, z: Sequence[Any]) -> bool:
-        """Whether every residual is at most 2⁻⁴⁴ of the largest |q_i|/d_i, which is what may contradict in q."""
-        largest = max((abs(q) / d for q, d in zip(self.q, self.divisor, strict=True)), default=Fraction(0))
-        return max(self.residual(z), default=Fraction(0)) <= largest * (1 + MACHINE_EPSILON) / 2**44
+        """Whether every residual is at most 2⁻⁴⁴ of the largest |q̂_i|/d̂_i, which is what may contradict in q."""
+        rows = zip(self.weights, self.q, self.divisor, strict=True)
+        largest = max((weight * abs(q) / d for weight, q, d in rows), default=Fraction(0))
+        return max(self.weighted(z), default=Fraction(0)) <= largest * (1 + MACHINE_EPSILON) / 2**44
 
     def is_at_rounding_level(self, z: Sequence[Any]) -> bool:
         """Whether every residual is at most 5 times its floor: 4 as claimed, and 1 for the rounding of the claim."""

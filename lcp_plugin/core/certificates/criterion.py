@@ -35,7 +35,15 @@ from ..lcp import LCP
 from ..matrix.matrix import Matrix
 from ..matrix.structure import IntVector, Parts, parts
 from ..matrix.units import Units, is_representable, units_of
-from .row_residuals import at_rounding_level, magnitude, residual_ends_of, rounding_floor, sharp_residual_ends
+from .row_residuals import (
+    at_rounding_level,
+    magnitude,
+    measured_residual,
+    residual_ends_of,
+    rounding_floor,
+    scaled_residual,
+    sharp_residual_ends,
+)
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 _references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
@@ -169,6 +177,16 @@ def least_reference(least: FloatVector, most: FloatVector) -> float:
 def reference_residual(problem: LCP) -> float:
     """Return ‖r(z°)‖∞ in the problem's own units, rounded upwards: what a run compares residuals with on the way."""
     return problem.communicator.largest(float(own_references(problem)[1].max(initial=0.0)))
+
+
+def measured_in_units(problem: LCP, z: FloatVector) -> float:
+    """Return ‖r̂(z)‖∞ over all parts as double precision gives it."""
+    units = RowUnits.of(problem)
+    if units is None:
+        return measured_residual(problem, z)
+    with np.errstate(all="ignore"):
+        residual = np.abs(scaled_residual(problem, z, problem.slack(z), units.scale))
+    return float(units.upwards(residual).max(initial=0.0))
 
 
 def rounding_of_data(problem: LCP) -> float:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..algorithms import Algorithm, Step
-from ..certificates.criterion import CommonUnits, rounding_of_data
+from ..certificates.criterion import CommonUnits, measured_in_units, rounding_of_data
 from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
@@ -156,7 +156,7 @@ class Judge:
         """Return whether no z is a solution, but this one misses by no more than rounding of the data."""
         if z is None or self.proof is None or not self.proof.is_rounding:
             return False
-        return self.certificate_of(z).scaled_residual <= rounding_of_data(self.problem)
+        return measured_in_units(self.problem, self.units.outward(z)) <= rounding_of_data(self.problem)
 
     def counts(self, proof: Any) -> bool:
         """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.

@@ -11,5 +11,7 @@ Read it in this order:
 5. ``solving``: ``driver`` begins a run, ``run`` drives it, ``judge`` says when it is done, ``result`` what is given
    back.
 6. ``policy``: what ``auto`` does next. ``registry`` and ``kinds``: what the rooms offer that are here. ``deadline``:
-   the clock of a run.
+   the clock of a run. ``crossovers``: up to where each way is the cheaper one.
+
+To be looked up: ``lcp_kind``, the row of the LCP in the table of kinds; ``written``, reprs that can be pasted.
 """

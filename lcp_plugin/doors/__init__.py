@@ -3,14 +3,14 @@
 | you have | you write |
 |---|---|
 | a Pyomo model | ``import lcp_plugin.pyomo``, then ``SolverFactory("lcp_plugin")`` |
-| AMPL, JuMP, an ``.nl`` file | the executable ``lcp-plugin-ampl``, ``modeling.nl.read_nl("m.nl").solve()`` |
+| AMPL, JuMP, an ``.nl`` file | the executable ``lcp-plugin-ampl``, ``doors.nl.read_nl("m.nl").solve()`` |
 | qpsolvers | ``lcp_plugin.register_with_qpsolvers()``, then ``solver="lcp_plugin"`` |
 | cvxpylayers | ``CvxpyLayer(…, solver=LCPSolver())`` |
 | QuantEcon | ``from lcp_plugin import lemke as lcp_lemke``, ``LCP.from_game(game)`` |
 | files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
 | programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
 | finite elements, as by scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
-| cvxpy, PyTorch, JAX | not doors but rooms: ``help("lcp_plugin.modeling")``, ``help("lcp_plugin.doors.learn")`` |
+| cvxpy; PyTorch, JAX | ``help("lcp_plugin.modeling")``; ``help("lcp_plugin.doors.learn")`` |
 
 Whatever the door, an answer is called solved or optimal only where it was measured on the data that came through it,
 and infeasible or unbounded only with a proof that was verified. No package is imported before its door is used.

@@ -1,4 +1,4 @@
-"""Evidence: named scenes, studies, pictures and tables. Heavy; nothing below looks at it.
+"""Evidence: studies, pictures, tables, the report. Heavy; only the commands import it.
 
 ``lcp-plugin study`` measures methods on families of problems, yours and ours, into one CSV that a second run goes on
 from, and saves tables (LaTeX, Markdown, CSV) and pictures (PDF, SVG, PNG) of it. In Python: `study`.

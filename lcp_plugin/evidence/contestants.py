@@ -69,7 +69,7 @@ def contestants(algorithms: Any) -> list[Contestant]:
     UnknownAlgorithm
         With the closest name.
     InvalidOption
-        Where `algorithms` is none of these.
+        Where `algorithms` is none of these, or two different ones have one label.
     """
     if algorithms is None:
         return [*paper_settings(), *own_settings()]
@@ -82,7 +82,15 @@ def contestants(algorithms: Any) -> list[Contestant]:
             f'algorithms must be names or Algorithm objects, got {algorithms!r}; write ["psor"]'
         ) from None
     every = [one if isinstance(one, Contestant) else _contestant(label, one) for label, one in named]
-    return list({one.label: one for one in every}.values())
+    found: dict[str, Contestant] = {}
+    for one in every:
+        other = found.setdefault(one.label, one)
+        if other.algorithm is not one.algorithm and other.algorithm != one.algorithm:
+            raise InvalidOption(
+                f"two methods are called {one.label!r}, {other.algorithm!r} and {one.algorithm!r}; give them labels, "
+                'as in {"mine": …, "theirs": …}, or another name to your own'
+            )
+    return list(found.values())
 
 
 def checked_names(names: Any, option: str) -> list[str]:

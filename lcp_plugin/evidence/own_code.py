@@ -63,7 +63,7 @@ def as_scene_of(given: Any, name: str, size: int | None) -> Scene:
         try:
             inspect.signature(given).bind(*arguments)
         except TypeError as error:
-            needs = "needs a size, give one" if size is None else f"does not take the size {size}"
+            needs = "needs a size (sizes=[100], --size 100)" if size is None else f"does not take the size {size}"
             raise InvalidOption(f"{name} {needs}, or its parameters, {name}:key=value: {error}") from None
         given = given(*arguments)
     if isinstance(given, tuple) and 2 <= len(given) <= 4:

@@ -1,10 +1,9 @@
 """Named, parametrised scenes: problems that know what is known about them.
 
 ``build("obstacle_2d", size=200)``, ``obstacle_2d(size=200)`` and ``parse("obstacle_2d:size=200")`` give the
-same :class:`Scene`; ``describe()`` lists them all. Write ``from lcp_plugin import gallery`` and ``gallery.Scene``:
-``lcp_plugin.gallery`` is a name of the front door, not a module. A new scene is one function with ``scene_builder``
-in a file of this folder, and nothing else; the report shows it when asked for by name, and without a name where
-``report/scenes.py`` lists it.
+same :class:`Scene`; ``describe()`` lists them all. A new scene is one function with ``scene_builder`` in a file of
+this folder, and nothing else; the report shows it when asked for by name, and without a name where
+``evidence/report/scenes.py`` lists it.
 """
 
 from collections.abc import Callable

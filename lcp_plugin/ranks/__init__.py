@@ -1,4 +1,4 @@
-"""Who holds the other rows: nobody, or the ranks of an MPI job.
+"""Rows of M spread over the ranks of an MPI job.
 
 Once PETSc is there (see the README, "Several machines"), run a command or a script on so many ranks::
 

@@ -105,7 +105,7 @@ def test_the_report_takes_a_function(here: Path) -> None:
         ("solve nothing:f", "no module 'nothing'"),
         ("solve broken.py:f", "broken.py, line 2, in <module>: AttributeError"),
         ("solve syntax.py:f", "syntax.py, line 1: "),
-        ("solve mine.py:chain", "chain needs a size, give one"),
+        ("solve mine.py:chain", "chain needs a size"),
         ("solve mine.py:even --size 3", "in even: ValueError: n must be even, got 3"),
         ("solve mine.py:even:n=4,shft=1", "got an unexpected keyword argument 'shft'"),
         ("solve mine.py:even:n", "write file.py:function:key=value"),

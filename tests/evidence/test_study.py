@@ -31,6 +31,7 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.evidence import collecting, paper_tables
+from lcp_plugin.evidence.contestants import contestants
 from lcp_plugin.evidence.curves import Curve, Point
 from lcp_plugin.evidence.exporting import Table, save_tables
 from lcp_plugin.evidence.results import COLUMNS, VIEWS, Row
@@ -407,3 +408,10 @@ def test_an_atlas_without_ranges_has_no_map() -> None:
     """What is missing is named."""
     with pytest.raises(InvalidOption, match="this atlas has no 'ranges'"):
         Atlas(()).plot()
+
+
+def test_two_methods_of_one_name_are_refused() -> None:
+    """An own method that is called as one of ours takes nobody's place; the same method twice is one."""
+    with pytest.raises(InvalidOption, match="two methods are called 'psor'"):
+        contestants([*contestants({"psor": "pgs"}), "psor"])
+    assert [one.label for one in contestants(["psor", "psor"])] == ["psor"]

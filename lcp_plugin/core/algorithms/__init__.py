@@ -1,10 +1,10 @@
-"""Algorithms: one family a file, one line of the registry each; other packages add theirs by entry points.
+"""Algorithms: what one is, and by which name it is had; rooms and other packages add theirs.
 
 ``examples/add_an_algorithm.py`` writes one and says how a package offers it. The name of the entry point must be the
 class's ``name``, and none of ours. The class attributes ``assumption``, ``converges_on``, ``cost`` and ``reference``
 are what ``lcp-plugin list`` tells.
 
-The classes are had from here. An instance holds its options, and is refused where one of them is wrong:
+The classes are had from :mod:`lcp_plugin.algorithms`. An instance holds its options, and is refused where one is wrong:
 
 >>> from lcp_plugin import LCP, solve
 >>> from lcp_plugin.algorithms import NPSOR

@@ -1,1 +1,1 @@
-"""solve(): a run, its incumbent and its judge; batches."""
+"""solve(): a run, its incumbent and its judge; the result."""

@@ -1,1 +1,1 @@
-"""Active sets: Newton's method, its linear systems, and principal pivots."""
+"""Active sets: semismooth Newton, and unknowns without bounds eliminated before it (static condensation)."""

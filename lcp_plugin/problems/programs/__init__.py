@@ -1,4 +1,4 @@
-"""Other problems as linear complementarity problems and back: pure functions, one kind of problem a file.
+"""Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
 
 Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` remembers where it came
 from: ``origin.recover(result)``, with a result of ``solve`` or any z, gives the answer in the terms of the problem that
@@ -9,10 +9,10 @@ was asked, together with a measure of how wrong it is there. Who wants the answe
 |---|---|
 | convex quadratic program | ``LCP.from_qp(P, c, G, h, A, b, lower, upper)``; back: ``problem.to_qp()`` |
 | many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
-| linear program | ``quadratic_program.lcp_from_lp`` |
-| least squares within bounds | ``least_squares.lcp_from_least_squares`` |
+| linear program | ``problems.programs.conversion.lcp_from_lp`` |
+| least squares within bounds | ``problems.least_squares.conversion.lcp_from_least_squares`` |
 | bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
-| absolute value equation | ``absolute_value.lcp_from_absolute_value`` |
+| absolute value equation | ``problems.reformulations.absolute_value.lcp_from_absolute_value`` |
 | model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
 
 Quadratic programs must be convex; others are refused (`UnsupportedModel`): up to n = 5000 where P has a negative

@@ -135,13 +135,14 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
 
     None where all are alike, and where an entry or what w is divided by is beyond the range of doubles.
     """
+    of_row, of_column = (labels, labels) if matrix.diagonal.all() else _components(matrix.csr)
     most, least = (_extremes(column, labels, side) for side in (np.maximum, np.minimum))
-    middle = ((most + least) // 2)[labels]
-    is_alike = (most - least <= ALIKE)[labels]
+    middle, are_alike = ((most + least) // 2)[labels], most - least <= ALIKE
+    np.logical_and.at(are_alike, labels, of_row == of_column)  # what M leaves open between components may be anything
+    is_alike = are_alike[labels]
     if is_alike.all():
         return None
     row, column = (np.where(is_alike, 0, side) for side in (row + middle, column - middle))
-    of_row, of_column = (labels, labels) if matrix.diagonal.all() else _components(matrix.csr)
     M = scaled(matrix.array, Exponents(row, column))
     if not np.isfinite(M.data if sp.issparse(M) else M).all():
         return None

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..core.algorithms import module_of
 from ..core.certificates.residuals import Certificate
-from ..core.certificates.row_residuals import scaled_residual
+from ..core.certificates.row_residuals import magnitude, rounding_floor, scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, LCPError
 from ..core.kinds import refusal
@@ -280,7 +280,9 @@ class _Pair:
 
     def _error(self, side: Certificate) -> float:
         """Return ‖D^½ r‖ with rounding: what r is measured to be, and may be."""
-        residual = np.abs(scaled_residual(side.problem, side.z, side.w)) + side.rounding_floor
+        problem = side.problem
+        floor = rounding_floor(problem, magnitude(problem, side.z), problem.residual_scale)
+        residual = np.abs(scaled_residual(problem, side.z, side.w)) + floor
         return float(np.linalg.norm(residual * self._weight))
 
     @property

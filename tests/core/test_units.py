@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns.units import KINDS, answered, jumps, measured, random_units
+from campaigns.units import KINDS, answered, definite, jumps, measured, random_units
 from mixed_units import ANSWER, BOUNDS, M, Q
 
 from lcp_plugin import LCP, Certificate, Status, march, solve, solve_batch
@@ -209,3 +209,16 @@ def test_a_penalty_row_beside_a_wind_is_no_unit(algorithm: str) -> None:
     result = solve(LCP(sp.csr_array(M), q), algorithm)
     assert result.is_solved
     assert result.iterations <= 20
+
+
+def test_the_residual_in_the_unit_of_z_is_what_an_absolute_tolerance_speaks_of() -> None:
+    """In mixed units, too: what `scaled_residual` says is enough of it, and a little less is not."""
+    M, q, z = answered(definite, 3)
+    rows, of_z = random_units(3, z.size)
+    problem = measured(M, q, rows, of_z)
+    assert units_of(problem.matrix) is not None
+    at = (z + 1e-3) * of_z
+    size = Certificate.of(problem, at).scaled_residual
+    for absolute, is_solved in ((1.001 * size, True), (0.999 * size, False)):
+        result = solve(problem, "psor", z0=at, absolute_tolerance=absolute, tolerance=0.0, max_iterations=0)
+        assert result.is_solved is is_solved

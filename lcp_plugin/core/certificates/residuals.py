@@ -52,7 +52,7 @@ class Certificate:
     z, w : ndarray, shape (n,)
         The point and its slack M z + q in double precision; on ranks the own parts, shape (own,).
     scaled_residual : float
-        The numerator of the relative residual, in the units of the criterion, measured.
+        ‖r(z)‖∞ of the worst part, in mixed units of all rows, in the caller's unit of z, measured.
     relative_residual : float
         The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts P, the connected components of the graph of M, with
         r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the units
@@ -154,15 +154,16 @@ class Certificate:
         """The largest residual beside the reference of its part, this residual, and its row."""
         several = parts(self.problem.matrix)
         with np.errstate(all="ignore"):
-            residual = self._in_units(np.abs(scaled_residual(self.problem, self.z, self.w, self._scale)))
-            relative = residual
+            residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
+            relative = self._in_units(residual)
             if several is not None:  # as the relative residual is proved, so that its part is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         communicator, is_empty = self.problem.communicator, not relative.size
         largest, row = communicator.worst(0.0 if is_empty else float(relative[worst]), worst)
         is_here = not is_empty and row == self.problem.first + worst
-        return largest, communicator.largest(float(residual[worst]) if is_here else 0.0), row
+        shown = float(residual[worst] if self._units is None else residual.max()) if is_here else 0.0
+        return largest, communicator.largest(shown), row
 
     @property
     def worst_index(self) -> int:
@@ -171,7 +172,7 @@ class Certificate:
 
     @property
     def scaled_residual(self) -> float:
-        """‖r(z)‖∞ of the worst part, as measured in double precision."""
+        """‖r(z)‖∞ of the worst part, of all in mixed units, in the unit of z, as measured in double precision."""
         return self._worst[1]
 
     @property

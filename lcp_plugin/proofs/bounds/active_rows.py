@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.residuals import Certificate
+from ...core.certificates.row_residuals import magnitude, rounding_floor
 from ...core.checks import BoolVector, FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
@@ -132,7 +132,8 @@ def _judged(
     left: FloatVector | None = None,
 ) -> ActiveRows:
     """Return what each row does by z and w, where z may be as far from the solution as `left` says."""
-    scale, floor = problem.residual_scale, Certificate.of(problem, z).rounding_floor
+    scale = problem.residual_scale
+    floor = rounding_floor(problem, magnitude(problem, problem.matrix.whole(z)), scale)
     near, slight = floor, floor
     if left is not None:
         size = abs(problem.matrix.array)

@@ -294,3 +294,12 @@ def test_one_negative_index_and_too_large_ones() -> None:
     assert found[-1] is found[2]
     with pytest.raises(IndexError):
         found[3]
+
+
+def test_a_slack_of_rounding_need_not_be_a_kink() -> None:
+    """The second row hardly depends on its own variable: in exact arithmetic that is free, and large."""
+    found = derivative(solve_batch([[[10.0, 0.0], [1.0, 1e-11]]], [[-1.0, -0.1]]))
+    assert found[0].is_unique
+    assert not found.degenerate.any()
+    np.testing.assert_allclose(found.vjp(np.ones((1, 2))).q, [[1e10, -1e11]], rtol=1e-9)
+    np.testing.assert_allclose(found.jvp(dq=[1.0, 1.0]), [found[0].jvp(dq=[1.0, 1.0])])

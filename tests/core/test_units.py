@@ -222,3 +222,14 @@ def test_the_residual_in_the_unit_of_z_is_what_an_absolute_tolerance_speaks_of()
     for absolute, is_solved in ((1.001 * size, True), (0.999 * size, False)):
         result = solve(problem, "psor", z0=at, absolute_tolerance=absolute, tolerance=0.0, max_iterations=0)
         assert result.is_solved is is_solved
+
+
+def test_a_far_field_in_one_unit_is_asked_for_nothing_else() -> None:
+    """Far from the load z is 1e-20 and any error there is of its size: it counts beside the load, as ever."""
+    n = 60
+    M = sp.diags_array([-np.ones(n - 1), np.full(n, 10.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    problem = LCP(M, -np.eye(n)[0])
+    result = solve(problem, "psor")
+    assert result.is_solved
+    assert units_of(problem.matrix) is None
+    assert Certificate.of(problem, np.where(np.arange(n) < 12, result.z, 0.0)).relative_residual <= 1e-8

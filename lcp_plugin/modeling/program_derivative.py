@@ -125,6 +125,7 @@ class ProgramDerivative:
         self._refuse_unsolved()
         with in_words_of_programs():
             dz = self._at.jvp(dq=self._jacobian @ self._by_column(changes)[:-1])
+        self._require_determined(np.concatenate([entries.used for entries in self._variables.values()]))
         variables = {key: entries.taken(dz) for key, entries in self._variables.items()}
         return variables, [(constraint, entries.taken(dz)) for constraint, entries in self._duals]
 
@@ -137,6 +138,7 @@ class ProgramDerivative:
         for constraint, entries in self._duals:
             if constraint.id in by_dual:
                 entries.add_to(g, by_dual[constraint.id])
+        self._require_determined(np.flatnonzero(g))
         with in_words_of_programs():
             by_column = self._jacobian.T @ self._at.vjp(g).q
         parameters = {parameter.id: parameter for parameter in self._program.parameters}
@@ -144,6 +146,11 @@ class ProgramDerivative:
             key: by_column[first : first + parameters[key].size].reshape(parameters[key].shape, order="F")
             for key, first in self._columns.items()
         }
+
+    def _require_determined(self, entries: Any) -> None:
+        """Raise where these have several values at the minimum: multipliers may, where nobody asks for them."""
+        if not self._at.determined[entries].all():
+            raise UnsuitableProblem(NOT_UNIQUE)
 
     @property
     def _columns(self) -> dict[int, int]:

@@ -11,11 +11,13 @@ import scipy.sparse as sp
 
 from ..core.checks import BoolVector, FloatVector
 from ..core.crossovers import DIRECT_UP_TO
-from ..core.matrix.equilibration import evened, scaled, times_power, unit_diagonal
+from ..core.matrix.equilibration import Exponents, evened, scaled, times_power, unit_diagonal
 from ..core.matrix.matrix import Matrix
 from ..core.matrix.symmetry import has_symmetric_entries, is_nearly_symmetric
+from ..core.matrix.units import units_of
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .graph import bandwidth
+from .least_norm import pseudo_inverses
 
 REFINEMENTS = 3
 RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block
@@ -51,8 +53,9 @@ class FreeSystem:
     -----
     Solutions are refined as long as that halves their backward error. Nothing is computed before it is asked for;
     a factor or a truncation serves for all right-hand sides. A block is called singular where it has no factor, or
-    terms 10¹³ times as large as their sum cancel in a solution. Such a system has no solution here but, where one is
-    asked for near a given point, one in the sense of a ridge or of least squares (:meth:`solve_near`).
+    terms 10¹³ times as large as their sum cancel in a solution. Such a system has no solution here but, where it is
+    asked for, one in the sense of a ridge or of least squares near a given point (:meth:`solve_near`), or that of least
+    norm (`pseudo_inverse`).
 
     Examples
     --------
@@ -140,6 +143,34 @@ class FreeSystem:
         x: FloatVector = factor.solve(right)
         return x
 
+    @cached_property
+    def pseudo_inverse(self) -> Any | None:
+        """The Moore–Penrose inverse of a block of at most 500 rows in the units of M, shape (|F|, |F|).
+
+        None for more rows, and where those of M are spread over ranks.
+        """
+        if self.rows.size > LEAST_SQUARES_UP_TO or not self.matrix.communicator.is_alone:
+            return None
+        units, rows = units_of(self.matrix), self.rows
+        if units is None:
+            return pseudo_inverses(self._dense_block[np.newaxis])[0][0]
+        balanced = FreeSystem(units.matrix, self.free).pseudo_inverse
+        return scaled(balanced, Exponents(units.column[rows], units.row[rows]))
+
+    @cached_property
+    def determined(self) -> BoolVector:
+        """Which unknowns are the same in all solutions of M_FF x = b, shape (|F|,); none where that is not known."""
+        if not self.is_singular:
+            return np.ones(self.rows.size, np.bool_)
+        if self.pseudo_inverse is None:
+            return np.zeros(self.rows.size, np.bool_)
+        units = units_of(self.matrix)
+        if units is not None:
+            return FreeSystem(units.matrix, self.free).determined
+        left = self.pseudo_inverse @ self.block - np.eye(self.rows.size)
+        determined: BoolVector = np.abs(left).max(axis=1) <= CONSISTENT
+        return determined
+
     def _extended(self, x: FloatVector) -> FloatVector | None:
         if not np.isfinite(x).all():
             return None
@@ -194,6 +225,10 @@ class FreeSystem:
     @property
     def _is_uneven(self) -> bool:
         return bool(self._scale.size and self._scale.max() > UNEVEN * self._scale.min())
+
+    @property
+    def _dense_block(self) -> Any:
+        return self.block.toarray() if sp.issparse(self.block) else self.block
 
     @cached_property
     def _sizes(self) -> Any:
@@ -283,8 +318,7 @@ class FreeSystem:
         """Return the point closest to start that makes the row-scaled system's error least, NaN where there is none."""
         from scipy.linalg import LinAlgError, lstsq
 
-        block = self.block.toarray() if sp.issparse(self.block) else self.block
-        even = block / self._scale[:, None]
+        even = self._dense_block / self._scale[:, None]
         self.work += 4.0 * self.rows.size**3
         try:
             step: FloatVector = lstsq(even, right / self._scale - even @ start, cond=1e-12, check_finite=False)[0]

@@ -644,13 +644,22 @@ def test_what_has_no_solution_has_no_derivative() -> None:
                 getattr(problem, name)()
 
 
-def test_a_minimum_that_is_not_determined_is_refused() -> None:
-    """Two equal constraints leave the multipliers open: said in the words of programs."""
-    p, x = cp.Parameter(value=1.0), cp.Variable()
-    problem = cp.Problem(cp.Minimize(cp.square(x)), [x == p, 2 * x == 2 * p])
+def test_what_is_not_determined_has_no_derivative_and_the_rest_has() -> None:
+    """Two equal constraints leave the multipliers open, a flat objective x: said in the words of programs."""
+    p, x, y = cp.Parameter(value=1.0), cp.Variable(), cp.Variable(2)
+    equal = [x == p, 2 * x == 2 * p]
+    problem = cp.Problem(cp.Minimize(cp.square(x)), equal)
     problem.solve(method="LCP", requires_grad=True)
-    with pytest.raises(UnsuitableProblem, match="drop redundant constraints"):
-        problem.backward()
+    problem.backward()
+    assert p.gradient == pytest.approx(1.0, abs=1e-12)
+    p.delta = 2.0
+    problem.derivative()
+    assert x.delta == pytest.approx(2.0, abs=1e-12)
+    equal[0].dual_variables[0].gradient, flat = 1.0, cp.Problem(cp.Minimize(cp.square(cp.sum(y) - p)))
+    flat.solve(method="LCP", requires_grad=True)
+    for one, name in ((problem, "backward"), (flat, "backward"), (flat, "derivative")):
+        with pytest.raises(UnsuitableProblem, match="drop redundant constraints"):
+            getattr(one, name)()
 
 
 def test_programs_must_be_disciplined_and_models_need_not() -> None:

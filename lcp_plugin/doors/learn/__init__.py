@@ -33,7 +33,8 @@ which of the batch it is. (Within ``jit``, JAX puts its own error around these w
 **Gradients** by all four are those of :meth:`lcp_plugin.BatchDerivative.vjp`: exact where no row is both at a bound and
 has w = 0. Where one is, as where a ReLU gets 0, they are those of one of the pieces that meet there. Forward mode gives
 :meth:`lcp_plugin.BatchDerivative.jvp`, which is one-sided there. A second derivative is refused. Where the block of M
-on the free rows is singular, an :class:`~lcp_plugin.UnsuitableProblem` says so when a derivative is computed.
+on the free rows is singular, they are those of the least change, as :class:`lcp_plugin.Derivative` says; a change that
+leaves no solution is an :class:`~lcp_plugin.UnsuitableProblem`.
 
 **Transformations.** ``jax.jit``, ``vmap``, ``grad``, ``vjp``, ``jvp``, ``jacrev``, ``jacfwd``, and in PyTorch
 ``torch.func`` of the same names, beside ``backward()`` and dual numbers; ``vmap`` makes one batch of what it maps. A

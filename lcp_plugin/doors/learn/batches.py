@@ -112,7 +112,7 @@ def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[An
     Raises
     ------
     UnsuitableProblem
-        Where a block of M on the free rows is singular, of a problem that the loss looks at.
+        Where a problem that the loss looks at has no gradient.
     """
     return _derived(lambda g: attrgetter("q", "lower", "upper")(found.vjp(g)), 3, found, axes, g)
 
@@ -123,7 +123,7 @@ def tangents(found: BatchDerivative, axes: tuple[int, ...], *moved: Any) -> tupl
     Raises
     ------
     UnsuitableProblem
-        Where a block of M on the free rows is singular, of a problem whose data move.
+        Where a problem whose data move has no derivative.
     """
     def ask(change: Any, lower: Any, upper: Any) -> tuple[Any]:
         return (found.jvp(dq=change, dlower=lower, dupper=upper),)

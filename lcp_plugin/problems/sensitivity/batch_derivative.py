@@ -11,12 +11,11 @@ import scipy.sparse as sp
 
 from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix, rows_of_a_batch
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
-from ...core.kernels.threads import in_chunks
 from ...core.settings import Status
 from ...core.solving.result import Result
-from ..batches.batch_groups import Group
 from ..batches.batch_items import put
 from ..batches.batch_run import BatchResult
+from .batch_part import BatchPart, chosen
 
 if TYPE_CHECKING:
     from .derivative import Derivative
@@ -63,14 +62,15 @@ class BatchDerivative:
     ----------
     errors : dict
         Why problem k has no derivative: an UnsuitableProblem where it is not solved, an InvalidProblem where it is
-        none. What `vjp` and `jvp` meet is added: an UnsuitableProblem where the block of M on the free rows is
-        singular. The rows of these problems are NaN, and cost the others nothing.
+        none. What `vjp` and `jvp` meet is added, where that of :class:`~lcp_plugin.Derivative` is refused. The rows of
+        these problems are NaN, and cost the others nothing.
 
     Notes
     -----
     Small problems share one compiled loop, on as many threads as the batch had: the bits are the same for any number.
-    Those near a kink, with free blocks that lose half of the digits in elimination, or in need of a one-sided
-    derivative are left to their Derivative, which takes a hundred times as long.
+    Gradients where free blocks are singular take some ten times as long. Problems near a kink, with free blocks that
+    lose half of the digits in elimination, or in need of a one-sided derivative are left to their Derivative, which
+    takes a hundred times as long.
     """
 
     def __init__(self, batch: BatchResult, each: Callable[[Result], Derivative]) -> None:
@@ -108,13 +108,7 @@ class BatchDerivative:
     @cached_property
     def free(self) -> Any:
         """The rows that `vjp` takes as free, shape (B, n) or a list, of bool."""
-        from ...core.kernels.workspace import BETWEEN
-
-        free = self._gathered(False, lambda part: part.side == BETWEEN, lambda one: one.free)
-        kinks = [k for k, is_degenerate in enumerate(self.degenerate) if is_degenerate.any()]
-        for k, own in self._one_by_one(kinks, lambda k: self[k].free):
-            free[k] = own  # degenerate rows are free where nothing else leaves a regular block
-        return free
+        return self._gathered(False, lambda part: part.free, lambda one: one.free)
 
     @cached_property
     def degenerate(self) -> Any:
@@ -211,7 +205,7 @@ class BatchDerivative:
         from .kernels.small_derivatives import adjoints
 
         (rows, is_asked), (by_w, is_asked_too) = self._given(g, "g"), self._given(gw, "gw")
-        tables, left = self._derived(adjoints, (rows, by_w), 3)
+        tables, left = self._derived(adjoints, (rows, by_w), 3, BatchPart.by_least_norm)
         for k, gradient in self._one_by_one(left, lambda k: self[k].vjp(_row(rows, k), _row(by_w, k))):
             for table, answer in zip(tables, gradient, strict=False):  # its M comes later
                 table[k] = answer
@@ -250,11 +244,16 @@ class BatchDerivative:
             is_left[part.plain] = False
         return np.flatnonzero(is_left).tolist()
 
-    def _derived(self, kernel: Any, given: Sequence[Any], count: int) -> tuple[list[Any], list[int]]:
-        """Return so many tables that the kernel writes of all problems, and the problems that it leaves."""
+    def _derived(
+        self, kernel: Any, given: Sequence[Any], count: int, otherwise: Callable[..., None] | None = None
+    ) -> tuple[list[Any], list[int]]:
+        """Return so many tables that the kernel, or else the other, writes of all problems, and those that are left."""
         tables, left = [self._table(np.nan) for _ in range(count)], [*self._left_by_the_loop]
         for part in self._parts:
-            answers, is_plain = part.derived(kernel, [chosen(rows, part.group.items) for rows in given], count)
+            own = [chosen(rows, part.group.items) for rows in given]
+            answers, is_plain = part.derived(kernel, own, count)
+            if otherwise is not None:
+                otherwise(part, own, answers, is_plain)
             for table, answer in zip(tables, answers, strict=True):
                 put(table, part.group.items[is_plain], answer[is_plain])
             left += part.group.items[part.is_plain & ~is_plain].tolist()
@@ -342,49 +341,3 @@ def _sum(rows: Any, others: Any) -> Any:
 
 def _row(rows: Any, k: int) -> Any:
     return rows[k if len(rows) > 1 else 0]
-
-
-class BatchPart:
-    """Problems of a batch that share a compiled loop.
-
-    Attributes
-    ----------
-    z, side : arrays, shape (k, n)
-        Their solutions, solved for once more, and where each row is: a side of `core.kernels.workspace`.
-    is_plain : array of bool, shape (k,)
-        Where the compiled loop has settled these.
-    """
-
-    def __init__(self, group: Group, z: Any, is_solved: Any, threads: int) -> None:
-        from .kernels.small_derivatives import settle_all
-
-        self.group, self.threads = group, threads
-        self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
-        data = group.M, group.q, group.lower, group.upper
-
-        def settle(first: int, end: int) -> None:
-            settle_all(*data, first, end, self.z, self.side, self.is_plain)
-
-        in_chunks(settle, group.items.size, threads)
-
-    @property
-    def plain(self) -> Any:
-        """Which of the batch the loop has settled."""
-        return self.group.items[self.is_plain]
-
-    def derived(self, kernel: Any, given: Sequence[Any], count: int) -> tuple[list[Any], Any]:
-        """Return so many arrays that the kernel writes of the rows given, and for which problems it has succeeded."""
-        answers, is_plain = [np.empty(self.z.shape) for _ in range(count)], self.is_plain.copy()
-
-        def derive(first: int, end: int) -> None:
-            kernel(self.group.M, self.side, *given, first, end, *answers, is_plain)
-
-        in_chunks(derive, self.group.items.size, self.threads)
-        return answers, is_plain
-
-
-def chosen(rows: Any, items: Any) -> Any:
-    """Return those rows as an array, read-only; one row in front stays for all."""
-    if len(rows) == 1 and isinstance(rows, np.ndarray):
-        return read_only(rows)
-    return read_only(rows[items] if isinstance(rows, np.ndarray) else np.array([rows[k] for k in items]))

@@ -28,7 +28,6 @@ from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ...core.kinds import refusal
 from ...core.lcp import LCP
 from ...core.matrix.symmetry import has_symmetric_entries
-from ...core.solving.driver import solve
 from ...core.solving.result import Result
 from ...proofs.bounds.active_rows import ActiveRows, proven_rows, settled_rows
 from ...proofs.bounds.error_bounds import ErrorBound, error_bound, relative_to
@@ -40,6 +39,7 @@ from ..batches.batch_run import BatchResult
 from ..march.march import March
 from ..march.march_derivative import MarchDerivative
 from .batch_derivative import BatchDerivative
+from .free_solutions import one_sided, solution, words_on_singular
 
 
 class Gradient(NamedTuple):
@@ -131,6 +131,10 @@ class Derivative:
     The solution is solved for once more on its free rows, with w in twice the working precision, so that rows are
     told apart and ∂z/∂M is taken at the solution of the stored doubles, not at a z within the tolerance of it.
 
+    Where M is singular on the free rows, z is one of several solutions, and the derivative that of the least change,
+    in the units in which M is balanced: by the Moore–Penrose inverse of at most 500 rows. What all solutions share, as
+    the velocities of contacts whose impulses are not determined, has the derivative by it that all of them give.
+
     On several ranks, all of which call and read alike, vectors are the own parts and z is taken as it was solved for.
     There is no dM there, no vjp where M is not symmetric, and no jvp where rows are degenerate.
     """
@@ -153,7 +157,7 @@ class Derivative:
 
     @property
     def free(self) -> BoolVector:
-        """The rows that `vjp` takes as free, shape (n,); degenerate rows are held where that leaves a regular block."""
+        """The rows that `vjp` takes as free, shape (n,); degenerate ones only where they make the block regular."""
         return self._system.free
 
     @property
@@ -180,27 +184,49 @@ class Derivative:
         """Whether the derivative exists, so that jvp is linear and vjp the only gradient.
 
         True where a rigorous error bound proves of every row that it is strictly between its bounds, or at one with
-        w ≠ 0. False where rows are degenerate, None where neither is known.
+        w ≠ 0. False where rows are degenerate or M is singular on the free rows, None where neither is known.
         """
         if self._is_degenerate:
             return False
         bound = self.bound
         if bound is None or bound.kind != "rigorous":
-            return None
+            return False if self._system.is_singular else None
         held, between = proven_rows(self.problem, bound)
         is_proven = np.where(self._rows.free, between, held)
         return True if self.problem.communicator.everywhere(bool(is_proven.all())) else None
 
     @cached_property
     def _system(self) -> FreeSystem:
-        """The system of the free rows; where it is singular without the degenerate ones, of those as well."""
+        """The system of the free rows; where only the degenerate ones make it regular, of those as well."""
         rows = self._rows
         if rows.system is not None and np.array_equal(rows.system.free, rows.free):
             return rows.system
         system = FreeSystem(self.problem.matrix, rows.free)
         if rows.degenerate.any() and system.is_singular:
-            return FreeSystem(self.problem.matrix, rows.free | rows.degenerate)
+            freed = FreeSystem(self.problem.matrix, rows.free | rows.degenerate)
+            return system if freed.is_singular else freed
         return system
+
+    @property
+    def determined(self) -> BoolVector:
+        """Which z_i are the same for all solutions with these free rows, shape (n,); all where M_FF is regular."""
+        determined = np.ones(self.problem.own, np.bool_)
+        determined[self._system.rows] = self._system.determined
+        return determined
+
+    @cached_property
+    def advice(self) -> str:
+        """What to know of a derivative that is not the only one, in words; "" where none is known of others."""
+        system, rows = self._system, self.degenerate
+        if rows.size:
+            named = ", ".join(map(str, rows[:5].tolist())) + (", …" if rows.size > 5 else "")
+            return (
+                f"{rows.size} rows ({named}) are at a bound with w = 0: jvp is one-sided, and vjp the gradient of one "
+                "of the pieces that meet there"
+            )
+        if not system.is_singular:
+            return ""
+        return words_on_singular(self.problem, system)
 
     def jvp(
         self, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
@@ -226,7 +252,8 @@ class Derivative:
         InvalidProblem
             For another shape, or numbers that are not finite.
         UnsuitableProblem
-            Where the block of M on the free rows is singular, or no one-sided derivative exists.
+            Where no z solves the free rows after the change, or more than 500 of them are singular, or no one-sided
+            derivative exists.
 
         Examples
         --------
@@ -238,10 +265,10 @@ class Derivative:
         h, moved = self._change(dM, dq), self._moved(dlower, dupper)
         rows, matrix = self._rows, self.problem.matrix
         if self._is_degenerate:
-            return _one_sided(self.problem, rows, h, moved)
+            return one_sided(self.problem, rows, h, moved)
         dz, right = np.where(rows.free, 0.0, moved), -h
         right -= matrix.rows @ matrix.whole(dz) if self._somewhere(bool(dz.any())) else 0.0
-        return dz + _solution(self._system, right)
+        return dz + solution(self._system, right)
 
     def jvp_bound(
         self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
@@ -309,7 +336,7 @@ class Derivative:
         InvalidProblem
             For another shape, or numbers that are not finite.
         UnsuitableProblem
-            Where the block of M on the free rows is singular.
+            Where the block of M on more than 500 free rows is singular.
         """
         problem = self.problem
         if not (problem.communicator.is_alone or has_symmetric_entries(problem.matrix)):
@@ -319,7 +346,7 @@ class Derivative:
         by_w = np.where(free, 0.0, by_w)  # w stays 0 there, and its part would cancel only but for rounding
         if self._somewhere(bool(by_w.any())):
             g = g + self._transposed_product(by_w)
-        multiplier = by_w - _solution(self._system, g, transposed=True)
+        multiplier = by_w - solution(self._system, g, transposed=True)
         by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
         return Gradient(
             multiplier, np.where(rows.is_upper, 0.0, by_bound), np.where(rows.is_upper, by_bound, 0.0),
@@ -363,37 +390,3 @@ class Derivative:
         matrix = self.problem.matrix
         product: FloatVector = matrix.array.T @ x if matrix.communicator.is_alone else matrix.rows @ matrix.whole(x)
         return product
-
-
-def _solution(system: FreeSystem, right: FloatVector, *, transposed: bool = False) -> FloatVector:
-    x = system.solve(right, transposed=transposed)
-    if x is None:
-        raise UnsuitableProblem(
-            "the block of M on the free rows is singular to working precision, or too large for a factor where "
-            "multigrid fails: z has no derivative that could be computed; regularise M, or fix what is not determined"
-        )
-    return x
-
-
-def _one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector) -> FloatVector:
-    """Return the one-sided derivative: the solution of an LCP on the free and the degenerate rows.
-
-    d = db, which is `moved`, on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its
-    lower bound d ≥ db, (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
-    """
-    problem.matrix.require_all_rows()
-    lower = np.where(rows.free | (rows.degenerate & rows.is_upper), -np.inf, moved)
-    upper = np.where(rows.free | (rows.degenerate & ~rows.is_upper), np.inf, moved)
-    part = np.flatnonzero(rows.free | rows.degenerate)
-    dz = np.where(rows.at_lower | rows.at_upper, moved, 0.0)
-    M = problem.M
-    block = M[part][:, part] if sp.issparse(M) else M[np.ix_(part, part)]
-    small = LCP(block, (h + M @ dz)[part], lower=lower[part], upper=upper[part])
-    result = solve(small)
-    if not result.is_solved:
-        raise UnsuitableProblem(
-            f"{part.size} free and degenerate rows have no one-sided derivative that could be found: their LCP ended "
-            f"{result.status.name}; the block of M on them is no P-matrix, and z may jump or have branches"
-        )
-    dz[part] = settled_rows(small, result.z, result.w).z
-    return dz

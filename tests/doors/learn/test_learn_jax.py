@@ -215,10 +215,14 @@ def test_what_is_not_solved_is_named() -> None:
         jax.block_until_ready(jax.jit(lcp_layer)(M, -jnp.ones(2)))
 
 
-def test_a_singular_block_is_told_in_the_backward_pass() -> None:
-    """No gradient exists there; the forward pass has an answer all the same."""
+def test_a_singular_block_has_the_gradient_of_least_change() -> None:
+    """By the generalised inverse; a change that no solution can follow is refused."""
+    def layer(q):
+        return lcp_layer(jnp.ones((2, 2)), q, -INF)
+
+    assert np.allclose(jax.grad(lambda q: layer(q).sum())(jnp.zeros(2)), [-0.5, -0.5], atol=1e-15)
     with pytest.raises(UnsuitableProblem, match="singular"):
-        jax.grad(lambda q: lcp_layer(jnp.zeros((1, 1)), q, -INF).sum())(jnp.zeros(1))
+        jax.jvp(layer, (jnp.zeros(2),), (jnp.array([1.0, -1.0]),))
 
 
 def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:

@@ -143,12 +143,14 @@ def test_what_is_not_solved_is_named() -> None:
         lcp_layer(2.0 * torch.eye(2, dtype=torch.float64), q[0, 0] - 1.0, algorithm="psor", max_iterations=0)
 
 
-def test_a_singular_block_is_told_in_the_backward_pass() -> None:
-    """No gradient exists there; the forward pass has an answer all the same."""
-    M, q = leaves(np.zeros((1, 1)), np.zeros(1))
-    z = lcp_layer(M, q, -INF)
+def test_a_singular_block_has_the_gradient_of_least_change() -> None:
+    """By the generalised inverse; a change that no solution can follow is refused."""
+    M, q = leaves(np.ones((2, 2)), np.zeros(2))
+    lcp_layer(M, q, -INF).sum().backward()
+    assert np.allclose(q.grad, [-0.5, -0.5], atol=1e-15)
+    change = torch.tensor([1.0, -1.0], dtype=torch.float64)
     with pytest.raises(UnsuitableProblem, match="singular"):
-        z.sum().backward()
+        torch.func.jvp(lambda q: lcp_layer(M.detach(), q, -INF), (q.detach(),), (change,))
 
 
 @pytest.mark.full

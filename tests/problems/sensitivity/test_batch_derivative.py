@@ -186,6 +186,57 @@ def test_zero_rows_that_are_free_together_with_a_kink() -> None:
     assert found.free.tolist() == [found[0].free.tolist()]
 
 
+def contacts(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """M and q of four contacts with pyramids of friction, whose impulses are not determined, and A, dq = A dv."""
+    rng = np.random.default_rng(seed)
+    A, E, M = np.zeros((20, 12)), np.kron(np.eye(4), np.ones((4, 1))), np.zeros((count, 24, 24))
+    for c in range(4):
+        A[c, 3 * c] = 1.0
+        A[4 + 4 * c : 8 + 4 * c, 3 * c + 1 : 3 * c + 3] = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
+    root = rng.normal(size=(count, 12, 12))
+    M[:, :20, :20] = A @ (root @ root.transpose(0, 2, 1)) @ A.T
+    M[:, 4:20, 20:], M[:, 20:, 4:20] = E, -E.T
+    M[:, range(20, 24), range(4)] = rng.uniform(0.2, 1.0, (count, 4))
+    v = rng.normal(size=(count, 12))
+    v[:, ::3] -= 1.0
+    return M, np.hstack([v @ A.T, np.zeros((count, 4))]), A
+
+
+@pytest.mark.sampled(2)
+def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
+    """Pyramids make M_FF singular and rows degenerate: each has a gradient in the loop, that which each has alone."""
+    M, q, _ = contacts(60, 5)
+    found = derivative(solve_batch(M, q))
+    g = np.random.default_rng(6).normal(size=q.shape)
+    gradient = found.vjp(g)
+    assert not found.errors
+    assert not found._each  # none was left to its own
+    for k, one in enumerate(found):
+        own = one.vjp(g[k])
+        assert found.free[k].tolist() == one.free.tolist()
+        for name in ("q", "lower", "upper"):
+            assert getattr(gradient, name)[k] == pytest.approx(getattr(own, name), rel=1e-9, abs=1e-11)
+        assert one.is_unique is False or not one.advice
+
+
+@pytest.mark.sampled(2)
+def test_velocities_of_contacts_have_the_gradient_of_differences() -> None:
+    """A function of W Aᵀx, which all solutions share, changes as the gradient of least change says."""
+    M, q, A = contacts(60, 7)
+    rng, base = np.random.default_rng(8), solve_batch(M, q, tolerance=1e-12)
+    g, dq = np.zeros(q.shape), np.zeros(q.shape)
+    g[:, :20] = np.einsum("bi,bij->bj", rng.normal(size=(60, 20)), M[:, :20, :20])
+    dq[:, :20] = rng.normal(size=(60, 12)) @ A.T
+    gradient = derivative(base).vjp(g)
+    step = 1e-6
+    ahead, behind = (solve_batch(M, q + side * step * dq, tolerance=1e-13) for side in (1.0, -1.0))
+    forward, backward = (((side.z - base.z) * g).sum(1) / step for side in (ahead, behind))
+    is_smooth = np.abs(forward + backward) <= 1e-4 * (1.0 + np.abs(forward))
+    assert is_smooth.sum() > 50
+    told = (gradient.q * dq).sum(1)
+    assert np.abs(told - forward)[is_smooth].max() <= 1e-4 * (1.0 + np.abs(forward).max())
+
+
 def test_ill_conditioned_blocks_are_left_to_them_too() -> None:
     """Blocks with a condition of 10¹⁰ lose no more digits in a batch than one by one."""
     rng = np.random.default_rng(4)
@@ -204,7 +255,7 @@ def test_ill_conditioned_blocks_are_left_to_them_too() -> None:
 
 
 def test_a_bad_problem_costs_itself_alone() -> None:
-    """NaN where a problem is none, has no solution or a singular block; `errors` says why; the rest is untouched."""
+    """NaN where a problem is none, has no solution or can not follow; `errors` says why; the rest is untouched."""
     M, q, lower, upper = planted(8, 4, 9)
     lower[:], upper[:] = 0.0, INF
     clean = of((M, q, lower, upper)).vjp(np.ones(4))
@@ -213,14 +264,16 @@ def test_a_bad_problem_costs_itself_alone() -> None:
     M[3], q[3] = 0.0, 0.0  # every z ≥ 0 is one
     lower[3], upper[3] = -INF, INF
     found = of((M, q, lower, upper))
-    gradient = found.vjp(np.ones(4))
+    assert not np.isfinite(found.jvp(dq=np.ones(4))[3]).any()
     assert sorted(found.errors) == [1, 2, 3]
+    gradient = found.vjp(np.ones(4))
     assert isinstance(found.errors[1], InvalidProblem)
     assert "problem 2 ended" in str(found.errors[2])
     assert "singular" in str(found.errors[3])
     for name in ("q", "lower", "upper", "M"):
         rows = getattr(gradient, name)
-        assert np.isnan(rows[[1, 2, 3]]).all()
+        assert np.isnan(rows[[1, 2]]).all()
+        assert not rows[3].any()  # of least change
         assert np.array_equal(rows[[0, 4, 5, 6, 7]], getattr(clean, name)[[0, 4, 5, 6, 7]])
     assert np.isnan(found.jvp(dq=np.ones(4))[[1, 2, 3]]).all()
     assert np.isnan(found.z[[1, 2]]).all()

@@ -398,16 +398,49 @@ def test_all_rows_alike(n: int, state: int) -> None:
     check_against(piece_of(found), found)
 
 
-def test_a_singular_block_is_refused_in_words() -> None:
-    """Free rows that do not determine z have no derivative, also where rounding leaves Cholesky a last pivot."""
-    for root in ([[1.0], [1.0]], [[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]], [[0.0]]):
-        M, n = np.array(root) @ np.array(root).T, len(root)
-        found = found_of(LCP(M, np.zeros(n), lower=-np.inf))
-        with pytest.raises(UnsuitableProblem, match="M on the free rows is singular to working precision"):
-            found.jvp(dq=np.ones(n))
+SINGULAR_ROOTS = ([[1.0], [1.0]], [[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]], [[0.0]])
+
+
+@pytest.mark.parametrize("root", SINGULAR_ROOTS)
+def test_a_singular_block_has_the_derivative_of_least_change(root: list[list[float]]) -> None:
+    """By the generalised inverse M⁺, also where rounding leaves Cholesky a last pivot; it says so."""
+    M, n = np.array(root) @ np.array(root).T, len(root)
+    found, inverse = found_of(LCP(M, np.zeros(n), lower=-np.inf)), np.linalg.pinv(M)
+    assert found.is_unique is False
+    assert f"M has rank {np.linalg.matrix_rank(M)} on the {n} free rows" in found.advice
+    assert "w the same for all of them" in found.advice
+    within, g = M @ np.arange(1.0, n + 1), np.arange(2.0, n + 2)  # a change that M z can follow
+    assert found.jvp(dq=within) == pytest.approx(-inverse @ within, rel=1e-12)
+    assert found.vjp(g).q == pytest.approx(-inverse.T @ g, rel=1e-12)
+
+
+def test_least_change_is_the_same_in_mixed_units() -> None:
+    """Bit for bit between powers of two, since M is balanced the same."""
+    M = np.array([[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]]) @ np.array([[1.0, 4.0, 7.0], [2.0, 5.0, 8.0]])
+    answers = []
+    for exponents in ([-20.0, 0.0, 20.0], [15.0, -24.0, 7.0]):
+        row, column = np.exp2(exponents), np.exp2(exponents[::-1])
+        found = found_of(LCP(M * row[:, None] * column, np.zeros(3), lower=-np.inf))
+        answers.append(found.vjp(np.array([1.0, 2.0, 5.0]) * column).q * row)
+    assert np.array_equal(*answers)
+
+
+def test_a_change_that_leaves_no_solution_is_refused_in_words() -> None:
+    """Where M_FF z_F can not follow dq there is no derivative; the gradient of least change is there."""
+    found = Derivative(LCP([[1.0, 1.0], [1.0, 1.0]], [-2.0, -2.0]), np.ones(2), np.zeros(2))
+    with pytest.raises(UnsuitableProblem, match="after this change no z solves them"):
+        found.jvp(dq=[1.0, -1.0])
+    assert found.vjp([1.0, 1.0]).q == pytest.approx([-0.5, -0.5])
+
+
+def test_a_large_singular_block_is_refused_in_words() -> None:
+    """Of more than 500 rows no generalised inverse is made."""
+    root = np.random.default_rng(0).integers(-3, 4, (501, 3)).astype(float)
+    found = found_of(LCP(root @ root.T, np.zeros(501), lower=-np.inf))
+    for product in (lambda: found.vjp(np.ones(501)), lambda: found.jvp(dq=np.ones(501))):
         with pytest.raises(UnsuitableProblem, match="regularise M, or fix what is not determined"):
-            found.vjp(np.ones(n))
-        assert found.is_unique is None
+            product()
+    assert "singular" in found.advice
 
 
 @pytest.mark.parametrize("small", [1e-4, 1e-8, 1e-10])

@@ -2,8 +2,8 @@
 
 First each z is solved for once more on its free rows, unless that would change it by rounding alone, and its rows are
 told apart. A tangent and an adjoint are one linear solve each on the same rows. An adjoint at a kink holds its row, if
-that leaves a regular block; a tangent there is left to others, and so is what is near one, or loses half of its digits
-in the elimination: they calculate in twice the precision.
+that leaves a regular block, or frees it, if that makes the block regular; a tangent there is left to others, and so is
+what is near one, has a singular block, or loses half of its digits in the elimination.
 
 An array with one row in front stands for all problems.
 """
@@ -12,12 +12,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled, compiled_in_any_order, compiled_in_place, compiled_into_others
+from ....core.kernels.compilation import (
+    compiled,
+    compiled_in_any_order,
+    compiled_in_place,
+    compiled_into_others,
+    compiled_part,
+)
 from ....core.kernels.floats import EPSILON
 from ....core.kernels.workspace import (
     AT_LOWER,
     AT_UPPER,
     BETWEEN,
+    CANDIDATE,
     FOUND,
     FREE,
     KEPT,
@@ -36,7 +43,7 @@ from ....methods.small.kernels.small_systems import solve_free
 STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
 NOT_SMALL = 2.0**-10  # of a diagonal entry beside its row
 HALF = 2.0**-26  # of the digits of a double
-KINK = 4  # added to the side of a row that is at this bound, with w = 0
+KINK = 4  # added to the side of a row that is at a bound with w = 0: to this bound's, or to BETWEEN where it is freed
 
 
 @compiled
@@ -69,25 +76,59 @@ def _settled(M, k, real, whole, room):  # type: ignore[no-untyped-def]
         return False
     for i in range(n):
         real[FOUND, i] = real[Z, i]
-    for _step in range(STEPS):
+    for step in range(STEPS):
         slack(M, k, real, FOUND)
         classify(real, whole, n, FOUND)
-        is_exact, is_clear = _judged(M, k, real, whole)
+        beside = 0.0
+        for i in range(n):
+            beside = max(beside, abs(real[FOUND, i])) if step == STEPS - 1 else 0.0
+        is_exact, is_clear = _judged(M, k, real, whole, beside)
         if is_exact:
+            _choose(M, k, real, whole, room, is_symmetric)
             return is_clear
         if solve_free(M, k, real, whole, room, is_symmetric) < 0:
-            return False
+            _hold(real, whole, n)
     return False
 
 
+@compiled_into_others
+def _hold(real, whole, n):  # type: ignore[no-untyped-def]
+    """Put the rows of FOUND that are held at their bound."""
+    for i in range(n):
+        if whole[SIDE, i] != BETWEEN:
+            real[FOUND, i] = real[UPPER if whole[SIDE, i] == AT_UPPER else LOWER, i]
+
+
+@compiled_part
+def _choose(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
+    """Free the rows at a kink where the block is singular without them and regular with them."""
+    n, kinks = M.shape[1], 0
+    for i in range(n):
+        kinks += whole[SIDE, i] >= KINK
+        real[KEPT, i], whole[CANDIDATE, i] = real[FOUND, i], whole[SIDE, i]
+    if kinks == 0:
+        return
+    for freed in range(2):
+        for i in range(n):
+            if whole[CANDIDATE, i] >= KINK:
+                whole[SIDE, i] = BETWEEN if freed else whole[CANDIDATE, i] % KINK
+        is_regular = _solved(M, k, real, whole, room, is_symmetric)
+        if is_regular:
+            break
+    for i in range(n):
+        real[FOUND, i], side = real[KEPT, i], whole[CANDIDATE, i]
+        whole[SIDE, i] = BETWEEN + KINK if side >= KINK and is_regular and freed else side
+
+
 @compiled_in_any_order
-def _judged(M, k, real, whole):  # type: ignore[no-untyped-def]
+def _judged(M, k, real, whole, beside):  # type: ignore[no-untyped-def]
     """Return whether another solve would change FOUND by rounding alone, and whether each row is clear; mark kinks.
 
     A row is at a kink where both its slack and its distance from the bounds are rounding, and clear where one of them
     has half of its digits. What lies between takes more digits to judge, and so do rows that hardly depend on their own
     variable: a slack of rounding may stand for a large one. With equal bounds the side is that which the sign of w
-    asks for.
+    asks for. Elimination leaves rows of small unknowns the rounding of larger ones: where no solve makes it less, it is
+    allowed `beside` those.
     """
     n = M.shape[1]
     is_exact = is_clear = True
@@ -98,7 +139,7 @@ def _judged(M, k, real, whole):  # type: ignore[no-untyped-def]
             size += abs(M[k, i, j] * real[FOUND, j])
             terms += M[k, i, j] != 0.0
         z, w, lower, upper, side = real[FOUND, i], abs(real[W, i]), real[LOWER, i], real[UPPER, i], whole[SIDE, i]
-        distance, floor = min(z - lower, upper - z) * real[SCALE, i], terms * EPSILON * size
+        distance, floor = min(z - lower, upper - z) * real[SCALE, i], terms * EPSILON * (size + largest * beside)
         if side == BETWEEN:
             is_exact &= w <= floor
         else:
@@ -161,7 +202,7 @@ def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain): 
             for j in range(n):
                 turned[0, j, i] = M[k if M.shape[0] > 1 else 0, i, j]
             real[Q, i], whole[SIDE, i] = g[own[0], i], side[k, i] % KINK
-            real[KEPT, i] = 0.0 if side[k, i] == BETWEEN else by_w[own[1], i]  # w stays 0 there
+            real[KEPT, i] = 0.0 if whole[SIDE, i] == BETWEEN else by_w[own[1], i]  # w stays 0 there
             real[LOWER, i] = real[UPPER, i] = 0.0
         is_symmetric = look_at(turned, 0, real)[3]
         slack(turned, 0, real, KEPT)  # g + Mᵀ ∂L/∂w

@@ -1,0 +1,78 @@
+"""Changes of the free rows: by their system, by the least change where it is singular, one-sided at a kink."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector
+from ...core.errors import UnsuitableProblem
+from ...core.lcp import LCP
+from ...core.solving.driver import solve
+from ...proofs.bounds.active_rows import ActiveRows, settled_rows
+from ...systems.free_systems import CONSISTENT, FreeSystem
+
+SINGULAR = (
+    "the block of M on the free rows is singular to working precision, too large for a generalised inverse or for a "
+    "factor where multigrid fails: z has no derivative that could be computed; regularise M, or fix what is not "
+    "determined"
+)
+
+
+def words_on_singular(problem: LCP, system: FreeSystem) -> str:
+    """Return what to know of a derivative where M is singular on the free rows."""
+    inverse = system.pseudo_inverse
+    if inverse is None:
+        return SINGULAR
+    share = inverse @ system.block  # of each change of z_F, what w depends on
+    columns = problem.matrix.array[:, system.rows]
+    shared = abs(columns - columns @ share).max() <= CONSISTENT * abs(columns).max()
+    return (
+        f"M has rank {round(float(np.trace(share)))} on the {system.rows.size} free rows: z is one of several "
+        f"solutions, w {'the same' if shared else 'not the same'} for all of them, and this the derivative of the "
+        "least change"
+    )
+
+
+def solution(system: FreeSystem, right: FloatVector, *, transposed: bool = False) -> FloatVector:
+    """Return the solution, that of least norm where the block is singular."""
+    x = system.solve(right, transposed=transposed)
+    if x is not None:
+        return x
+    inverse = system.pseudo_inverse
+    if inverse is None:
+        raise UnsuitableProblem(SINGULAR)
+    x, right = np.zeros(right.size), right[system.rows]
+    part = (inverse.T if transposed else inverse) @ right
+    left = np.abs(right - system.block @ part)
+    if not transposed and (left > CONSISTENT * (abs(system.block) @ np.abs(part) + np.abs(right))).any():
+        raise UnsuitableProblem(
+            f"M is singular on the {part.size} free rows, and after this change no z solves them: there is no "
+            "derivative in this direction; regularise M, or change q within what M z can give"
+        )
+    x[system.rows] = part
+    return x
+
+
+def one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector) -> FloatVector:
+    """Return the one-sided derivative: the solution of an LCP on the free and the degenerate rows.
+
+    d = db, which is `moved`, on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its
+    lower bound d ≥ db, (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
+    """
+    problem.matrix.require_all_rows()
+    lower = np.where(rows.free | (rows.degenerate & rows.is_upper), -np.inf, moved)
+    upper = np.where(rows.free | (rows.degenerate & ~rows.is_upper), np.inf, moved)
+    part = np.flatnonzero(rows.free | rows.degenerate)
+    dz = np.where(rows.at_lower | rows.at_upper, moved, 0.0)
+    M = problem.M
+    block = M[part][:, part] if sp.issparse(M) else M[np.ix_(part, part)]
+    small = LCP(block, (h + M @ dz)[part], lower=lower[part], upper=upper[part])
+    result = solve(small)
+    if not result.is_solved:
+        raise UnsuitableProblem(
+            f"{part.size} free and degenerate rows have no one-sided derivative that could be found: their LCP ended "
+            f"{result.status.name}; the block of M on them is no P-matrix, and z may jump or have branches"
+        )
+    dz[part] = settled_rows(small, result.z, result.w).z
+    return dz

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numba import uintp
 
-from .compilation import compiled, compiled_into_others, interpreted_while_small
+from .compilation import compiled, compiled_into_others
 
 ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache
 
@@ -217,23 +217,6 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
         z[i] = rows[i, 1] + positive
         new[i] = xi - (2.0 * relaxation * (w - rows[i, 3] * (positive - xi)) + acceleration * c) * rows[i, 4]
     return largest, squares
-
-
-@interpreted_while_small
-def dense_sweeps(M, inverse_diagonal, lower, upper, z, w, count):  # type: ignore[no-untyped-def]
-    """Overwrite z by `count` sweeps z_i ← mid(l_i, u_i, z_i − w_i/m_ii), and w = M z + q with it.
-
-    M is symmetric and C-contiguous: a row that changes is added to w, one that stays at its bound costs nothing.
-    `inverse_diagonal` is 0 on the rows to leave alone.
-    """
-    for _ in range(count):
-        for i in range(z.size):
-            change = min(max(z[i] - w[i] * inverse_diagonal[i], lower[i]), upper[i]) - z[i]
-            if change != 0.0:
-                z[i] = min(max(z[i] + change, lower[i]), upper[i])
-                row = M[i]
-                for j in range(z.size):
-                    w[j] += change * row[j]
 
 
 def row_splits(matrix: Any, *, backward: bool) -> Any:

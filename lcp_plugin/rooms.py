@@ -4,6 +4,10 @@ from .core.registry import offer
 
 OFFERS = {
     "algorithm": {
+        "mj": "methods.modulus.modulus:MJ",
+        "mgs": "methods.modulus.modulus:MGS",
+        "msor": "methods.modulus.modulus:MSOR",
+        "maor": "methods.modulus.modulus:MAOR",
         "npsplitting": "methods.npsplitting.np_splitting:NPSplitting",
         "newton": "methods.newton.semismooth_newton:Newton",
         "interior_point": "methods.interior.interior_point:InteriorPoint",

@@ -52,10 +52,6 @@ REGISTRY = {
     "pgs": "core.splittings.projected_relaxation:PGS",
     "psor": "core.splittings.projected_relaxation:PSOR",
     "paor": "core.splittings.projected_relaxation:PAOR",
-    "mj": "core.splittings.modulus:MJ",
-    "mgs": "core.splittings.modulus:MGS",
-    "msor": "core.splittings.modulus:MSOR",
-    "maor": "core.splittings.modulus:MAOR",
     "gfp": "core.splittings.projected_relaxation:GFP",
     **offered("algorithm"),
 }

@@ -45,6 +45,11 @@ OFFERS = {
         "has_symmetric_products": "ranks.joint_facts:has_symmetric_products",
         "pivot_weight": "ranks.joint_facts:pivot_weight",
     },
+    "algorithm of another package": {
+        "class": "doors.packages:class_from_outside",
+        "group": "doors.packages:ENTRY_POINT_GROUP",
+        "all": "doors.packages:from_other_packages",
+    },
     "certification": {"cvxpy": "modeling.certified_problem:certify_problem"},
     "step of auto": {
         "small": "methods.small.small_dense:SmallDenseSolver",

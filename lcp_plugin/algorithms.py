@@ -9,26 +9,23 @@ True
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .core import algorithms as _algorithms
-from .core.algorithms import (
-    ENTRY_POINT_GROUP,
-    REGISTRY,
-    Algorithm,
-    FusedSolve,
-    Step,
-    algorithm_class,
-    create,
-    from_other_packages,
-    module_of,
-)
+from .core.algorithms import REGISTRY, Algorithm, FusedSolve, Step, algorithm_class, create, module_of
+from .core.registry import ask
+
+if TYPE_CHECKING:
+    from .doors.packages import ENTRY_POINT_GROUP, from_other_packages
 
 __all__ = [
     "ENTRY_POINT_GROUP", "REGISTRY", "Algorithm", "FusedSolve", "Step", "algorithm_class", "create",
     "from_other_packages", "module_of",
 ]
+_OF_OTHER_PACKAGES = {"ENTRY_POINT_GROUP": "group", "from_other_packages": "all"}
 
 
 def __getattr__(name: str) -> Any:
+    if name in _OF_OTHER_PACKAGES:
+        return ask("algorithm of another package", _OF_OTHER_PACKAGES[name])
     return getattr(_algorithms, name)

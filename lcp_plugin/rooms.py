@@ -4,6 +4,10 @@ from .core.registry import offer
 
 OFFERS = {
     "algorithm": {
+        "mj": "methods.modulus.modulus:MJ",
+        "mgs": "methods.modulus.modulus:MGS",
+        "msor": "methods.modulus.modulus:MSOR",
+        "maor": "methods.modulus.modulus:MAOR",
         "npsplitting": "methods.npsplitting.np_splitting:NPSplitting",
         "newton": "methods.newton.semismooth_newton:Newton",
         "interior_point": "methods.interior.interior_point:InteriorPoint",
@@ -37,6 +41,14 @@ OFFERS = {
         "equal_part": "ranks.on_ranks:equal_part",
         "save": "ranks.on_ranks:save",
         "load": "ranks.on_ranks:load",
+        "joined_parts": "ranks.joint_facts:joined_parts",
+        "has_symmetric_products": "ranks.joint_facts:has_symmetric_products",
+        "pivot_weight": "ranks.joint_facts:pivot_weight",
+    },
+    "algorithm of another package": {
+        "class": "doors.packages:class_from_outside",
+        "group": "doors.packages:ENTRY_POINT_GROUP",
+        "all": "doors.packages:from_other_packages",
     },
     "certification": {"cvxpy": "modeling.certified_problem:certify_problem"},
     "step of auto": {
@@ -45,11 +57,11 @@ OFFERS = {
         "once more": "methods.direct.direct_methods:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
-    "watch": {"error": "proofs.bounds.error_watch:ErrorWatch"},
+    "watch": {"error": "proofs.bounds.error_watch:ErrorWatch", "advice": "proofs.bounds.error_watch:ADVICE"},
     "remark": {
         "classes": "proofs.verdicts.sign:classes_in_words",
         "sign": "proofs.verdicts.sign:sign_remark",
-        "estimated error": "proofs.bounds.active_rows:estimated_error",
+        "misleading": "proofs.misleading:what_may_mislead",
         "guarantee": "proofs.guarantees.guarantees:convergence_guarantee",
         "uncovered": "proofs.guarantees.guarantees:warn_where_known_to_be_uncovered",
     },

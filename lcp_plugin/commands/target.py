@@ -97,16 +97,18 @@ def scene_names(incomplete: str) -> list[str]:
 
 def algorithm_names(incomplete: str) -> list[str]:
     """Return the algorithms that begin so, those of other packages too."""
-    from ..core.algorithms import REGISTRY, from_other_packages
+    from ..core.algorithms import REGISTRY
+    from ..doors.packages import from_other_packages
 
     return [name for name in ("auto", *REGISTRY, *from_other_packages()) if name.startswith(incomplete)]
 
 
 def print_everything() -> None:
     """Print kinds of problems by the ways that take them, algorithms with needs and sources, scenes with parameters."""
-    from ..core.algorithms import REGISTRY, Algorithm, algorithm_class, from_other_packages
+    from ..core.algorithms import REGISTRY, Algorithm, algorithm_class
     from ..core.kinds import WAYS
     from ..core.kinds import kinds as kinds_of_problems
+    from ..doors.packages import from_other_packages
     from ..gallery import describe
     from .terminal import console, table
 

@@ -1,4 +1,4 @@
-"""The clock of a run, the seconds it has left, and how work of other libraries that cannot be divided obeys that.
+"""The clock of a run, the seconds it has left, and what it has compiled.
 
 Compilation counts against no limit, in whichever run inside a run it happens. Locks between threads are open in the
 child of a fork: it has one thread, and nobody else in it could let go.
@@ -6,25 +6,20 @@ child of a fork: it has one thread, and nobody else in it could let go.
 
 from __future__ import annotations
 
-import _thread
-import atexit
 import math
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar, copy_context
-from typing import TYPE_CHECKING, Any, TypeVar
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
 from weakref import WeakSet
 
 if TYPE_CHECKING:
     from .communicator import Communicator
 
-T = TypeVar("T")
 AT_LEAST = 0.1  # seconds
-SLICE = 0.1  # seconds between two looks at the clock, and at Ctrl-C where that does not end a wait
 
 
 class Lock:
@@ -69,7 +64,6 @@ if hasattr(os, "register_at_fork"):
 
 _until: ContextVar[float] = ContextVar("until", default=math.inf)  # on the clock that compilation stops
 _is_enforced: ContextVar[bool] = ContextVar("is_enforced", default=False)
-_under_way: set[threading.Event] = set()
 
 
 class OutOfTimeError(Exception):
@@ -208,7 +202,7 @@ def _now() -> float:
 def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
     """Let what runs inside know that it ends so many seconds from now.
 
-    Where the limit is enforced, :func:`interruptible` work raises OutOfTimeError, which the caller expects.
+    Where the limit is enforced, work that cannot be divided raises OutOfTimeError, which the caller expects.
     """
     tokens = _until.set(_now() + seconds), _is_enforced.set(is_enforced)
     try:
@@ -232,70 +226,11 @@ def seconds_left() -> float:
     return max(_until.get() - _now(), AT_LEAST)
 
 
+def enforced_seconds_left() -> float:
+    """Return the seconds until the limit, less than 0 beyond it; ∞ where none is enforced."""
+    return _until.get() - _now() if _is_enforced.get() else math.inf
+
+
 def is_over() -> bool:
     """Return whether the limit has passed: what comes out of long work now comes too late."""
     return _now() > _until.get()
-
-
-def interruptible(call: Callable[[], T]) -> T:
-    """Return what the call returns, unless the limit passes or Ctrl-C comes first.
-
-    The call runs in another thread while this one waits, for some 0.1 ms more than it takes by itself; it must let go
-    of the interpreter's lock, and must read and write nothing that anybody else writes. When it is left behind it goes
-    on to its end, and what it returns is dropped.
-
-    Raises
-    ------
-    OutOfTimeError
-        Where an enforced limit passed.
-    """
-    is_limited = _is_enforced.get() and _until.get() < math.inf
-    if not is_limited and threading.current_thread() is not threading.main_thread():  # which alone hears Ctrl-C
-        return call()
-    outcome: list[Any] = []
-    is_done, taken = threading.Event(), _thread.allocate_lock()
-
-    def run() -> None:
-        if not taken.acquire(blocking=False):
-            return
-        try:
-            outcome.extend((call(), None))
-        except BaseException as error:  # whatever it is, it is raised in the thread that waits
-            outcome.extend((None, error))
-        _under_way.discard(is_done)
-        is_done.set()
-
-    _under_way.add(is_done)
-    try:  # threading.Thread.start would wait for ever for a thread that finds no memory to begin with
-        _thread.start_new_thread(copy_context().run, (run,))
-    except (RuntimeError, MemoryError):
-        pass
-    else:
-        is_done.wait(SLICE)
-    if taken.acquire(blocking=False):  # nobody has begun
-        _under_way.discard(is_done)
-        return call()
-    while not is_done.wait(SLICE if not is_limited else min(SLICE, max(_until.get() - _now(), 0.0))):
-        if is_limited and is_over():
-            raise OutOfTimeError
-    value: T
-    value, error = outcome
-    if error is not None:
-        raise error
-    return value
-
-
-@atexit.register
-def _wait_for_those_left_behind() -> None:
-    """Let what was left behind come to its end: the libraries it is in do not survive the end of the interpreter.
-
-    Ctrl-C ends the process at once.
-    """
-    try:
-        for is_done in list(_under_way):
-            while not is_done.wait(SLICE):
-                pass
-    except KeyboardInterrupt:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(130)  # as a shell says of a process that Ctrl-C ended

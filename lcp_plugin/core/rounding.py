@@ -13,7 +13,6 @@ doi:10.1137/030601818.
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -68,15 +67,14 @@ def compensated_product(M: Any, x: FloatVector, q: FloatVector | None = None) ->
     >>> bool(0.0 < radius[1] < 1e-16)
     True
     """
-    high, low, radius = _sums(M, x, q, False)
-    return high, _rounded_pair_radius(low, radius)
+    return rounded(*compensated_pair(M, x, q))
 
 
-def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None) -> Sums:
+def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None, *, kernel: Any = None) -> Sums:
     """Return (high, low, radius) with |M x + q − (high + low)| ≤ radius, the sum not evaluated.
 
     `high` is the rounded value and `low` what rounding took from it; the radius is of order u² |M||x| at most.
-    Parameters and errors as for :func:`compensated_product`.
+    Parameters and errors as for :func:`compensated_product`; another kernel sums other rows than those of M.
 
     Examples
     --------
@@ -85,46 +83,19 @@ def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None) -> Su
     >>> float(high[0]), float(low[0]), float(radius[0])
     (1.0, 1e-20, 0.0)
     """
-    return _sums(M, x, q, False)
+    from .kernels.enclosures import row_sums  # numba, which not every run needs
 
-
-def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return (value, radius) with |⟨M⟩v − value| ≤ radius; ⟨M⟩ has |m_ii| on, −|m_ij| off the diagonal.
-
-    Parameters
-    ----------
-    M : CSR array, shape (n, n)
-    v : array, shape (n,)
-
-    Returns
-    -------
-    value, radius : arrays, shape (n,)
-        As for :func:`compensated_product`.
-
-    Raises
-    ------
-    InvalidProblem
-        Where the shapes do not fit.
-
-    Examples
-    --------
-    >>> import scipy.sparse as sp
-    >>> value, radius = comparison_product(sp.csr_array(np.array([[2.0, 1.0], [-3.0, 3.0]])), np.ones(2))
-    >>> value, radius
-    (array([1., 0.]), array([0., 0.]))
-    """
-    high, low, radius = _sums(M, v, None, True)
-    return high, _rounded_pair_radius(low, radius)
-
-
-def exact_comparison_row(M: Any, v: FloatVector, row: int) -> Fraction:
-    """Return (⟨M⟩v)_row without any rounding; M a CSR array, v finite."""
-    total = Fraction(0)
-    for k in range(M.indptr[row], M.indptr[row + 1]):
-        column = int(M.indices[k])
-        product = abs(Fraction(float(M.data[k]))) * Fraction(float(v[column]))
-        total += product if column == row else -product
-    return total
+    rows, columns = M.shape
+    x = np.ascontiguousarray(x, dtype=np.float64)
+    offset = np.zeros(rows) if q is None else np.ascontiguousarray(q, dtype=np.float64)
+    if x.shape != (columns,) or offset.shape != (rows,):
+        raise InvalidProblem(
+            f"a product with a {rows}×{columns} matrix needs x of shape ({columns},) and q of shape ({rows},); "
+            f"got {x.shape} and {offset.shape}"
+        )
+    high, low, radius = np.empty(rows), np.empty(rows), np.empty(rows)
+    (kernel or row_sums)(*read_only_views(M.indptr, M.indices, M.data, x, offset), high, low, radius)
+    return high, low, radius
 
 
 def lower_end(value: FloatVector, radius: FloatVector) -> FloatVector:
@@ -139,28 +110,11 @@ def upper_end(value: FloatVector, radius: FloatVector) -> FloatVector:
     return np.where(np.isfinite(radius) & np.isfinite(value), end, np.inf)
 
 
-def _rounded_pair_radius(low: FloatVector, radius: FloatVector) -> FloatVector:
-    # The low part is an error of the rounded value.
+def rounded(high: FloatVector, low: FloatVector, radius: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return the value and the radius of such sums: what rounding took from the value is an error of it."""
     low = np.abs(low)
     with np.errstate(over="ignore"):
-        return np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
-
-
-def _sums(M: Any, x: FloatVector, q: FloatVector | None, comparison: bool) -> Sums:
-    from .kernels.enclosures import comparison_row_sums, row_sums  # numba, which not every run needs
-
-    rows, columns = M.shape
-    x = np.ascontiguousarray(x, dtype=np.float64)
-    offset = np.zeros(rows) if q is None else np.ascontiguousarray(q, dtype=np.float64)
-    if x.shape != (columns,) or offset.shape != (rows,):
-        raise InvalidProblem(
-            f"a product with a {rows}×{columns} matrix needs x of shape ({columns},) and q of shape ({rows},); "
-            f"got {x.shape} and {offset.shape}"
-        )
-    high, low, radius = np.empty(rows), np.empty(rows), np.empty(rows)
-    kernel = comparison_row_sums if comparison else row_sums
-    kernel(*read_only_views(M.indptr, M.indices, M.data, x, offset), high, low, radius)
-    return high, low, radius
+        return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
 
 
 def read_only_views(*arrays: Any) -> list[Any]:

@@ -14,7 +14,7 @@ from ..core.certificates.row_residuals import scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import UnsuitableProblem
 from ..core.lcp import LCP
-from ..core.matrix.equilibration import evened, scaled
+from ..core.matrix.units import scaled
 from ..core.rounding import compensated_product
 from ..core.settings import Status
 from ..core.solving.result import Result
@@ -22,6 +22,7 @@ from ..proofs.exact.exactly import exact_residuals, exact_slack, is_exact_soluti
 from ..proofs.exact.linear_systems import solved_nearby
 from ..proofs.exact.rational import power_of_two, rational_rows
 from ..proofs.no_solution.exact_references import exactly_weighted
+from ..systems.equilibration import evened
 
 Answer = tuple[Fraction, ...]
 States = list[int]

@@ -17,10 +17,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector, read_only
-from ..core.deadline import interruptible
-from ..core.matrix.equilibration import power_of_two
 from ..core.matrix.matrix import Matrix, fact, largest_in_rows
 from ..core.matrix.structure import row_numbers
+from .equilibration import power_of_two
+from .interruptible import interruptible
 
 T = TypeVar("T")
 
@@ -107,7 +107,7 @@ def made(factorisation: Callable[[], T], operations: float) -> T:
     Raises
     ------
     OutOfTimeError
-        Where an enforced limit passed first (:func:`lcp_plugin.core.deadline.interruptible`).
+        Where an enforced limit passed first (:func:`lcp_plugin.systems.interruptible.interruptible`).
     """
     return factorisation() if operations <= LONG else interruptible(factorisation)
 

@@ -11,13 +11,14 @@ import scipy.sparse as sp
 
 from ..core.checks import BoolVector, FloatVector
 from ..core.crossovers import DIRECT_UP_TO
-from ..core.matrix.equilibration import Exponents, evened, scaled, times_power, unit_diagonal
 from ..core.matrix.matrix import Matrix
-from ..core.matrix.symmetry import has_symmetric_entries, is_nearly_symmetric
-from ..core.matrix.units import units_of
+from ..core.matrix.symmetry import has_symmetric_entries
+from ..core.matrix.units import Exponents, scaled, times_power, units_of
+from .equilibration import evened, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .graph import bandwidth
 from .least_norm import pseudo_inverses
+from .symmetry import is_nearly_symmetric
 
 REFINEMENTS = 3
 RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block

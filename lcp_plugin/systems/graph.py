@@ -12,7 +12,8 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector, read_only
 from ..core.matrix.matrix import Matrix, fact, largest_in_rows
 from ..core.matrix.structure import IntVector, row_numbers
-from ..core.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
+from ..core.rounding import lower_end, upper_end
+from .comparison_sums import comparison_product, exact_comparison_row
 
 
 def compressed_rows(M: Any) -> tuple[Any, Any, Any]:

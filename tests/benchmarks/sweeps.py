@@ -11,6 +11,7 @@ from lcp_plugin.core.kernels import splitting_sweeps as kernels
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.matrix.row_sums import inverse_residual_scale, row_splits
 from lcp_plugin.gallery import build
+from lcp_plugin.methods.modulus.kernels.modulus_sweep import modulus_sweep
 
 from .timing import medians
 
@@ -63,6 +64,6 @@ def mgs_sweep(problem: LCP, z: FloatVector) -> Callable[[], object]:
         problem.q, problem.lower, inverse_residual_scale(problem.matrix), problem.diagonal,
         1.0 / (2.0 * problem.diagonal),
     )
-    return lambda: kernels.modulus_sweep(
+    return lambda: modulus_sweep(
         M.indptr, split, M.indices, M.data, rows, 1.0, 1.0, False, z, new, answer
     )

@@ -213,6 +213,8 @@ def test_relaxation_sweep_is_its_formula(shape: str, width: type, backward: bool
 @DIRECTIONS
 def test_modulus_sweep_is_its_formula(shape: str, width: type, backward: bool) -> None:
     """New modulus vector, z and both norms are those of the literal loop; the incoming vector is left alone."""
+    from lcp_plugin.methods.modulus.kernels.modulus_sweep import modulus_sweep as kernel
+
     matrix = compressed(SHAPES[shape], width)
     n = len(matrix.dense)
     values = vectors(n)
@@ -220,7 +222,7 @@ def test_modulus_sweep_is_its_formula(shape: str, width: type, backward: bool) -
     rows = kernels.packed(values["q"], lower, values["inverse_scale"], values["omega"], values["inverse_pivot"])
     x = values["z"]
     before, new, z = x.copy(), np.full(n, np.nan), np.full(n, np.nan)
-    norms = kernels.modulus_sweep(*matrix.of(backward), rows, 1.2, 0.6, backward, x, new, z)
+    norms = kernel(*matrix.of(backward), rows, 1.2, 0.6, backward, x, new, z)
     expected, expected_z, *expected_norms = modulus_sweep(matrix.dense, rows, 1.2, 0.6, backward, x)
     close(new, expected)
     close(z, expected_z)
@@ -312,9 +314,6 @@ def test_nan_survives_every_norm(backward: bool, place: int) -> None:
         rows = kernels.packed(ones, zeros, none, ones, ones, ones)
         norms = kernels.splitting_sweep(*matrix.of(backward), rows, 0.5, projected, backward, z, np.empty(5))
         assert np.isnan(norms).all()
-    rows = kernels.packed(ones, zeros, ones, ones, ones)
-    norms = kernels.modulus_sweep(*matrix.of(backward), rows, 1.0, 1.0, backward, z, np.empty(5), np.empty(5))
-    assert np.isnan(norms).all()
     rows = kernels.packed(ones, zeros, none, ones)
     assert np.isnan(kernels.relaxation_sweep(*matrix.of(backward), rows, 1.0, backward, z.copy())).all()
 
@@ -331,11 +330,22 @@ def test_nan_that_no_other_row_reads_survives(backward: bool, dense: np.ndarray)
         rows = kernels.packed(ones, zeros, none, ones, ones, ones)
         norms = kernels.splitting_sweep(*matrix.of(backward), rows, 0.5, True, backward, z, np.empty(5))
         assert np.isnan(norms).all()
-        rows = kernels.packed(ones, zeros, ones, ones, ones)
-        norms = kernels.modulus_sweep(*matrix.of(backward), rows, 1.0, 1.0, backward, z, np.empty(5), np.empty(5))
-        assert np.isnan(norms).all()
         rows = kernels.packed(ones, zeros, none, ones)
         assert np.isnan(kernels.relaxation_sweep(*matrix.of(backward), rows, 1.0, backward, z)).all()
+
+
+@DIRECTIONS
+@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize("dense", [np.eye(5), np.zeros((5, 5)), 1.0 + np.eye(5)], ids=["diagonal", "zero", "full"])
+def test_nan_survives_the_norms_of_the_modulus_sweep(backward: bool, place: int, dense: np.ndarray) -> None:
+    """A NaN in any component of the incoming vector makes both norms NaN, whoever reads it."""
+    from lcp_plugin.methods.modulus.kernels.modulus_sweep import modulus_sweep as kernel
+
+    ones, x = np.ones(5), np.linspace(1.0, 2.0, 5)
+    x[place] = np.nan
+    rows = kernels.packed(ones, np.zeros(5), ones, ones, ones)
+    norms = kernel(*compressed(dense, np.int32).of(backward), rows, 1.0, 1.0, backward, x, np.empty(5), np.empty(5))
+    assert np.isnan(norms).all()
 
 
 # --- The same again ----------------------------------------------------------------------------------------

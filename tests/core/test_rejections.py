@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from families import MODULUS
 
 from lcp_plugin import (
     LCP,
@@ -42,7 +43,6 @@ from lcp_plugin.core.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
-from lcp_plugin.core.splittings.modulus import MGS, ModulusBased
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
 from lcp_plugin.evidence.curves import Report
@@ -64,7 +64,6 @@ KINDS = {name: algorithm_class(name) for name in REGISTRY}
 OPTIONS = {name: [field.name for field in fields(kind)] for name, kind in KINDS.items()}
 NEEDS_POSITIVE_DIAGONAL = [name for name, kind in KINDS.items() if kind.assumption.startswith("positive diagonal")]
 NEEDS_NO_DIAGONAL = [name for name in REGISTRY if name not in NEEDS_POSITIVE_DIAGONAL]
-MODULUS = [name for name, kind in KINDS.items() if issubclass(kind, ModulusBased)]
 
 
 class Given:
@@ -451,7 +450,7 @@ def test_numpy_numbers_are_numbers() -> None:
     )
     assert result.is_solved
     assert solve(given.problem, "npsor", relaxation=np.int32(1)).is_solved
-    assert solve(given.plain, MGS(omega=np.float64(0.5))).is_solved
+    assert solve(given.plain, "mgs", omega=np.float64(0.5)).is_solved
     assert solve(given.problem, "pgs", max_iterations=0, max_seconds=0, tolerance=0).iterations == 0
 
 

@@ -11,7 +11,6 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, Certificate, UnsuitableMatrix
 from lcp_plugin.core.certificates.row_residuals import ratio
 from lcp_plugin.core.kernels.floats import UNIT
-from lcp_plugin.core.matrix.equilibration import unit_diagonal
 from lcp_plugin.core.rounding import gamma
 from lcp_plugin.proofs.bounds import error_bounds, row_inequality, solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
@@ -19,6 +18,7 @@ from lcp_plugin.proofs.bounds.row_inequality import RowInequality
 from lcp_plugin.proofs.bounds.solution_bounds import EigenvalueBound, bounds_of, smallest_eigenvalue_bound
 from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.systems import factors, free_systems
+from lcp_plugin.systems.equilibration import unit_diagonal
 from lcp_plugin.systems.factors import positive_factor
 
 CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_min = 1, no H-matrix

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, analyze, gallery, solve
-from lcp_plugin.core.matrix.equilibration import unit_diagonal
 from lcp_plugin.proofs.bounds import error_bounds, solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
 from lcp_plugin.proofs.bounds.row_inequality import RowInequality
@@ -21,6 +20,7 @@ from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_ab
 from lcp_plugin.proofs.verdicts import comparison_certificate
 from lcp_plugin.proofs.verdicts.verdicts import eigenvalue_proven
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
+from lcp_plugin.systems.equilibration import unit_diagonal
 
 POINTS = st.lists(st.floats(-1e6, 1e6, width=32), min_size=8, max_size=8)
 STEPS = st.sampled_from([1.0, 1e-3, 1e-9, 2.0**-52, 0.0])

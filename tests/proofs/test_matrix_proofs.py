@@ -14,16 +14,10 @@ from hypothesis import strategies as st
 from lcp_plugin import LCP
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.core.kernels.floats import UNIT
-from lcp_plugin.core.matrix.equilibration import scaled, scaling_exponents
 from lcp_plugin.core.matrix.matrix import Matrix
-from lcp_plugin.core.matrix.symmetry import (
-    ROUNDED,
-    asymmetry,
-    is_symmetric_entrywise,
-    is_symmetric_to_rounding,
-    mismatch,
-)
-from lcp_plugin.core.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
+from lcp_plugin.core.matrix.symmetry import is_symmetric_entrywise
+from lcp_plugin.core.matrix.units import scaled
+from lcp_plugin.core.rounding import lower_end, upper_end
 from lcp_plugin.proofs.exact.linear_systems import (
     exact_rows,
     has_nonnegative_pivots,
@@ -34,6 +28,7 @@ from lcp_plugin.proofs.verdicts import analyze, h_matrix, h_verdict, p_matrix, v
 from lcp_plugin.proofs.verdicts.h_matrix import _centred, _joined, is_nonpositive, positive_margin
 from lcp_plugin.proofs.verdicts.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
 from lcp_plugin.systems.comparison import KRYLOV_STEPS, LinearSystem
+from lcp_plugin.systems.comparison_sums import comparison_product, exact_comparison_row
 from lcp_plugin.systems.definiteness import (
     condition_estimate,
     is_positive_definite,
@@ -41,9 +36,11 @@ from lcp_plugin.systems.definiteness import (
     positive_definite_solver,
     symmetric_part,
 )
+from lcp_plugin.systems.equilibration import scaling_exponents
 from lcp_plugin.systems.factors import positive_factor, sparse_lu
 from lcp_plugin.systems.graph import row_excess_signs, scale_spread
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection
+from lcp_plugin.systems.symmetry import ROUNDED, asymmetry, is_symmetric_to_rounding, mismatch
 
 # --- Small matrices in rational arithmetic ------------------------------------------------------------------
 

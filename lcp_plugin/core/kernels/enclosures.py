@@ -135,7 +135,7 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
     return lost
 
 
-def _summing_rows(comparison: bool) -> Any:
+def summing_rows(comparison: bool) -> Any:
     """Return the kernel that sums the rows of M x + q, or of ⟨M⟩x + q, as high + low ± radius."""
 
     @interpreted_while_small
@@ -167,8 +167,7 @@ def _summing_rows(comparison: bool) -> Any:
     return row_sums
 
 
-row_sums = _summing_rows(False)
-comparison_row_sums = _summing_rows(True)
+row_sums = summing_rows(False)
 
 
 @compiled_into_others

@@ -8,8 +8,6 @@ TINY = 2.0**-1074  # the smallest positive double; a product that underflows is 
 LARGEST = 1.7976931348623157e308  # the largest double
 DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
 NEGLIGIBLE_DIAGONAL = 1e-10  # beside the largest entry of its row: no measure of that row then
-LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
-DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
 
 # Solving with a factor, and again with what is left over.
 REFINEMENTS = 5

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numba import uintp
 
-from .compilation import compiled, compiled_into_others, interpreted_while_small
+from .compilation import compiled, compiled_into_others
 
 ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache
 
@@ -167,73 +167,6 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
         if change > largest or change != change:
             largest = change
     return largest, total
-
-
-@compiled
-def modulus_sweep(  # type: ignore[no-untyped-def]
-    indptr, split, indices, data, rows, relaxation, acceleration, backward, x, new, z
-):
-    """Write the next modulus vector into `new` and z = lower + max(x, 0) of the incoming x into `z`.
-
-    `rows` holds q, lower, inverse_scale, omega, inverse_pivot. With w = M max(x, 0) + q and
-    c_i = Σ m_ij (new_j − x_j) over the columns j already updated:
-
-        new_i = x_i − (2 α (w_i − Ω_i max(−x_i, 0)) + β c_i) inverse_pivot_i
-
-    Returns max_i |min(z_i − lower_i, w_i inverse_scale_i)| and Σ_i min(z_i − lower_i, w_i)².
-    """
-    n = uintp(rows.shape[0])
-    one = uintp(1)
-    largest = 0.0
-    squares = 0.0
-    i = n if backward else uintp(0) - one
-    for _ in range(n):
-        if backward:
-            i -= one
-            first, last = uintp(split[i]), uintp(indptr[i + one])
-            rest, rest_end = uintp(indptr[i]), first
-        else:
-            i += one
-            first, last = uintp(indptr[i]), uintp(split[i])
-            rest, rest_end = last, uintp(indptr[i + one])
-        w = rows[i, 0]
-        c = 0.0
-        for k in range(first, last):
-            j = uintp(indices[k])
-            old = x[j]
-            w += data[k] * (0.0 if old < 0.0 else old)
-            c += data[k] * (new[j] - old)
-        for k in range(rest, rest_end):
-            old = x[uintp(indices[k])]
-            w += data[k] * (0.0 if old < 0.0 else old)
-        xi = x[i]
-        positive = 0.0 if xi < 0.0 else xi
-        slack = w * rows[i, 2]
-        r = abs(slack if slack < positive else positive)
-        if r > largest or r != r or slack != slack:
-            largest = r if slack == slack else slack
-        r = w if w < positive else positive
-        squares += r * r
-        z[i] = rows[i, 1] + positive
-        new[i] = xi - (2.0 * relaxation * (w - rows[i, 3] * (positive - xi)) + acceleration * c) * rows[i, 4]
-    return largest, squares
-
-
-@interpreted_while_small
-def dense_sweeps(M, inverse_diagonal, lower, upper, z, w, count):  # type: ignore[no-untyped-def]
-    """Overwrite z by `count` sweeps z_i ← mid(l_i, u_i, z_i − w_i/m_ii), and w = M z + q with it.
-
-    M is symmetric and C-contiguous: a row that changes is added to w, one that stays at its bound costs nothing.
-    `inverse_diagonal` is 0 on the rows to leave alone.
-    """
-    for _ in range(count):
-        for i in range(z.size):
-            change = min(max(z[i] - w[i] * inverse_diagonal[i], lower[i]), upper[i]) - z[i]
-            if change != 0.0:
-                z[i] = min(max(z[i] + change, lower[i]), upper[i])
-                row = M[i]
-                for j in range(z.size):
-                    w[j] += change * row[j]
 
 
 def row_splits(matrix: Any, *, backward: bool) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..checks import FloatVector, read_only
 from ..communicator import Communicator
+from ..registry import ask
 from .matrix import Matrix, fact
 
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
@@ -88,10 +89,10 @@ def parts(matrix: Matrix) -> Parts | None:
     True
     """
     if not matrix.communicator.is_alone:
-        return _parts_on_ranks(matrix)
+        return ask("ranks", "joined_parts")(matrix)  # type: ignore[no-any-return]
     if _is_seen_connected(matrix):
         return None
-    labels, count = _local_parts(matrix)
+    labels, count = local_parts(matrix)
     return Parts(read_only(labels), count, count, 0, matrix.communicator) if count > 1 else None
 
 
@@ -115,7 +116,7 @@ def _is_seen_connected(matrix: Matrix) -> bool:
     return True
 
 
-def _local_parts(matrix: Matrix) -> tuple[IntVector, int]:
+def local_parts(matrix: Matrix) -> tuple[IntVector, int]:
     """Return the part of every unknown that the own rows meet, by these rows alone, and how many there are."""
     from ..kernels.rows import join  # numba, which `import lcp_plugin` must not load
 
@@ -124,29 +125,3 @@ def _local_parts(matrix: Matrix) -> tuple[IntVector, int]:
     join(rows.indptr, rows.indices, first)
     roots, labels = np.unique(first, return_inverse=True)
     return labels.astype(np.int64).reshape(-1), roots.size
-
-
-def _parts_on_ranks(matrix: Matrix) -> Parts | None:
-    """Return the parts of rows over several ranks: those of each rank, joined where one of its unknowns is another's.
-
-    What a rank calls a part is told to the others by the values of its unknowns there; the parts that meet are few.
-    """
-    communicator, own = matrix.communicator, matrix.own
-    local, count = _local_parts(matrix)
-    before, total = communicator.places(count)
-    theirs = matrix.whole((local[:own] + before).astype(np.float64))[own:].astype(np.int64)
-    met = np.unique(np.stack([local[own:] + before, theirs], axis=1), axis=0)
-    pairs = communicator.everybodys(met)
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    pattern = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(total, total))
-    joined_count, joined = connected_components(pattern, directed=False)
-    if joined_count <= 1:
-        return None
-    shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
-    mine = joined[local[:own] + before]
-    order = np.concatenate([shared, np.setdiff1d(mine, shared)])
-    number = np.full(joined_count, -1)
-    number[order] = np.arange(order.size)
-    return Parts(read_only(number[mine]), order.size, int(joined_count), shared.size, communicator)

@@ -32,7 +32,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
-from .equilibration import Exponents, fitted, scaled
 from .matrix import Matrix, fact, largest_in_rows
 from .structure import IntVector, parts, row_numbers
 
@@ -42,10 +41,18 @@ DOMINANT = 1.0 + 2.0**-20  # rounding of stored sums
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
 ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding
 LARGEST_OFF = 2.0**SPREAD  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
+DENSE_LIMIT = 300  # unknowns of a least squares problem
 
 
 Fit = tuple[Any, Any]
 """Integers and what is to be added to them."""
+
+
+class Exponents(NamedTuple):
+    """The scaled matrix has entries m_ij 2^(row_i + column_j); an exponent a row and one a column."""
+
+    row: IntVector
+    column: IntVector
 
 
 class Units(NamedTuple):
@@ -311,3 +318,45 @@ def _extremes(values: IntVector, places: IntVector, of: Any) -> IntVector:
     found = np.full(int(places.max()) + 1, np.iinfo(np.int64).min if of is np.maximum else np.iinfo(np.int64).max)
     of.at(found, places, values)
     return found
+
+
+def scaled(M: Any, exponents: Exponents | None) -> Any:
+    """Return the array or CSR array with entries m_ij 2^(row_i + column_j)."""
+    if exponents is None:
+        return M
+    row, column = (side.astype(np.int32) for side in exponents)
+    if not sp.issparse(M):
+        return times_power(M, row[:, None] + column)
+    if max(abs(side).max(initial=0) for side in (row, column)) < 512:  # the factor is a normal number: rounded once
+        factor = np.repeat(np.ldexp(1.0, row), np.diff(M.indptr)) * np.ldexp(1.0, column)[M.indices]
+        with np.errstate(under="ignore", over="ignore"):
+            data = M.data * factor
+    else:
+        data = times_power(M.data, row[row_numbers(M)] + column[M.indices])
+    return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
+
+
+def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:
+    """Return x_i 2^exponent_i, of the shape of x."""
+    with np.errstate(under="ignore", over="ignore"):
+        return x if exponent is None else np.asarray(np.ldexp(x, exponent))
+
+
+def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
+    """Return s, shape (n,), for which ratio_k + s_column − s_row is about 0 in the least squares sense."""
+    rhs: Any = np.bincount(rows, ratios, n) - np.bincount(columns, ratios, n)
+    degree: Any = np.bincount(rows, minlength=n) + np.bincount(columns, minlength=n)
+    if n <= DENSE_LIMIT:
+        dense = np.diag(degree.astype(np.float64))
+        np.add.at(dense, (rows, columns), -1.0)
+        np.add.at(dense, (columns, rows), -1.0)
+        solution: FloatVector = np.linalg.lstsq(dense, rhs, rcond=None)[0]
+        return solution
+    from scipy.sparse.linalg import LinearOperator, cg
+
+    weights = np.where(degree > 0, degree, 1).astype(np.float64)
+    pattern = sp.csr_array((np.ones(rows.size), (rows, columns)), shape=(n, n))
+    transposed = pattern.T.tocsr()
+    graph = LinearOperator((n, n), matvec=lambda x: degree * x - pattern @ x - transposed @ x)
+    jacobi = LinearOperator((n, n), matvec=lambda x: x / weights)
+    return np.asarray(cg(graph, rhs, rtol=1e-3, maxiter=300, M=jacobi)[0])

@@ -1,15 +1,12 @@
-"""What every kind of problem is answered by, and the sequences of such answers."""
+"""What every kind of problem is answered by."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections import Counter
-from collections.abc import Sequence
-from operator import index
-from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self
 
-from ..errors import LCPError, NotConverged
+from ..errors import NotConverged
 from ..registry import ask
 from ..settings import PROVEN, Status
 
@@ -138,100 +135,6 @@ class Answer:
         value = "" if self.objective is None else f"objective {self.objective:.9g}, "
         effort = f"{self.algorithm}: {self.iterations} iterations, {self.seconds:.3g} s"
         return f"{type(self).__name__}({self.status.name}, {size}{value}{effort})"
-
-    def __str__(self) -> str:
-        return self.explain()
-
-
-T = TypeVar("T")
-
-
-class Results(Sequence[T]):
-    """A sequence, each item of which is put together when it is looked at: ``self.at(k)`` for 0 ≤ k < len(self)."""
-
-    def at(self, k: int) -> T:
-        """Return item k."""
-        raise NotImplementedError
-
-    @overload
-    def __getitem__(self, k: int) -> T: ...
-    @overload
-    def __getitem__(self, k: slice) -> list[T]: ...
-    def __getitem__(self, k: int | slice) -> T | list[T]:
-        if isinstance(k, slice):
-            return [self.at(i) for i in range(len(self))[k]]
-        if not -len(self) <= index(k) < len(self):
-            raise IndexError(f"there are {len(self)} results, and none has the number {k}")
-        return self.at(index(k) % len(self))
-
-
-class AnswerSequence(Results[T]):
-    """The answers to many problems, in order.
-
-    Attributes
-    ----------
-    status : sequence of Status
-        None where an item is no problem.
-    seconds : float
-        Wall-clock seconds of all of them.
-    """
-
-    ITEM = "problem"
-    seconds: float
-    if TYPE_CHECKING:
-
-        @property
-        def status(self) -> Any:
-            """SOLVED, or why not."""
-
-    @property
-    def all_solved(self) -> bool:
-        """Whether every status is SOLVED."""
-        return all(status is Status.SOLVED for status in self.status)
-
-    @property
-    def is_solved(self) -> bool:
-        """The same as `all_solved`."""
-        return self.all_solved
-
-    def counts(self) -> str:
-        """Return how many there are of each status, in words."""
-        counted = Counter(f"no {self.ITEM}" if one is None else one.name for one in self.status)
-        return ", ".join(f"{count} {name}" for name, count in counted.most_common()) or "none"
-
-    def explain(self) -> str:
-        """Return how many there are of each status, and the story of the first that is not SOLVED, or of the last."""
-        told = next((k for k, status in enumerate(self.status) if status is not Status.SOLVED), len(self) - 1)
-        lines = [f"{len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s"]
-        if told >= 0:
-            lines.append(f"{self.ITEM} {told}: {self._told(told)}")
-        return "\n".join(lines)
-
-    def _told(self, k: int) -> str:
-        """Return the story of item k, or what is wrong with it."""
-        try:
-            return str(self.at(k))
-        except LCPError as error:
-            return f"no {self.ITEM}: {error}"
-
-    def require_solved(self) -> Self:
-        """Return this, or raise where one of them is not solved.
-
-        Raises
-        ------
-        NotConverged
-            With how many there are of each status, and what the first that is not solved says.
-        """
-        if not self.all_solved:
-            raise NotConverged(self.explain())
-        return self
-
-    def plot(self, **how: Any) -> Any:
-        """Return matplotlib's axes with a picture of the answers; see :meth:`Answer.plot`."""
-        return ask("picture", "answer")(self, **how)
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s)"
 
     def __str__(self) -> str:
         return self.explain()

@@ -11,19 +11,13 @@ import numpy as np
 
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
-from ..registry import ask, ask_or_none, offered
+from ..registry import ask, ask_or_none
 from ..settings import Status
 from .answer import Answer
 
 if TYPE_CHECKING:
     from ...proofs.bounds.error_bounds import ErrorBound
     from ...proofs.guarantees.theorems import Guarantee
-
-STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
-STIFF_SPREAD = 1e6
-FAR = 1e-2  # part of ‖z‖∞
-FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
-
 
 class BoundOrReason(NamedTuple):
     """A bound of the error, or none and the reason."""
@@ -40,19 +34,6 @@ class StageRecord(NamedTuple):
     iterations: int
     work: float
     remark: str = ""
-
-
-ON_ERROR = {
-    Status.SOLVED: "the error is proved to be within the tolerance",
-    Status.PRECISION_LIMIT: (
-        "the error is not proved to be within the tolerance, and the residual is no larger than rounding in double "
-        "precision explains: accept z with the bound it has, or rescale the data"
-    ),
-    Status.STALLED: (
-        "the error is not proved to be within the tolerance, and the residual no longer falls enough to change that; "
-        "raise the tolerance, or try another algorithm or a better start z0"
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -178,8 +159,7 @@ class Result(Answer):
     @property
     def advice(self) -> str:
         """What the status means for this run, in a sentence."""
-        words = {**self._advice, **ON_ERROR} if self.tolerance_on == "error" else self._advice
-        advice = words.get(self.status, self.status.value)
+        advice = self._advice.get(self.status, self.status.value)
         if self.is_solved or self.is_refuted:
             return "; ".join([advice, *(self._sign() if self.is_refuted else [])])
         remarks = [stage.remark for stage in self.stages if stage.remark]
@@ -230,24 +210,14 @@ class Result(Answer):
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
-        return "\n".join([*lines, *self._not_covered(), *self._stiffness(), *self._complementarity()])
+        misleading = ask_or_none("remark", "misleading")
+        return "\n".join([*lines, *(misleading(self) if misleading else []), *self._complementarity()])
 
     def _effort(self) -> str:
         return (
             f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
             f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s"
         )
-
-    def _not_covered(self) -> list[str]:
-        """Return a line where a chosen method failed that nothing proves to converge."""
-        is_auto = isinstance(self._asked, str)
-        if self.status not in FAILED or is_auto or self.certificate.problem.is_distributed or not offered("remark"):
-            return []
-        guarantee = self.guarantee
-        if guarantee.is_guaranteed or not guarantee.remedy:
-            return []
-        return [f"{self.algorithm} on this matrix: {guarantee.verdict} ({guarantee.theorem}); what to do: "
-                f"{guarantee.remedy}"]
 
     def reached(self) -> str:
         """Return what was reached beside what was asked for."""
@@ -266,38 +236,6 @@ class Result(Answer):
         if not self.absolute_tolerance:
             return ""
         return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"
-
-    def _stiffness(self) -> list[str]:
-        """Return a line where a small residual goes, or may go, with a much larger error."""
-        relative = self.certificate.relative_residual
-        if self.error_bound is not None:
-            factor = self.error_bound.relative / relative if relative > 0.0 else 0.0
-            if not factor > STIFF_FACTOR:
-                return []
-            further = "" if self.tolerance_on == "error" else ', and ask for tolerance_on="error"'
-            return [f"stiff: the error may be {factor:.0e} times the residual; trust the bound{further}"]
-        spread = self.certificate.scale_spread
-        if not self.is_solved:
-            return []
-        if not spread > STIFF_SPREAD:
-            return self._far()
-        return [f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "
-                "error; error_bound=True bounds it"]
-
-    def _far(self) -> list[str]:
-        """Return a line where the error may be a good part of z although the residual is small."""
-        certificate, problem = self.certificate, self.certificate.problem
-        estimated_error = ask_or_none("remark", "estimated error")
-        if problem.is_distributed or estimated_error is None:
-            return []
-        residual = certificate.scaled_residual
-        error = estimated_error(problem, self.z, self.w, residual)
-        size = float(np.abs(self.z).max(initial=0.0))
-        if error is None or not error > FAR * size:
-            return []
-        known = f"of up to about {error:.0e}" if error < np.inf else "of any size"
-        return [f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error {known}, and "
-                f"‖z‖∞ = {size:.0e}; error_bound=True bounds it"]
 
     def _complementarity(self) -> list[str]:
         """Return a line where z was accepted and a product of z and w is large."""

@@ -20,6 +20,7 @@ from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
 from ..policy.choice import Policy, name_of
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage
+from ..registry import ask
 from ..settings import CallersOwn, Settings, Status
 from .advice import advice_of_run, unused_start
 from .judge import Judge
@@ -230,6 +231,8 @@ class Run:
         if not settings.refute:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
             words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"
+        if settings.is_on_error:
+            words |= ask("watch", "advice")
         result = Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on,

@@ -1,4 +1,4 @@
-"""Splitting methods: projected-type (np*), projected relaxation (p*, gfp), modulus-based (m*).
+"""Splitting methods: projected-type (np*) and projected relaxation (p*, gfp); rooms have others.
 
 What to expect of sweeps:
 

@@ -22,8 +22,8 @@ from ..crossovers import PSOR_GAIN, PSOR_PASSES
 from ..errors import InvalidOption
 from ..lcp import LCP
 from ..matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
-from ..matrix.row_sums import pivot_weight
 from ..matrix.symmetry import has_symmetric_entries
+from ..registry import ask
 from . import Splitting
 
 # The automatic relaxation of PSOR.
@@ -61,7 +61,8 @@ class _InPlace(_Relaxation):
 
     On several ranks a sweep runs on all of them at once, with what the others had before it. That is a splitting with
     fewer entries of L, which converges on H₊-matrices with ω ≤ 1; where M is symmetric, pivots beside other ranks are
-    made larger, so that it converges on every positive definite one, see `pivot_weight`.
+    made larger, so that it converges on every positive definite one, see
+    :func:`lcp_plugin.ranks.joint_facts.pivot_weight`.
     """
 
     runs_on_ranks: ClassVar[bool] = True
@@ -80,7 +81,7 @@ class _InPlace(_Relaxation):
         adaptive = AdaptiveRelaxation(self.first_trial()) if fixed is None else None
         relaxation, told = 1.0 if fixed is None else fixed, self.first_trial()
         if not communicator.is_empty and has_symmetric_entries(problem.matrix):
-            pivots = pivots + pivot_weight(M, communicator, relaxation)
+            pivots = pivots + ask("ranks", "pivot_weight")(M, communicator, relaxation)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem.matrix, backward) for backward in passes}

@@ -210,7 +210,7 @@ def _suits_newton(problem: LCP) -> bool:
 
 def _seems_monotone(problem: LCP, origin: Any) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
-    from ...core.matrix.symmetry import is_nearly_symmetric
+    from ...systems.symmetry import is_nearly_symmetric
 
     if problem.n == 0:
         return False

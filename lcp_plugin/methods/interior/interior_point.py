@@ -223,7 +223,7 @@ class _Search:
 
     def guessed(self, primal: PrimalActiveSet, y: FloatVector) -> Iterator[Step]:
         """Sweep until few rows change sides, then correct the active set one row at a time."""
-        from ...core.kernels.splitting_sweeps import dense_sweeps
+        from .kernels.symmetric_sweeps import dense_sweeps
 
         n = y.size
         diagonal = self.M.diagonal()

@@ -14,11 +14,12 @@ from ...core.checks import FloatVector, read_only
 from ...core.crossovers import DENSE_NEWTON_UP_TO
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.equilibration import Exponents, scaled, unit_diagonal
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import IntVector, row_numbers
-from ...core.matrix.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
+from ...core.matrix.units import Exponents, scaled
+from ...systems.equilibration import unit_diagonal
 from ...systems.graph import compressed_rows
+from ...systems.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
 from .dense_ends import analysed
 from .quasidefinite import Symbolic, signs_of
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.lcp import LCP
-from ...core.matrix.equilibration import power_of_two
+from ...systems.equilibration import power_of_two
 
 FloatMatrix = NDArray[np.float64]
 IndexVector = NDArray[np.intp]

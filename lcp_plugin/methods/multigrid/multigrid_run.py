@@ -11,8 +11,8 @@ import numpy as np
 from ...core.algorithms.base import Step
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
-from ...core.matrix.equilibration import power_of_two
 from ...core.matrix.symmetry import has_symmetric_entries
+from ...systems.equilibration import power_of_two
 from ...systems.hierarchy import sweeps, vectors
 from ...systems.hierarchy.levels import hierarchy_of
 from ...systems.hierarchy.truncation import KrylovCorrection, Truncation

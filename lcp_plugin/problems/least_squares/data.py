@@ -23,7 +23,7 @@ from ...core.checks import (
 from ...core.communicator import Communicator
 from ...core.deadline import is_over
 from ...core.errors import InvalidOption, InvalidProblem
-from ...core.matrix.equilibration import power_of_two
+from ...systems.equilibration import power_of_two
 
 COPIED_UP_TO = 10**6  # places of A
 ALONE = Communicator()

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...core.algorithms import Algorithm
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector, length_of_all, real_array, rows_of_a_batch
+from ...core.checks import FloatVector, real_array
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import in_chunks
@@ -23,6 +23,7 @@ from ...core.solving.driver import asked_of_solve, fused_result
 from ...core.solving.result import Result
 from ...methods.banded.banded import Banded
 from ...systems.factors import bands
+from ..many.data import length_of_all, rows_of_a_batch
 from .march import BLOCK, March, has_common_units, march
 from .marching import Lesson
 

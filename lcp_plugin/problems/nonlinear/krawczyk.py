@@ -33,11 +33,12 @@ from ...core.checks import BoolVector, FloatVector
 from ...core.kernels.floats import TINY
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
-from ...core.rounding import comparison_product, gamma, lower_end
+from ...core.rounding import gamma, lower_end
 from ...proofs.bounds.error_bounds import ErrorBound, relative_to
 from ...proofs.bounds.row_inequality import NearPoint
 from ...proofs.exact.upward import quotient_above, sum_above
 from ...proofs.verdicts import comparison_certificate
+from ...systems.comparison_sums import comparison_product
 from .data import Enclosure
 
 DENSE_UP_TO = 1000  # free rows

@@ -23,9 +23,9 @@ from ...core.checks import (
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.symmetry import is_its_mirror, mismatch
 from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
 from ...systems.definiteness import is_semidefinite_to_rounding
+from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
 from .program_matrices import ProgramMatrices, as_csr
 from .qp_certificates import proof_of_no_minimum

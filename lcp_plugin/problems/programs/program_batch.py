@@ -8,8 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector, length_of_all, read_only, real_array, rows_of_a_batch
+from ...core.checks import BoolVector, read_only, real_array
 from ...core.errors import InvalidProblem
+from ..many.data import length_of_all, rows_of_a_batch
 from .program import SYMMETRIC_TO, QuadraticProgram, check_pair, refuse_nonconvex
 
 

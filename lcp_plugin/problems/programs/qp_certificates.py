@@ -16,11 +16,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.kernels.floats import EPSILON
-from ...core.matrix.equilibration import evened
 from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import ZERO, Vector, rational, short
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
 from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction
+from ...systems.equilibration import evened
 from .constraints import stationarity
 from .qp_proofs import QPInfeasibility, QPUnboundedness, losses
 from .reductions import FoldedRows, fold_simple_rows

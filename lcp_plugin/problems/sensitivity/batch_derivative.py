@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix, rows_of_a_batch
+from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.settings import Status
 from ...core.solving.result import Result
 from ..batches.batch_items import put
 from ..batches.batch_run import BatchResult
+from ..many.data import rows_of_a_batch
 from .batch_part import BatchPart, chosen
 
 if TYPE_CHECKING:

@@ -20,7 +20,8 @@ from scipy.sparse.csgraph import connected_components
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.matrix.matrix import Matrix
-from ...core.rounding import comparison_product, gamma, lower_end
+from ...core.rounding import gamma, lower_end
+from ...systems.comparison_sums import comparison_product
 from ...systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin
 from ..exact.linear_systems import exact_symmetric_part, has_nonnegative_pivots
 from .solution_bounds import UNDERFLOW, smallest_eigenvalue_bound

@@ -19,7 +19,8 @@ from ...core.checks import BoolVector, FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...core.kinds import refusal
 from ...core.lcp import LCP
-from ...core.rounding import comparison_product, lower_end
+from ...core.rounding import lower_end
+from ...systems.comparison_sums import comparison_product
 from ..exact.upward import quotient_above, sum_above
 from ..verdicts import comparison_solve, h_verdict
 from .row_inequality import ActiveSetSteps, NearPoint, RowInequality

@@ -15,7 +15,7 @@ from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import unit_triangle_sums
 from ...core.matrix.structure import parts
-from ...core.settings import Settings
+from ...core.settings import Settings, Status
 from ...core.solving.result import BoundOrReason
 
 if TYPE_CHECKING:
@@ -25,6 +25,17 @@ CHEAP_AFTER = (0.01, 0.8)  # how far the residual has to fall until the next che
 SHARP_EVERY = 0.1
 SHARP_WORTH = 200  # sweeps that a sharp bound may cost
 OUT_OF_STEP = 2.0
+ADVICE = {
+    Status.SOLVED: "the error is proved to be within the tolerance",
+    Status.PRECISION_LIMIT: (
+        "the error is not proved to be within the tolerance, and the residual is no larger than rounding in double "
+        "precision explains: accept z with the bound it has, or rescale the data"
+    ),
+    Status.STALLED: (
+        "the error is not proved to be within the tolerance, and the residual no longer falls enough to change that; "
+        "raise the tolerance, or try another algorithm or a better start z0"
+    ),
+}
 
 
 class ErrorWatch:

@@ -31,7 +31,8 @@ import numpy as np
 from ...core.certificates.criterion import for_each_row, largest_of_parts
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
-from ...core.rounding import comparison_product, compensated_pair, compensated_product
+from ...core.rounding import compensated_pair, compensated_product
+from ...systems.comparison_sums import comparison_product
 from ...systems.free_systems import KRYLOV_GOAL, FreeSystem
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..verdicts import Weights

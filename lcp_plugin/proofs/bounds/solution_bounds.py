@@ -25,10 +25,11 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.kernels.floats import TINY, UNIT
 from ...core.lcp import LCP
-from ...core.matrix.equilibration import Exponents, scaled, unit_diagonal
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import Parts, parts
+from ...core.matrix.units import Exponents, scaled
 from ...core.rounding import compensated_product, gamma
+from ...systems.equilibration import unit_diagonal
 from ...systems.factors import PositiveFactor, factor_fits, positive_factor
 from ...systems.free_systems import FreeSystem
 from ..exact.upward import product_above, quotient_above, sum_above

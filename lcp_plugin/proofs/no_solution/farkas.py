@@ -19,7 +19,8 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over, seconds_left
-from ...core.matrix.equilibration import evened, power_of_two, scaled
+from ...core.matrix.units import scaled
+from ...systems.equilibration import evened, power_of_two
 from ..exact.linear_systems import MOST_UNKNOWNS, solved_nearby
 from ..exact.rational import ZERO, Rational, rational_rows, short
 from .linear_constraints import LinearConstraints, without_rounding

@@ -22,8 +22,9 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, read_only
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.symmetry import has_symmetric_entries
-from ...core.rounding import comparison_product, exact_comparison_row, lower_end, upper_end
+from ...core.rounding import lower_end, upper_end
 from ...systems.comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of, shared_comparison
+from ...systems.comparison_sums import comparison_product, exact_comparison_row
 from ...systems.graph import block_rows, strong_blocks
 from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pivots
 from ..exact.near_singular import exact_weights

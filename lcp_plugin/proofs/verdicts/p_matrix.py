@@ -18,9 +18,10 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...core.kernels.floats import TINY, UNIT
-from ...core.matrix.equilibration import scaled, scaling_exponents
 from ...core.matrix.structure import row_numbers
+from ...core.matrix.units import scaled
 from ...core.rounding import lower_end, upper_end
+from ...systems.equilibration import scaling_exponents
 from ..exact.linear_systems import Rows, eliminated, exact_rows, has_positive_minors
 
 LARGEST_SIZE = 20

@@ -12,8 +12,8 @@ from ...core.errors import InvalidProblem
 from ...core.kinds import kind_of, refusal
 from ...core.matrix import structure
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.symmetry import asymmetry
 from ...systems import graph
+from ...systems.symmetry import asymmetry
 from . import verdicts
 from .h_matrix import h_verdict
 from .verdicts import Verdict

@@ -10,7 +10,6 @@ import scipy.sparse as sp
 from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import IntVector, row_numbers, triangular_form
-from ...core.matrix.symmetry import asymmetry
 from ...systems.definiteness import (
     LARGEST_SUMMAND,
     is_positive_definite,
@@ -21,6 +20,7 @@ from ...systems.definiteness import (
 )
 from ...systems.factors import factor_fits
 from ...systems.graph import block_rows, diagonal_blocks, row_excess_signs
+from ...systems.symmetry import asymmetry
 from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
 from ..exact.near_singular import eigenvalue_below
 from .h_matrix import HCertificate, decide, h_verdict

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import FloatVector, read_only
-from ...core.matrix.equilibration import power_of_two
+from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu
 from . import galerkin, sweeps, vectors
 from .grids import Grid, Hierarchy, without

@@ -11,8 +11,7 @@ from scipy.optimize import linprog
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.core.matrix.equilibration import scaled
-from lcp_plugin.core.matrix.symmetry import is_symmetric_to_rounding
+from lcp_plugin.core.matrix.units import scaled
 from lcp_plugin.core.settings import Status
 from lcp_plugin.methods.interior.interior_point import InteriorPoint, _Search
 from lcp_plugin.methods.interior.kernels import triangles
@@ -21,6 +20,7 @@ from lcp_plugin.methods.interior.primal_active_set import NotConvex, PrimalActiv
 from lcp_plugin.methods.interior.quasidefinite import QuasidefiniteNewtonMatrix, Symbolic, signs_of
 from lcp_plugin.methods.interior.suited_matrix import equilibration, suited
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
+from lcp_plugin.systems.symmetry import is_symmetric_to_rounding
 
 
 def random_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:

@@ -16,12 +16,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..algorithms.base import Step, check_positive, inverse_residual_scale, require_positive_diagonal
-from ..checks import FloatVector, is_number, real_vector
-from ..errors import InvalidOption, InvalidProblem, UnsuitableProblem
-from ..lcp import LCP
-from ..matrix.iteration_facts import MODULUS, IterationFacts
-from . import Splitting
+from ...core.algorithms.base import Step, check_positive, inverse_residual_scale, require_positive_diagonal
+from ...core.checks import FloatVector, is_number, real_vector
+from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...core.lcp import LCP
+from ...core.matrix.iteration_facts import MODULUS, IterationFacts
+from ...core.splittings import Splitting
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +68,8 @@ class ModulusBased(Splitting):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
-        from ..kernels.splitting_sweeps import modulus_sweep, packed
+        from ...core.kernels.splitting_sweeps import packed
+        from .kernels.modulus_sweep import modulus_sweep
 
         _require_lower_bounds_only(problem, self.name)
         diagonal = require_positive_diagonal(problem, self.name)

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..checks import FloatVector
-from ..kernels.floats import DIAGONAL_SPREAD, LARGEST_RATIO
-from .structure import IntVector, row_numbers
+from ..core.checks import FloatVector
+from ..core.matrix.structure import IntVector, row_numbers
+from ..core.matrix.units import Exponents, fitted
 
-DENSE_LIMIT = 300
+LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
+DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
 BALANCING_SWEEPS = 12
 LARGEST_EXPONENT = 1000.0
-
-
-class Exponents(NamedTuple):
-    """The scaled matrix has entries m_ij 2^(row_i + column_j); an exponent a row and one a column."""
-
-    row: IntVector
-    column: IntVector
 
 
 def power_of_two(sizes: ArrayLike, most: int = 1022) -> Any:
@@ -100,28 +93,6 @@ def evened(M: Any, aims: Sequence[float], most: float = np.inf) -> Exponents:
     return Exponents(*(np.clip(scale, -most, most).astype(np.int64) for scale in scales))
 
 
-def scaled(M: Any, exponents: Exponents | None) -> Any:
-    """Return the array or CSR array with entries m_ij 2^(row_i + column_j)."""
-    if exponents is None:
-        return M
-    row, column = (side.astype(np.int32) for side in exponents)
-    if not sp.issparse(M):
-        return times_power(M, row[:, None] + column)
-    if max(abs(side).max(initial=0) for side in (row, column)) < 512:  # the factor is a normal number: rounded once
-        factor = np.repeat(np.ldexp(1.0, row), np.diff(M.indptr)) * np.ldexp(1.0, column)[M.indices]
-        with np.errstate(under="ignore", over="ignore"):
-            data = M.data * factor
-    else:
-        data = times_power(M.data, row[row_numbers(M)] + column[M.indices])
-    return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
-
-
-def times_power(x: FloatVector, exponent: NDArray[Any] | None) -> FloatVector:
-    """Return x_i 2^exponent_i, of the shape of x."""
-    with np.errstate(under="ignore", over="ignore"):
-        return x if exponent is None else np.asarray(np.ldexp(x, exponent))
-
-
 def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
     """Return s such that ratio_ij 2^(s_j − s_i) is balanced, s in log2.
 
@@ -141,23 +112,3 @@ def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) 
             break
     centred: FloatVector = position - position.mean()
     return centred
-
-
-def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
-    """Return s, shape (n,), for which ratio_k + s_column − s_row is about 0 in the least squares sense."""
-    rhs: Any = np.bincount(rows, ratios, n) - np.bincount(columns, ratios, n)
-    degree: Any = np.bincount(rows, minlength=n) + np.bincount(columns, minlength=n)
-    if n <= DENSE_LIMIT:
-        dense = np.diag(degree.astype(np.float64))
-        np.add.at(dense, (rows, columns), -1.0)
-        np.add.at(dense, (columns, rows), -1.0)
-        solution: FloatVector = np.linalg.lstsq(dense, rhs, rcond=None)[0]
-        return solution
-    from scipy.sparse.linalg import LinearOperator, cg
-
-    weights = np.where(degree > 0, degree, 1).astype(np.float64)
-    pattern = sp.csr_array((np.ones(rows.size), (rows, columns)), shape=(n, n))
-    transposed = pattern.T.tocsr()
-    graph = LinearOperator((n, n), matvec=lambda x: degree * x - pattern @ x - transposed @ x)
-    jacobi = LinearOperator((n, n), matvec=lambda x: x / weights)
-    return np.asarray(cg(graph, rhs, rtol=1e-3, maxiter=300, M=jacobi)[0])

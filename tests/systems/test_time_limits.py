@@ -10,9 +10,10 @@ import scipy.sparse as sp
 from scipy.linalg import lapack
 
 from lcp_plugin import LCP, Status, solve
-from lcp_plugin.core import deadline
-from lcp_plugin.core.deadline import OutOfTimeError, interruptible, time_limit
+from lcp_plugin.core.deadline import OutOfTimeError, time_limit
 from lcp_plugin.systems import factors
+from lcp_plugin.systems import interruptible as waiting
+from lcp_plugin.systems.interruptible import interruptible
 from lcp_plugin.systems.lapack import dgbtrf, dpotrf
 
 LONG = 120.0  # seconds that a factorisation takes unless it is told to end
@@ -107,8 +108,8 @@ def test_without_another_thread_the_call_is_made_here(fails: bool, monkeypatch: 
         if fails:
             raise RuntimeError("can't start new thread")
 
-    monkeypatch.setattr(deadline._thread, "start_new_thread", start)
-    left_by_other_tests = set(deadline._under_way)
-    assert deadline.interruptible(lambda: made.append(threading.get_ident()) or 7) == 7
+    monkeypatch.setattr(waiting._thread, "start_new_thread", start)
+    left_by_other_tests = set(waiting._under_way)
+    assert interruptible(lambda: made.append(threading.get_ident()) or 7) == 7
     assert made == [threading.get_ident()]
-    assert deadline._under_way <= left_by_other_tests
+    assert waiting._under_way <= left_by_other_tests

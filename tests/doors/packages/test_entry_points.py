@@ -21,14 +21,14 @@ from lcp_plugin.algorithms import (
     REGISTRY,
     Algorithm,
     Step,
-    _class_from_outside,
     algorithm_class,
     create,
     from_other_packages,
 )
 from lcp_plugin.commands.cli import app
+from lcp_plugin.doors.packages import class_from_outside
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")
 PROBLEM = LCP([[4, -1], [-1, 4]], [-3, 5])
 Install = Callable[..., str]
@@ -53,9 +53,9 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         monkeypatch.syspath_prepend(str(folder))
         return module
 
-    _class_from_outside.cache_clear()
+    class_from_outside.cache_clear()
     yield installed
-    _class_from_outside.cache_clear()
+    class_from_outside.cache_clear()
 
 
 def test_an_installed_algorithm_is_found_by_name(install: Install) -> None:

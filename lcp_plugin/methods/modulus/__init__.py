@@ -1,0 +1,1 @@
+"""Modulus-based splittings, in which complementarity holds by construction."""

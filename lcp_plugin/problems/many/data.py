@@ -1,0 +1,40 @@
+"""Arrays with an axis for the problems, checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.checks import real_array
+from ...core.errors import InvalidProblem
+
+
+def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
+    """Return the values as an array of shape (B, n), or (1, n) where they are the same for all."""
+    is_bound = name in ("lower", "upper", "dlower", "dupper")
+    size = {"h": "m", "b": "p"}.get(name, "n")
+    need = f"{name} must have shape (B, {size}) or ({size},), {size} = {n}{', or be a number' if is_bound else ''}"
+    array = real_array(values, need)
+    if array.ndim == 0 and is_bound:
+        array = np.full(n, float(array))
+    if array.ndim not in (1, 2) or array.shape[-1] != n:
+        hint = "; give its transpose" if array.ndim == 2 and array.shape[0] == n else ""
+        hint = "; for one number a problem write it as a column, shape (B, 1), times np.ones(n)" if is_bound else hint
+        raise InvalidProblem(f"{need}, got shape {array.shape}{hint}")
+    return np.array(np.atleast_2d(array), order="C")
+
+
+def length_of_all(counts: dict[str, int]) -> int:
+    """Return how many problems a batch has, from the lengths of the arrays with an axis for them; 1 without any.
+
+    Raises
+    ------
+    InvalidProblem
+        Where they differ.
+    """
+    if len(set(counts.values())) > 1:
+        found = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise InvalidProblem(f"all arrays with an axis for the problems must be equally long, got {found}")
+    return next(iter(counts.values()), 1)

@@ -1,0 +1,55 @@
+"""Sums of rows of the comparison matrix ⟨M⟩ with a rigorous bound of what rounding did to them, and exact ones."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+from ..core.checks import FloatVector
+from ..core.rounding import compensated_pair, rounded
+
+
+@cache
+def _comparison_row_sums() -> Any:
+    from ..core.kernels.enclosures import summing_rows  # numba, which not every run needs
+
+    return summing_rows(True)
+
+
+def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return (value, radius) with |⟨M⟩v − value| ≤ radius; ⟨M⟩ has |m_ii| on, −|m_ij| off the diagonal.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+    v : array, shape (n,)
+
+    Returns
+    -------
+    value, radius : arrays, shape (n,)
+        As for :func:`compensated_product`.
+
+    Raises
+    ------
+    InvalidProblem
+        Where the shapes do not fit.
+
+    Examples
+    --------
+    >>> import scipy.sparse as sp
+    >>> value, radius = comparison_product(sp.csr_array(np.array([[2.0, 1.0], [-3.0, 3.0]])), np.ones(2))
+    >>> value, radius
+    (array([1., 0.]), array([0., 0.]))
+    """
+    return rounded(*compensated_pair(M, v, kernel=_comparison_row_sums()))
+
+
+def exact_comparison_row(M: Any, v: FloatVector, row: int) -> Fraction:
+    """Return (⟨M⟩v)_row without any rounding; M a CSR array, v finite."""
+    total = Fraction(0)
+    for k in range(M.indptr[row], M.indptr[row + 1]):
+        column = int(M.indices[k])
+        product = abs(Fraction(float(M.data[k]))) * Fraction(float(v[column]))
+        total += product if column == row else -product
+    return total

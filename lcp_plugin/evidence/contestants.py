@@ -1,4 +1,4 @@
-"""Who takes part in a race: algorithms with a label and a family, the paper's settings, and tuned ones."""
+"""Who takes part in a race: algorithms with a label and a family, at the paper's settings and at ours."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from ..core.algorithms import REGISTRY, Algorithm, create, module_of
 from ..core.checks import FloatVector
-from ..core.errors import ConvergenceWarning, InvalidOption, LCPError
+from ..core.errors import ConvergenceWarning, InvalidOption
 from ..core.lcp import LCP
 from ..core.policy.choice import policy_for
 from ..core.settings import Status
@@ -62,7 +62,7 @@ def contestants(algorithms: Any) -> list[Contestant]:
     ----------
     algorithms : None, a sequence, or a mapping of labels to its items
         Of names, Algorithm objects and pairs of a name and a dictionary of its options. None: the comparison that the
-        paper promises, without tuned options.
+        paper promises.
 
     Raises
     ------
@@ -175,51 +175,6 @@ def _made(label: str, name: str, note: str, **options: Any) -> Contestant:
     return Contestant(label, create(name, options), family_of(name), note)
 
 
-TUNING: dict[str, tuple[str, tuple[dict[str, float | str], ...]]] = {
-    "NPSOR tuned": (
-        "npsor",
-        tuple(
-            {"scaling": "diagonal", "scaling_factor": factor, "relaxation": relaxation}
-            for factor in (2.0, 1.0, 4.0, 8.0)
-            for relaxation in (3.0, 1.7, 10.0, 30.0)
-        ),
-    ),
-    "MGS tuned": ("mgs", tuple({"omega": omega} for omega in (0.5, 1.0, 0.6, 0.8, 1.4))),
-    "MSOR tuned": (
-        "msor",
-        tuple(
-            {"omega": omega, "relaxation": relaxation}
-            for omega in (0.5, 1.0, 0.6, 0.8, 1.4)
-            for relaxation in (1.2, 1.0, 1.4, 1.6, 1.8)
-        ),
-    ),
-}
-"""By label: the algorithm, and the options that are tried, the most promising first."""
-
-
-def tuned(
-    problem: LCP, label: str, *, start: FloatVector | None, tolerance: float, max_work: float
-) -> Contestant:
-    """Return the algorithm with those options of its list that reach the tolerance with the least work.
-
-    Where none does within `max_work` passes, the one with the smallest residual counts. A trial ends where it has done
-    as much work as the best one so far. An algorithm that cannot run on the problem keeps its defaults.
-    """
-    name, settings = TUNING[label]
-    best, chosen = (2.0, 0.0), settings[0]  # (0, work) where it converges, else (1, residual): the smaller the better
-    for options in settings:
-        limit = WorkLimit(best[1] if best[0] == 0.0 else max_work)
-        try:
-            result = measured_run(problem, create(name, dict(options)), limit, z0=start, tolerance=tolerance)
-        except LCPError:
-            return Contestant(label, create(name, {}), family_of(name))
-        score = (0.0, result.work) if result.is_solved else (1.0, result.residual)
-        if score < best:
-            best, chosen = score, options
-    shown = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in chosen.items())
-    return _made(label, name, f"{shown}: the best of {len(settings)} settings tried on this very problem", **chosen)
-
-
 def fresh(problem: LCP) -> LCP:
     """Return the same problem with nothing computed about it yet; the arrays are shared."""
     return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
@@ -246,13 +201,3 @@ def measured_run(problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **s
     if result.status is Status.INTERRUPTED and not limit.is_over:
         raise KeyboardInterrupt
     return result
-
-
-def comparison(
-    problem: LCP, *, start: FloatVector | None, tolerance: float, max_work: float
-) -> list[Contestant]:
-    """Return the comparison of the report: the paper's settings, ours, and those tuned on this problem."""
-    found = [
-        tuned(problem, label, start=start, tolerance=tolerance, max_work=max_work) for label in TUNING
-    ]
-    return [*paper_settings(), *found, *own_settings()]

@@ -45,10 +45,10 @@ OFFERS = {
         "once more": "methods.direct.direct_methods:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
-    "watch": {"error": "proofs.bounds.error_watch:ErrorWatch"},
+    "watch": {"error": "proofs.bounds.active_rows:ErrorWatch"},
     "remark": {
-        "classes": "proofs.verdicts.sign:classes_in_words",
-        "sign": "proofs.verdicts.sign:sign_remark",
+        "classes": "proofs.verdicts.report:classes_in_words",
+        "sign": "proofs.verdicts.report:sign_remark",
         "estimated error": "proofs.bounds.active_rows:estimated_error",
         "guarantee": "proofs.guarantees.guarantees:convergence_guarantee",
         "uncovered": "proofs.guarantees.guarantees:warn_where_known_to_be_uncovered",

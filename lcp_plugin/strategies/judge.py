@@ -17,7 +17,7 @@ from hypothesis.errors import Flaky
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
-from ..proofs.exact.exactly import exact_residuals, exact_slack, is_exact_solution
+from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution
 from ..proofs.no_solution.refutation import Infeasibility
 from ..proofs.verdicts import analyze
 from .matrices import p_matrices

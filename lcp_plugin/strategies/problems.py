@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
-from ..proofs.exact.exactly import exact_slack
+from ..proofs.exact.rational import exact_slack
 from ..proofs.no_solution.refutation import Infeasibility
 from .matrices import h_plus_matrices, positive_definite_matrices
 from .options import (

@@ -14,7 +14,7 @@ from ..core.checks import FloatVector
 from ..core.lcp import LCP
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.programs.conversion import QuadraticProgram
-from ..proofs.exact.exactly import exact_slack
+from ..proofs.exact.rational import exact_slack
 from .matrices import p_matrices, positive_definite_matrices, positive_semidefinite_matrices
 from .options import SIGNED, Numbers, blocks, rows, sizes, vectors
 from .problems import Answer, columns_of, complementary_rows, exact_offset, fractions_of, solved_lcps

@@ -25,11 +25,10 @@ from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.matrix.matrix import Matrix, fact
 from lcp_plugin.evidence import error_against_time as module
 from lcp_plugin.evidence.contestants import contestants
-from lcp_plugin.evidence.curves import Curve, Point, Report
+from lcp_plugin.evidence.curves import Curve, Point, Report, performance_profile
 from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.figures import spread, styles
 from lcp_plugin.evidence.pictures import draw
-from lcp_plugin.evidence.profiles import performance_profile
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 
 NAP = 0.06

@@ -32,7 +32,7 @@ from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
 from lcp_plugin.evidence.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.methods.interior.suited_matrix import monotone_rows
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
-from lcp_plugin.proofs.exact.exactly import is_exact_solution
+from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.strategies import solved_lcps
 
 ALL = ["auto", *REGISTRY]

@@ -20,7 +20,7 @@ from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...core.kinds import refusal
 from ...core.lcp import LCP
 from ...core.rounding import comparison_product, lower_end
-from ..exact.upward import quotient_above, sum_above
+from ..exact.rational import quotient_above, sum_above
 from ..verdicts import comparison_solve, h_verdict
 from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
 from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of

@@ -33,7 +33,7 @@ from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...core.rounding import comparison_product, compensated_pair, compensated_product
 from ...systems.free_systems import KRYLOV_GOAL, FreeSystem
-from ..exact.upward import product_above, quotient_above, sum_above
+from ..exact.rational import product_above, quotient_above, sum_above
 from ..verdicts import Weights
 
 

@@ -17,7 +17,7 @@ from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableMat
 from lcp_plugin.algorithms import Step
 from lcp_plugin.methods.banded.banded import Banded
 from lcp_plugin.methods.banded.kernels import bands as kernels
-from lcp_plugin.methods.banded.kernels.tridiagonal import find_contacts
+from lcp_plugin.methods.banded.kernels.marches import find_contacts
 from lcp_plugin.systems.factors import bands
 
 Generator = np.random.Generator

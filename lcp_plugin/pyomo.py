@@ -231,7 +231,7 @@ def _solution_of(answer: Answer, model: Any, results: Any) -> Any:
 
 
 try:
-    from .doors.pyomo.v2 import register
+    from .doors.pyomo.answers import register
 except ImportError:  # an older Pyomo has no such interface, or another one
     pass
 else:

@@ -57,10 +57,10 @@ OFFERS = {
         "once more": "methods.direct.direct_methods:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
-    "watch": {"error": "proofs.bounds.error_watch:ErrorWatch", "advice": "proofs.bounds.error_watch:ADVICE"},
+    "watch": {"error": "proofs.bounds.active_rows:ErrorWatch", "advice": "proofs.bounds.active_rows:ADVICE"},
     "remark": {
-        "classes": "proofs.verdicts.sign:classes_in_words",
-        "sign": "proofs.verdicts.sign:sign_remark",
+        "classes": "proofs.verdicts.report:classes_in_words",
+        "sign": "proofs.verdicts.report:sign_remark",
         "misleading": "proofs.misleading:what_may_mislead",
         "guarantee": "proofs.guarantees.guarantees:convergence_guarantee",
         "uncovered": "proofs.guarantees.guarantees:warn_where_known_to_be_uncovered",

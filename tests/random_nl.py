@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.doors.nl.content import NLContent, Suffix, Token, Trees
-from lcp_plugin.doors.nl.segments import (
+from lcp_plugin.doors.nl.content import (
     BINARY_OPERATORS,
     NARY_OPERATORS,
     PIECEWISE_OPERATOR,
     TERNARY_OPERATORS,
     UNARY_OPERATORS,
+    NLContent,
+    Suffix,
+    Token,
+    Trees,
 )
 
 WRONG_NUMBERS = (b"-1", b"0", b"1", b"3", b"1000000", b"999999999999", b"1e300", b"nan", b"9" * 400, b"x", b"")

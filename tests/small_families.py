@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from benchmarks.small import friction as falling_bodies
 
-from lcp_plugin import LCP
+from lcp_plugin import LCP, Result
 
 Generator = np.random.Generator
 Matrix = np.ndarray
@@ -99,3 +100,24 @@ def problem(family: str, largest: int, rng: Generator) -> LCP:
         upper = np.where(rng.random(n) < 0.05, lower, upper)
         lower = np.where(rng.random(n) < rng.choice([0.0, 0.1]), -np.inf, lower)
     return LCP(M, q, lower=lower, upper=upper)
+
+
+def draw(family: str, count: int, largest: int = 20) -> list[LCP]:
+    """Problems of a family."""
+    rng = np.random.default_rng(list(FAMILIES).index(family))
+    return [problem(family, largest, rng) for _ in range(count)]
+
+
+def definite_stack(count: int, n: int, seed: int = 0) -> tuple[Matrix, Matrix]:
+    """A stack of positive definite matrices and right-hand sides."""
+    rng = np.random.default_rng(seed)
+    B = rng.normal(size=(count, n, n))
+    return B @ B.transpose(0, 2, 1) / n + 0.5 * np.eye(n), rng.normal(size=(count, n))
+
+
+def told(result: Result) -> tuple[Any, ...]:
+    """All that watching a run must not change."""
+    return (
+        result.z.tobytes(), result.w.tobytes(), result.status, result.iterations, result.work, result.algorithm,
+        result.stages, result.residual,
+    )

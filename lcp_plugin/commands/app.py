@@ -92,7 +92,7 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
             except typer.Exit:
                 raise
             except Exception as error:
-                from ..evidence.own_code import own_frame, told
+                from ..evidence.contestants import own_frame, told
 
                 if own_frame(error) is None:  # a mistake of ours
                     raise

@@ -98,7 +98,7 @@ def report(
     ] = Path("report"),
     quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
 ) -> bool:
-    """Write one page on error against time, stability and the paper's tables; Ctrl-C and go on later."""
+    """Write one page on error against time and stability; Ctrl-C and go on later."""
     from ..evidence.drawing import require_matplotlib
     from ..evidence.report.page import collect, require_jinja, write_report
     from ..evidence.report.section import plan

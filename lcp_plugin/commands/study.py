@@ -14,8 +14,7 @@ from ..evidence.drawing import FORMATS, require_matplotlib
 from ..evidence.exporting import TABLES
 from ..evidence.results import VIEWS, Study
 from ..evidence.study import study
-from .own_names import load
-from .target import is_own_problem, lcp_of_file, own_algorithm, scene_text
+from .target import is_own_problem, lcp_of_file, load, own_algorithm, scene_text
 from .terminal import PartsLine, console, table
 
 KEYS: dict[str, tuple[type, ...]] = {

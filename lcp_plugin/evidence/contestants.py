@@ -1,21 +1,32 @@
-"""Who takes part in a race: algorithms with a label and a family, the paper's settings, and tuned ones."""
+"""Who takes part in a race: algorithms with a label and a family, at the paper's settings and at ours.
+
+What a study runs of somebody else: problems as functions, and where a mistake in them or in a method lies.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import inspect
+import sys
+import sysconfig
+import traceback
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 from ..core.algorithms import REGISTRY, Algorithm, create, module_of
 from ..core.checks import FloatVector
 from ..core.errors import ConvergenceWarning, InvalidOption, LCPError
+from ..core.kinds import refusal
 from ..core.lcp import LCP
 from ..core.policy.choice import policy_for
 from ..core.settings import Status
 from ..core.solving.driver import solve
 from ..core.solving.result import Result, Sample
+from ..gallery.scene import Scene
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
@@ -62,7 +73,7 @@ def contestants(algorithms: Any) -> list[Contestant]:
     ----------
     algorithms : None, a sequence, or a mapping of labels to its items
         Of names, Algorithm objects and pairs of a name and a dictionary of its options. None: the comparison that the
-        paper promises, without tuned options.
+        paper promises.
 
     Raises
     ------
@@ -175,51 +186,6 @@ def _made(label: str, name: str, note: str, **options: Any) -> Contestant:
     return Contestant(label, create(name, options), family_of(name), note)
 
 
-TUNING: dict[str, tuple[str, tuple[dict[str, float | str], ...]]] = {
-    "NPSOR tuned": (
-        "npsor",
-        tuple(
-            {"scaling": "diagonal", "scaling_factor": factor, "relaxation": relaxation}
-            for factor in (2.0, 1.0, 4.0, 8.0)
-            for relaxation in (3.0, 1.7, 10.0, 30.0)
-        ),
-    ),
-    "MGS tuned": ("mgs", tuple({"omega": omega} for omega in (0.5, 1.0, 0.6, 0.8, 1.4))),
-    "MSOR tuned": (
-        "msor",
-        tuple(
-            {"omega": omega, "relaxation": relaxation}
-            for omega in (0.5, 1.0, 0.6, 0.8, 1.4)
-            for relaxation in (1.2, 1.0, 1.4, 1.6, 1.8)
-        ),
-    ),
-}
-"""By label: the algorithm, and the options that are tried, the most promising first."""
-
-
-def tuned(
-    problem: LCP, label: str, *, start: FloatVector | None, tolerance: float, max_work: float
-) -> Contestant:
-    """Return the algorithm with those options of its list that reach the tolerance with the least work.
-
-    Where none does within `max_work` passes, the one with the smallest residual counts. A trial ends where it has done
-    as much work as the best one so far. An algorithm that cannot run on the problem keeps its defaults.
-    """
-    name, settings = TUNING[label]
-    best, chosen = (2.0, 0.0), settings[0]  # (0, work) where it converges, else (1, residual): the smaller the better
-    for options in settings:
-        limit = WorkLimit(best[1] if best[0] == 0.0 else max_work)
-        try:
-            result = measured_run(problem, create(name, dict(options)), limit, z0=start, tolerance=tolerance)
-        except LCPError:
-            return Contestant(label, create(name, {}), family_of(name))
-        score = (0.0, result.work) if result.is_solved else (1.0, result.residual)
-        if score < best:
-            best, chosen = score, options
-    shown = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in chosen.items())
-    return _made(label, name, f"{shown}: the best of {len(settings)} settings tried on this very problem", **chosen)
-
-
 def fresh(problem: LCP) -> LCP:
     """Return the same problem with nothing computed about it yet; the arrays are shared."""
     return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
@@ -248,11 +214,61 @@ def measured_run(problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **s
     return result
 
 
-def comparison(
-    problem: LCP, *, start: FloatVector | None, tolerance: float, max_work: float
-) -> list[Contestant]:
-    """Return the comparison of the report: the paper's settings, ours, and those tuned on this problem."""
-    found = [
-        tuned(problem, label, start=start, tolerance=tolerance, max_work=max_work) for label in TUNING
-    ]
-    return [*paper_settings(), *found, *own_settings()]
+OURS = (str(Path(__file__).parents[1]), *(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib")))
+
+
+def told(error: BaseException) -> str:
+    """Return an error in one line, with the last line of somebody else's code that it passed."""
+    words = " ".join(str(error).split())
+    if isinstance(error, LCPError):
+        return words
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{Path(error.filename).name}, line {error.lineno}: {error.msg}: {(error.text or '').strip()}"
+    said = f"{type(error).__name__}: {words}" if words else type(error).__name__
+    last = own_frame(error)
+    if last is None:
+        return said
+    return f"{Path(last.filename).name}, line {last.lineno}, in {last.name}: {said}: {last.line}"
+
+
+def own_frame(error: BaseException) -> traceback.FrameSummary | None:
+    """Return the last frame of an error that is neither ours nor a library's, None where there is none."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return next((one for one in reversed(frames) if not one.filename.startswith((*OURS, "<"))), None)
+
+
+def own_source(thing: Any) -> str:
+    """Return a hash of the file that an object's class comes from, where that is neither ours nor a library's."""
+    if isinstance(thing, str):
+        return ""
+    path = getattr(sys.modules.get(type(thing).__module__), "__file__", None)
+    if path is None or path.startswith(OURS) or not Path(path).is_file():
+        return ""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def as_scene_of(given: Any, name: str, size: int | None) -> Scene:
+    """Return the scene that a problem, or a function of the size, or (M, q) means.
+
+    Raises
+    ------
+    InvalidOption
+        Where it is nothing of that, or a size is given to what has one.
+    """
+    if isinstance(given, LCP | Scene | tuple) and size is not None:
+        raise InvalidOption(f"{name} is one problem and has its size; leave sizes out, or give a function of the size")
+    if callable(given) and not isinstance(given, type):
+        arguments = () if size is None else (size,)
+        try:
+            inspect.signature(given).bind(*arguments)
+        except TypeError as error:
+            needs = "needs a size (sizes=[100], --size 100)" if size is None else f"does not take the size {size}"
+            raise InvalidOption(f"{name} {needs}, or its parameters, {name}:key=value: {error}") from None
+        given = given(*arguments)
+    if isinstance(given, tuple) and 2 <= len(given) <= 4:
+        given = LCP(given[0], given[1], **dict(zip(("lower", "upper"), given[2:], strict=False)))
+    if isinstance(given, LCP):
+        return Scene(problem=given, name=name, is_declared=False)
+    if isinstance(given, Scene):
+        return given
+    raise InvalidOption(f'{refusal("study", given)}; {name} may also be a scene, (M, q), or a function of the size')

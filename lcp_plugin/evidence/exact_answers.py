@@ -18,10 +18,9 @@ from ..core.matrix.units import scaled
 from ..core.rounding import compensated_product
 from ..core.settings import Status
 from ..core.solving.result import Result
-from ..proofs.exact.exactly import exact_residuals, exact_slack, is_exact_solution
 from ..proofs.exact.linear_systems import solved_nearby
-from ..proofs.exact.rational import power_of_two, rational_rows
-from ..proofs.no_solution.exact_references import exactly_weighted
+from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution, power_of_two, rational_rows
+from ..proofs.no_solution.refutation import exactly_weighted
 from ..systems.equilibration import evened
 
 Answer = tuple[Fraction, ...]

@@ -232,12 +232,6 @@ def csv_text(columns: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     return buffer.getvalue()
 
 
-def csv_of(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Return dictionaries as CSV text; a field stays empty where one lacks what another has."""
-    columns = dict.fromkeys(name for entry in entries for name in entry)
-    return csv_text(columns, ([entry.get(name, "") for name in columns] for entry in entries))
-
-
 def write_text(path: AnyPath, text: str) -> None:
     """Write the whole file or nothing."""
     write_whole({checked_path(path): lambda file: file.write(text.encode("utf-8"))})

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from ..core.lcp import LCP
 from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
-from ..proofs.exact.exactly import exact_slack
+from ..proofs.exact.rational import exact_slack
 from .exact_answers import Answer, condition_of_answer, exact_answer
 
 LARGEST_INTEGER = 9

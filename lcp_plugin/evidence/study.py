@@ -20,11 +20,10 @@ from ..gallery import parse
 from ..gallery.parameters import parameters_of
 from ..gallery.scene import Scene, builder_of
 from .collecting import Part, Progress, collect, data_of, machine
-from .contestants import Contestant, contestants
+from .contestants import Contestant, as_scene_of, contestants, own_source, told
 from .curves import Curve
 from .error_against_time import Bench, checked_numbers, title_of
 from .exporting import AnyPath, finite_content
-from .own_code import as_scene_of, own_source, told
 from .results import COLUMNS, ResultsFile, Row, Study, name_of
 
 

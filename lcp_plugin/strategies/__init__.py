@@ -1,6 +1,6 @@
 """Hypothesis strategies: matrices whose class is certain, problems whose answer is exact, and a test of any solver.
 
-Everything drawn is made of small integers and powers of two, so that it is what it claims to be in exact arithmetic,
+Everything drawn is made of small integers, so that it is what it claims to be in exact arithmetic,
 not up to rounding, and it is right by construction: nothing is drawn only to be thrown away. All strategies shrink
 towards the 1 × 1 identity, or the simplest matrix of their class, and small integers. Sizes up to some thirty rows are
 practical: hypothesis draws every entry and refuses what is too much for it.
@@ -24,9 +24,18 @@ except ImportError:
         "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
     ) from None
 
-from .definite import indefinite_matrices, positive_definite_matrices, positive_semidefinite_matrices
-from .dominant import h_plus_matrices, m_matrices, not_h_matrices, p_matrices, strictly_dominant_matrices, z_matrices
 from .judge import assert_solves
+from .matrices import (
+    h_plus_matrices,
+    indefinite_matrices,
+    m_matrices,
+    not_h_matrices,
+    p_matrices,
+    positive_definite_matrices,
+    positive_semidefinite_matrices,
+    strictly_dominant_matrices,
+    z_matrices,
+)
 from .problems import infeasible_lcps, lcps, solved_lcps
 from .programs import QPAnswer, complementarity_models, convex_qps, solved_nonlinear_problems
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -13,53 +14,44 @@ from hypothesis import strategies as st
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
+from ..proofs.exact.rational import exact_slack
 from ..proofs.no_solution.refutation import Infeasibility
-from .definite import positive_definite_matrices
-from .dominant import h_plus_matrices
+from .matrices import h_plus_matrices, positive_definite_matrices
 from .options import (
+    LARGEST_ENTRY,
     POSITIVE,
     SIGNED,
     SIGNS,
-    Matrix,
     Numbers,
-    Options,
     Sizes,
-    by_share,
-    checked_options,
-    checked_scale,
-    checked_share,
-    drawn_number,
-    drawn_units,
-    in_units,
-    integer_vectors,
-    square,
+    blocks,
+    entries,
+    rows,
+    sizes,
     vectors,
 )
-from .rows import RowKinds, checked_kinds, drawn_rows, exact_offset, fractions_of, row_units
 
 Answer = tuple[Fraction, ...]
+Rows = tuple[FloatVector, FloatVector, FloatVector, FloatVector]  # z, w, lower, upper
+DISTANCES = st.sampled_from([*range(1, LARGEST_ENTRY + 1), *(math.inf,) * LARGEST_ENTRY])
+INACTIVE, ACTIVE, DEGENERATE = range(3)
+#: Whether a row is at its lower and at its upper bound, and the sign that its slack then has.
+BOUNDED = {
+    INACTIVE: [(False, False, 0)],
+    ACTIVE: [(True, False, 1), (False, True, -1), (True, True, 1), (True, True, -1)],
+    DEGENERATE: [(True, False, 0), (False, True, 0), (True, True, 0)],
+}
 
 
-def lcps(
-    matrices: st.SearchStrategy[Any] | None = None,
-    *,
-    active: float | None = None,
-    degenerate: float | None = None,
-    bounds: float = False,
-    row_scale: int = 0,
-    column_scale: int = 0,
-) -> st.SearchStrategy[LCP]:
-    """Return a strategy for problems, with any q or with an answer of the kind asked for.
+def lcps(matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False) -> st.SearchStrategy[LCP]:
+    """Return a strategy for problems with any q: whether there is a solution depends on M.
 
     Parameters
     ----------
-    matrices, row_scale, column_scale
+    matrices
         As in :func:`solved_lcps`.
-    active, degenerate : float, optional
-        As in :func:`solved_lcps`, one that is left out being 0. Where both are, q is anything, and whether there is
-        a solution depends on M.
-    bounds : bool or float
-        Share of rows with other bounds than 0 and ∞, as in :func:`solved_lcps`.
+    bounds : bool
+        Draw other bounds than 0 and ∞, as in :func:`solved_lcps`.
 
     Returns
     -------
@@ -69,8 +61,6 @@ def lcps(
     ------
     InvalidOption
         Where an option is out of its range.
-    InvalidProblem
-        While drawing, as in :func:`solved_lcps`.
 
     Examples
     --------
@@ -78,30 +68,28 @@ def lcps(
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
     >>> find(lcps(h_plus_matrices(1)), lambda problem: True, settings=quick).q
     array([0.])
-    >>> problem = find(lcps(h_plus_matrices(2), active=1), lambda problem: True, settings=quick)
-    >>> problem.M, problem.q
-    (array([[1., 0.],
-           [0., 1.]]), array([1., 1.]))
     """
-    is_any = active is None and degenerate is None
-    kinds = checked_kinds(*((1 / 3, 1 / 3) if is_any else (active or 0.0, degenerate or 0.0)), bounds)
-    return _without_answer(_problems(matrices, kinds, row_scale, column_scale, None if is_any else 0))
+    return _any(default_matrices() if matrices is None else matrices, complementary_rows(bounds))
+
+
+def default_matrices() -> st.SearchStrategy[Any]:
+    """Return a strategy for matrices with which every problem has exactly one solution."""
+    return h_plus_matrices() | positive_definite_matrices()
 
 
 @st.composite
-def _without_answer(draw: st.DrawFn, solved: st.SearchStrategy[tuple[LCP, Answer]]) -> LCP:  # unlike `map`, printed
-    return draw(solved)[0]
+def _any(draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: Numbers) -> LCP:
+    M = draw(matrices)
+    _, _, lower, upper = columns_of(draw(rows(M.shape[0], row)))
+    return LCP(M, draw(vectors(M.shape[0], SIGNED)), lower=lower, upper=upper)
 
 
 def solved_lcps(
     matrices: st.SearchStrategy[Any] | None = None,
     *,
-    active: float = 1 / 3,
-    degenerate: float = 1 / 3,
-    bounds: float = False,
-    row_scale: int = 0,
-    column_scale: int = 0,
-    slack_scale: int = 0,
+    degenerate: bool = True,
+    bounds: bool = False,
+    huge_slacks: bool = False,
 ) -> st.SearchStrategy[tuple[LCP, Answer]]:
     """Return a strategy for pairs (problem, z) where z solves the problem exactly.
 
@@ -110,18 +98,13 @@ def solved_lcps(
     matrices : strategy of (n, n) matrices, optional
         By default H₊ or symmetric positive definite ones, so that z is the only solution. Entries must be short
         enough for M z + q to be free of rounding: within a row, integers times powers of two not far apart.
-    active, degenerate : float
-        Shares of rows with z at a bound and w ≠ 0, and with z at a bound and w = 0, roughly, each in [0, 1]; in the
-        others z lies between its bounds.
-    bounds : bool or float
-        True draws bounds too: one-sided below or above, boxed, fixed and free rows. Otherwise lower = 0, upper = ∞. A
-        number is the share of rows that get such bounds.
-    row_scale, column_scale : int
-        Rows of (M, q) are multiplied, and components of z are measured, in powers of two with exponents from −scale
-        to scale, 0 to 400. Prefer these to scaled `matrices`: they keep the answer exact whatever the exponents.
-    slack_scale : int
-        Slacks are multiplied by powers of two with exponents from 0 to scale, as far as q stays free of rounding:
-        active rows then have a q that is huge, but says nothing.
+    degenerate : bool
+        Draw rows with z at a bound and w = 0 too, beside inactive rows and active ones.
+    bounds : bool
+        Draw one-sided bounds below or above, boxes, fixed and free rows. Otherwise lower = 0, upper = ∞.
+    huge_slacks : bool
+        Slacks are multiplied by powers of two up to 2²⁴ where q stays free of rounding: active rows then have a q that
+        is huge, but says nothing.
 
     Returns
     -------
@@ -133,7 +116,7 @@ def solved_lcps(
     InvalidOption
         Where an option is out of its range.
     InvalidProblem
-        While drawing, where q = w − M z is not free of rounding, or scales leave the range of doubles.
+        While drawing, where q = w − M z is not free of rounding.
 
     Notes
     -----
@@ -148,66 +131,26 @@ def solved_lcps(
     >>> problem, z
     (LCP([[1.0]], [-1.0]), (Fraction(1, 1),))
     """
-    kinds = checked_kinds(active, degenerate, bounds)
-    return _problems(matrices, kinds, row_scale, column_scale, checked_scale("slack_scale", slack_scale))
-
-
-def _problems(
-    matrices: st.SearchStrategy[Any] | None, kinds: RowKinds, row_scale: int, column_scale: int, slack_scale: int | None
-) -> st.SearchStrategy[tuple[LCP, Answer]]:
-    scales = checked_scale("row_scale", row_scale), checked_scale("column_scale", column_scale)
-    chosen = h_plus_matrices() | positive_definite_matrices() if matrices is None else matrices
-    return _drawn(chosen, kinds, *scales, slack_scale)
+    chosen = default_matrices() if matrices is None else matrices
+    return _solved(chosen, complementary_rows(bounds, degenerate=degenerate), huge_slacks)
 
 
 @st.composite
-def _drawn(
-    draw: st.DrawFn, matrices: st.SearchStrategy[Any], kinds: RowKinds,
-    row_scale: int, column_scale: int, slack_scale: int | None,
+def _solved(
+    draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: Numbers, huge_slacks: bool
 ) -> tuple[LCP, Answer]:
-    """Return a problem and the z that solves it; without a scale of the slacks q is anything, and z means nothing."""
-    given = draw(matrices)
-    n = given.shape[0]
-    z, slack, lower, upper = drawn_rows(draw, n, kinds)
-    if slack_scale is None:
-        q = row_units(given) * draw(vectors(n, SIGNED))
-    else:
-        q = exact_offset(given, z, slack, draw(integer_vectors(n, Numbers(0, slack_scale))))
-    row, column = drawn_units(draw, n, row_scale, column_scale)
-    return _in_units(given, q, lower, upper, row, column), fractions_of(np.ldexp(z, -column))
-
-
-def _in_units(given: Any, q: FloatVector, lower: FloatVector, upper: FloatVector, row: Any, column: Any) -> LCP:
-    """Return the problem with rows multiplied by 2^row and unknowns measured in 2^−column, as dense as given."""
-    M = _array(given)
-    with np.errstate(over="ignore"):
-        moved, offset = in_units(M, row, column, dense=True), np.ldexp(q, row)
-        back = in_units(moved, -row, -column, dense=True)
-        is_exact = np.array_equal(back, M) and np.array_equal(np.ldexp(offset, -row), q)
-    if not is_exact:
-        raise InvalidProblem(
-            "row_scale and column_scale move an entry of M or q beyond the range of doubles, given entries up to "
-            f"{abs(M).max(initial=0.0):g} in size; draw matrices or use options with smaller scales"
-        )
-    form = sp.csr_array(moved) if sp.issparse(given) else moved
-    return LCP(form, offset, lower=np.ldexp(lower, -column), upper=np.ldexp(upper, -column))
-
-
-def _array(given: Any) -> Matrix:
-    matrix: Matrix = given.toarray() if sp.issparse(given) else np.asarray(given, dtype=np.float64)
-    return matrix
+    M = draw(matrices)
+    z, slack, lower, upper = columns_of(draw(rows(M.shape[0], row)))
+    w = slack * 2.0 ** draw(vectors(z.size, st.integers(0, 24))) if huge_slacks else slack
+    try:
+        q = exact_offset(M, z, w)
+    except InvalidProblem:  # no room for huge slacks beside this M
+        q = exact_offset(M, z, slack)
+    return LCP(M, q, lower=lower, upper=upper), fractions_of(z)
 
 
 def infeasible_lcps(
-    size: Sizes = None,
-    *,
-    monotone: bool = False,
-    bounds: float = False,
-    density: float = 1.0,
-    row_scale: int = 0,
-    column_scale: int = 0,
-    margin: float = 1.0,
-    dense: bool = True,
+    size: Sizes = None, *, monotone: bool = False, bounds: bool = False, density: float = 1.0, dense: bool = True
 ) -> st.SearchStrategy[tuple[LCP, Infeasibility]]:
     """Return a strategy for pairs (problem, proof): no z within its bounds gives w the signs that it needs.
 
@@ -216,15 +159,11 @@ def infeasible_lcps(
     size : int or strategy of int, optional
         Rows, at least 1; 1 to 8 by default.
     monotone : bool
-        Draw M that is symmetric positive semidefinite before it is scaled, singular by necessity; otherwise anything.
-    bounds : bool or float
-        Share of rows with other bounds than 0 and ∞: −∞ and u, l and ∞, l and u, or none.
+        Draw M that is symmetric positive semidefinite, singular by necessity; otherwise anything.
+    bounds : bool
+        Draw other bounds than 0 and ∞: −∞ and u, l and ∞, l and u, or none.
     density : float
         Share of nonzeros, in [0, 1], roughly; one row is a combination of the others.
-    row_scale, column_scale : int
-        As in :func:`solved_lcps`.
-    margin : float
-        A power of two in [2⁻³⁰, 1]: the constraints contradict each other by 1 to 9 margins.
     dense : bool
         Arrays; otherwise CSR arrays.
 
@@ -251,64 +190,102 @@ def infeasible_lcps(
     >>> proof.exact_y, proof.verify()
     ((Fraction(1, 1), Fraction(0, 1)), True)
     """
-    options = checked_options(
-        size, density=density, row_scale=row_scale, column_scale=column_scale, margin=margin, dense=dense, smallest=1
-    )
-    return _infeasible(options, monotone, checked_share("bounds", bounds))
+    row = st.builds(_bounds, st.sampled_from(SIDES), SIGNED, st.integers(0, 9)) if bounds else st.just((0, math.inf))
+    return _infeasible(sizes(size, 1), entries(density), row, monotone, dense)
 
 
-# Which bounds are infinite, below and above; the last is for boxes only.
-SIDES = np.array([(0, 1), (1, 0), (1, 1), (0, 0)])
+SIDES = [(False, True), (True, False), (True, True), (False, False)]  # whether there is no bound below, and none above
 
 
 @st.composite
-def _infeasible(draw: st.DrawFn, options: Options, monotone: bool, share: float) -> tuple[LCP, Infeasibility]:
-    n = draw(options.sizes)
+def _infeasible(
+    draw: st.DrawFn, sizes: st.SearchStrategy[int], values: Numbers, row: Numbers, monotone: bool, dense: bool
+) -> tuple[LCP, Infeasibility]:
+    n = draw(sizes)
     pivot = draw(st.integers(0, n - 1))
-    lower, upper = _drawn_bounds(draw, n, pivot, share)
-    y = _drawn_multipliers(draw, pivot, lower, upper)
-    product = np.zeros(n) if monotone else _drawn_product(draw, options, lower, upper)
-    q = draw(vectors(n, SIGNED))
-    surplus = options.margin * drawn_number(draw, POSITIVE)
-    row, column = drawn_units(draw, n, options.row_scale, options.column_scale)
-    M = draw(square(n, options.entries))
+    lower, upper = np.array(draw(rows(n, row)), dtype=np.float64).T.copy()
+    if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box asks for no sign of w
+        upper[pivot] = math.inf
+    below, above = np.isinf(lower), np.isinf(upper)
+    # y ≥ 0 where w ≥ 0 is needed, ≤ 0 where w ≤ 0 is, 0 in boxes, ±1 in the pivot's row.
+    y = draw(vectors(n, st.integers(0, 3)))
+    y[pivot] = 1.0
+    y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
+    product = np.zeros(n)
+    if not monotone:  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
+        drawn = draw(vectors(n, values))
+        product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
+        product[below & above] = 0.0
+    q, surplus = draw(vectors(n, SIGNED)), draw(POSITIVE)
+    M = draw(blocks(n, n, values))
     M[pivot] = 0.0
     M[pivot] = y[pivot] * (product - y @ M)
     highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
     q[pivot] = 0.0
     q[pivot] = y[pivot] * (-highest - y @ q - surplus)
     given = M @ M.T if monotone else M
-    problem = _in_units(given if options.dense else sp.csr_array(given), q, lower, upper, row, column)
-    return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(np.ldexp(y, -row)))))
+    problem = LCP(given if dense else sp.csr_array(given), q, lower=lower, upper=upper)
+    return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(y))))
 
 
-def _drawn_bounds(draw: st.DrawFn, n: int, pivot: int, share: float) -> tuple[FloatVector, FloatVector]:
-    """Return lower and upper, each of shape (n,); those of the pivot's row are no box."""
-    lower, upper = np.zeros(n), np.full(n, math.inf)
-    if not share:
-        return lower, upper
-    which = draw(integer_vectors(n, Numbers(0, 11)))
-    is_open = SIDES[which % np.where(np.arange(n) == pivot, 3, 4)]
-    low, length = draw(vectors(n, SIGNED)), draw(vectors(n, Numbers(0, 9)))
-    chosen = draw(vectors(n, by_share(1.0 - share, share))) > 0
-    lower[chosen] = np.where(is_open[:, 0], -math.inf, low)[chosen]
-    upper[chosen] = np.where(is_open[:, 1], math.inf, low + length)[chosen]
-    return lower, upper
+def _bounds(is_open: tuple[bool, bool], low: int, length: int) -> tuple[float, float]:
+    return -math.inf if is_open[0] else low, math.inf if is_open[1] else low + length
 
 
-def _drawn_multipliers(draw: st.DrawFn, pivot: int, lower: FloatVector, upper: FloatVector) -> FloatVector:
-    """Return y, shape (n,): ≥ 0 where w ≥ 0 is needed, ≤ 0 where w ≤ 0, 0 in boxes, ±1 in the pivot's row."""
-    sizes, sides = draw(vectors(lower.size, Numbers(0, 3))), draw(vectors(lower.size, SIGNS))
-    sizes[pivot] = 1.0
-    below, above = np.isinf(lower), np.isinf(upper)
-    y: FloatVector = sizes * np.where(below & above, sides, above * 1.0 - below)
-    return y
+# --- Complementary rows ------------------------------------------------------------------------------------------
 
 
-def _drawn_product(draw: st.DrawFn, options: Options, lower: FloatVector, upper: FloatVector) -> FloatVector:
-    """Return Mᵀy, shape (n,): ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free."""
-    values = draw(vectors(lower.size, options.entries))
-    below, above = np.isinf(lower), np.isinf(upper)
-    one_sided = np.where(above, -abs(values), np.where(below, abs(values), values))
-    product: FloatVector = np.where(below & above, 0.0, one_sided)
-    return product
+def complementary_rows(
+    bounds: bool = False, *, degenerate: bool = True, otherwise_free: bool = False
+) -> st.SearchStrategy[tuple[float, float, float, float]]:
+    """Return a strategy for complementary z, w, lower, upper of a row: small integers, or bounds that are infinite.
+
+    Rows that get no bounds have 0 and ∞, or none at all.
+    """
+    return _row(st.sampled_from([INACTIVE, ACTIVE, DEGENERATE][: 2 + bool(degenerate)]), bounds, otherwise_free)
+
+
+@st.composite
+def _row(draw: st.DrawFn, groups: Numbers, bounds: bool, otherwise_free: bool) -> tuple[float, float, float, float]:
+    group, size = draw(groups), draw(POSITIVE)
+    if bounds:
+        z, (at_lower, at_upper, sign) = draw(SIGNED), draw(st.sampled_from(BOUNDED[group]))
+        below, above = 0 if at_lower else draw(DISTANCES), 0 if at_upper else draw(DISTANCES)
+        return z, sign * size, z - below, z + above
+    if otherwise_free:
+        return draw(SIGNED), 0, -math.inf, math.inf
+    return size * (group == INACTIVE), size * (group == ACTIVE), 0, math.inf
+
+
+def columns_of(rows: Sequence[Any]) -> Rows:
+    """Return z, w, lower and upper of rows, each of shape (n,)."""
+    z, w, lower, upper = np.array(rows, dtype=np.float64).reshape(-1, 4).T.copy()
+    return z, w, lower, upper
+
+
+def exact_offset(matrix: Any, z: FloatVector, w: FloatVector) -> FloatVector:
+    """Return q = w − M z, shape (n,), or raise InvalidProblem where a double cannot hold it."""
+    M = sp.csr_array(matrix)
+    products = exact_slack(LCP(M, np.zeros(z.size)), z)
+    exact = [Fraction(left) - product for left, product in zip(w.tolist(), products, strict=True)]
+    wrong = next((i for i, value in enumerate(exact) if not is_double(value)), None)
+    if wrong is not None:
+        sizes = abs(M.data[M.indptr[wrong] : M.indptr[wrong + 1]])
+        raise InvalidProblem(
+            f"q = w − M z is not free of rounding in row {wrong} of M, whose entries lie between "
+            f"{sizes.min(initial=np.inf):g} and {sizes.max(initial=0.0):g} in size; draw short entries of one size"
+        )
+    return np.array(exact, dtype=np.float64)
+
+
+def is_double(exact: Fraction) -> bool:
+    """Return whether a double equals the fraction."""
+    try:
+        return Fraction(float(exact)) == exact
+    except OverflowError:
+        return False
+
+
+def fractions_of(values: Any) -> tuple[Fraction, ...]:
+    """Return an array of doubles as exact numbers."""
+    return tuple(Fraction(float(value)) for value in values)

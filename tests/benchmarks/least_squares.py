@@ -12,8 +12,8 @@ import scipy.sparse as sp
 
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, UnitLeastSquares
+from lcp_plugin.problems.least_squares.face_steps import projected_steps
 from lcp_plugin.problems.least_squares.faces import Faces, Point
-from lcp_plugin.problems.least_squares.projected_steps import projected_steps
 from lcp_plugin.problems.least_squares.run import DENSE_PATIENCE, SPARSE_PATIENCE
 from lcp_plugin.problems.least_squares.solving import SMALL, bounded_least_squares
 

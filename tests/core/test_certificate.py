@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from drawn_units import matrices_in_units, nearly_semidefinite, nearly_singular, solved_in_units
 from exact_parts import part_of_rows, references_of_rows, relative_residual
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -21,7 +22,7 @@ from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.criterion import RowUnits, reference_residual, references_of_parts
 from lcp_plugin.core.certificates.row_residuals import scaled_residual
 from lcp_plugin.core.matrix.units import units_of
-from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
+from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 EPSILON = Fraction(1, 2**52)
 FAR = st.sampled_from([math.inf, -math.inf, math.nan])
@@ -153,7 +154,7 @@ def rough_problems(draw: st.DrawFn, *, empty_rows: bool = True) -> tuple[LCP, np
 @st.composite
 def floating_problems(draw: st.DrawFn) -> tuple[LCP, np.ndarray]:
     """H₊-matrices with wild rows, and q and z of any size, none of them dyadic."""
-    M = draw(h_plus_matrices(row_scale=60, column_scale=10, margin=2.0**-20)) / 3.0
+    M = draw(matrices_in_units(nearly_singular(), 60, 10)) / 3.0
     numbers = st.floats(-1e9, 1e9).map(lambda x: x if abs(x) > 1e-9 else 0.0)
     q, z, first, second = np.array(draw(st.lists(numbers, min_size=4 * len(M), max_size=4 * len(M)))).reshape(4, -1)
     is_bounded = draw(st.booleans())
@@ -248,7 +249,7 @@ def test_an_empty_problem_has_nothing_wrong() -> None:
 # --- Solutions and others ----------------------------------------------------------------------------------
 
 
-@given(solved_lcps(bounds=True, row_scale=100, column_scale=100) | solved_lcps())
+@given(solved_in_units(solved_lcps(bounds=True), 100, 100) | solved_lcps())
 def test_residual_vanishes_at_the_solution(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
     """At the exact solution every residual is zero, not just small, whatever the scales."""
     problem, z = drawn
@@ -423,8 +424,8 @@ def test_rounding_level_is_recognised() -> None:
 TO_TRY = {
     "tame": solved_lcps(),
     "bounds": solved_lcps(h_plus_matrices(), bounds=True),
-    "wild": solved_lcps(bounds=True, row_scale=60, column_scale=10),
-    "stiff": solved_lcps(h_plus_matrices(margin=2.0**-20) | positive_definite_matrices(margin=2.0**-10)),
+    "wild": solved_in_units(solved_lcps(bounds=True), 60, 10),
+    "stiff": solved_lcps(nearly_singular() | nearly_semidefinite(2.0**-10)),
 }
 
 

@@ -36,8 +36,8 @@ from lcp_plugin import (
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.proofs.bounds import error_bounds
+from lcp_plugin.proofs.bounds.active_rows import ErrorWatch
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
-from lcp_plugin.proofs.bounds.error_watch import ErrorWatch
 from lcp_plugin.proofs.exact.linear_systems import solve_exactly
 from lcp_plugin.proofs.guarantees import guarantees
 
@@ -581,7 +581,7 @@ def test_bounds_along_the_run_are_sharp_where_that_is_affordable(monkeypatch: py
         error = np.max(np.abs(samples[sample.iteration] - exact))
         assert error <= sample.error_bound <= 2.0 * error + 1e-9
     assert error_bound(problem, result.z, sharp=False).infinity > 100.0 * result.history[-1].error_bound
-    monkeypatch.setattr("lcp_plugin.proofs.bounds.error_watch.SHARP_SAMPLES_UP_TO", 100)
+    monkeypatch.setattr("lcp_plugin.proofs.bounds.active_rows.SHARP_SAMPLES_UP_TO", 100)
     history = solve(problem, "pgs", error_bound=True, record=True).history
     assert history[0].error_bound > 2.0 * result.history[0].error_bound
     assert history[-1].error_bound <= 2.0 * result.history[-1].error_bound

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from drawn_units import lcps_in_units
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -602,8 +603,8 @@ def same(one: Any, other: Any) -> bool:
 
 
 @settings(max_examples=60)
-@given(problem=strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices(dense=False), bounds=0.5,
-                               row_scale=300, column_scale=300))
+@given(problem=lcps_in_units(strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices(dense=False)) |
+                             strategies.lcps(bounds=True), 300, 300))
 def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
     """What repr(problem) says can be pasted, and is the same problem bit for bit, kept in the same way."""
     again = eval(repr(problem), {"LCP": LCP, "csr_array": sp.csr_array, "inf": np.inf})
@@ -611,7 +612,7 @@ def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
 
 
 @settings(max_examples=40)
-@given(drawn=strategies.convex_qps(equalities=1, bounds=0.5))
+@given(drawn=strategies.convex_qps(equalities=1))
 def test_the_repr_of_a_small_program_is_that_program(drawn: Any) -> None:
     """What repr(program) says can be pasted, and is the same program bit for bit."""
     program = drawn[0]

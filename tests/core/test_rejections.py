@@ -45,8 +45,7 @@ from lcp_plugin.core.errors import (
 )
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
-from lcp_plugin.evidence.curves import Report
-from lcp_plugin.evidence.profiles import performance_profile
+from lcp_plugin.evidence.curves import Report, performance_profile
 from lcp_plugin.evidence.stability import Atlas
 
 BUILTIN_BASE = {

@@ -24,12 +24,11 @@ from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, gallery, solve
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.matrix.matrix import Matrix, fact
 from lcp_plugin.evidence import error_against_time as module
-from lcp_plugin.evidence.contestants import TUNING, comparison, contestants, tuned
-from lcp_plugin.evidence.curves import Curve, Point, Report
+from lcp_plugin.evidence.contestants import contestants
+from lcp_plugin.evidence.curves import Curve, Point, Report, performance_profile
 from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.figures import spread, styles
 from lcp_plugin.evidence.pictures import draw
-from lcp_plugin.evidence.profiles import performance_profile
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 
 NAP = 0.06
@@ -362,8 +361,7 @@ def test_few_names_stand_at_their_lines_and_many_in_a_legend() -> None:
 
 def test_no_two_curves_look_alike_in_grey() -> None:
     """In the report's comparison dashes and marker together belong to one curve: it can be read in grey."""
-    problem = scene().problem
-    entrants = comparison(problem, start=None, tolerance=1e-8, max_work=1e4)
+    entrants = contestants(None)
     looks = [(look["marker"], str(look["linestyle"])) for look in styles([one.family for one in entrants])]
     assert len(set(looks)) == len(entrants)
 
@@ -430,24 +428,13 @@ def test_bad_targets_and_names_are_refused() -> None:
 # --- Who takes part -------------------------------------------------------------------------------------------
 
 
-def test_tuning_finds_the_best_of_its_list() -> None:
-    """A tuned contestant needs as few passes as the best of all settings of its list, each run to the end."""
-    problem = scene().problem
-    for label, (name, settings) in TUNING.items():
-        best = min(solve(problem, name, **options).work for options in settings)  # type: ignore[arg-type]
-        one = tuned(problem, label, start=None, tolerance=1e-8, max_work=1e5)
-        assert solve(problem, one.algorithm).work == best
-
-
 def test_comparison_holds_the_promise() -> None:
-    """The paper's methods stand with its settings, tuned, and with ours, beside modulus, fixed point and relaxation."""
-    problem = scene().problem
-    labels = {one.label for one in comparison(problem, start=None, tolerance=1e-8, max_work=1e4)}
-    assert labels >= {"NPGS", "NPSOR", "NPAOR", "NPGS paper", "NPSOR paper", "MGS paper", "MSOR paper", "MGS tuned",
-                      "MSOR tuned", "GFP", "PGS", "PSOR"}
-    box = gallery.build("relay_control", n=4)
-    report = error_against_time(box, comparison(box.problem, start=None, tolerance=1e-8, max_work=50), max_work=50)
-    assert {"MGS paper", "MGS tuned", "MSOR paper", "MSOR tuned"} <= {what for what, _ in report.left_out}
+    """The paper's methods stand with its settings and with ours, beside modulus, fixed point and relaxation."""
+    labels = {one.label for one in contestants(None)}
+    assert labels >= {"NPGS", "NPSOR", "NPAOR", "NPGS paper", "NPSOR paper", "MGS paper", "MSOR paper", "GFP", "PGS",
+                      "PSOR"}
+    report = error_against_time(gallery.build("relay_control", n=4), max_work=50)
+    assert {"MGS paper", "MSOR paper"} <= {what for what, _ in report.left_out}
 
 
 def test_labels_show_options_that_differ() -> None:

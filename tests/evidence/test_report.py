@@ -1,4 +1,4 @@
-"""The report: one page that needs nothing else, sentences that follow the data, and a run that can be stopped."""
+"""The report: one page that needs nothing else, and a run that can be stopped."""
 
 from __future__ import annotations
 
@@ -22,12 +22,10 @@ from typer.testing import CliRunner
 
 from lcp_plugin import LCP, InvalidOption, gallery
 from lcp_plugin.commands.cli import app
-from lcp_plugin.evidence.curves import Curve, Point, Report
 from lcp_plugin.evidence.error_against_time import best_answer
-from lcp_plugin.evidence.exporting import csv_of
 from lcp_plugin.evidence.report.page import collect, write_report
 from lcp_plugin.evidence.report.scenes import QUICK_SCENES, SCENES
-from lcp_plugin.evidence.report.section import FULL, QUICK, Collected, Finding, Part, Section, claims, plan, sections
+from lcp_plugin.evidence.report.section import FULL, QUICK, Collected, Part, Section, plan, sections
 from lcp_plugin.evidence.stability import stability_atlas
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -39,9 +37,6 @@ def collected() -> Collected:
     """Every kind of part, each of them small."""
     found = Collected()
     parts = plan(TINY, quick=True)
-    whole = plan(quick=True)
-    kinds = ("tables", "check")
-    parts += [next(part for part in whole if part.kind == kind) for kind in kinds]
     for part in parts:
         found.contents[part.kind, part.name] = json.loads(json.dumps(part.compute(lambda text: None)))
     atlas = stability_atlas(["psor", "npsor"], ["far starts", "ranges"], quick=True)
@@ -66,7 +61,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
     page = (folder / "index.html").read_text(encoding="utf-8")
     fetched = re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page)
     assert fetched == []
-    assert page.count("<svg") == 3 * len(TINY) + 3
+    assert page.count("<svg") == 3 * len(TINY) + 1
     ids = re.findall(r'\bid="([^"]*)"', page)
     assert len(ids) == len(set(ids))
     references = set(re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', page))
@@ -75,16 +70,12 @@ def test_page_needs_no_other_file(folder: Path) -> None:
 
 @pytest.mark.full
 def test_page_says_everything(folder: Path, collected: Collected) -> None:
-    """Each section stands there, with every claim, every scene, its axis, and why something was left out."""
+    """Each section stands there, with every scene, its axis, and why something was left out."""
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
     parts = [section.anchor for section in sections()]
-    assert parts == [
-        "comparison", "scenes", "profile", "stability", "tables", "checks",
-    ]
-    for anchor in ("summary", *parts, "reading", "machine"):
+    assert parts == ["scenes", "stability"]
+    for anchor in (*parts, "reading", "machine"):
         assert f'id="{anchor}"' in page
-    for claim in claims(collected):
-        assert claim.text in page
     for content in collected.of("scene"):
         assert content["text"] in page
         for what, reason in content["report"]["left_out"]:
@@ -95,13 +86,9 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
 def test_tables_lie_beside_the_page(folder: Path) -> None:
     """The figures are there as CSV and JSON too."""
     names = {path.name for path in folder.iterdir()}
-    assert names >= {
-        "index.html", "report.json", "curves.csv", "left_out.csv", "profile_work.csv", "profile_seconds.csv",
-        "cross_validation.csv", "paper_tables.csv", "stability.csv",
-    }
+    assert names >= {"index.html", "report.json", "curves.csv", "left_out.csv", "stability.csv"}
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    kinds = {"scene", "tables", "check", "atlas"}
-    assert {part["kind"] for part in content["parts"]} == kinds
+    assert {part["kind"] for part in content["parts"]} == {"scene", "atlas"}
 
 
 HARNESS = """<!DOCTYPE html><meta charset="utf-8"><link rel="icon" href="data:,"><body><script>
@@ -191,128 +178,20 @@ def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> Non
         assert found[width]["cut"] == [], "\n".join(found[width]["cut"])
         assert found[width]["fetched"] == []
         assert found[width]["width"] <= int(width)
-        assert found[width]["figures"] == 3 * len(TINY) + 3
+        assert found[width]["figures"] == 3 * len(TINY) + 1
         assert found[width]["empty"] == 0
 
 
-# --- The sentences --------------------------------------------------------------------------------------------
-
-
-def scene_part(title: str, active: float, dominance: float = 0.5, **works: float) -> dict[str, Any]:
-    """A scene's content made by hand: the work of each algorithm, negative where it was not solved."""
-    family = {"NPGS paper": "projected-type (NP)", "NPSOR": "projected-type (NP)", "PGS": "projected relaxation (P)",
-              "multigrid": "multigrid"}
-    curves = tuple(
-        Curve(
-            label, family[label], "SOLVED" if work >= 0 else "STALLED",
-            (Point(1, abs(work), abs(work), 1.0, 1.0, 0.1, 0.1),),
-        )
-        for label, work in works.items()
-    )
-    report = Report(title, "", 100, 1, "residual", 1e-8, 1, active, curves)
-    return {"text": title, "report": report.to_content(), "dominance": dominance, "sketch": None}
-
-
-def said(*parts: dict[str, Any]) -> str:
-    found = Collected({("scene", str(k)): part for k, part in enumerate(parts)})
-    return " ".join(claim.text for claim in claims(found))
-
-
-@pytest.mark.parametrize(
-    ("pgs", "npgs", "words"),
-    [
-        (10, 20, "(PGS) beats NPGS on the paper's own examples: 10 passes against 20"),
-        (20, 10, "NPGS beats plain projected"),
-    ],
-)
-def test_own_examples_come_out_either_way(pgs: float, npgs: float, words: str) -> None:
-    """Who wins on the paper's own examples is read from the data."""
-    assert words in said(scene_part("paper_example_1:n=100,delta=4.0", 0.0, **{"PGS": pgs, "NPGS paper": npgs}))
-
-
-@pytest.mark.parametrize(
-    ("active", "words"),
-    [(50, "NPGS paper slows down 5.0 times (10 to 50"), (10, "stays as it is"), (5, "2.0 times quicker")],
-)
-def test_active_constraints_come_out_either_way(active: float, words: str) -> None:
-    """Whether active constraints cost anything is read from the same matrix with and without them."""
-    free = scene_part("paper_example_1:n=100,delta=4.0", 0.0, **{"NPGS paper": 10})
-    assert words in said(free, scene_part("half_active:n=100,delta=4.0", 0.5, **{"NPGS paper": active}))
-
-
-@pytest.mark.parametrize(("multigrid", "words"), [(5, "fewest passes on 1"), (500, "fewest passes on 0")])
-def test_multigrid_comes_out_either_way(multigrid: float, words: str) -> None:
-    """Whether multigrid wins where M has no diagonal to spare is read from the data."""
-    assert words in said(scene_part("a", 0.5, 0.0, multigrid=multigrid, PGS=100))
-    assert "multigrid needs" not in said(scene_part("a", 0.5, 0.5, multigrid=multigrid, PGS=100))
-
-
-def test_promise_counts_scenes_with_active_constraints_only() -> None:
-    """The promised comparison leaves out scenes with fewer than 10 or more than 90 % at a bound."""
-    parts = [scene_part(f"s{k}", share, NPSOR=30, PGS=10) for k, share in enumerate((0.0, 0.05, 0.3, 0.95))]
-    text = said(*parts)
-    assert "On 1 scene with" in text
-    assert "is projected-type (NP) on 0, projected relaxation (P) on 1, modulus (M) on 0" in text
-    assert "needs 3.0 times" in text
-
-
-def test_scene_that_no_splitting_solves_is_counted() -> None:
-    """A scene with active constraints that no splitting solves is named, not dropped in silence."""
-    text = said(scene_part("a", 0.5, NPSOR=30, PGS=10), scene_part("b", 0.5, NPSOR=-30, PGS=-10))
-    assert "On 1 scene with" in text
-    assert "On 1 more no splitting converges." in text
-    assert "On 1 more" not in said(scene_part("a", 0.5, NPSOR=30, PGS=10))
-
-
-def test_multigrid_that_fails_does_not_win() -> None:
-    """Where M has no diagonal to spare and multigrid does not converge, the scene counts all the same."""
-    text = said(scene_part("a", 0.5, 0.0, multigrid=5, PGS=100), scene_part("b", 0.5, 0.0, multigrid=-5, PGS=100))
-    assert "On 2 scenes whose matrix" in text
-    assert "fewest passes on 1 " in text
-    assert "The best splitting needs 20.0 times its passes" in text
-
-
-def test_one_scene_has_no_median() -> None:
-    """What was measured on one scene is not called a median; several have one, with its range."""
-    alone, several = (said(*[scene_part(f"s{k}", 0.5, NPSOR=30, PGS=10) for k in range(count)]) for count in (1, 2))
-    assert "passes of the best splitting." in alone
-    assert "median" not in alone
-    assert "in the median (3.0 to 3.0)" in several
-
-
-def test_runs_without_any_work_break_no_sentence() -> None:
-    """Problems whose start is the answer take no pass; every sentence is computed all the same."""
-    idle = dict.fromkeys(("NPGS paper", "NPSOR", "PGS", "multigrid"), 0)
-    titles = ("paper_example_1:n=1,delta=4.0", "half_active:n=1,delta=4.0", "b")
-    parts = [scene_part(title, 0.5, 0.0, **idle) for title in titles]
-    assert "NPGS paper stays as it is" in said(*parts)
-
-
 @pytest.mark.full
-def test_hidden_errors_are_told(collected: Collected, tmp_path: Path) -> None:
-    """SOLVED speaks of the residual: where the exact answer is far off, summary and page say so, cell by cell."""
+def test_hidden_errors_are_told(tmp_path: Path) -> None:
+    """SOLVED speaks of the residual: where the exact answer is far off, the page says so, cell by cell."""
     atlas = stability_atlas(["newton"], ["stiffness"], quick=True)
     assert atlas.misleading
-    found = Collected({("atlas", "stiffness"): atlas.to_content()})
-    assert f"{len(atlas.misleading)} of the SOLVED ones hide an error" in " ".join(one.text for one in claims(found))
-    write_report(found, tmp_path, is_quick=False)
+    write_report(Collected({("atlas", "stiffness"): atlas.to_content()}), tmp_path, is_quick=False)
     page = html.unescape((tmp_path / "index.html").read_text(encoding="utf-8"))
     assert f"error above a thousandth ({len(atlas.misleading)})" in page
     for cell in atlas.misleading:
         assert page.count(cell.stress) >= 1
-    spotless = Collected({("atlas", "far starts"): stability_atlas(["psor"], ["far starts"], quick=True).to_content()})
-    assert "hide an error" not in " ".join(one.text for one in claims(spotless))
-
-
-def test_rows_that_lack_a_field_keep_their_columns() -> None:
-    """A solver without an answer has fewer figures in the CSV, and none of them under another's heading."""
-    every = [{"solver": "a", "status": "error"}, {"solver": "b", "gap": 0.5, "status": "optimal"}]
-    assert csv_of(every).splitlines() == ["solver,status,gap", "a,error,", "b,optimal,0.5"]
-
-
-def test_nothing_measured_nothing_said() -> None:
-    """Without data there is no claim."""
-    assert claims(Collected()) == []
 
 
 # --- The plan -------------------------------------------------------------------------------------------------
@@ -334,7 +213,7 @@ def test_default_plan_keeps_the_promise() -> None:
 
 
 def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
-    """A class below `Section` is on the page, in the summary, beside it and in its plan, and nobody lists it."""
+    """A class below `Section` is on the page, beside it and in its plan, and nobody lists it."""
 
     class Sizes(Section):
         place = 10
@@ -343,9 +222,6 @@ def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
 
         def parts(self, scenes: Any, effort: Any) -> list[Part]:
             return [Part("size", name, lambda say: {"n": 7}, effort) for name in scenes]
-
-        def tell(self, collected: Collected) -> list[Finding]:
-            return [Finding("Size", f"The largest has {max(one['n'] for one in collected.of('size'))} unknowns.")]
 
         def draw(self, collected: Collected) -> dict[str, Any]:
             return {"largest": 7}
@@ -358,10 +234,10 @@ def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
     page = write_report(found, tmp_path, is_quick=True).read_text(encoding="utf-8")
     del Sizes
     gc.collect()
-    for words in ("The largest has 7 unknowns.", "<p>7 unknowns</p>", '<a href="#test_report">Sizes</a>'):
+    for words in ("<p>7 unknowns</p>", '<a href="#test_report">Sizes</a>'):
         assert words in page
     assert (tmp_path / "sizes.csv").exists()
-    assert len(sections()) == 6
+    assert len(sections()) == 2
 
 
 def test_unknown_scene_is_refused_before_anything_runs() -> None:

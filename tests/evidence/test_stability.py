@@ -9,6 +9,7 @@ from fractions import Fraction
 from itertools import islice
 from typing import Any
 
+import drawn_units
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -19,7 +20,7 @@ from hypothesis import given, settings
 from lcp_plugin import LCP, Certificate, Result, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.strategies import h_plus_matrices, solved_lcps
+from lcp_plugin.strategies import solved_lcps
 
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
@@ -288,7 +289,7 @@ def test_nearly_singular_matrices_are_never_lied_about(name: str) -> None:
     """On H₊-matrices with ρ up to 1 − 1e-6 the status holds in rational arithmetic, whatever the error of z."""
 
     @settings.get_profile("few")
-    @given(solved_lcps(h_plus_matrices(margin=2.0**-20)))
+    @given(solved_lcps(drawn_units.nearly_singular()))
     def check(drawn: tuple[LCP, Any]) -> None:
         problem, _ = drawn
         assert_honest(solve(problem, name, max_iterations=300, **scaled_options(name)))

@@ -13,6 +13,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import drawn_units
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -31,8 +32,8 @@ from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
 from lcp_plugin.evidence.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.methods.interior.suited_matrix import monotone_rows
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
-from lcp_plugin.proofs.exact.exactly import is_exact_solution
-from lcp_plugin.strategies import h_plus_matrices, solved_lcps
+from lcp_plugin.proofs.exact.rational import is_exact_solution
+from lcp_plugin.strategies import solved_lcps
 
 ALL = ["auto", *REGISTRY]
 EPSILON = 2.0**-52
@@ -44,7 +45,7 @@ CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family](True
 
 
 @settings.get_profile("few")
-@given(solved_lcps(h_plus_matrices(margin=2.0**-20), bounds=True))
+@given(solved_lcps(drawn_units.nearly_singular(), bounds=True))
 def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any]) -> None:
     """From the planted answer, and from z°, the exact answer is that of another exact method."""
     problem, z = drawn

@@ -55,7 +55,7 @@ TESTS = {
         + [f"lcp_plugin/problems/programs/{name}.py" for name in ("dual_bounds", "feasible_points")]
         + ["lcp_plugin/problems/programs/program_proofs.py"], ("tests/problems/programs/test_certify.py",),
     ),
-    "lcp_plugin/proofs/exact/upward.py": BOUND_TESTS,
+    "lcp_plugin/proofs/exact/rational.py": BOUND_TESTS,
     "lcp_plugin/core/rounding.py": ("tests/core/test_rounding.py", "tests/proofs/test_error_bounds.py"),
     **{str(file.relative_to(ROOT)): CLASS_TESTS for file in sorted(
         file for room in (CLASSES, "lcp_plugin/core/matrix",

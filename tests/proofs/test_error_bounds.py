@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from drawn_units import nearly_semidefinite, nearly_singular, solved_in_units, symmetric_in_units
 from exact import exact_rows, exact_solution, has_positive_pivots, solve_fractions
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,7 @@ from lcp_plugin.proofs.bounds import error_bounds, solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
 from lcp_plugin.proofs.bounds.row_inequality import RowInequality
 from lcp_plugin.proofs.bounds.solution_bounds import HPlusBounds, bounds_of, smallest_eigenvalue_bound
-from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
+from lcp_plugin.proofs.exact.rational import product_above, quotient_above, sum_above
 from lcp_plugin.proofs.verdicts import comparison_certificate
 from lcp_plugin.proofs.verdicts.verdicts import eigenvalue_proven
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
@@ -54,7 +55,7 @@ def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Error
 
 
 @settings.get_profile("many")
-@given(solved_lcps(h_plus_matrices(), bounds=True, row_scale=60, column_scale=60), POINTS, STEPS, st.booleans())
+@given(solved_in_units(solved_lcps(h_plus_matrices(), bounds=True), 60, 60), POINTS, STEPS, st.booleans())
 def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
     """No component of the bound is below the exact error, and no row is classified wrongly, M an H₊-matrix."""
     problem, exact = drawn
@@ -154,7 +155,7 @@ def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
 
 
 @settings.get_profile("many")
-@given(solved_lcps(h_plus_matrices(margin=2.0**-20), bounds=True), POINTS, STEPS)
+@given(solved_lcps(nearly_singular(), bounds=True), POINTS, STEPS)
 def test_each_stage_holds_alone(drawn, direction, step) -> None:
     """v-certificate, two-stage bound and Φ of them bound the error each for itself, nearly singular M too."""
     problem, exact = drawn
@@ -373,7 +374,7 @@ def test_estimates_say_so(monkeypatch) -> None:
 
 
 @settings.get_profile("many")
-@given(positive_definite_matrices(scale=30, margin=2.0**-20), st.booleans())
+@given(symmetric_in_units(nearly_semidefinite(2.0**-20), 30), st.booleans())
 def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None:
     """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorisation."""
     problem = LCP(M, np.zeros(M.shape[0]))

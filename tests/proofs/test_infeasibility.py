@@ -18,10 +18,8 @@ from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Status, 
 from lcp_plugin.core.certificates.criterion import references_of_parts
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.search import NoSolution, search
-from lcp_plugin.proofs.exact.exactly import exact_slack, is_exact_solution
 from lcp_plugin.proofs.exact.linear_systems import rank_profile, solve_exactly
-from lcp_plugin.proofs.exact.rational import integers
-from lcp_plugin.proofs.no_solution.exact_references import exactly_weighted
+from lcp_plugin.proofs.exact.rational import exact_slack, integers, is_exact_solution
 from lcp_plugin.proofs.no_solution.farkas import CONTRADICTION, FarkasProgram
 from lcp_plugin.proofs.no_solution.infeasibility import (
     ForcedContradiction,
@@ -30,7 +28,7 @@ from lcp_plugin.proofs.no_solution.infeasibility import (
     find_forced_contradiction,
 )
 from lcp_plugin.proofs.no_solution.linear_constraints import LinearConstraints
-from lcp_plugin.proofs.no_solution.refutation import Choices, Infeasibility
+from lcp_plugin.proofs.no_solution.refutation import Choices, Infeasibility, exactly_weighted
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:

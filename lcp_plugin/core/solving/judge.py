@@ -21,7 +21,7 @@ from ..settings import PROVEN, Settings, Status
 from .result import BoundOrReason
 
 if TYPE_CHECKING:
-    from ...proofs.bounds.error_watch import ErrorWatch
+    from ...proofs.bounds.active_rows import ErrorWatch
 
 FAR_OUT = 1e-2
 ASKED_AGAIN = 5  # after a fifth of the steps up to now

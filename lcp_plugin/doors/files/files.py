@@ -16,8 +16,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnreadableFile
 from ...core.registry import ask
-from .mat_files import read_mat
-from .matrix_market import read_matrix_market
+from .matrix_market import read_mat, read_matrix_market
 
 if TYPE_CHECKING:
     from ...core.lcp import LCP

@@ -15,7 +15,7 @@ from ...core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.registry import ask
 from .files import MATRIX_KEYS, checked_path, flat, names_in, read_npz, require_keys, with_infinities
-from .mat_files import read_mat
+from .matrix_market import read_mat
 
 if TYPE_CHECKING:
     from ...problems.least_squares.data import BoundedLeastSquares

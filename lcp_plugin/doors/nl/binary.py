@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .content import Token
-from .header import Header
-from .segments import (
+from .content import (
     ARITY,
     BOUND_WORDS,
     NARY,
@@ -21,9 +19,11 @@ from .segments import (
     SUFFIX_IS_REAL,
     Bounds,
     Forest,
+    Header,
     Linear,
     NamedValues,
     Segments,
+    Token,
     fail,
 )
 

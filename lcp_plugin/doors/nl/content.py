@@ -1,10 +1,15 @@
-"""What an ``.nl`` file says, text or binary alike: plain arrays, nothing computed."""
+"""What an ``.nl`` file says, text or binary alike: plain arrays, nothing computed.
+
+What the text and the binary reader of ``.nl`` files hand on: the segments as they stand, with their places.
+
+The ten lines at the head of an ``.nl`` file, text in binary files too.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import scipy.sparse as sp
@@ -131,3 +136,245 @@ class NLContent:
     row_names: list[str] | None = None
     options: tuple[int, ...] = (3, 0, 1, 0)
     tolerance: float | None = None
+
+
+NARY, PIECEWISE = -1, -2  # in ARITY: a number of operands follows; a number of slopes
+NO_OPERATOR = -9
+UNARY_OPERATORS = (13, 14, 15, 16, 34, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46, 47, 49, 50, 51, 52, 53, 77)
+BINARY_OPERATORS = (
+    0, 1, 2, 3, 4, 5, 6, 20, 21, 22, 23, 24, 28, 29, 30, 48, 55, 56, 57, 58, 62, 63, 66, 67, 68, 69, 73, 76, 78,
+)
+TERNARY_OPERATORS = (35, 65, 72)
+NARY_OPERATORS = (11, 12, 54, 59, 60, 61, 70, 71, 74, 75)
+PIECEWISE_OPERATOR = 64
+
+ARITY = np.full(79, NO_OPERATOR, dtype=np.int64)
+ARITY[list(UNARY_OPERATORS)] = 1
+ARITY[list(BINARY_OPERATORS)] = 2
+ARITY[list(TERNARY_OPERATORS)] = 3
+ARITY[list(NARY_OPERATORS)] = NARY
+ARITY[PIECEWISE_OPERATOR] = PIECEWISE
+
+SUFFIX_KIND, SUFFIX_IS_REAL = 3, 4  # bits of the first number of an S segment
+BOUND_WORDS = (2, 1, 1, 0, 1, 2)  # numbers behind the kind of a bound
+PARTNER = 5  # the kind of a complementarity row
+
+
+class Fault(ValueError):
+    """What is wrong with a file, and in which line or at which byte."""
+
+    def __init__(self, place: int, what: str) -> None:
+        super().__init__(what)
+        self.place = int(place)
+
+
+class HeadFault(Fault):
+    """What is wrong with a line of the head, which is text in binary files too."""
+
+
+def fail(place: Any, what: str) -> NoReturn:
+    """Raise the Fault."""
+    raise Fault(int(place), what)
+
+
+@dataclass
+class Linear:
+    """The segments of one letter that hold pairs of an index and a value, one after the other.
+
+    Attributes
+    ----------
+    owners : ndarray of int64, shape (s,)
+        What each segment belongs to, for instance the row.
+    counts : ndarray of int64, shape (s,)
+        How many pairs it has.
+    places, first_places : ndarray of int64, shape (s,)
+        Where it begins, and where its first pair stands.
+    stride : int
+        From one pair to the next: a line, or so many bytes.
+    columns, values : ndarray of float64
+        The pairs.
+    """
+
+    owners: Indices
+    counts: Indices
+    places: Indices
+    first_places: Indices
+    stride: int
+    columns: FloatVector
+    values: FloatVector
+
+    def place(self, pair: int) -> int:
+        """Where the pair of that number stands."""
+        ends = np.cumsum(self.counts)
+        k = int(np.searchsorted(ends, pair, side="right"))
+        return int(self.first_places[k] + self.stride * (pair - (ends[k] - self.counts[k])))
+
+
+@dataclass
+class Forest:
+    """The expression trees of the segments of one letter; the arrays of tokens are those of `content.Trees`."""
+
+    owners: Indices
+    places: Indices
+    kinds: NDArray[np.uint8]
+    values: FloatVector
+    counts: Indices
+    token_places: Indices
+    starts: Indices
+
+
+@dataclass
+class Bounds:
+    """A ``b`` or ``r`` segment: the kind of each bound, and the numbers behind it, 0 where there is none."""
+
+    kinds: FloatVector
+    first: FloatVector
+    second: FloatVector
+    places: Indices
+
+
+@dataclass
+class NamedValues:
+    """An ``S`` segment."""
+
+    name: bytes
+    bits: int
+    pairs: Linear
+
+
+@dataclass
+class Segments:
+    """All segments of a file."""
+
+    linear: dict[str, Linear] = field(default_factory=dict)  # J, G, V, x, d
+    trees: dict[str, Forest] = field(default_factory=dict)  # C, O, V, L
+    bounds: dict[str, Bounds] = field(default_factory=dict)  # b, r
+    senses: list[int] = field(default_factory=list)  # of the O segments
+    suffixes: list[NamedValues] = field(default_factory=list)
+    functions: list[tuple[int, int, bytes]] = field(default_factory=list)  # place, number, name
+    column_counts: FloatVector | None = None
+    column_place: int = 0
+    is_cumulative: bool = True
+    strings: list[bytes] = field(default_factory=list)
+    hidden_lines: list[tuple[int, int]] = field(default_factory=list)  # a string's line, how many more it goes over
+
+    def line(self, place: int) -> int:
+        """Return the line of a text file that is the one of that number where no string goes over several."""
+        return place + sum(count for line, count in self.hidden_lines if line < place)
+
+
+def checked_count(value: float, most: int, place: Any, what: str) -> int:
+    """Return a whole number from 0 to `most`, or fail."""
+    if not 0 <= value <= most or value != int(value):
+        fail(place, f"{what} is {value:g}, and only 0 to {most} is possible here")
+    return int(value)
+
+
+LINES = 10
+MOST_OPTIONS = 9
+WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
+LITTLE_ENDIAN, BIG_ENDIAN = 1, 2  # the kinds of arithmetic that can be read; 0 is the writer's own
+MOST_LINE_BYTES = 4096  # a line of the header is never longer
+
+NEEDED = {  # line: (numbers that must stand there, numbers that may)
+    2: (3, 6), 3: (2, 6), 4: (2, 2), 5: (2, 3), 6: (2, 4), 7: (2, 5), 8: (2, 2), 9: (2, 2), 10: (5, 5),
+}
+MEANING = {
+    2: "variables, rows, objectives", 3: "nonlinear rows and objectives", 4: "network rows", 5: "nonlinear variables",
+    6: "network variables, functions", 7: "integer variables", 8: "nonzeros", 9: "lengths of names",
+    10: "defined variables",
+}
+
+
+@dataclass(frozen=True)
+class Header:
+    """The numbers of the head; the names are of what is used of them."""
+
+    is_binary: bool
+    options: tuple[int, ...]
+    tolerance: float | None
+    variables: int
+    rows: int
+    objectives: int
+    logical_rows: int
+    complementarities: int
+    nonlinear: tuple[int, int, int]  # variables in rows, in objectives, in both
+    functions: int
+    arithmetic: int
+    integers: tuple[int, int, int, int, int]  # binary, integer; nonlinear in both, in rows, in objectives
+    nonzeros: int
+    objective_nonzeros: int
+    name_lengths: tuple[int, int]
+    defined: int
+
+    @property
+    def byteorder(self) -> str:
+        """As struct writes it."""
+        return ">" if self.arithmetic == BIG_ENDIAN else "<"
+
+
+def read_header(data: bytes) -> tuple[Header, int]:
+    """Return the head and where the segments begin."""
+    lines, position = [], 0
+    for number in range(1, LINES + 1):
+        end = data.find(b"\n", position, position + MOST_LINE_BYTES)
+        if end < 0:
+            raise HeadFault(number, f"the head of an .nl file has {LINES} lines, and the file ends here"
+                            if len(data) - position < MOST_LINE_BYTES else "this is no line of the head of an .nl file")
+        lines.append(data[position:end])
+        position = end + 1
+        if number == 1 and lines[0][:1] not in (b"g", b"b"):
+            raise HeadFault(1, "an .nl file begins with g (text) or b (binary)")
+    is_binary = lines[0][:1] == b"b"
+    options, tolerance = _options(lines[0][1:])
+    numbers = {k: _numbers(lines[k - 1], k) for k in NEEDED}
+    _refuse_what_cannot_follow(numbers, len(data) - position)
+    size, complementarity, integers = numbers[2], numbers[3], numbers[7]
+    arithmetic = numbers[6][2]
+    if is_binary and arithmetic not in (0, LITTLE_ENDIAN, BIG_ENDIAN):
+        raise HeadFault(6, f"its numbers are of the arithmetic {arithmetic}, and 1 (IEEE, little-endian) "
+                        "or 2 (big-endian) is needed; write the file as text")
+    return Header(
+        is_binary=is_binary, options=options, tolerance=tolerance, variables=size[0], rows=size[1],
+        objectives=size[2], logical_rows=size[5], complementarities=complementarity[2] + complementarity[3],
+        nonlinear=(numbers[5][0], numbers[5][1], numbers[5][2]), functions=numbers[6][1], arithmetic=arithmetic,
+        integers=(integers[0], integers[1], integers[2], integers[3], integers[4]), nonzeros=numbers[8][0],
+        objective_nonzeros=numbers[8][1], name_lengths=(numbers[9][0], numbers[9][1]), defined=sum(numbers[10]),
+    ), position
+
+
+def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
+    """Return the numbers of the first line, the first of which says how many follow, and the tolerance."""
+    words = text.split(b"#")[0].split()
+    try:
+        count = int(words[0]) if words else 0
+        if not 0 <= count <= MOST_OPTIONS:
+            raise HeadFault(1, f"it announces {count} options, and at most {MOST_OPTIONS} are possible")
+        given = [int(word) for word in words[1:count + 1]]
+        options = (count, *given, *[0] * (count - len(given)))
+        has_tolerance = count >= 2 and options[2] == WITH_TOLERANCE and len(words) > count + 1
+        return options, float(words[count + 1]) if has_tolerance else None
+    except ValueError as error:
+        if isinstance(error, HeadFault):
+            raise
+        raise HeadFault(1, "the options behind its letter are whole numbers") from None
+
+
+def _numbers(line: bytes, number: int) -> list[int]:
+    """Return the numbers of a line, zeros for those that may be missing."""
+    needed, possible = NEEDED[number]
+    words = line.split(b"#")[0].split()
+    if len(words) < needed or not all(word.isdigit() for word in words[:possible]):
+        count = needed if needed == possible else f"{needed} to {possible}"
+        raise HeadFault(number, f"{count} whole numbers are needed ({MEANING[number]})")
+    if max(map(len, words[:possible])) > 18:
+        raise HeadFault(number, "that is more than any file can hold")
+    return [int(word) for word in words[:possible]] + [0] * (possible - len(words))
+
+
+def _refuse_what_cannot_follow(numbers: dict[int, list[int]], length: int) -> None:
+    """Raise where more is announced than so many bytes can hold, at one byte each, before anything is allocated."""
+    for k, which in ((2, (0, 1, 2, 5)), (6, (1,)), (8, (0, 1)), (10, (0, 1, 2, 3, 4))):
+        for position in which:
+            if numbers[k][position] > length:
+                raise HeadFault(k, f"{numbers[k][position]} are announced ({MEANING[k]}), and {length} bytes follow")

@@ -17,8 +17,7 @@ from ...core.checks import FloatVector
 from ...modeling.expressions import functions
 from ...modeling.expressions.rows import Compiler, Rows
 from .content import Indices, NLContent
-from .operators import OPERATORS, Arithmetic
-from .tokens import INLINE, NONE, OWN, PUT_IN, UNKNOWN, VARIABLE, Tokens
+from .tokens import INLINE, NONE, OPERATORS, OWN, PUT_IN, UNKNOWN, VARIABLE, Arithmetic, Tokens
 
 UNKNOWNS = 0  # the key of the only source that is no function
 

@@ -13,9 +13,25 @@ from ...core.checks import FloatVector
 from ...core.errors import UnreadableFile
 from ..files.files import INFINITE_BOUND, checked_path
 from .binary import read_binary
-from .content import Indices, NLContent, Suffix, Token, Trees
-from .header import Header, read_header
-from .segments import PARTNER, SUFFIX_IS_REAL, SUFFIX_KIND, Bounds, Fault, Forest, HeadFault, Linear, Segments, fail
+from .content import (
+    PARTNER,
+    SUFFIX_IS_REAL,
+    SUFFIX_KIND,
+    Bounds,
+    Fault,
+    Forest,
+    Header,
+    HeadFault,
+    Indices,
+    Linear,
+    NLContent,
+    Segments,
+    Suffix,
+    Token,
+    Trees,
+    fail,
+    read_header,
+)
 from .text import read_text
 
 ENDING = ".nl"

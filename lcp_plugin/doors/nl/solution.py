@@ -15,7 +15,7 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.errors import InvalidProblem, UnreadableFile
 from ..files.files import checked_path, write_whole
-from .header import MOST_OPTIONS, WITH_TOLERANCE
+from .content import MOST_OPTIONS, WITH_TOLERANCE
 
 OPTIONS = "Options"
 NO_CODE = -1

@@ -10,20 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from .content import Indices, Token
-from .header import LINES, Header
-from .segments import (
+from .content import (
     ARITY,
     BOUND_WORDS,
+    LINES,
     NARY,
     NO_OPERATOR,
     PIECEWISE,
     SUFFIX_IS_REAL,
     Bounds,
     Forest,
+    Header,
+    Indices,
     Linear,
     NamedValues,
     Segments,
+    Token,
     checked_count,
     fail,
 )

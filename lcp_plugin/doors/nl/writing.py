@@ -12,9 +12,7 @@ import scipy.sparse as sp
 
 from ...core.errors import InvalidProblem
 from ..files.files import checked_path, write_whole
-from .content import NLContent, Token, Trees
-from .header import BIG_ENDIAN, LITTLE_ENDIAN
-from .segments import ARITY, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL
+from .content import ARITY, BIG_ENDIAN, LITTLE_ENDIAN, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL, NLContent, Token, Trees
 
 LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o", Token.CALL: b"f", Token.STRING: b"h"}
 ANY_COUNT = -1  # of the operands of an external function, which the content does not keep

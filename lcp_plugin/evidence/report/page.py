@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from ...core.errors import LCPError
 from ..collecting import Collected, collect, machine
 from ..drawing import COLOURS
 from ..exporting import finite_content, write_text
-from .section import Section, brief, claims, sections_of
+from .section import Section, brief, sections_of
 
 __all__ = ["collect", "require_jinja", "write_report"]
 
@@ -34,17 +33,16 @@ def write_report(collected: Collected, folder: Path, *, is_quick: bool) -> Path:
     LCPError
         Where jinja2 or matplotlib is not installed.
     """
-    facts, said, every = machine(), claims(collected), sections_of(collected)
+    facts, every = machine(), sections_of(collected)
     page = _template(files(__package__).joinpath("page.html").read_text(encoding="utf-8")).render(
-        claims=said, machine=facts, sections=list(filter(None, (_shown(section, collected) for section in every))),
+        machine=facts, sections=list(filter(None, (_shown(section, collected) for section in every))),
         missing=collected.missing, is_quick=is_quick,
     )
     content = {
-        "machine": facts, "summary": [asdict(claim) for claim in said], "missing": collected.missing,
+        "machine": facts, "missing": collected.missing,
         "parts": [{"kind": kind, "name": name} | part for (kind, name), part in collected.contents.items()],
     }
     for section in every:
-        content |= section.content(collected)
         for name, text in section.files(collected).items():
             write_text(folder / name, text)
     write_text(folder / "report.json", json.dumps(finite_content(content), ensure_ascii=False, indent=1))

@@ -7,12 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from ...gallery import parse
 from ...gallery.scene import Scene
 from ..collecting import data_of
-from ..contestants import comparison
 from ..curves import Curve, Report
 from ..drawing import COLOURS
 from ..error_against_time import best_answer, error_against_time
@@ -50,14 +47,13 @@ QUICK_SCENES = (
     "market_equilibrium",
 )
 REFERENCES = ("osqp", "clarabel")
-TRIAL = 0.25  # of the work a run may do: the limit of one trial of the tuning
 
 
 class Scenes(Section):
     """Error against time and work on each scene."""
 
     kind = "scene"
-    place = 2
+    place = 1
     title = "Scene by scene"
     short = "Scenes"
 
@@ -96,13 +92,11 @@ def _hash(scene: str | Scene) -> str:
 
 
 def measured(name: str, given: str | Scene, effort: Effort, say: Say) -> dict[str, Any]:
-    """Return the curves of a scene, what its matrix has to spare, and a sketch of its answer."""
+    """Return the curves of a scene and a sketch of its answer."""
     scene = parse(given) if isinstance(given, str) else given
     max_work = effort.entries / max(scene.problem.nonzeros, 1)
-    say("tuning Ω and relaxations")
-    entrants = comparison(scene.problem, start=scene.start, tolerance=1e-8, max_work=TRIAL * max_work)
     report = error_against_time(
-        scene, entrants, REFERENCES, repeats=effort.repeats, max_seconds=effort.run_seconds, max_work=max_work,
+        scene, None, REFERENCES, repeats=effort.repeats, max_seconds=effort.run_seconds, max_work=max_work,
         progress=say,
     )
     say("sketch")
@@ -110,19 +104,8 @@ def measured(name: str, given: str | Scene, effort: Effort, say: Say) -> dict[st
     return {
         "text": name,
         "report": report.to_content(),
-        "dominance": _dominance(scene.problem),
         "sketch": None if answer is None else sketch_of(scene, answer),
     }
-
-
-def _dominance(problem: Any) -> float:
-    """Return the median of (m_ii − Σ_{j≠i} |m_ij|) / |m_ii|: 0 where a Laplacian has no zeroth-order term."""
-    diagonal = problem.diagonal
-    others = np.asarray(abs(problem.csr).sum(axis=1)).ravel() - np.abs(diagonal)
-    usable = diagonal != 0.0
-    if not usable.any():
-        return -1.0
-    return float(np.median((diagonal[usable] - others[usable]) / np.abs(diagonal[usable])))
 
 
 # --- What is shown --------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What a part of the report is: one object that computes, draws and tells. All of them lie in this folder."""
+"""What a part of the report is: one object that computes and draws. All of them lie in this folder."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from typing import Any, ClassVar
 from ...gallery.scene import Scene
 from ..collecting import Collected, Compute, Part, Say
 from ..drawing import svg
-from ..exporting import csv_of
 
-__all__ = ["Collected", "Compute", "Effort", "Finding", "Part", "Say", "Section", "claims", "plan", "sections"]
+__all__ = ["Collected", "Compute", "Effort", "Part", "Say", "Section", "plan", "sections"]
 
 
 PAGE_WIDTH = 4.7  # inches, of a figure on the page
@@ -35,31 +34,21 @@ FULL = Effort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, 
 QUICK = Effort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
 
 
-@dataclass(frozen=True)
-class Finding:
-    """A heading of a few words and the sentence with the figures."""
-
-    heading: str
-    text: str
-
-
 class Section:
     """A part of the report. A class below it, in a file of this folder, is all that a new one needs.
 
     Attributes
     ----------
     kind : str
-        Of the parts that it reads: without any of them it is not on the page and says nothing. "" for none.
+        Of the parts that it reads: without any of them it is not on the page. "" for none.
     place : int
-        Sections stand, are computed and speak in this order.
+        Sections stand and are computed in this order.
     title, short : str
         The heading, and what leads there from the head of the page.
     anchor : str
         The name by which the page is linked to; by default that of the module.
     template : str
         What jinja makes the section's body of; by default the file beside the module, with the name of the anchor.
-    table : str
-        The file for `rows`; "" for none.
     """
 
     kind: ClassVar[str] = ""
@@ -68,7 +57,6 @@ class Section:
     short: ClassVar[str]
     anchor: ClassVar[str]
     template: ClassVar[str] = ""
-    table: ClassVar[str] = ""
 
     def __init_subclass__(cls) -> None:
         cls.anchor = vars(cls).get("anchor", cls.__module__.rpartition(".")[2])
@@ -86,24 +74,12 @@ class Section:
         work = {} if scenes else self.work(effort)
         return [Part(self.kind, name, compute, effort) for name, compute in work.items()]
 
-    def tell(self, collected: Collected) -> Iterable[Finding]:
-        """Return what the measurements say, in sentences that can come out either way."""
-        return ()
-
     def draw(self, collected: Collected) -> dict[str, Any]:
         """Return what the template shows, figures included; nothing where the section is not to be on the page."""
         return {}
 
-    def rows(self, collected: Collected) -> list[dict[str, Any]]:
-        """Return the rows of the table beside the page."""
-        return collected.of(self.kind)
-
     def files(self, collected: Collected) -> dict[str, str]:
         """Return the CSV files that lie beside the page, text by name."""
-        return {self.table: csv_of(self.rows(collected))} if self.table else {}
-
-    def content(self, collected: Collected) -> dict[str, Any]:
-        """Return what goes into the JSON file besides the parts."""
         return {}
 
 
@@ -139,11 +115,6 @@ def plan(scenes: Sequence[str | Scene] = (), *, quick: bool = False) -> list[Par
     return [part for section in sections() for part in section.parts(chosen, effort)]
 
 
-def claims(collected: Collected) -> list[Finding]:
-    """Return what the collected parts say, the paper's promise first; nothing is said where data are missing."""
-    return [claim for section in sections_of(collected) for claim in section.tell(collected)]
-
-
 # --- What sections share --------------------------------------------------------------------------------------
 
 
@@ -152,16 +123,6 @@ def figure(drawn: Any, name: str, description: str) -> Any:
     from markupsafe import Markup
 
     return Markup(svg(drawn, name, description))
-
-
-def many(count: int, noun: str) -> str:
-    """Return the count with its noun: 1 scene, 2 scenes."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def percent(share: float) -> str:
-    """Return a share in whole percent."""
-    return f"{100.0 * share:.0f} %"
 
 
 def brief(value: float | None) -> str:

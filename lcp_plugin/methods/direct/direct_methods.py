@@ -46,7 +46,7 @@ from ...core.lcp import LCP
 from ...core.policy.choice import last_resort
 from ...core.policy.stages import Choice, Stage
 from ...proofs.no_solution.infeasibility import contradictory_row
-from ...proofs.verdicts.sign import is_negated_m_matrix, is_negative
+from ...proofs.verdicts.report import is_negated_m_matrix, is_negative
 from ..lemke.lemke import has_parts_that_fit
 from ..presolve.presolve import presolve
 

@@ -17,8 +17,7 @@ from ...systems.hierarchy import sweeps, vectors
 from ...systems.hierarchy.levels import hierarchy_of
 from ...systems.hierarchy.truncation import KrylovCorrection, Truncation
 from ...systems.hierarchy.vectors import dot, span
-from .multigrid_problem import GridProblem
-from .multigrid_safeguard import GAINED, Safeguard
+from .multigrid_safeguard import GAINED, SETTLED, Advance, GridProblem, Safeguard
 
 if TYPE_CHECKING:
     from .multigrid import Multigrid
@@ -26,10 +25,6 @@ if TYPE_CHECKING:
 COARSE_CYCLES, MOST_COARSE_CYCLES = 2, 10
 COARSE_CHANGES = 5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
 COARSEST_SWEEPS = 50
-CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
-CREPT_LONG = 2  # such cycles in a row
-SLOW = 0.1  # a contraction a cycle from which on Krylov steps pay
-SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 SHORT_KRYLOV, LONG_KRYLOV = 2, 8
 LONG_CONJUGATE = 24  # where M is symmetric: conjugate gradients keep no directions
 KRYLOV_GAIN = 1e-2
@@ -189,9 +184,7 @@ class MultigridRun:
         """Yield cycles from z; where they fail go back to what was accepted, at first `start`, of residual `begun`."""
         self.truncation.start_at(0)
         fine, guard = self.problems[0], Safeguard(self.problem, self.is_symmetric, start, begun)
-        previous, changed_before, cycles, crept = np.inf, 0.0, 0, 0
-        may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
-        nested_at = np.inf
+        advance = Advance(may_nest=self.algorithm.nested and len(self.hierarchy.grids) > 1)
         while True:
             fine.sweep(z, backward=False)
             largest, changed = self._look(0, z)
@@ -203,20 +196,16 @@ class MultigridRun:
             is_lost = is_lost or not guard.lets_pass(z, largest)
             self.work += guard.take_products() * self.entries
             if is_lost:
-                previous = np.inf
+                advance.residual = np.inf
                 if not (yield from self._tries_again(z, guard)):
                     return
                 continue
-            is_slow = cycles >= 1 and largest > SLOW * previous
-            crept = crept + 1 if changed > CREEPING * changed_before else 0
-            may_nest = may_nest and (largest <= GAINED * nested_at)
-            previous, changed_before, nested_at = largest, changed, np.inf
-            cycles += 1
-            if is_slow and changed and crept > CREPT_LONG and may_nest:
+            advance.take(largest, changed)
+            if advance.is_creeping:
                 self._nested_start(z, is_cold=False)
                 self.truncation.start_at(0)
-                changed_before, crept, nested_at = self.size, 0, largest
-            elif is_slow and changed <= max(SETTLED * self.size, 1):
+                advance.start_nested(self.size)
+            elif advance.is_slow and changed <= max(SETTLED * self.size, 1):
                 yield from self._krylov(z, is_settled=not changed)
             else:
                 self.truncation.unit = power_of_two(largest)

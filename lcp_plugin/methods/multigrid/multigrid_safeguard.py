@@ -1,4 +1,4 @@
-r"""Why projected multigrid converges, and the safeguard that makes it so: the last accepted iterate.
+"""Why projected multigrid converges, and the safeguard that makes it so: the last accepted iterate.
 
 J(z) = ½ zᵀMz + qᵀz, ρ(z) the largest scaled residual |z_i − mid(l_i, u_i, z_i − w_i/d_i)|, d the diagonal of M, and S
 one projected Gauss–Seidel sweep. From an accepted iterate y the run tries z: any correction (a truncated V-cycle,
@@ -35,17 +35,23 @@ References
    SIAM J. Control 9 (1971), doi:10.1137/0309028.
 .. [3] C. Gräser, R. Kornhuber, *Multigrid methods for obstacle problems*, J. Comput. Math. 27 (2009): the correction
    after a nonlinear smoother needs to be monotone only.
+
+The complementarity problem of one grid of projected full multigrid.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, read_only
+from ...core.kernels import splitting_sweeps as kernels
 from ...core.kernels.floats import EPSILON
-from ...systems.hierarchy.vectors import dot
+from ...systems.hierarchy import sweeps
+from ...systems.hierarchy.grids import Grid
+from ...systems.hierarchy.vectors import dot, span
 
 if TYPE_CHECKING:
     from ...core.lcp import LCP
@@ -54,6 +60,10 @@ SHRUNK = 0.9
 SUFFICIENT = 1e-4
 PATIENCE = 12  # cycles that may pass without an accepted one
 OUT_OF_HAND = 100.0  # times the least residual, which no patience is for
+CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
+CREPT_LONG = 2  # such cycles in a row
+SLOW = 0.1  # a contraction a cycle from which on Krylov steps pay
+SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 GAINED = 0.5  # a round of cycles and sweeps that reduces the least residual by less has failed
 MOST_FAILED_ROUNDS = 3
 
@@ -151,3 +161,79 @@ class Safeguard:
         return (
             0.5 * total(dot(step, slack + self._slack)), 8.0 * EPSILON * total(dot(np.abs(step), terms)), slack,
         )
+
+
+if TYPE_CHECKING:
+    from .multigrid import Multigrid
+
+
+class GridProblem:
+    """The complementarity problem of one grid, with its projected sweep."""
+
+    def __init__(
+        self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
+    ) -> None:
+        self.grid, self.entries = grid, grid.matrix.data.size
+        # All read-only, so that every kernel is compiled once.
+        self.vectors = tuple(read_only(np.ascontiguousarray(vector)) for vector in (grid.inverse, q, lower, upper))
+        _, self.q, self.lower, self.upper = self.vectors
+        self.residual = np.zeros(grid.width, grid.inverse.dtype)
+        self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
+        self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
+        self.communicator = grid.communicator
+        if self.is_projected_type:
+            pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
+            # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
+            self.splits = {False: grid.split, True: read_only(grid.split + 1)}
+            self.projected_type_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
+            self.new = np.empty_like(self.residual)
+
+    def sweep(self, z: FloatVector, backward: bool) -> None:
+        """Overwrite z by one projected sweep."""
+        self.communicator.fetch(z)
+        if not self.is_projected_type:
+            sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z)
+            return
+        indptr, _, indices, data, _ = self.grid.rows
+        self.new[self.q.size:] = z[self.q.size:]
+        kernels.splitting_sweep(
+            indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new
+        )
+        np.copyto(z, self.new)
+
+    def gauss_seidel(self, z: FloatVector) -> float:
+        """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
+        before = z[: self.q.size].copy()
+        self.communicator.fetch(z)
+        sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, 1.0, False, z)
+        with np.errstate(over="ignore"):  # between bounds of ±1e308
+            before -= z[: self.q.size]
+        return self.communicator.largest(span(before))
+
+
+@dataclass
+class Advance:
+    """How cycles gain: the last residual and number of rows that changed sides, and how long the front has crept."""
+
+    may_nest: bool
+    residual: float = np.inf
+    changed: float = 0.0
+    crept: int = 0  # cycles in a row
+    nested_at: float = np.inf  # the residual at the last nested start, where that was a cycle ago
+    is_slow: bool = False
+
+    def take(self, residual: float, changed: float) -> None:
+        """Take in a cycle."""
+        self.is_slow = residual > SLOW * self.residual
+        self.crept = self.crept + 1 if changed > CREEPING * self.changed else 0
+        self.may_nest = self.may_nest and residual <= GAINED * self.nested_at
+        self.residual, self.changed, self.nested_at = residual, changed, np.inf
+
+    @property
+    def is_creeping(self) -> bool:
+        """True where the free set moves layer by layer, and a nested start has not failed to help."""
+        return self.is_slow and bool(self.changed) and self.crept > CREPT_LONG and self.may_nest
+
+    def start_nested(self, size: float) -> None:
+        """Note that the free set is found anew on coarser grids: so many rows may change."""
+        self.changed, self.crept, self.nested_at = size, 0, self.residual

@@ -14,7 +14,7 @@ from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.kinds import refusal
 from ...core.lcp import LCP
-from ...proofs.exact.exactly import exact_slack
+from ...proofs.exact.rational import exact_slack
 from ...proofs.exact.simplex import Effort
 from ...proofs.no_solution.infeasibility import Case, NoSolution
 from .explorer import Explorer, Face, Point, extreme_points

@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import Any
 
 from ...core.lcp import LCP
-from ...proofs.exact.exactly import integer_matrix, slack_bounds
+from ...proofs.exact.rational import integer_matrix, slack_bounds
 from ...proofs.exact.simplex import Bound, Effort, ExactSimplex
 from ...proofs.no_solution.infeasibility import Case
 from ...proofs.no_solution.refutation import FIXED, LOWER, SLACKLESS, UPPER, Choices, row_choices

@@ -228,7 +228,7 @@ def outline(problem: LCP, most_entries: float) -> Outline:
     >>> found.tree is not None, round(found.least_residual, 3) > 0.0
     (True, True)
     """
-    from .kernels import cases as kernels
+    from . import kernels
 
     n = problem.n
     most = min(MOST_CASES, 3 ** (n + 1))  # more than there are

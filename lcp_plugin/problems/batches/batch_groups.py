@@ -122,7 +122,7 @@ def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, A
     One compiled pass over all cases in doubles says so: no proof, and none is wanted. A run of each would end STALLED
     at its start.
     """
-    from ...methods.search.kernels import cases as kernels
+    from ...methods.search import kernels
 
     n = group.shape[1]
     starts = group.starts if group.starts.size else np.zeros((1, 1))

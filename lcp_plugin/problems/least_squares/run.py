@@ -22,9 +22,8 @@ from ...core.solving.run import Run
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
-from .face_steps import active_set_steps, block_pivot_steps, interior_steps
+from .face_steps import active_set_steps, block_pivot_steps, interior_steps, projected_steps
 from .faces import Faces, Point
-from .projected_steps import projected_steps
 from .refined_steps import refined_steps
 
 DENSE_PATIENCE = 0.05  # steps that AᵀA and its factors cost, ÷ the smaller dimension of A

@@ -102,7 +102,7 @@ class Part:
         self._of_step: tuple[int, Derivative] | None = None
         self.is_plain = np.zeros(count, np.bool_)
         if self.band is not None:
-            from .kernels.banded_derivatives import settle
+            from .kernels import settle
 
             problem = march.problem
             settle(self.band.band, *self.band.rows, problem.residual_scale, self.q, problem.lower, problem.upper,
@@ -120,7 +120,7 @@ class Part:
 
     def degenerate(self, k: int) -> NDArray[np.intp]:
         """Return the degenerate rows of a step."""
-        from .kernels.banded_derivatives import KINK
+        from .kernels import KINK
 
         return np.flatnonzero(np.abs(self.sides[k]) == KINK) if self.is_plain[k] else self.at(k).degenerate
 
@@ -129,7 +129,7 @@ class Part:
         k, carry = 0, self.march.carry
         while k < len(self):
             if self.band is not None:
-                from .kernels.banded_derivatives import tangents
+                from .kernels import tangents
 
                 k = tangents(
                     self.band.band, self.band.carry, _by_rows(change.dM), _by_rows(change.dcarry), dforcing,
@@ -148,7 +148,7 @@ class Part:
         k, march = len(self) - 1, self.march
         while k >= 0:
             if self.band is not None:
-                from .kernels.banded_derivatives import adjoints
+                from .kernels import adjoints
 
                 k = adjoints(
                     self.band.transposed, self.band.transposed_carry, g, self.band.of_matrix, self.band.of_carry,

@@ -25,7 +25,7 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.doors.nl import NLModel, model_of, read_nl, write_nl
 from lcp_plugin.doors.nl.content import NLContent, Token, Trees
 from lcp_plugin.doors.nl.expressions import UNKNOWNS, Expressions
-from lcp_plugin.doors.nl.operators import OPERATORS
+from lcp_plugin.doors.nl.tokens import OPERATORS
 from lcp_plugin.modeling.expressions import functions
 from lcp_plugin.modeling.expressions.program import Program
 from lcp_plugin.modeling.registration import build

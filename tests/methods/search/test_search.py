@@ -13,7 +13,7 @@ from campaigns.search import Enumeration, random_problem, violations
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
 from lcp_plugin.methods.search import Effort, Found, GaveUp, all_solutions, explore, search
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
-from lcp_plugin.proofs.exact.exactly import is_exact_solution
+from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.proofs.exact.simplex import QUANTUM
 from lcp_plugin.proofs.no_solution.infeasibility import Case, NoSolution
 from lcp_plugin.proofs.no_solution.refutation import row_choices

@@ -29,7 +29,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.core.kernels.compilation import compiling_at_once
-from lcp_plugin.problems.march.kernels import banded_derivatives
+from lcp_plugin.problems.march import kernels
 from lcp_plugin.problems.march.march import March, carry_remark
 
 # --- What is kept ---------------------------------------------------------------------------------------------
@@ -363,7 +363,7 @@ def test_a_march_without_steps_has_a_derivative() -> None:
 
 def test_all_ways_to_ask_run_what_one_has_compiled() -> None:
     """Marches and directions of any layout, kept or not, with compiled code for one kind of arrays; the same bits."""
-    done, kernel = marched(*drawn(40, 1, z=True), 30, 1), banded_derivatives
+    done, kernel = marched(*drawn(40, 1, z=True), 30, 1), kernels
     change, g = change_of(done, 1), np.random.default_rng(0).normal(size=(30, 40))
     with compiling_at_once():
         first, dz = derivative(done).vjp(g), derivative(done).jvp(**change)

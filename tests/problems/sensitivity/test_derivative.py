@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import derivatives as campaign
+from drawn_units import solved_in_units
 from exact import FREE, LOWER, UPPER, exact_solution
 from exact_derivatives import Change, Piece, distance, piece_at
 from hypothesis import given, settings
@@ -23,7 +24,7 @@ from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 from lcp_plugin.systems import free_systems
 from lcp_plugin.systems.free_systems import FreeSystem
 
-STRICT = {"degenerate": 0.0, "active": 0.4}
+STRICT = {"degenerate": False}
 ACCURACY = 1e-12
 KINK = LCP([[2.0, 1.0], [1.0, 3.0]], [-2.0, -1.0])  # z = (1, 0), w = 0
 
@@ -67,7 +68,7 @@ def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
 
 
 @settings.get_profile("few")
-@given(solved_lcps(bounds=True, row_scale=20, column_scale=20, **STRICT), st.integers(0, 9))
+@given(solved_in_units(solved_lcps(bounds=True, **STRICT), 20, 20), st.integers(0, 9))
 def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
     """Rows and columns times 2^±20: each component of dz to 12 digits of the largest in its own unit."""
     problem, z = drawn
@@ -189,7 +190,7 @@ def test_a_free_row_has_no_part_in_what_w_tells() -> None:
 
 @settings.get_profile("few")
 @given(
-    solved_lcps(bounds=True, row_scale=10, column_scale=10, **STRICT), st.integers(0, 99),
+    solved_in_units(solved_lcps(bounds=True, **STRICT), 10, 10), st.integers(0, 99),
     st.sampled_from([0.0, 1e-12, 1e-6, 1e-2]),
 )
 def test_no_error_exceeds_its_bound(drawn, seed, step) -> None:
@@ -282,7 +283,7 @@ def test_uniqueness_is_proven_of_most() -> None:
 
 
 @settings.get_profile("few")
-@given(solved_lcps(degenerate=0.5, active=0.2, bounds=True), st.integers(0, 99))
+@given(solved_lcps(bounds=True), st.integers(0, 99))
 def test_planted_degenerate_rows_are_named(drawn, seed) -> None:
     """Never unique; jvp is the exact one-sided derivative, and vjp the gradient of the piece that `free` names."""
     problem, z = drawn

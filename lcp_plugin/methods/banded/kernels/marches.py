@@ -2,13 +2,22 @@
 
 As in :mod:`~lcp_plugin.methods.banded.kernels.bands`, with M's off-diagonal entries ≤ 0, but a round starts from the
 sides that the last one found: from one step of a march to the next few rows change.
+
+Compiled answers of tridiagonal problems whose off-diagonal entries are ≤ 0, bounded on one side: z ≥ value.
+
+The theory is Chandrasekaran's, the order of the rows Cryer's. With all rows at their bounds, free a row whose w is
+negative, then the next: z only rises, so that no free row returns to its bound. Take the rows from first to last, with
+all later ones at their bounds. A row that becomes free raises its neighbours on both sides: it joins the free rows
+before it, and if that makes w negative at the bound where these begin, that row becomes free too, and joins what is
+free before it. A block of free rows depends on the rest by the two values beside it alone, and the z of its two ends
+are linear in those; two blocks and the row between them join by one division. Each row is joined once: O(n).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_part, interpreted_while_small
+from ....core.kernels.compilation import compiled_into_others, compiled_part, interpreted_while_small
 from ....core.kernels.enclosures import MAY_UNDERFLOW, of_terms, row_ends, split_sum, with_term
 from ....core.kernels.floats import TINY, UNIT
 
@@ -166,3 +175,97 @@ def march_all(  # type: ignore[no-untyped-def]
             for i in range(n):
                 Z[m, k, i] = z[i, m]
     return forcing.shape[0]
+
+
+@compiled_into_others
+def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
+    """Return the block that two blocks and the free row between them make, and the pivot of that row.
+
+    A block is the z of its first and of its last row, each as constant, factor of the z left, and of the z right of it.
+    """
+    pivot = d - a * before[5] - c * after[1]
+    own, left, right = (a * before[3] + c * after[0] - q) / pivot, a * before[4] / pivot, c * after[2] / pivot
+    first = before[0] + before[2] * own, before[1] + before[2] * left, before[2] * right
+    last = after[3] + after[4] * own, after[4] * left, after[5] + after[4] * right
+    return (first[0], first[1], first[2], last[0], last[1], last[2]), pivot
+
+
+NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular to double precision
+EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
+
+
+@compiled_part
+def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks):  # type: ignore[no-untyped-def]
+    """Fill is_free with the rows that are not at their bound in the least z ≥ value with w ≥ 0, complementary.
+
+    Parameters
+    ----------
+    bands : array, shape (3, n)
+        m_{i,i−1}, m_ii and m_{i,i+1}; 0 outside of M.
+    q : array, shape (n,)
+    sign : float
+        1, or −1: the problem is the one of −z, with −q.
+    value : array, shape (n,)
+        The bound of each row, −∞ for none.
+    is_held : array of bool, shape (n,)
+        The rows that stay at their value whatever their w is.
+    is_free : array of bool, shape (n,)
+    stops, slack, blocks : arrays, shapes (n + 1,) of int64, (n + 1,) and (n + 1, 6)
+        Room: the rows at their bounds so far, their w, and the free rows before each.
+
+    Returns
+    -------
+    bool
+        False where a pivot is not positive, or negligible: M is no M-matrix, or singular.
+    """
+    n = is_free.size
+    top, left, block = 0, 0.0, EMPTY  # rows at their bounds, the z of the last one, and the free rows behind it
+    for i in range(n):
+        a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
+        here, after = value[i], value[i + 1] if i + 1 < n else 0.0
+        # w without the part of the next row
+        w = d * here - a * (block[3] + block[4] * left + block[5] * here) + sign * q[i]
+        is_free[i] = (not is_held[i]) and (here == -np.inf or w < c * after)
+        if not is_free[i]:
+            top += 1
+            stops[top], slack[top], left = i, w, here
+            blocks[top, 0], blocks[top, 1], blocks[top, 2] = block[0], block[1], block[2]
+            blocks[top, 3], blocks[top, 4], blocks[top, 5] = block[3], block[4], block[5]
+            block = EMPTY
+            continue
+        block, pivot = _join(block, EMPTY, a, d, c, sign * q[i])
+        if not pivot > NEGLIGIBLE_PIVOT * d:
+            return False
+        while top > 0 and after > -np.inf:  # a row without bound becomes free next, and then they are looked at
+            k = stops[top]
+            a, d, c = -bands[0, k], bands[1, k], -bands[2, k]
+            if is_held[k] or not slack[top] < c * (block[0] + block[1] * left + block[2] * after):
+                break
+            is_free[k] = True
+            kept = blocks[top]
+            block, pivot = _join((kept[0], kept[1], kept[2], kept[3], kept[4], kept[5]), block, a, d, c, sign * q[k])
+            if not pivot > NEGLIGIBLE_PIVOT * d:
+                return False
+            top -= 1
+            left = value[stops[top]] if top > 0 else 0.0
+    return True
+
+
+@compiled_part
+def substitute(bands, q, value, state, z, slope):  # type: ignore[no-untyped-def]
+    """Fill z with value where state is not 0 and the solution of w = 0 elsewhere; no pivot is looked for.
+
+    On M-matrices that is backward stable in every entry (Higham, *Accuracy and stability*, SIAM 2002, theorem 9.12).
+    """
+    n = z.size
+    here = factor = 0.0
+    for i in range(n):
+        if state[i] != 0:
+            here, factor = value[i], 0.0
+        else:
+            a = -bands[0, i]
+            pivot = bands[1, i] - a * factor
+            here, factor = (a * here - q[i]) / pivot, -bands[2, i] / pivot
+        z[i], slope[i] = here, factor
+    for i in range(n - 2, -1, -1):
+        z[i] += slope[i] * z[i + 1]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
 
 AT_LOWER, AT_ZERO, AT_UPPER = 0, 1, 2  # the choices of a row
 ROW, PARENT, CHOICE, IS_CLOSED = 0, 1, 2, 3  # columns of the tree

@@ -1,0 +1,77 @@
+"""Strategies made of those of the package: data in units of powers of two, and nearly singular matrices."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP
+from lcp_plugin.strategies import positive_semidefinite_matrices, strictly_dominant_matrices
+
+Solved = tuple[LCP, tuple[Fraction, ...]]
+
+
+def _exponents(draw: st.DrawFn, n: int, largest: int) -> np.ndarray:
+    drawn = draw(st.lists(st.integers(-largest, largest), min_size=n, max_size=n))
+    return np.array(drawn, dtype=np.int64)
+
+
+def _in_units(M: Any, row: np.ndarray, column: np.ndarray) -> Any:
+    moved = np.ldexp(M.toarray() if sp.issparse(M) else M, row[:, None] + column)
+    return sp.csr_array(moved) if sp.issparse(M) else moved
+
+
+@st.composite
+def matrices_in_units(draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: int = 0, column: int = 0) -> Any:
+    """R M C with R and C of powers of two, exponents up to `row` and `column` in size."""
+    M = draw(matrices)
+    n = M.shape[0]
+    return _in_units(M, _exponents(draw, n, row), _exponents(draw, n, column))
+
+
+@st.composite
+def symmetric_in_units(draw: st.DrawFn, matrices: st.SearchStrategy[Any], largest: int) -> Any:
+    """S M S with S of powers of two, exponents up to `largest` in size."""
+    M = draw(matrices)
+    S = _exponents(draw, M.shape[0], largest)
+    return _in_units(M, S, S)
+
+
+@st.composite
+def lcps_in_units(draw: st.DrawFn, lcps: st.SearchStrategy[LCP], row: int, column: int = 0) -> LCP:
+    """Rows of (M, q) multiplied, components of z measured, in powers of two."""
+    problem = draw(lcps)
+    return _moved(problem, _exponents(draw, problem.n, row), _exponents(draw, problem.n, column))
+
+
+@st.composite
+def solved_in_units(draw: st.DrawFn, solved: st.SearchStrategy[Solved], row: int, column: int = 0) -> Solved:
+    """Rows of (M, q) multiplied, components of z measured, in powers of two; the answer stays exact."""
+    problem, z = draw(solved)
+    units = _exponents(draw, problem.n, column)
+    moved = _moved(problem, _exponents(draw, problem.n, row), units)
+    return moved, tuple(value / Fraction(2) ** int(unit) for value, unit in zip(z, units, strict=True))
+
+
+def _moved(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
+    lower, upper = np.ldexp(problem.lower, -column), np.ldexp(problem.upper, -column)
+    return LCP(_in_units(problem.M, row, column), np.ldexp(problem.q, row), lower=lower, upper=upper)
+
+
+def nearly_singular(margin: float = 2.0**-20) -> st.SearchStrategy[np.ndarray]:
+    """H₊-matrices of dominant rows whose diagonal entries exceed the sums of the others by a small margin."""
+
+    def slimmed(M: np.ndarray) -> np.ndarray:
+        others = abs(M).sum(axis=1) - M.diagonal()
+        return M + np.diag((margin - 1.0) * (M.diagonal() - others))
+
+    return strictly_dominant_matrices().map(slimmed)
+
+
+def nearly_semidefinite(margin: float) -> st.SearchStrategy[np.ndarray]:
+    """Symmetric positive definite matrices, their least eigenvalue as a rule the margin."""
+    return positive_semidefinite_matrices().map(lambda M: M + margin * np.eye(len(M)))

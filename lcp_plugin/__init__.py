@@ -20,6 +20,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -172,3 +173,14 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*__all__, *_FOR_TESTS])
+
+
+def _solve_model(problem: Any, *args: Any, **options: Any) -> Any:
+    registration = import_module(f"{__name__}.modeling.registration")
+    registration.register()
+    return registration.solve_model(problem, *args, **options)
+
+
+if (_problem := getattr(sys.modules.get("cvxpy"), "Problem", None)) is not None:
+    for _method in ("LCP", "lcp"):  # a program needs no name of ours but its method's
+        _problem.register_solve(_method, _solve_model)

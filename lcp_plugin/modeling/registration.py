@@ -42,7 +42,10 @@ CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend",
 
 
 def register() -> None:
-    """Make ``problem.solve(method="LCP")`` known to cvxpy; done on the first use of any modelling name."""
+    """Make ``problem.solve(method="LCP")`` known to cvxpy; done on the first use of any modelling name.
+
+    A program solves without one, where cvxpy was imported before lcp_plugin.
+    """
     for name in METHODS:
         cp.Problem.register_solve(name, solve_model)
     answer_derivatives()

@@ -57,6 +57,7 @@ OFFERS = {
         "once more": "methods.direct.direct_methods:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
+    "run": {"fused": "methods.small.fused:fused"},
     "watch": {"error": "proofs.bounds.error_watch:ErrorWatch", "advice": "proofs.bounds.error_watch:ADVICE"},
     "remark": {
         "classes": "proofs.verdicts.sign:classes_in_words",

@@ -17,9 +17,9 @@ from ...core.lcp import LCP
 from ...core.matrix.structure import IntVector, parts
 from ...core.matrix.units import are_in_one_unit
 from ...core.settings import Settings
-from ...core.solving.driver import beside_the_largest
 from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
 from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
+from ...methods.small.fused import beside_the_largest
 from ...methods.small.small_dense import Answers, run
 
 

@@ -19,9 +19,10 @@ from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.kernels.threads import in_chunks
 from ...core.lcp import LCP
 from ...core.settings import CallersOwn, Status
-from ...core.solving.driver import asked_of_solve, fused_result, solve
+from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result
 from ...methods.direct.direct_methods import may_be_searched
+from ...methods.small.fused import fused_result
 from ...methods.small.small_dense import Answers, run
 from ..many.answers import AnswerSequence, T
 from .batch_groups import Group, answers_in_common_units, by_parts, excluded, in_one_unit

@@ -17,10 +17,10 @@ from ...core.lcp import LCP
 from ...core.policy.choice import Policy, policy_for
 from ...core.policy.stages import Choice, Stage
 from ...core.settings import CallersOwn, Settings
-from ...core.solving.driver import fused
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
 from ...methods.lemke.lemke import Lemke
+from ...methods.small.fused import fused
 
 FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
 LARGE = 1000  # unknowns: beyond them steps without progress are too expensive

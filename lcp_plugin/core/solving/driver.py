@@ -170,7 +170,7 @@ def solve(
     communicator, clock = problem.communicator, Clock(problem.communicator)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), communicator.interruptions() as clock.hears:
-        policy, settings, callers, start = communicator.together(lambda: (
+        policy, settings, callback, start = communicator.together(lambda: (
             policy_for(algorithm, options, on_ranks=problem.is_distributed, refutes=refute),
             Settings(
                 tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
@@ -188,15 +188,15 @@ def solve(
                     warn(problem, policy, stacklevel=2)
                 units = CommonUnits.of(problem, settings.least_reference)
                 start, first = units.inward(start), policy.first(units.problem)
-                at_once = ask_or_none("run", "fused") if callers is None else None
+                at_once = ask_or_none("run", "fused") if callback is None else None
                 if at_once and (result := at_once(units, policy, first, settings, start, clock)) is not None:
                     return result
-                run = Run(units, policy, settings, callers, clock)
+                run = Run(units, policy, settings, callback, clock)
                 return run.judged(start, run.drive(start, first))
             except KeyboardInterrupt:
                 if problem.is_distributed:
                     raise  # the second one: the other ranks have not heard of it
-                run = run or Run(units, policy, settings, callers, clock)
+                run = run or Run(units, policy, settings, callback, clock)
                 return run.judged(start, Status.INTERRUPTED)
 
 

@@ -64,7 +64,7 @@ class Judge:
     _asked_at, _ask_again = math.inf, 0  # residual and iteration
 
     def __init__(self, units: CommonUnits, settings: Settings) -> None:
-        self.units, self.problem, self.settings = units, units.callers, settings
+        self.units, self.problem, self.settings = units, units.stated, settings
         self.asked: Any = self.problem
         self.reference = units.reference
         watches = settings.error_bound or settings.is_on_error
@@ -166,7 +166,7 @@ class Judge:
         """
         settings, units = self.settings, self.units
         if units.row_exponents is not None:
-            proof = proof.in_units(units.callers, -units.row_exponents)
+            proof = proof.in_units(units.stated, -units.row_exponents)
         if not proof.verify():
             return False
         if self.proof is None or proof.margin > self.proof.margin:

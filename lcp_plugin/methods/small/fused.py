@@ -35,11 +35,11 @@ def fused(
     found = algorithm.solve_fused(problem, start, _tolerance_of_all(units, settings, is_one), settings.max_iterations)
     if found is None:
         return None
-    if is_one and units.is_the_callers:  # the kernel has enclosed the residual of the whole
-        certificate = Certificate.enclosed(units.callers, found.z, found.residual)
+    if is_one and units.is_identity:  # the kernel has enclosed the residual of the whole
+        certificate = Certificate.enclosed(units.stated, found.z, found.residual)
     else:
-        certificate = Certificate.of(units.callers, units.outward(found.z))
-    if not settings.accept(certificate) or answers_program(units.callers, settings, certificate.z) is False:
+        certificate = Certificate.of(units.stated, units.outward(found.z))
+    if not settings.accept(certificate) or answers_program(units.stated, settings, certificate.z) is False:
         return None
     return fused_result(certificate, policy, first, found, settings, clock.read())
 

@@ -106,7 +106,7 @@ def answers_in_common_units(group: Group, phases: Phases, settings: Settings) ->
         own = slice(ends[k], ends[k + 1])
         tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
         run((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
-    certificate = Certificate.of(units.callers, units.outward(answers.z.reshape(-1)))
+    certificate = Certificate.of(units.stated, units.outward(answers.z.reshape(-1)))
     answers.z[:] = certificate.z.reshape(count, n)
     largest, least = certificate.residuals_of_parts
     for k in np.flatnonzero(answers.has_converged).tolist():

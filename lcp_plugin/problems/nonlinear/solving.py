@@ -121,7 +121,8 @@ def solve_nonlinear(
         verbose,
     )
     policy_for(algorithm, {})
-    callers, start = checked_callback(callback), _checked_start(problem, x0)
+    checked_callback(callback)
+    start = _checked_start(problem, x0)
     problem = problem.sized(start.size)
     clock = Clock(ALONE)
     start = read_only(np.clip(start, problem.lower, problem.upper))
@@ -132,7 +133,7 @@ def solve_nonlinear(
         asked = settings.goal
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(judge.units, Single(newton, refutes=False), settings, callers, clock, judge)
+        run = Run(judge.units, Single(newton, refutes=False), settings, callback, clock, judge)
         try:
             if check_jacobian and problem.jacobian is not None:
                 require_true_jacobian(first)

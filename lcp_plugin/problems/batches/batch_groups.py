@@ -12,7 +12,6 @@ from ...core.certificates.criterion import CommonUnits
 from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import largest_ratio
 from ...core.checks import BoolVector, read_only
-from ...core.kernels.threads import in_chunks
 from ...core.lcp import LCP
 from ...core.matrix.structure import IntVector, parts
 from ...core.matrix.units import are_in_one_unit
@@ -21,6 +20,7 @@ from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
 from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
 from ...methods.small.fused import beside_the_largest
 from ...methods.small.small_dense import Answers, run
+from ..many.chunks import in_chunks
 
 
 class Group(NamedTuple):

@@ -16,7 +16,6 @@ from ...core.checks import read_only
 from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
-from ...core.kernels.threads import in_chunks
 from ...core.lcp import LCP
 from ...core.settings import Status
 from ...core.solving.driver import asked_of_solve, solve
@@ -25,6 +24,7 @@ from ...methods.direct.direct_methods import may_be_searched
 from ...methods.small.fused import fused_result
 from ...methods.small.small_dense import Answers, run
 from ..many.answers import AnswerSequence, T
+from ..many.chunks import in_chunks
 from .batch_groups import Group, answers_in_common_units, by_parts, excluded, in_one_unit
 from .batch_items import Items, Stacked, put
 

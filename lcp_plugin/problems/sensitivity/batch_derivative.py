@@ -11,12 +11,12 @@ import scipy.sparse as sp
 
 from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
-from ...core.kernels.threads import in_chunks
 from ...core.settings import Status
 from ...core.solving.result import Result
 from ..batches.batch_groups import Group
 from ..batches.batch_items import put
 from ..batches.batch_run import BatchResult
+from ..many.chunks import in_chunks
 from ..many.data import rows_of_a_batch
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class BatchDerivative:
     @cached_property
     def free(self) -> Any:
         """The rows that `vjp` takes as free, shape (B, n) or a list, of bool."""
-        from ...core.kernels.workspace import BETWEEN
+        from ...methods.small.kernels.workspace import BETWEEN
 
         free = self._gathered(False, lambda part: part.side == BETWEEN, lambda one: one.free)
         kinks = [k for k, is_degenerate in enumerate(self.degenerate) if is_degenerate.any()]
@@ -351,7 +351,7 @@ class BatchPart:
     Attributes
     ----------
     z, side : arrays, shape (k, n)
-        Their solutions, solved for once more, and where each row is: a side of `core.kernels.workspace`.
+        Their solutions, solved for once more, and where each row is: a side of `methods.small.kernels.workspace`.
     is_plain : array of bool, shape (k,)
         Where the compiled loop has settled these.
     """

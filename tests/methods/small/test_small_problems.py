@@ -17,8 +17,8 @@ from small_families import FAMILIES, problem
 import lcp_plugin.methods.small.small_dense as small_dense
 from lcp_plugin import LCP, Certificate, InvalidProblem, Result, Status, march, solve, solve_batch, solve_many
 from lcp_plugin.core.errors import ConvergenceWarning, InvalidOption
-from lcp_plugin.core.kernels import threads as sharing
 from lcp_plugin.problems.batches import batch_run
+from lcp_plugin.problems.many import chunks as sharing
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)

@@ -58,7 +58,7 @@ OFFERS = {
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
     "run": {"fused": "methods.small.fused:fused"},
-    "watch": {"error": "proofs.bounds.error_watch:ErrorWatch", "advice": "proofs.bounds.error_watch:ADVICE"},
+    "judge": {"error": "proofs.bounds.error_watch:ErrorJudge"},
     "remark": {
         "classes": "proofs.verdicts.sign:classes_in_words",
         "sign": "proofs.verdicts.sign:sign_remark",

@@ -124,7 +124,7 @@ def test_sweeps_are_equivariant() -> None:
         (lambda problem: problem.to_qp(), "conversion 'to_qp'"),
         (lambda problem: problem.save("p.npz"), "file format 'save'"),
         (lambda problem: LCP.from_game([[1.0]], [[1.0]]), "conversion 'from_game'"),
-        (lambda problem: solve(problem, error_bound=True), "watch 'error'"),
+        (lambda problem: solve(problem, error_bound=True), "judge 'error'"),
     ],
 )
 def test_what_is_not_here_is_named(ask, what: str, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]

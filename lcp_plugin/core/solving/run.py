@@ -20,10 +20,9 @@ from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
 from ..policy.choice import Policy, name_of
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage
-from ..registry import ask
 from ..settings import Settings, Status
 from .advice import advice_of_run, unused_start
-from .judge import Judge
+from .judge import Judge, judge_of
 from .result import BoundOrReason, Result, Sample, StageRecord
 from .run_log import RunLog
 
@@ -47,7 +46,7 @@ class Run:
         judge: Judge | None = None,
     ) -> None:
         self.units, self.policy, self.settings, self.callback, self.clock = units, policy, settings, callback, clock
-        self.judge, self.incumbent, self.state = judge or Judge(units, settings), Incumbent(), RunState()
+        self.judge, self.incumbent, self.state = judge or judge_of(units, settings), Incumbent(), RunState()
         self.problem = problem = units.problem
         self.progress = Progress(problem.n, settings.max_iterations)
         self.start_residual = math.inf
@@ -233,8 +232,6 @@ class Run:
         if not settings.refute:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
             words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"
-        if settings.is_on_error:
-            words |= ask("watch", "advice")
         result = Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on,
@@ -243,7 +240,7 @@ class Run:
             seconds=self.clock.read(), setup_seconds=state.setup_seconds, history=tuple(state.samples),
             stages=stages, infeasibility=self.judge.proof, _asked=self.policy.chosen,
             _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
-            _advice=words,
+            _advice={**words, **self.judge.advice},
         )
         if self.log is not None:
             self.log.end(result)

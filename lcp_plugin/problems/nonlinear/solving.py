@@ -173,7 +173,7 @@ class NonlinearJudge(Judge):
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
         self.units = CommonUnits(start.lcp, start.lcp)
         self.reference = 1.0  # the certificate knows what each part is compared with
-        self.errors = self.proof = self._certificate = None
+        self.proof = self._certificate = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z by F(z) and F′(z)."""

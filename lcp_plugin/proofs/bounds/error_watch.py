@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector
 from ...core.crossovers import SHARP_SAMPLES_UP_TO
 from ...core.errors import UnsuitableMatrix
@@ -16,6 +18,7 @@ from ...core.lcp import LCP
 from ...core.matrix.row_sums import unit_triangle_sums
 from ...core.matrix.structure import parts
 from ...core.settings import Settings, Status
+from ...core.solving.judge import Judge
 from ...core.solving.result import BoundOrReason
 
 if TYPE_CHECKING:
@@ -152,6 +155,43 @@ class ErrorWatch:
         from .error_bounds import error_bound
 
         return error_bound(self.problem, z, sharp=sharp)
+
+
+class ErrorJudge(Judge):
+    """Judges an LCP whose error is to be bounded: SOLVED speaks of it where the tolerance does."""
+
+    def __init__(self, units: CommonUnits, settings: Settings) -> None:
+        super().__init__(units, settings)
+        self.watch = ErrorWatch(self.problem, settings)
+        self.advice = ADVICE if settings.is_on_error else {}
+
+    def require_rigorous_bounds(self) -> None:
+        """Raise where the run stops on the error and M allows no rigorous bound of it."""
+        self.watch.require_rigorous()
+
+    def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
+        """Return whether z, of that certified residual, is what was asked for."""
+        if not self.settings.is_on_error:
+            return super().passes(z, residual, iteration)
+        return self.watch.proves(self.units.outward(z), residual * self.reference, iteration)
+
+    def passed(self) -> FloatVector | None:
+        """Return the z whose error is proved, or that answers the program."""
+        return super().passed() if self.watch.proof is None else self.watch.proof[0]
+
+    def is_solved_by(self, certificate: Certificate) -> bool:
+        """Return whether the error is proved, where that was asked for."""
+        if not self.settings.is_on_error:
+            return super().is_solved_by(certificate)
+        return self.watch.is_proved(certificate.z)
+
+    def bound_along_the_run(self, z: FloatVector, work: float) -> float | None:
+        """Return a bound of ‖z − z*‖∞ where M allows it."""
+        return self.watch.along_the_run(self.units.outward(z), work)
+
+    def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
+        """Return the bound of the answer's error, or how it is computed once looked at."""
+        return self.watch.final(certificate.z)
 
 
 def _sharpest(problem: LCP, z: FloatVector) -> BoundOrReason:

@@ -180,9 +180,8 @@ def solve(
         ))
         asked = policy.chosen, settings
         communicator.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
-        run: Run | None = None
+        run = units = None
         with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
-            units = CommonUnits(problem, problem)
             try:
                 if policy.chosen != "auto" and (warn := ask_or_none("remark", "uncovered")) is not None:
                     warn(problem, policy, stacklevel=2)
@@ -196,7 +195,7 @@ def solve(
             except KeyboardInterrupt:
                 if problem.is_distributed:
                     raise  # the second one: the other ranks have not heard of it
-                run = run or Run(units, policy, settings, callback, clock)
+                run = run or Run(units or CommonUnits(problem, problem), policy, settings, callback, clock)
                 return run.judged(start, Status.INTERRUPTED)
 
 

@@ -57,7 +57,8 @@ OFFERS = {
         "once more": "methods.direct.direct_methods:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
-    "watch": {"error": "proofs.bounds.active_rows:ErrorWatch", "advice": "proofs.bounds.active_rows:ADVICE"},
+    "run": {"fused": "methods.small.fused:fused"},
+    "judge": {"error": "proofs.bounds.error_watch:ErrorJudge"},
     "remark": {
         "classes": "proofs.verdicts.report:classes_in_words",
         "sign": "proofs.verdicts.report:sign_remark",

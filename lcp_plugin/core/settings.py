@@ -199,29 +199,8 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
 CHECKS_BESIDE_DEFAULTS = [(name, getattr(Settings, name), check) for name, check in CHECKS.items()]
 
 
-def checked_callback(callback: Any) -> CallersOwn | None:
-    """Return the caller's function as one that remembers what it raised, or None where there is none."""
+def checked_callback(callback: Any) -> Callable[..., Any] | None:
+    """Return the caller's function, or None where there is none."""
     if callback is not None and not callable(callback):
         raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
-    return None if callback is None else CallersOwn(callback)
-
-
-class CallersOwn:
-    """The caller's function, which remembers what it raised: that is no refusal of ours.
-
-    Parameters
-    ----------
-    function : callable
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-        self.raised: BaseException | None = None
-
-    def __call__(self, *arguments: Any) -> bool:
-        """Return the truth of what the function returns."""
-        try:
-            return bool(self._function(*arguments))
-        except BaseException as error:
-            self.raised = error
-            raise
+    return callback  # type: ignore[no-any-return]

@@ -237,7 +237,7 @@ def test_a_connected_problem_pays_nothing(make: Any) -> None:
     units = CommonUnits.of(problem)
     assert parts(problem.matrix) is None
     assert units.problem is problem
-    assert units.is_the_callers
+    assert units.is_identity
 
 
 def test_parts_are_brought_to_like_references_by_powers_of_two() -> None:

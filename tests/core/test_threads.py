@@ -22,8 +22,9 @@ from lcp_plugin import LCP, InvalidOption, NonlinearProblem, gallery, prepare, s
 from lcp_plugin.algorithms import NPGS
 from lcp_plugin.core.certificates import row_residuals
 from lcp_plugin.core.certificates.row_residuals import residual_ends_of
-from lcp_plugin.core.kernels.threads import in_chunks, share, threads_for, threads_now
+from lcp_plugin.core.kernels.threads import share, threads_for, threads_now
 from lcp_plugin.core.settings import Settings, checked_threads
+from lcp_plugin.problems.many.chunks import in_chunks
 
 TWO = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 1.0])
 

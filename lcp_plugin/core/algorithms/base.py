@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..checks import FloatVector, is_number
-from ..crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO, SWEEP_ENTRIES
+from ..crossovers import SWEEP_ENTRIES
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from ..lcp import LCP
 from ..matrix.iteration_facts import IterationFacts
@@ -235,16 +235,6 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
         raise InvalidOption(
             f"{algorithm.name}: {option}={value!r} is not offered{did_you_mean(value, choices)}"
         )
-
-
-def direct_passes(problem: LCP) -> float:
-    """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
-    if problem.is_dense or not has_positive_diagonal(problem.matrix).all():
-        return DIRECT_PASSES
-    if problem.n > DIRECT_UP_TO:
-        return math.inf
-    entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)
-    return max(DIRECT_PASSES, in_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))
 
 
 def in_driven_sweeps(problem: LCP, passes: float) -> float:

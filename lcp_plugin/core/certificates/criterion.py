@@ -211,7 +211,7 @@ class CommonUnits:
 
     Attributes
     ----------
-    callers : LCP
+    stated : LCP
         The problem as it was stated.
     problem : LCP
         What a run works on: M̂ with q and the bounds in these units; the caller's own where nothing changes.
@@ -225,7 +225,7 @@ class CommonUnits:
         No other reference counts for less than this, in the caller's units.
     """
 
-    callers: LCP
+    stated: LCP
     problem: LCP
     exponents: IntVector | None = None
     row_exponents: IntVector | None = None
@@ -262,7 +262,7 @@ class CommonUnits:
         least, most = own_references(self.problem)
         if self.least:
             with np.errstate(over="ignore"):
-                of_rows = np.full(self.callers.own, self.least)
+                of_rows = np.full(self.stated.own, self.least)
                 of_rows = of_rows if self.exponents is None else np.ldexp(of_rows, self.exponents)
             raised = np.where(most > 0.0, largest_of_parts(self.problem, of_rows), 0.0)
             least, most = np.maximum(least, raised), np.maximum(most, raised)
@@ -285,7 +285,7 @@ class CommonUnits:
         return smallest if smallest < np.inf else 0.0
 
     @property
-    def is_the_callers(self) -> bool:
+    def is_identity(self) -> bool:
         """Whether z means the same in both."""
         return self.exponents is None and self.answered is None
 
@@ -294,10 +294,10 @@ class CommonUnits:
 
         So it is where a number overflows: it is far from anything in its part.
         """
-        if self.is_the_callers:
+        if self.is_identity:
             return z
         origin = self.problem.nearest_to_zero
-        if z is self.callers.nearest_to_zero:
+        if z is self.stated.nearest_to_zero:
             return origin
         with np.errstate(all="ignore"):
             scaled = z if self.exponents is None else np.ldexp(z, self.exponents)
@@ -307,11 +307,11 @@ class CommonUnits:
 
     def outward(self, z: FloatVector) -> FloatVector:
         """Return a point in the common units in the caller's, shape (own,); z° where that is the answer."""
-        if self.is_the_callers:
+        if self.is_identity:
             return z
         with np.errstate(all="ignore"):
             back = z if self.exponents is None else np.ldexp(z, -self.exponents)
-        return back if self.answered is None else np.where(self.answered, self.callers.nearest_to_zero, back)
+        return back if self.answered is None else np.where(self.answered, self.stated.nearest_to_zero, back)
 
 
 def hold_at_zero(problem: LCP) -> BoolVector:

@@ -8,10 +8,3 @@ TINY = 2.0**-1074  # the smallest positive double; a product that underflows is 
 LARGEST = 1.7976931348623157e308  # the largest double
 DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
 NEGLIGIBLE_DIAGONAL = 1e-10  # beside the largest entry of its row: no measure of that row then
-
-# Solving with a factor, and again with what is left over.
-REFINEMENTS = 5
-ROUGH = 1e-7  # beside the right-hand side: more is always worth another solve
-REFINED = 1e-12  # beside the right-hand side: what is left is not worth another solve
-USEFUL = 0.1  # a refinement that leaves more of the error than this is not worth another
-STABLE = 1e-10  # the same beside the solution, which is large where the matrix is nearly singular

@@ -10,13 +10,10 @@ import _thread
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from contextvars import Context, ContextVar, copy_context
-from itertools import pairwise
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
 T = TypeVar("T")
-LARGEST_CHUNK = 256  # problems between two looks at the clock
-CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
 MOST_THREADS = 128  # to begin more takes longer than what they share
 
 
@@ -98,24 +95,10 @@ def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:
     if crew is None or crew.count == 1 or count < 2 * smallest:
         return [work(0, count)]
     pieces = min(crew.count, count // max(smallest, 1))
-    return _shared(work, [k * count // pieces for k in range(pieces + 1)], crew)
+    return shared_among(work, [k * count // pieces for k in range(pieces + 1)], crew)
 
 
-def in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
-    """Call ``work(first, end)`` for all of 0 ≤ k < count; after Ctrl-C the chunks that wait are not begun."""
-    threads = min(threads, MOST_THREADS)
-    size = min(max(count // (CHUNKS_A_THREAD * threads), 1), LARGEST_CHUNK)
-    ends = [*range(0, count, size), count]
-    if threads == 1 or len(ends) <= 2:
-        for first, end in pairwise(ends):
-            work(first, end)
-        return
-    crew = threads_for(threads)
-    with crew:
-        _shared(work, ends, crew)
-
-
-def _shared(work: Callable[[int, int], T], ends: Sequence[int], crew: threads_for) -> list[T]:
+def shared_among(work: Callable[[int, int], T], ends: Sequence[int], crew: threads_for) -> list[T]:
     """Return what the pieces between consecutive ends give, on the threads of a crew, this one among them."""
     job = _Job(work, ends)
     own = copy_context()

@@ -65,12 +65,6 @@ def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
     return triangle_sums(matrix, np.ones(matrix.width))
 
 
-@fact
-def longest_row(matrix: Matrix) -> int:
-    """Return the largest number of entries in a row."""
-    return int(np.diff(matrix.csr.indptr).max(initial=0))
-
-
 def row_blocks(n: int) -> Iterator[slice]:
     """Yield blocks of rows whose temporary vectors stay in a processor's cache."""
     for first in range(0, n, BLOCK):

@@ -89,14 +89,18 @@ def units_of(matrix: Matrix) -> Units | None:
     >>> units_of(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).column.tolist()
     [0, 30, -30]
     """
-    if not matrix.communicator.is_alone or _is_even(matrix):
+    if not matrix.communicator.is_alone:
+        return None
+    pivots = np.abs(matrix.diagonal)
+    is_led_by_diagonal = pivots.min(initial=np.inf) >= matrix.largest * 2.0**-SPREAD
+    if is_led_by_diagonal or (matrix.is_dense and _is_even(matrix.array, pivots)):
         return None
     several = parts(matrix)
     labels = np.zeros(matrix.n, np.int64) if several is None else several.labels
     if several is None and matrix.is_dense and (found := _of_symmetric(matrix.array, matrix.diagonal)) is not None:
         return _units(matrix, labels, *found)  # as below, for a tenth of the price
     M = matrix.csr
-    uneven = _uneven_parts(M, labels, np.abs(matrix.diagonal))
+    uneven = _uneven_parts(M, labels, pivots)
     if not uneven.any():
         return None
     row, column = np.zeros((2, matrix.n), np.int64)
@@ -108,19 +112,18 @@ def units_of(matrix: Matrix) -> Units | None:
 def are_in_one_unit(matrices: Any) -> BoolVector:
     """Return which of several dense matrices, shape (k, n, n), keep their units for certain, shape (k,)."""
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
-    most = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD
-    are: BoolVector = most <= pivots.min(axis=1, initial=np.inf)
+    are: BoolVector = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD <= pivots.min(axis=1, initial=np.inf)
     for k in np.flatnonzero(~are):
-        least = _least_positive(sizes[k].max(axis=0), sizes[k].max(axis=1))
-        are[k] = most[k] <= least or _is_dominant(sizes[k], pivots[k])
+        are[k] = _is_even(matrices[k], pivots[k])
     return are
 
 
-def _least_positive(*sides: FloatVector) -> float:
-    return min(float(side.min(initial=np.inf, where=side > 0.0)) for side in sides)
-
-
-def _is_dominant(sizes: FloatVector, pivots: FloatVector) -> bool:
+def _is_even(M: FloatVector, pivots: FloatVector) -> bool:
+    """Return whether all of a dense M is even or dominant, as `_uneven_parts` says of each part."""
+    sizes = np.abs(M)
+    sides = np.stack([sizes.max(axis=0), sizes.max(axis=1)])
+    if sides.max() * 2.0**-SPREAD <= sides.min(initial=np.inf, where=sides > 0.0):
+        return True
     with np.errstate(over="ignore"):
         return bool((sizes.sum(axis=1) <= (1.0 + DOMINANT) * pivots).all())
 
@@ -166,19 +169,6 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
 def is_representable(scale: FloatVector) -> bool:
     """Return whether all scales are normal numbers: beside 0 or ∞ no w would count, or none but 0."""
     return bool(((scale >= np.finfo(float).tiny) & (scale <= np.finfo(float).max)).all())
-
-
-def _is_even(matrix: Matrix) -> bool:
-    """Return whether the entries of all of M are alike, told in one pass where the diagonal is full."""
-    diagonal, largest = matrix.diagonal, matrix.largest * 2.0**-SPREAD
-    if not largest or diagonal.min() >= largest or np.abs(diagonal).min() >= largest:
-        return True
-    if not matrix.is_dense:
-        return False
-    sizes = np.abs(matrix.array)
-    of_rows, of_columns = sizes.max(axis=1), sizes.max(axis=0)
-    least = min(float(of_rows.min()), float(of_columns.min()))
-    return (least or _least_positive(of_rows, of_columns)) >= largest or _is_dominant(sizes, np.abs(diagonal))
 
 
 def _uneven_parts(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> BoolVector:

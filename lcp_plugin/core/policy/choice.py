@@ -59,22 +59,18 @@ from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..lcp import LCP
 from ..matrix.row_sums import has_positive_diagonal
-from ..matrix.symmetry import has_symmetric_entries
 from ..registry import ask_or_none
 from ..settings import OF_SOLVE
 from ..splittings.projected_relaxation import PGS, PSOR
 from ..splittings.projected_type import NPSOR
+from .remaining import TRIAL_SWEEPS, Remaining
 from .stages import Choice, Stage
 
 if TYPE_CHECKING:
     from ...methods.direct.direct_methods import Retries, Turns
 
-TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40
-ASKED_EVERY = 20  # sweeps
-PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple of what the rival predicts
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows
-NEAR = 1e-2  # of the largest unknown: so near to a bound is none that is free
 PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
 
 
@@ -168,40 +164,24 @@ class Auto(Policy):
         now = stages[-1]
         if self._direct is not None:
             return self._direct.after(stages, target, failed=failed)
-        is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
-        if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() and (order := _triangle(problem)):
+        if (order := _exact_order(problem, now)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if now.algorithm.name == "banded":
             return replace(PROJECTED_TYPE, because="banded came to an end") if failed else None
-        failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
-        is_asked, sweeps = failed or _is_asked(problem, now), 0.0
-        is_sought = isinstance(now.algorithm, NPSOR) and problem.n > DIRECT_UP_TO and not problem.is_dense
-        if is_sought and not failed and (is_asked or is_after_one_sweep):
-            sweeps = _least_sweeps(problem, now, target)
-        if is_asked:
-            sweeps = math.inf if failed else max(sweeps, now.steps_to_go(target))
-        elif sweeps == 0.0:
+        left = Remaining.of(problem, now, target, failed=failed)
+        if left is None:
             return None
-        else:
-            sweeps /= PATIENCE**2  # after one sweep multigrid has to be clearly less than psor, which takes the root
-        name = now.algorithm.name
-        needs = f"{name} needs {sweeps:.0f} more sweeps" if sweeps < math.inf else f"{name} does not get nearer"
-        needs = f"{name} came to an end" if failed else needs
-        if name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
-            return Choice(PSOR(), f"{needs}, and a factorisation may be too large")
-        predicted = {rival: rival.predicted_passes(problem, sweeps) for rival in _rivals(problem, stages)}
-        if not predicted:  # no room of rivals is here
+        if left.name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
+            return Choice(PSOR(), f"{left}, and a factorisation may be too large")
+        predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in _rivals(problem, stages)}
+        rival = min(predicted, key=lambda one: predicted[one], default=None)
+        if rival is None or not left.loses_to(rival, passes := predicted[rival]):
             return None
-        least = min(predicted, key=lambda rival: predicted[rival])
-        is_hovering = now.work + sweeps > PATIENCE * predicted[least]  # its prediction came true too late before
-        is_enough = sweeps <= predicted[least] and not (failed or is_hovering)
-        if is_enough or not (is_asked or least.name == "multigrid"):
-            return None
-        if predicted[least] == math.inf or least.name == DIRECT:
-            self._direct = self._turns(problem)
-            first = None if self._direct is None else self._direct.first()
-            return first and replace(first, because=f"{needs}; {first.because}")
-        return Choice(least, f"{needs}, {least.name} about {predicted[least]:.0f} passes over M")
+        if passes < math.inf and rival.name != DIRECT:
+            return Choice(rival, f"{left}, {rival.name} about {passes:.0f} passes over M")
+        self._direct = self._turns(problem)
+        first = None if self._direct is None else self._direct.first()
+        return first and replace(first, because=f"{left}; {first.because}")
 
     def _turns(self, problem: LCP) -> Turns | None:
         """Return the direct methods, where they are here."""
@@ -270,37 +250,6 @@ def method_or_none(name: str) -> Algorithm | None:
     return create(name, {}) if name in REGISTRY else None
 
 
-def _is_asked(problem: LCP, now: Stage) -> bool:
-    """Return whether the stage's rate is known well enough to ask for what needs less work."""
-    k = now.iterations
-    if isinstance(now.algorithm, PSOR):
-        return k >= TRIAL_SWEEPS_PSOR and k % ASKED_EVERY == 0
-    if not isinstance(now.algorithm, NPSOR):
-        return False
-    if problem.is_dense:
-        return k >= TRIAL_SWEEPS_DENSE
-    is_trial_over = k >= TRIAL_SWEEPS and (k - TRIAL_SWEEPS) % ASKED_EVERY == 0
-    return is_trial_over or (SHORTEST_TRIAL <= k < TRIAL_SWEEPS and now.is_steady())
-
-
-def _least_sweeps(problem: LCP, now: Stage, target: float) -> float:
-    """Return how many sweeps errors that are constant on the free unknowns take, 0 where nobody knows."""
-    if now.z is None or not now.residuals or not target > 0.0:
-        return 0.0
-    gain = now.residuals[-1][1] / target
-    with np.errstate(all="ignore"):
-        room = NEAR * max(now.z.max(), -now.z.min())  # npsor approaches a bound without reaching it
-        is_free = (problem.lower + room < now.z) & (now.z < problem.upper - room)
-        free = is_free.astype(np.float64)
-        sums, diagonal = problem.csr @ free, problem.diagonal
-        share, least = free @ sums / (free @ diagonal), (sums / diagonal).min(initial=1.0, where=is_free)
-        slowest = max(0.5 * (math.pi * share) ** 2, least)
-    is_far = gain > 1.0 and 0.0 < slowest < 1.0
-    if not (is_far and has_symmetric_entries(problem.matrix)):
-        return 0.0
-    return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))
-
-
 def _is_clearly_dominant(problem: LCP) -> bool:
     """Return whether Σ_{j≠i} |m_ij| ≤ 0.8 m_ii on every row; the first block of rows refuses most other matrices."""
     M, diagonal = problem.csr, problem.diagonal
@@ -325,6 +274,12 @@ def _triangle(problem: LCP) -> str | None:
     from ..matrix.structure import triangular_form
 
     return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
+
+
+def _exact_order(problem: LCP, now: Stage) -> str | None:
+    """Return the order of the sweep that is exact, where M is triangular and one sweep of npsor is done."""
+    is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
+    return _triangle(problem) if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() else None
 
 
 def last_resort(problem: LCP) -> Algorithm:

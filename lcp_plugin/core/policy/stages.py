@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from ..algorithms import Algorithm, Step
 from ..checks import FloatVector
@@ -42,15 +40,9 @@ class Choice:
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the steps of the algorithm in terms of the caller's problem."""
-        if self.presolved is None or self.presolved.problem is problem:
-            yield from self.algorithm.iterates(problem, z0)
-            return
-        smaller = self.presolved.problem
-        start = np.clip(self.presolved.reduce(z0), smaller.lower, smaller.upper)
-        share = smaller.nonzeros / max(problem.nonzeros, 1)
-        for step in self.algorithm.iterates(smaller, start):
-            z = np.clip(self.presolved.restore(step.z), problem.lower, problem.upper)
-            yield replace(step, z=z, residual=None, euclidean=None, increment=None, work=share * step.work, proof=None)
+        if self.presolved is None:
+            return self.algorithm.iterates(problem, z0)
+        return self.presolved.iterates(self.algorithm, problem, z0)
 
 
 @dataclass

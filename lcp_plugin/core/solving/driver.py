@@ -1,4 +1,4 @@
-"""solve(): one compiled call from the start to the answer where nobody watches, else a run; judged alike."""
+"""solve(): what is asked of it, checked; then a run, or one compiled call where a room has one and nobody watches."""
 
 from __future__ import annotations
 
@@ -7,24 +7,19 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..algorithms import Algorithm, FusedSolve
-from ..certificates.criterion import CommonUnits, least_reference, reference_residual
-from ..certificates.residuals import Certificate
-from ..checks import FloatVector, checked_start
+from ..algorithms import Algorithm
+from ..certificates.criterion import CommonUnits
+from ..checks import checked_start
 from ..deadline import Clock
 from ..errors import InvalidOption
-from ..kernels.floats import EPSILON
 from ..kernels.threads import threads_for
 from ..kinds import solve_any
 from ..lcp import LCP
 from ..lcp_kind import LINEAR_COMPLEMENTARITY_PROBLEM
-from ..matrix.structure import parts
-from ..policy.choice import Policy, name_of, policy_for
-from ..policy.stages import Choice
+from ..policy.choice import Policy, policy_for
 from ..registry import ask_or_none
 from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
-from .judge import answers_program
-from .result import Result, StageRecord
+from .result import Result
 from .run import Callback, Run
 
 if TYPE_CHECKING:
@@ -35,7 +30,6 @@ if TYPE_CHECKING:
     from ...problems.nonlinear.data import NonlinearProblem
     from ...problems.programs.program import QuadraticProgram
     from ...problems.programs.solving import QuadraticProgramResult
-
 
 
 @overload
@@ -176,7 +170,7 @@ def solve(
     communicator, clock = problem.communicator, Clock(problem.communicator)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), communicator.interruptions() as clock.hears:
-        policy, settings, callers, start = communicator.together(lambda: (
+        policy, settings, callback, start = communicator.together(lambda: (
             policy_for(algorithm, options, on_ranks=problem.is_distributed, refutes=refute),
             Settings(
                 tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
@@ -186,22 +180,22 @@ def solve(
         ))
         asked = policy.chosen, settings
         communicator.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
-        run: Run | None = None
+        run = units = None
         with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
-            units = CommonUnits(problem, problem)
             try:
                 if policy.chosen != "auto" and (warn := ask_or_none("remark", "uncovered")) is not None:
                     warn(problem, policy, stacklevel=2)
                 units = CommonUnits.of(problem, settings.least_reference)
                 start, first = units.inward(start), policy.first(units.problem)
-                if callers is None and (result := fused(units, policy, first, settings, start, clock)) is not None:
+                at_once = ask_or_none("run", "fused") if callback is None else None
+                if at_once and (result := at_once(units, policy, first, settings, start, clock)) is not None:
                     return result
-                run = Run(units, policy, settings, callers, clock)
+                run = Run(units, policy, settings, callback, clock)
                 return run.judged(start, run.drive(start, first))
             except KeyboardInterrupt:
                 if problem.is_distributed:
                     raise  # the second one: the other ranks have not heard of it
-                run = run or Run(units, policy, settings, callers, clock)
+                run = run or Run(units or CommonUnits(problem, problem), policy, settings, callback, clock)
                 return run.judged(start, Status.INTERRUPTED)
 
 
@@ -210,64 +204,3 @@ def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[
     settings = Settings(**{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE})
     options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
     return policy_for(algorithm, options, refutes=settings.refute), settings
-
-
-def fused(
-    units: CommonUnits, policy: Policy, first: Choice, settings: Settings, start: FloatVector, clock: Clock
-) -> Result | None:
-    """Return the result of the first algorithm's steps taken in one compiled call; None where they have to be driven.
-
-    They are driven where somebody wants to see them, where another residual or the error is to be watched, and where
-    the call does not converge within the tolerance.
-    """
-    algorithm, problem = first.algorithm, units.problem
-    may_fuse = settings.is_unobserved and first.presolved is None
-    if type(algorithm).solve_fused is Algorithm.solve_fused or not may_fuse:
-        return None
-    clock.read()
-    if clock.elapsed >= settings.max_seconds:
-        return None
-    is_one = parts(problem.matrix) is None
-    found = algorithm.solve_fused(problem, start, _tolerance_of_all(units, settings, is_one), settings.max_iterations)
-    if found is None:
-        return None
-    if is_one and units.is_the_callers:  # the kernel has enclosed the residual of the whole
-        certificate = Certificate.enclosed(units.callers, found.z, found.residual)
-    else:
-        certificate = Certificate.of(units.callers, units.outward(found.z))
-    if not settings.accept(certificate) or answers_program(units.callers, settings, certificate.z) is False:
-        return None
-    return fused_result(certificate, policy, first, found, settings, clock.read())
-
-
-def _tolerance_of_all(units: CommonUnits, settings: Settings, is_one: bool) -> float:
-    """Return the tolerance beside the largest reference of all parts that means the one asked for beside the least."""
-    if settings.absolute_tolerance and units.reference > 0.0:  # of which the kernel does not know
-        share = units.reference / reference_residual(units.problem)
-        return settings.goal * share * (1.0 if is_one else 1.0 - 4.0 * EPSILON)
-    return settings.goal if is_one else beside_the_largest(*units.references, settings.goal)
-
-
-def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) -> float:
-    """Return the same for parts with these bounds of their references."""
-    largest = float(most.max(initial=0.0))
-    if not largest > 0.0 or least.size == 1:
-        return tolerance
-    return tolerance * (least_reference(least, most) / largest) * (1.0 - 4.0 * EPSILON)
-
-
-def fused_result(
-    certificate: Certificate, policy: Policy, first: Choice, found: FusedSolve, settings: Settings, seconds: float
-) -> Result:
-    """Return the result of a fused solve that converged at the z of a certificate, after these seconds."""
-    stages = tuple(
-        StageRecord(name, "" if k else first.because, iterations, work)
-        for k, (name, iterations, work) in enumerate(found.parts)
-    )
-    return Result(
-        z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
-        tolerance=settings.tolerance, algorithm=name_of(policy, stages),
-        iterations=sum(stage.iterations for stage in stages), work=found.work,
-        absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
-        setup_seconds=0.0, stages=stages, _asked=policy.chosen,
-    )

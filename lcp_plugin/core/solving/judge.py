@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from ..lcp import LCP
 from ..registry import ask
 from ..settings import PROVEN, Settings, Status
 from .result import BoundOrReason
-
-if TYPE_CHECKING:
-    from ...proofs.bounds.active_rows import ErrorWatch
 
 FAR_OUT = 1e-2
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
@@ -56,19 +53,20 @@ class Judge:
     proof : object or None
         Of the proofs that the problem has no solution, the one with the largest margin.
     words : mapping from Status to str
-        The advice of a status where another than its own is right.
+        What a status means, where another meaning than its own is right; the run says in addition what to do.
+    advice : mapping from Status to str
+        The whole of what is said of a status.
     """
 
     words: Mapping[Status, str] = MappingProxyType({})
+    advice: Mapping[Status, str] = MappingProxyType({})
     _answer: FloatVector | None = None  # as the caller has it, where it need not be the z of the smallest residual
     _asked_at, _ask_again = math.inf, 0  # residual and iteration
 
     def __init__(self, units: CommonUnits, settings: Settings) -> None:
-        self.units, self.problem, self.settings = units, units.callers, settings
+        self.units, self.problem, self.settings = units, units.stated, settings
         self.asked: Any = self.problem
         self.reference = units.reference
-        watches = settings.error_bound or settings.is_on_error
-        self.errors: ErrorWatch | None = ask("watch", "error")(self.problem, settings) if watches else None
         self.proof: Any = None
         self._certificate: Certificate | None = None
 
@@ -105,9 +103,7 @@ class Judge:
 
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for."""
-        if self.errors is None or not self.settings.is_on_error:
-            return bool(residual <= self.settings.goal) and self._answers(self.units.outward(z), residual, iteration)
-        return self.errors.proves(self.units.outward(z), residual * self.reference, iteration)
+        return bool(residual <= self.settings.goal) and self._answers(self.units.outward(z), residual, iteration)
 
     def _answers(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z answers the program, if there is one; that takes long, and is not asked at every step."""
@@ -129,16 +125,14 @@ class Judge:
 
     def require_rigorous_bounds(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
-        if self.errors is not None:
-            self.errors.require_rigorous()
 
     def bound_along_the_run(self, z: FloatVector, work: float) -> float | None:
         """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
-        return None if self.errors is None else self.errors.along_the_run(self.units.outward(z), work)
+        return None
 
     def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return the bound of the answer's error where the caller wants one, or how it is computed once looked at."""
-        return BoundOrReason() if self.errors is None else self.errors.final(certificate.z)
+        return BoundOrReason()
 
     def is_at_floor(self, z: FloatVector | None) -> bool:
         """Return whether the residual of z is small and no larger than rounding explains: no step is worth its work."""
@@ -166,7 +160,7 @@ class Judge:
         """
         settings, units = self.settings, self.units
         if units.row_exponents is not None:
-            proof = proof.in_units(units.callers, -units.row_exponents)
+            proof = proof.in_units(units.stated, -units.row_exponents)
         if not proof.verify():
             return False
         if self.proof is None or proof.margin > self.proof.margin:
@@ -180,33 +174,38 @@ class Judge:
 
     def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
-        everywhere, certificate = self.problem.communicator.everywhere, self._certificate
-        answer = self.units.outward(z)
-        proof = None if self.errors is None else self.errors.proof
-        passed = self._answer if proof is None else proof[0]
-        if passed is not None:  # by another criterion it need not be the best
-            answer, z = passed, self.units.inward(passed)
+        everywhere, passed = self.problem.communicator.everywhere, self.passed()
+        answer = self.units.outward(z) if passed is None else passed
+        z = z if passed is None else self.units.inward(passed)
+        certificate = self._certificate
         if certificate is None or not everywhere(np.array_equal(certificate.z, answer)):
             certificate = self.certificate_of(z)
-        may_finish = reason not in (Status.INTERRUPTED, Status.MAX_SECONDS)
-        if last is None or not may_finish or not everywhere(bool(np.isfinite(z).all())):
+        is_cut_short = reason in (Status.INTERRUPTED, Status.MAX_SECONDS)
+        if last is None or is_cut_short or not everywhere(bool(np.isfinite(z).all())):
             return certificate
         finished = last.finish(self.units.problem, z)
-        cleaned = certificate if finished is z else self.certificate_of(finished)
+        return certificate if finished is z else self._better_of(certificate, self.certificate_of(finished))
+
+    def passed(self) -> FloatVector | None:
+        """Return the z, the caller's, that passed by another criterion than the residual; it need not be the best."""
+        return self._answer
+
+    def _better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
+        """Return the cleaned one unless its residual is larger, or it answers the program no more."""
         residual = self._relative_in_open_parts(certificate)
-        if cleaned is certificate or not self._relative_in_open_parts(cleaned) <= residual < math.inf:
-            return certificate
-        return cleaned if self.is_answered(cleaned.z) is not False else certificate
+        is_no_worse = self._relative_in_open_parts(cleaned) <= residual < math.inf
+        return cleaned if is_no_worse and self.is_answered(cleaned.z) is not False else certificate
+
+    def is_solved_by(self, certificate: Certificate) -> bool:
+        """Return whether the certificate shows what was asked for; a program, if there is one, is answered as well."""
+        answers = self.is_answered(certificate.z)
+        if answers is None or (answers and self.settings.tolerance < SMALL):
+            return self.settings.accept(certificate)
+        return answers
 
     def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
         """Return the status: what the certificate proves, or else why the run ended."""
-        if self.errors is not None and self.settings.is_on_error:
-            is_solved = self.errors.is_proved(certificate.z)
-        elif (answers := self.is_answered(certificate.z)) is None:
-            is_solved = self.settings.accept(certificate)
-        else:
-            is_solved = answers and (self.settings.tolerance >= SMALL or self.settings.accept(certificate))
-        if is_solved:
+        if self.is_solved_by(certificate):
             return Status.SOLVED
         if reason in PROVEN:
             return reason
@@ -214,3 +213,9 @@ class Judge:
             return Status.PRECISION_LIMIT
         is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT)
         return Status.STALLED if is_unfounded or (reason is Status.DIVERGED and is_chain) else reason
+
+
+def judge_of(units: CommonUnits, settings: Settings) -> Judge:
+    """Return the judge of an LCP; where the error is asked for, one that bounds it."""
+    kind: type[Judge] = ask("judge", "error") if settings.error_bound or settings.is_on_error else Judge
+    return kind(units, settings)

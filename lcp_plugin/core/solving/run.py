@@ -20,16 +20,16 @@ from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
 from ..policy.choice import Policy, name_of
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage
-from ..registry import ask
-from ..settings import CallersOwn, Settings, Status
+from ..settings import Settings, Status
 from .advice import advice_of_run, unused_start
-from .judge import Judge
+from .judge import Judge, judge_of
 from .result import BoundOrReason, Result, Sample, StageRecord
 from .run_log import RunLog
 
 Callback = Callable[[Sample, FloatVector], Any]
 
 SAMPLE_GROWTH = 1.05
+END = object()  # of the steps of an algorithm
 DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
 
 
@@ -42,11 +42,11 @@ class Run:
     """
 
     def __init__(
-        self, units: CommonUnits, policy: Policy, settings: Settings, callback: CallersOwn | None, clock: Clock,
+        self, units: CommonUnits, policy: Policy, settings: Settings, callback: Callback | None, clock: Clock,
         judge: Judge | None = None,
     ) -> None:
         self.units, self.policy, self.settings, self.callback, self.clock = units, policy, settings, callback, clock
-        self.judge, self.incumbent, self.state = judge or Judge(units, settings), Incumbent(), RunState()
+        self.judge, self.incumbent, self.state = judge or judge_of(units, settings), Incumbent(), RunState()
         self.problem = problem = units.problem
         self.progress = Progress(problem.n, settings.max_iterations)
         self.start_residual = math.inf
@@ -88,19 +88,10 @@ class Run:
         """Take the steps of one algorithm until the run or the policy wants an end; return why, and what comes next."""
         self.progress.restart(max(self.state.iteration, 0), self.incumbent.residual)
         reason: Status | None = None
-        try:
-            for step in steps:
-                reason = self._observe(step)
-                if reason is not None:
-                    break
-                following = self._next(has_failed=False)
-                if following is not None:
-                    return Status.STALLED, following
-        except (UnsuitableMatrix, UnsuitableProblem) as error:
-            is_the_callers = self.callback is not None and error is self.callback.raised
-            is_known_to_all = not (is_the_callers or self.problem.is_distributed)
-            if len(self.state.stages) == 1 or self.state.stages[-1].iterations > 0 or not is_known_to_all:
-                raise  # otherwise auto tried what does not take this problem
+        while reason is None and (step := self._step_of(steps)) is not END:
+            reason = self._observe(step)
+            if reason is None and (following := self._next(has_failed=False)) is not None:
+                return Status.STALLED, following
         self.clock.read()  # what ends by itself may have done so because time is over
         is_late = self.clock.elapsed >= self.settings.max_seconds
         reason = reason or (Status.MAX_SECONDS if is_late else Status.STALLED)
@@ -111,6 +102,16 @@ class Run:
         if reason not in (Status.STALLED, Status.DIVERGED):
             return reason, None
         return reason, self._next(has_failed=True)
+
+    def _step_of(self, steps: Iterator[Step]) -> Any:
+        """Return the next step, END where there is none, or where auto tried what does not take this problem."""
+        stages = self.state.stages
+        try:
+            return next(steps, END)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            if len(stages) == 1 or stages[-1].iterations > 0 or self.problem.is_distributed:
+                raise
+            return END
 
     def _next(self, *, has_failed: bool) -> Choice | None:
         return self.policy.next_step(self.problem, self.state.stages, self.settings.goal, has_failed)
@@ -231,8 +232,6 @@ class Run:
         if not settings.refute:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
             words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"
-        if settings.is_on_error:
-            words |= ask("watch", "advice")
         result = Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on,
@@ -241,7 +240,7 @@ class Run:
             seconds=self.clock.read(), setup_seconds=state.setup_seconds, history=tuple(state.samples),
             stages=stages, infeasibility=self.judge.proof, _asked=self.policy.chosen,
             _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
-            _advice=words,
+            _advice={**words, **self.judge.advice},
         )
         if self.log is not None:
             self.log.end(result)

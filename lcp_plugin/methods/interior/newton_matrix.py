@@ -12,9 +12,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector, read_only
-from ...core.kernels.floats import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
 from ...core.matrix.structure import row_numbers
 from ...systems.factors import cholesky, dense_lu, sparse_lu, sparse_work
+from ...systems.refinement import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
 
 REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
 SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4

@@ -14,9 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector, read_only
-from ...core.kernels.floats import REFINEMENTS, STABLE, USEFUL
 from ...systems.factors import made, most_operations
 from ...systems.graph import compressed_rows
+from ...systems.refinement import REFINEMENTS, STABLE, USEFUL
 from .newton_matrix import SMALLEST, NewtonMatrix
 
 DEAR = (8.0, 30.0)  # times the work of a solve: factorisations that are worth one correction, or two

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from ...core.kernels.workspace import AT_LOWER, AT_UPPER, BETWEEN
+from ..small.kernels.workspace import AT_LOWER, AT_UPPER, BETWEEN
 from .canonical_box import invertible_part
 from .pivoting_path import Path
 

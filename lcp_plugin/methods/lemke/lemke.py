@@ -211,7 +211,7 @@ class Lemke(Algorithm):
 
     def _solution(self, part: LCP, box: CanonicalBox, path: Any) -> Any:
         """Yield the end of a path, solved again on the problem's own data; return whether its certificate is good."""
-        from ...core.kernels.workspace import AT_LOWER, AT_UPPER
+        from ..small.kernels.workspace import AT_LOWER, AT_UPPER
 
         z = np.clip(box.recover(path.z), part.lower, part.upper)
         yield z, 0.0, None

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from ...core.kernels.workspace import (
+from ..small.kernels import tableau
+from ..small.kernels.tableau import GOING_ON, HELD, LOST, RETURNED, SOLVED
+from ..small.kernels.workspace import (
     AT_LOWER,
     AT_UPPER,
     BASIC,
@@ -22,8 +24,6 @@ from ...core.kernels.workspace import (
     WIDTH,
     shapes,
 )
-from ..small.kernels import tableau
-from ..small.kernels.tableau import GOING_ON, HELD, LOST, RETURNED, SOLVED
 from .canonical_box import WELL_CONDITIONED
 
 FloatMatrix = NDArray[np.float64]

@@ -11,9 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, direct_passes, without_warnings
+from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, in_driven_sweeps, without_warnings
 from ...core.checks import BoolVector, FloatVector
+from ...core.crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO
 from ...core.lcp import LCP
+from ...core.matrix.row_sums import has_positive_diagonal
 from ...systems.factors import factorise
 from ...systems.graph import bandwidth
 from ..small.small_dense import ROUNDS_ONLY, is_short, solve_fused, steps
@@ -339,3 +341,13 @@ def phi_jacobian(problem: LCP, phi: Linearised, shift: float, scale: FloatVector
     jacobian = M * rows[:, None]
     jacobian[np.diag_indices_from(jacobian)] += diagonal
     return jacobian
+
+
+def direct_passes(problem: LCP) -> float:
+    """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
+    if problem.is_dense or not has_positive_diagonal(problem.matrix).all():
+        return DIRECT_PASSES
+    if problem.n > DIRECT_UP_TO:
+        return math.inf
+    entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)
+    return max(DIRECT_PASSES, in_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ...core.algorithms import Algorithm, Step
 from ...core.checks import FloatVector
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON, NEGLIGIBLE_DIAGONAL
@@ -66,6 +68,18 @@ class Presolved:
             for step in reversed(self.steps):
                 step.put_back(full)
         return full
+
+    def iterates(self, algorithm: Algorithm, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the steps that an algorithm takes on the smaller problem, in terms of the original, which is given."""
+        smaller = self.problem
+        if smaller is problem:
+            yield from algorithm.iterates(problem, z0)
+            return
+        start = np.clip(self.reduce(z0), smaller.lower, smaller.upper)
+        share = smaller.nonzeros / max(problem.nonzeros, 1)
+        for step in algorithm.iterates(smaller, start):
+            z = np.clip(self.restore(step.z), problem.lower, problem.upper)
+            yield replace(step, z=z, residual=None, euclidean=None, increment=None, work=share * step.work, proof=None)
 
     def reduce(self, z: FloatVector) -> FloatVector:
         """Return the part of a z of the original that the smaller problem has, as a start for it."""

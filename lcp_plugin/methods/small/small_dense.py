@@ -70,8 +70,8 @@ def steps(problem: LCP, z0: FloatVector, phases: Phases) -> Iterator[Step]:
     Where the entries of M are near an end of the range, z takes another unit here, a power of two. Nothing at all is
     yielded where they are near both ends.
     """
-    from ...core.kernels.workspace import STATE
     from .kernels import small_problems as kernels
+    from .kernels.workspace import STATE
 
     workspace, answers = new_workspace(problem.n), Answers(1, problem.n)
     arrays: tuple[Any, ...] = as_dense(problem.matrix), *map(as_batch, (problem.q, problem.lower, problem.upper, z0))
@@ -108,14 +108,14 @@ def solve_fused(
 
 
 def new_workspace(n: int) -> tuple[Any, Any, Any]:
-    """Return the work arrays of one problem at a time, as :mod:`~lcp_plugin.core.kernels.workspace` has them."""
+    """Return the work arrays of one problem at a time, as ``kernels.workspace`` has them."""
     real, whole, room = _shapes(n)
     return np.empty(real), np.empty(whole, np.int64), np.empty(room)
 
 
 @cache
 def _shapes(n: int) -> Any:
-    from ...core.kernels.workspace import shapes
+    from .kernels.workspace import shapes
 
     return shapes(n)  # type: ignore[no-untyped-call]
 

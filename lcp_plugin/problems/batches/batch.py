@@ -16,7 +16,7 @@ from ...core.kernels.threads import threads_for
 from ...core.kinds import kind_of, refusal
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
-from ...core.settings import CallersOwn, Settings, Status, checked_threads
+from ...core.settings import Settings, Status, checked_threads
 from ...core.solving.answer import Answer
 from ...core.solving.driver import solve
 from ...core.solving.result import Result
@@ -27,7 +27,7 @@ from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
 from ..programs.program_batch import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
-from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun
+from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun, CallersOwn
 from .program_batch import ProgramBatchResult, ProgramBatchRun
 
 

@@ -12,15 +12,15 @@ from ...core.certificates.criterion import CommonUnits
 from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import largest_ratio
 from ...core.checks import BoolVector, read_only
-from ...core.kernels.threads import in_chunks
 from ...core.lcp import LCP
 from ...core.matrix.structure import IntVector, parts
 from ...core.matrix.units import are_in_one_unit
 from ...core.settings import Settings
-from ...core.solving.driver import beside_the_largest
 from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
 from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
+from ...methods.small.fused import beside_the_largest
 from ...methods.small.small_dense import Answers, run
+from ..many.chunks import in_chunks
 
 
 class Group(NamedTuple):
@@ -106,7 +106,7 @@ def answers_in_common_units(group: Group, phases: Phases, settings: Settings) ->
         own = slice(ends[k], ends[k + 1])
         tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
         run((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
-    certificate = Certificate.of(units.callers, units.outward(answers.z.reshape(-1)))
+    certificate = Certificate.of(units.stated, units.outward(answers.z.reshape(-1)))
     answers.z[:] = certificate.z.reshape(count, n)
     largest, least = certificate.residuals_of_parts
     for k in np.flatnonzero(answers.has_converged).tolist():

@@ -16,14 +16,15 @@ from ...core.checks import read_only
 from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
-from ...core.kernels.threads import in_chunks
 from ...core.lcp import LCP
-from ...core.settings import CallersOwn, Status
-from ...core.solving.driver import asked_of_solve, fused_result, solve
+from ...core.settings import Status
+from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result
 from ...methods.direct.direct_methods import may_be_searched
+from ...methods.small.fused import fused_result
 from ...methods.small.small_dense import Answers, run
 from ..many.answers import AnswerSequence, T
+from ..many.chunks import in_chunks
 from .batch_groups import Group, answers_in_common_units, by_parts, excluded, in_one_unit
 from .batch_items import Items, Stacked, put
 
@@ -285,3 +286,24 @@ class BatchResult(BatchAnswers[Result]):
         """M z + q of each problem, like z; computed when it is looked at."""
         rows = [np.full(len(z), np.nan) if k in self.errors else self.items.slack(k, z) for k, z in enumerate(self.z)]
         return np.array(rows).reshape(self.z.shape) if isinstance(self.z, np.ndarray) else rows
+
+
+class CallersOwn:
+    """The caller's function, which remembers what it raised: that is no refusal of ours.
+
+    Parameters
+    ----------
+    function : callable
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self.raised: BaseException | None = None
+
+    def __call__(self, *arguments: Any) -> bool:
+        """Return the truth of what the function returns."""
+        try:
+            return bool(self._function(*arguments))
+        except BaseException as error:
+            self.raised = error
+            raise

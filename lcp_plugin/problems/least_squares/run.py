@@ -157,7 +157,7 @@ class LeastSquaresJudge(Judge):
         self.settings, self.units = settings, CommonUnits(cast(Any, problem), cast(Any, problem.unit))
         self.enclosures = Enclosures(problem)
         self.reference = max(self.enclosures.reference)
-        self.errors = self.proof = None
+        self.proof = None
         self.best: Optimality | None = None
         self.is_solved, self._size, self._aim, self._iteration = False, np.inf, settings.tolerance, 0
         self._dual: FloatVector | None = None

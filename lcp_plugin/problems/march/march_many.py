@@ -15,14 +15,15 @@ from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, real_array
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
-from ...core.kernels.threads import in_chunks
 from ...core.kinds import refusal
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_threads
-from ...core.solving.driver import asked_of_solve, fused_result
+from ...core.solving.driver import asked_of_solve
 from ...core.solving.result import Result
 from ...methods.banded.banded import Banded
+from ...methods.small.fused import fused_result
 from ...systems.factors import bands
+from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
 from .march import BLOCK, March, has_common_units, march
 from .marching import Lesson

@@ -33,11 +33,11 @@ from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.policy.choice import Policy, policy_for
 from ...core.policy.stages import Choice, Stage
-from ...core.settings import CallersOwn, Settings
-from ...core.solving.driver import fused
+from ...core.settings import Settings
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
 from ...methods.lemke.lemke import Lemke
+from ...methods.small.fused import fused
 
 
 @compiled
@@ -227,7 +227,7 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
     start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
     if (result := fused(units, policy, first, settings, start, clock)) is not None:
         return result
-    run = Run(units, policy, settings, CallersOwn(_Patience()) if problem.n > LARGE else None, clock)
+    run = Run(units, policy, settings, _Patience() if problem.n > LARGE else None, clock)
     return run.judged(start, run.drive(start, first))
 
 

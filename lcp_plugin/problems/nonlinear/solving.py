@@ -121,7 +121,8 @@ def solve_nonlinear(
         verbose,
     )
     policy_for(algorithm, {})
-    callers, start = checked_callback(callback), _checked_start(problem, x0)
+    checked_callback(callback)
+    start = _checked_start(problem, x0)
     problem = problem.sized(start.size)
     clock = Clock(ALONE)
     start = read_only(np.clip(start, problem.lower, problem.upper))
@@ -132,7 +133,7 @@ def solve_nonlinear(
         asked = settings.goal
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(judge.units, Single(newton, refutes=False), settings, callers, clock, judge)
+        run = Run(judge.units, Single(newton, refutes=False), settings, callback, clock, judge)
         try:
             if check_jacobian and problem.jacobian is not None:
                 require_true_jacobian(first)
@@ -172,7 +173,7 @@ class NonlinearJudge(Judge):
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
         self.units = CommonUnits(start.lcp, start.lcp)
         self.reference = 1.0  # the certificate knows what each part is compared with
-        self.errors = self.proof = self._certificate = None
+        self.proof = self._certificate = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z by F(z) and F′(z)."""

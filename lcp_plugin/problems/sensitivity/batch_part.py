@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import read_only
-from ...core.kernels.threads import in_chunks
 from ...core.matrix.units import are_in_one_unit
 from ...systems.least_norm import pseudo_inverses
 from ..batches.batch_groups import Group
+from ..many.chunks import in_chunks
 
 
 class BatchPart:
@@ -20,7 +20,7 @@ class BatchPart:
     Attributes
     ----------
     z, side : arrays, shape (k, n)
-        Their solutions, solved for once more, and where each row is: a side of `core.kernels.workspace`.
+        Their solutions, solved for once more, and where each row is: a side of `methods.small.kernels.workspace`.
     is_plain : array of bool, shape (k,)
         Where the compiled loop has settled these.
     """
@@ -45,7 +45,7 @@ class BatchPart:
     @property
     def free(self) -> Any:
         """The rows between their bounds, and those at a kink that are taken for such, shape (k, n)."""
-        from ...core.kernels.workspace import BETWEEN
+        from ...methods.small.kernels.workspace import BETWEEN
         from .kernels.small_derivatives import KINK
 
         return self.side % KINK == BETWEEN
@@ -65,7 +65,7 @@ class BatchPart:
 
         Those of mixed units are left, as are blocks that are only nearly singular.
         """
-        from ...core.kernels.workspace import AT_UPPER
+        from ...methods.small.kernels.workspace import AT_UPPER
         from .kernels.small_derivatives import KINK
 
         M, free = self.group.M, self.free

@@ -43,7 +43,8 @@ from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import PROJECTED_RELAXATION, PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
-from ...core.matrix.row_sums import inverse_residual_scale, longest_row, row_blocks, triangle_sums
+from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.row_sums import inverse_residual_scale, row_blocks, triangle_sums
 
 ALL = slice(None)
 NEGLIGIBLE = 1e-280  # below, products may have underflowed
@@ -289,3 +290,9 @@ def rate_of(smallest: float) -> float | None:
     rate = 1.0 - smallest
     rate = float(np.nextafter(rate, 2.0)) if smallest < 1.0 else 0.0
     return rate if rate < 1.0 else None
+
+
+@fact
+def longest_row(matrix: Matrix) -> int:
+    """Return the largest number of entries in a row."""
+    return int(np.diff(matrix.csr.indptr).max(initial=0))

@@ -10,7 +10,7 @@ import numpy as np
 from numba import uintp
 
 from ....core.kernels.compilation import compiled
-from ....core.kernels.floats import REFINED, ROUGH
+from ....systems.refinement import REFINED, ROUGH
 
 
 @compiled

@@ -26,23 +26,9 @@ from ....core.kernels.compilation import (
 )
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL
-from ....core.kernels.workspace import (
-    AT_LOWER,
-    AT_UPPER,
-    BETWEEN,
-    FOUND,
-    KEPT,
-    LOWER,
-    SCALE,
-    SIDE,
-    STATE,
-    UPPER,
-    Q,
-    W,
-    Z,
-)
 from .small_systems import solve_free
 from .tableau import follow_path
+from .workspace import AT_LOWER, AT_UPPER, BETWEEN, FOUND, KEPT, LOWER, SCALE, SIDE, STATE, UPPER, Q, W, Z
 
 SWEEP, ROUND, PIVOT, OVER, BEGINNING, UNUSUAL = 0, 1, 2, 3, 4, 5
 TOTAL = 3  # behind the work of the phases

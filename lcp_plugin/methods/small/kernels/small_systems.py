@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ....core.kernels.compilation import compiled_into_others, compiled_part
-from ....core.kernels.workspace import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
+from .workspace import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290

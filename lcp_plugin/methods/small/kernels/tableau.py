@@ -4,7 +4,7 @@ The tableau expresses the n basic variables by the n + 1 others, so a pivot touc
 z_i, w_i is basic for every row i but the *driven* one; SIDE says where z_i stands: AT_LOWER (w_i ≥ 0 basic), BETWEEN
 (z_i basic), AT_UPPER (w_i ≤ 0 basic). Bounds are those of the variables. q is thought of as q + (ε, ε², …) for a tiny
 ε, which settles every tie in the ratio test, so that no basis can come twice (Eaves' lexicographic rule). Variables are
-numbered z_i = i, w_i = n + i, t = 2n; arrays as in :mod:`~lcp_plugin.core.kernels.workspace`.
+numbered z_i = i, w_i = n + i, t = 2n; arrays as in :mod:`~lcp_plugin.methods.small.kernels.workspace`.
 
 On small problems a path is followed in one call and nothing watched on the way: the caller measures what comes out
 (:func:`follow_path`; free rows are not taken). On others a few pivots are made at a time, and whoever asks for them
@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.kernels.compilation import compiled, compiled_in_any_order, compiled_into_others, compiled_part
-from ....core.kernels.workspace import (
+from .workspace import (
     AT_LOWER,
     AT_UPPER,
     BASE,

@@ -1,4 +1,4 @@
-"""The derivatives of many small solutions in one compiled loop; arrays as in :mod:`~lcp_plugin.core.kernels.workspace`.
+"""The derivatives of many small solutions in one compiled loop; arrays as in ``methods.small.kernels.workspace``.
 
 First each z is solved for once more on its free rows, unless that would change it by rounding alone, and its rows are
 told apart. A tangent and an adjoint are one linear solve each on the same rows. An adjoint at a kink holds its row, if
@@ -20,7 +20,9 @@ from ....core.kernels.compilation import (
     compiled_part,
 )
 from ....core.kernels.floats import EPSILON
-from ....core.kernels.workspace import (
+from ....methods.small.kernels.small_problems import classify, look_at, slack, take
+from ....methods.small.kernels.small_systems import solve_free
+from ....methods.small.kernels.workspace import (
     AT_LOWER,
     AT_UPPER,
     BETWEEN,
@@ -37,8 +39,6 @@ from ....core.kernels.workspace import (
     Z,
     sizes,
 )
-from ....methods.small.kernels.small_problems import classify, look_at, slack, take
-from ....methods.small.kernels.small_systems import solve_free
 
 STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
 NOT_SMALL = 2.0**-10  # of a diagonal entry beside its row

@@ -7,7 +7,7 @@ and matrices in `room`, (n + 4, n + 1); functions take these three and (M, k), M
 
 from __future__ import annotations
 
-from .compilation import compiled_into_others
+from ....core.kernels.compilation import compiled_into_others
 
 # Rows of `real`: the problem, the point, what a search for the next point needs, what a path needs.
 Q, LOWER, UPPER, SCALE, Z, W, FOUND, KEPT = 0, 1, 2, 3, 4, 5, 6, 7

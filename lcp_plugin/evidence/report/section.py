@@ -13,14 +13,14 @@ from ...gallery.scene import Scene
 from ..collecting import Collected, Compute, Part, Say
 from ..drawing import svg
 
-__all__ = ["Collected", "Compute", "Effort", "Part", "Say", "Section", "plan", "sections"]
+__all__ = ["Collected", "Compute", "Part", "ReportEffort", "Say", "Section", "plan", "sections"]
 
 
 PAGE_WIDTH = 4.7  # inches, of a figure on the page
 
 
 @dataclass(frozen=True)
-class Effort:
+class ReportEffort:
     """How much a report spends: repeats, entries of M a run may touch, and the seconds of a run and a reference."""
 
     repeats: int
@@ -30,8 +30,8 @@ class Effort:
     is_quick: bool
 
 
-FULL = Effort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
-QUICK = Effort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
+FULL = ReportEffort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
+QUICK = ReportEffort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
 
 
 class Section:
@@ -65,11 +65,11 @@ class Section:
         """Return the template."""
         return self.template or resources.files(__package__).joinpath(f"{self.anchor}.html").read_text("utf-8")
 
-    def work(self, effort: Effort) -> Mapping[str, Compute]:
+    def work(self, effort: ReportEffort) -> Mapping[str, Compute]:
         """Return what the whole report has to compute, by name."""
         return {}
 
-    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterable[Part]:
+    def parts(self, scenes: Mapping[str, str | Scene], effort: ReportEffort) -> Iterable[Part]:
         """Return what is to be computed one by one, for the scenes asked for or, without any, the whole report."""
         work = {} if scenes else self.work(effort)
         return [Part(self.kind, name, compute, effort) for name, compute in work.items()]

@@ -386,7 +386,7 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
         ("core.solving.driver.Run.__init__", {}),
         ("core.solving.driver.CommonUnits.of", {}),
         ("proofs.guarantees.guarantees.warn_where_known_to_be_uncovered", {}),
-        ("proofs.bounds.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),
+        ("proofs.bounds.active_rows.ErrorWatch._bound", {"tolerance_on": "error"}),
         ("core.policy.choice.Auto.first", {}),
         ("core.policy.choice.Single.first", {}),
     ],

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from binary_nl import write_form
 from fresh_process import printed_by
 
 from lcp_plugin.commands import ampl, cli
@@ -55,7 +56,7 @@ NO_PAIRS = dict(partners=np.array([-1]), partner_bounds=np.array([0]))
 @pytest.mark.parametrize("binary", [False, True])
 def test_a_stub_is_answered_by_a_sol_file(tmp_path: Path, capsys: Any, ending: str, binary: bool) -> None:
     """Stub -AMPL writes values, multipliers, the head's options and code 0, prints nothing and exits with 0."""
-    write_nl(SOLVABLE, tmp_path / "m.nl", binary)
+    write_form(SOLVABLE, tmp_path / "m.nl", binary=binary)
     assert ampl.main([str(tmp_path / f"m{ending}"), "-AMPL"]) == 0
     found = read_sol(tmp_path / "m.sol")
     assert (found.code, found.options) == (0, (5, 0, 1, 0, 7, 2021))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kinds_of_problems import SAMPLES, Sample
-from test_ampl_command import content_of
+from nl_content import content_of
 from typer.testing import CliRunner
 
 from lcp_plugin import (

@@ -7,7 +7,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
 - ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games, absolute value equations
 - ``help("lcp_plugin.core.policy.choice")``: what algorithm="auto" does
-- ``help("lcp_plugin.methods.direct.direct_methods")``: how it goes on without sweeps
+- ``help("lcp_plugin.methods.direct")``: how it goes on without sweeps
 - ``help("lcp_plugin.core.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.proofs")``: what is proved of a matrix, a method, an error, a problem without solution
 - ``help("lcp_plugin.core.certificates.criterion")``: what SOLVED means, in which units

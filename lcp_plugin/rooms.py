@@ -4,7 +4,7 @@ from .core.registry import offer
 
 OFFERS = {
     "algorithm": {
-        "npsplitting": "methods.npsplitting.np_splitting:NPSplitting",
+        "npsplitting": "methods.npsplitting:NPSplitting",
         "newton": "methods.newton.semismooth_newton:Newton",
         "interior_point": "methods.interior.interior_point:InteriorPoint",
         "banded": "methods.banded.banded:Banded",
@@ -41,8 +41,8 @@ OFFERS = {
     "certification": {"cvxpy": "modeling.certified_problem:certify_problem"},
     "step of auto": {
         "small": "methods.small.small_dense:SmallDenseSolver",
-        "direct methods": "methods.direct.direct_methods:Turns",
-        "once more": "methods.direct.direct_methods:Retries",
+        "direct methods": "methods.direct:Turns",
+        "once more": "methods.direct:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
     "watch": {"error": "proofs.bounds.active_rows:ErrorWatch"},

@@ -30,7 +30,7 @@ from ..gallery.scene import Scene
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
-    "np_splitting": "projected-type (NP)",
+    "npsplitting": "projected-type (NP)",
     "projected_relaxation": "projected relaxation (P)",
     "modulus": "modulus (M)",
     "multigrid": "multigrid",

@@ -51,7 +51,7 @@ from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.answer import Answer
 from lcp_plugin.doors.nl import read_sol, write_nl
 from lcp_plugin.doors.nl.answers import CODES
-from lcp_plugin.methods.presolve.presolve import presolve
+from lcp_plugin.methods.presolve import presolve
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 
 CLOSE = 1e-5

@@ -67,7 +67,7 @@ from ..splittings.projected_type import NPSOR
 from .stages import Choice, Stage
 
 if TYPE_CHECKING:
-    from ...methods.direct.direct_methods import Retries, Turns
+    from ...methods.direct import Retries, Turns
 
 TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40
 ASKED_EVERY = 20  # sweeps

@@ -22,7 +22,7 @@ from ...core.settings import CallersOwn, Status
 from ...core.solving.answer import AnswerSequence, T
 from ...core.solving.driver import asked_of_solve, fused_result, solve
 from ...core.solving.result import Result
-from ...methods.direct.direct_methods import may_be_searched
+from ...methods.direct import may_be_searched
 from ...methods.small.small_dense import Answers, run
 from .batch_groups import Group, answers_in_common_units, by_parts, excluded, in_one_unit
 from .batch_items import Items, Stacked, put

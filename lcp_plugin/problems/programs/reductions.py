@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, assembled, rectangular_matrix
 from ...core.matrix.structure import row_numbers
 from ...core.matrix.symmetry import is_its_mirror
-from ...methods.presolve.presolve import like
+from ...methods.presolve import like
 from ...systems.definiteness import is_diagonal
 from .constraints import CONSTRAINTS
 from .predicted_work import worth_putting_in

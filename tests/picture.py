@@ -28,8 +28,8 @@ LINES = _picture[1].splitlines() if _picture else []
 ARROWS = {room: targets for line in LINES for room, targets in _arrows(line).items()}  # beside those to the core
 PLACES = [PACKAGE / group for group in ("", *GROUPS)]
 FOLDERS = {  # or the file of a room that is one
-    room: next(one for one in [*(place / room for place in PLACES), *(place / f"{room}.py" for place in PLACES[1:])]
-               if one.exists())
+    room: next((one for one in [*(place / room for place in PLACES), *(place / f"{room}.py" for place in PLACES[1:])]
+                if one.exists()), PACKAGE / room)
     for room in ARROWS
 }  # fmt: skip
 

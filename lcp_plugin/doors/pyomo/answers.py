@@ -1,6 +1,6 @@
 """What a run found, put back into the Pyomo model: values, suffixes, and whether all that was stated holds.
 
-Pyomo's newer solver interface, ``pyomo.contrib.solver``, over the same answers.
+Pyomo's newer solver interface, ``pyomo.contrib.solver``, stands over the same answers.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What a part of the report is, one object that computes and draws, and the page that they make.
 
-All of them lie in this folder. The page is index.html, which needs no other file; its figures lie beside it as CSV, JSON.
+All of them lie in this folder. The page is index.html, which needs no other file; beside it lie CSV and JSON.
 """
 
 from __future__ import annotations

@@ -12,21 +12,17 @@ Active sets solve on the free columns, go there as far as the bounds allow, let 
 near the answer it is a few rounds. The cost falls with each, so that no set comes twice but for rounding: columns let
 go that want to cross their bound stay, and one let go alone does not want to (Lawson and Hanson).
 
+Projected gradients take the step lengths of Barzilai and Borwein until the face settles, conjugate gradients solve on
+it: a product with A and one with Aᵀ an iteration; AᵀA is never formed. Measured beside it on random
+sparse, dense, ill-conditioned, blurring, difference and wide matrices: accelerated gradients with restarts need
+1.3 – 8 times as many products, MPRGP .7 – 3 times, the projected steps alone 1 – 15 times, rounds of active sets
+1 – 3 times, and those end without an answer where A is ill-conditioned.
+
 References
 ----------
 L. F. Portugal, J. J. Júdice, L. N. Vicente, *A comparison of block pivoting and interior-point algorithms for linear
 least squares problems with nonnegative variables*, Math. Comp. 63 (1994), doi:10.1090/S0025-5718-1994-1250776-4.
 P. B. Stark, R. L. Parker, *Bounded-variable least-squares: an algorithm and applications*, Comput. Stat. 10 (1995).
-
-Projected gradients with the step lengths of Barzilai and Borwein until the face settles, conjugate gradients on it.
-
-A product with A and one with Aᵀ an iteration; AᵀA is never formed. Measured beside it on random sparse, dense,
-ill-conditioned, blurring, difference and wide matrices: accelerated gradients with restarts need 1.3 – 8 times as many
-products, MPRGP .7 – 3 times, the projected steps alone 1 – 15 times, rounds of active sets 1 – 3 times, and those
-end without an answer where A is ill-conditioned.
-
-References
-----------
 E. G. Birgin, J. M. Martínez, M. Raydan, *Nonmonotone spectral projected gradient methods on convex sets*,
 SIAM J. Optim. 10 (2000), doi:10.1137/S1052623497330963. W. W. Hager, H. Zhang, *A new active set algorithm for box
 constrained optimization*, SIAM J. Optim. 17 (2006), doi:10.1137/050635225.

@@ -3,7 +3,8 @@
 Exact are integers with an exponent, fractions, products of sparse rows, slack and complementarity. Sums, products and
 quotients are rounded upwards element by element. An exact result stays exact, so that a bound of 0 can be had. Nothing
 is lost to overflow: a sum or quotient of −∞ becomes the least double, which is above whatever it stands for. NaN stays
-NaN. Compiled at the first call: one pass without temporaries instead of nine, on vectors that do not fit the cache."""
+NaN. Compiled at the first call: one pass without temporaries instead of nine, on vectors that do not fit the cache.
+"""
 
 from __future__ import annotations
 

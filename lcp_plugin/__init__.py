@@ -70,9 +70,9 @@ if TYPE_CHECKING:
     from .problems.nonlinear.solving import solve_nonlinear as solve_nonlinear
     from .problems.programs.certification import certify as certify
     from .problems.programs.conversion import QuadraticProgram as QuadraticProgram
-    from .problems.programs.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
     from .problems.programs.program_proofs import Certification as Certification
     from .problems.programs.solving import QuadraticProgramResult as QuadraticProgramResult
+    from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
     from .problems.sensitivity.batch_derivative import BatchDerivative as BatchDerivative
     from .problems.sensitivity.batch_derivative import BatchGradient as BatchGradient
     from .problems.sensitivity.derivative import Derivative as Derivative
@@ -124,7 +124,7 @@ _HOME = {
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "problems.programs.conversion",
-    "QuadraticProgramBatch": "problems.programs.program_batch",
+    "QuadraticProgramBatch": "problems.programs.stacked_programs",
     "load_problem": "doors.files.program_files",
     "EquilibriumProgram": "problems.equilibria.equilibrium_program",
     "minimize_over_solutions": "problems.equilibria.branch_and_bound",

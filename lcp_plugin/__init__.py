@@ -7,7 +7,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
 - ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games, absolute value equations
 - ``help("lcp_plugin.core.policy.choice")``: what algorithm="auto" does
-- ``help("lcp_plugin.methods.direct.direct_methods")``: how it goes on without sweeps
+- ``help("lcp_plugin.methods.direct")``: how it goes on without sweeps
 - ``help("lcp_plugin.core.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.proofs")``: what is proved of a matrix, a method, an error, a problem without solution
 - ``help("lcp_plugin.core.certificates.criterion")``: what SOLVED means, in which units
@@ -71,9 +71,9 @@ if TYPE_CHECKING:
     from .problems.nonlinear.solving import solve_nonlinear as solve_nonlinear
     from .problems.programs.certification import certify as certify
     from .problems.programs.conversion import QuadraticProgram as QuadraticProgram
-    from .problems.programs.program_batch import QuadraticProgramBatch as QuadraticProgramBatch
     from .problems.programs.program_proofs import Certification as Certification
     from .problems.programs.solving import QuadraticProgramResult as QuadraticProgramResult
+    from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
     from .problems.sensitivity.batch_derivative import BatchDerivative as BatchDerivative
     from .problems.sensitivity.batch_derivative import BatchGradient as BatchGradient
     from .problems.sensitivity.derivative import Derivative as Derivative
@@ -125,7 +125,7 @@ _HOME = {
     "ComplementarityProblem": "modeling.registration",
     "QPSolver": "modeling.qp_solver",
     "QuadraticProgram": "problems.programs.conversion",
-    "QuadraticProgramBatch": "problems.programs.program_batch",
+    "QuadraticProgramBatch": "problems.programs.stacked_programs",
     "load_problem": "doors.files.program_files",
     "EquilibriumProgram": "problems.equilibria.equilibrium_program",
     "minimize_over_solutions": "problems.equilibria.branch_and_bound",

@@ -73,7 +73,7 @@ except ImportError as error:
 from . import __version__
 from .core.errors import InvalidOption, did_you_mean
 from .core.settings import Status
-from .doors.pyomo.answers import Answer, answered, imported
+from .doors.pyomo.answers import PyomoAnswer, answered, imported
 
 NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable that is called so
 DOC = "Complementarity problems and convex quadratic programs, by lcp_plugin"
@@ -174,7 +174,7 @@ class LCPPlugin:
         return results
 
 
-def answered_in_a_folder(model: Any, options: dict[str, Any], keepfiles: bool, labels: bool) -> Answer:
+def answered_in_a_folder(model: Any, options: dict[str, Any], keepfiles: bool, labels: bool) -> PyomoAnswer:
     """Return the answer to a model, through a file that is kept only where it is asked for."""
     if keepfiles:
         folder = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd()))
@@ -194,7 +194,7 @@ def _refuse(unknown: dict[str, Any]) -> None:
                             'run go into options={"tolerance": 1e-10} or solver.options')
 
 
-def _results_of(answer: Answer) -> Any:
+def _results_of(answer: PyomoAnswer) -> Any:
     """Return Pyomo's account of an answer."""
     found, content = answer.found, answer.statement.content
     results = SolverResults()
@@ -214,7 +214,7 @@ def _results_of(answer: Answer) -> Any:
     return results
 
 
-def _solution_of(answer: Answer, model: Any, results: Any) -> Any:
+def _solution_of(answer: PyomoAnswer, model: Any, results: Any) -> Any:
     """Return the values in the form that ``model.solutions.load_from(results)`` takes."""
     solution, symbols = Solution(), SymbolMap()
     symbols.default_labeler = NumericLabeler("x")

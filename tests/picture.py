@@ -26,9 +26,10 @@ def _arrows(line: str) -> dict[str, set[str]]:
 _picture = re.search(r"```text\n(.*?)```", _section(), re.S)
 LINES = _picture[1].splitlines() if _picture else []
 ARROWS = {room: targets for line in LINES for room, targets in _arrows(line).items()}  # beside those to the core
-FOLDERS = {
-    room: next((room_folder for group in ("", *GROUPS) if (room_folder := PACKAGE / group / room).exists()),
-               PACKAGE / "doors" / f"{room}.py")
+PLACES = [PACKAGE / group for group in ("", *GROUPS)]
+FOLDERS = {  # or the file of a room that is one
+    room: next((one for one in [*(place / room for place in PLACES), *(place / f"{room}.py" for place in PLACES[1:])]
+                if one.exists()), PACKAGE / room)
     for room in ARROWS
 }  # fmt: skip
 

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from binary_nl import write_form
 from scipy.optimize import linprog
 
 from lcp_plugin import LCPError
 from lcp_plugin.commands import ampl
-from lcp_plugin.doors.nl import read_nl, read_sol, write_nl
+from lcp_plugin.doors.nl import read_nl, read_sol
 from lcp_plugin.doors.nl.answers import CODES
 from lcp_plugin.doors.nl.content import NLContent, Token, Trees
 from lcp_plugin.doors.nl.evaluation import evaluated
@@ -145,7 +146,7 @@ def random_model(rng: Any) -> NLContent:
 
 def judged(content: NLContent, words: list[str], stub: Path) -> str:
     """Return the code by which the executable answers a model, or in capitals what is wrong with that."""
-    write_nl(content, stub.with_suffix(".nl"), binary=len(words) % 2 == 1)
+    write_form(content, stub.with_suffix(".nl"), binary=len(words) % 2 == 1)
     answer = stub.with_suffix(".sol")
     answer.unlink(missing_ok=True)
     call = [*(["max_seconds=5"] if not any("max_seconds" in word for word in words) else []), *words]

@@ -26,7 +26,7 @@ from ..methods.interior.primal_active_set import UpdatedFactor
 from ..problems.batches.batch import solve_batch
 from ..problems.march.march import march
 from ..problems.march.march_many import march_many
-from ..problems.programs.program_batch import QuadraticProgramBatch
+from ..problems.programs.stacked_programs import QuadraticProgramBatch
 from ..problems.sensitivity.derivative import derivative
 from ..proofs.bounds.error_bounds import error_bound
 

@@ -23,7 +23,7 @@ SHOWN = 20  # variables that a person is told at once
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ModelAnswer:
     """An answer in the terms of the file.
 
     Attributes
@@ -92,7 +92,7 @@ def run(
     return found.status is Status.SOLVED
 
 
-def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
+def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
     """Return the answer to AMPL's file."""
     from ..doors.nl import read_nl
     from ..problems.equilibria.equilibrium_program import EquilibriumProgram
@@ -105,10 +105,10 @@ def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
     if model.content.row_names is not None:
         vectors["row_names"] = np.array(model.content.row_names, dtype=np.str_)
     more = {"code": answer.code, "message": answer.message, "objective": answer.objective}
-    return Found(repr(model), answer.status, (answer.message,), model.names(), vectors, answer.result, more)
+    return ModelAnswer(repr(model), answer.status, (answer.message,), model.names(), vectors, answer.result, more)
 
 
-def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
+def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
     """Return the answer to a program, or to a least squares problem."""
     from ..core.solving.driver import solve
 
@@ -124,7 +124,7 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
         answer = solve(problem, chosen, **asked)
         vectors = {"active_mask": answer.active_mask}
     objective = None if answer.objective is None else sign * (answer.objective + constant) + 0.0
-    return Found(
+    return ModelAnswer(
         str(problem), answer.status,
         () if objective in (None, answer.objective) else (f"objective {objective:.9g}, as the file states it",),
         [f"x[{k}]" for k in range(answer.x.size)] if names is None else names,
@@ -132,7 +132,7 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> Found:
     )
 
 
-def _story(target: str, found: Found) -> str:
+def _story(target: str, found: ModelAnswer) -> str:
     """Return what a person wants to read after a run."""
     lines = [f"{target}: {found.model}", *found.message, found.result.explain()]
     if found.result.is_refuted or "x" not in found.vectors:
@@ -143,7 +143,7 @@ def _story(target: str, found: Found) -> str:
     return "\n".join(lines + ([f"and {left} more variables; --out saves them"] if left > 0 else []))
 
 
-def _save(found: Found, out: Path) -> None:
+def _save(found: ModelAnswer, out: Path) -> None:
     """Write x, the multipliers and the status into an .npz file, with the names of the variables where it has some."""
     from ..doors.files.files import write_whole
 

@@ -81,7 +81,7 @@ def _places(structure: Any) -> tuple[Any, Any]:
     return np.asarray(rows), np.repeat(np.arange(shape[1]), np.diff(ends))
 
 
-class Solved(NamedTuple):
+class SolvedProgram(NamedTuple):
     """A solved program, which can be differentiated."""
 
     layout: Layout
@@ -167,13 +167,15 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         x, y = (np.array([getattr(one, name) for one in found]) for name in ("x", "y"))
         return x, y, found if needs_grad else None
 
-    def derivative_numpy_batch(self, dprimal: Any, ddual: Any, saved_state: Sequence[Solved]) -> tuple[Any, Any, Any]:
+    def derivative_numpy_batch(
+        self, dprimal: Any, ddual: Any, saved_state: Sequence[SolvedProgram]
+    ) -> tuple[Any, Any, Any]:
         """Return the gradients by the numbers of P, q and [A b], a row a program."""
         every = [one.gradients(dx, dy) for one, dx, dy in zip(saved_state, dprimal, ddual, strict=True)]
         by_P, by_q, by_A = zip(*every, strict=True)
         return None if by_P[0] is None else np.array(by_P), np.array(by_q), np.array(by_A)
 
-    def _solved(self, layout: Layout, numbers: list[Any], options: dict[str, Any], k: int, count: int) -> Solved:
+    def _solved(self, layout: Layout, numbers: list[Any], options: dict[str, Any], k: int, count: int) -> SolvedProgram:
         """Return the solution of program k, or raise what is wrong, with its number."""
         where = self._SINGLE if count == 1 else f"program {k} of the batch"
         try:
@@ -187,7 +189,7 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         x, inequality, equality = found.solution.x, found.solution.inequality, found.solution.equality
         problem, z = conditions(program), np.concatenate([x, inequality, equality])
         at = Derivative(problem, z, problem.M @ z + problem.q)
-        return Solved(layout, x, np.concatenate([equality, inequality]), at, numbers[0] is not None)
+        return SolvedProgram(layout, x, np.concatenate([equality, inequality]), at, numbers[0] is not None)
 
     def solve_torch_batch(
         self, P: Any, q: Any, A: Any, dims: Any, solver_args: dict[str, Any], needs_grad: bool

@@ -1,6 +1,6 @@
 """Who takes part in a race: algorithms with a label and a family, at the paper's settings and at ours.
 
-What a study runs of somebody else: problems as functions, and where a mistake in them or in a method lies.
+Of somebody else a study runs problems as functions, and says where a mistake in them or in a method lies.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ..gallery.scene import Scene
 
 FAMILIES = {
     "projected_type": "projected-type (NP)",
-    "np_splitting": "projected-type (NP)",
+    "npsplitting": "projected-type (NP)",
     "projected_relaxation": "projected relaxation (P)",
     "modulus": "modulus (M)",
     "multigrid": "multigrid",

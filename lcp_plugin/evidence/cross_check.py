@@ -33,7 +33,7 @@ from ..core.solving.result import Result
 from ..problems.programs.certification import certify
 from ..problems.programs.conversion import qp_from_lcp
 from ..problems.programs.program_proofs import Certification
-from .qp_reference import ACCURATE, PLAIN, Attempt, Formulation, accuracy, attempts, check_reference
+from .qp_reference import ACCURATE, PLAIN, Formulation, ReferenceRun, accuracy, attempts, check_reference
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
@@ -73,7 +73,7 @@ class CrossCheck:
         Measured here, on the caller's data; `theirs` also where it was too inaccurate to count.
     seconds, reference_seconds : float
         Wall-clock seconds of each; the reference's with cvxpy's part.
-    tried : tuple of Attempt
+    tried : tuple of ReferenceRun
         Every reference that was asked, in order.
     """
 
@@ -85,7 +85,7 @@ class CrossCheck:
     theirs: Certificate | None = field(repr=False)
     seconds: float
     reference_seconds: float
-    tried: tuple[Attempt, ...] = field(default=(), repr=False)
+    tried: tuple[ReferenceRun, ...] = field(default=(), repr=False)
     difference_z: float = math.nan
     difference_w: float = math.nan
     objective_gap: float = math.nan
@@ -181,7 +181,7 @@ def cross_validate(
 
 def _second_opinions(
     formulation: Formulation, result: Result, tolerance: float, max_seconds: float
-) -> Iterator[Attempt]:
+) -> Iterator[ReferenceRun]:
     """Yield the answers of algorithms of other families than those that made the result."""
     used = {module_of(stage.name) for stage in result.stages} or {module_of(result.algorithm)}
     for name, options in SECOND_OPINIONS.items():
@@ -191,19 +191,19 @@ def _second_opinions(
         try:
             problem = formulation.scaled.problem
             other = solve(problem, name, tolerance=tolerance, max_seconds=max_seconds, **options)
-            yield Attempt(f"our {name}", other.certificate, other.seconds, f"not independent; {other.status.name}")
+            yield ReferenceRun(f"our {name}", other.certificate, other.seconds, f"not independent; {other.status.name}")
         except LCPError as error:
-            yield Attempt(f"our {name}", None, time.perf_counter() - began, str(error))
+            yield ReferenceRun(f"our {name}", None, time.perf_counter() - began, str(error))
 
 
 # --- Comparing ----------------------------------------------------------------------------------------------
 
 
 def _compared(
-    formulation: Formulation, result: Result, ours: Certificate, asked: Iterator[Attempt]
+    formulation: Formulation, result: Result, ours: Certificate, asked: Iterator[ReferenceRun]
 ) -> CrossCheck:
     """Return the check against the first accurate answer, else the best; who comes after it is not asked."""
-    tried: list[Attempt] = []
+    tried: list[ReferenceRun] = []
     while not (tried and tried[-1].is_accurate) and (one := next(asked, None)) is not None:
         tried.append(one)
     # Of those without an answer the last, which is the least likely to be just absent.
@@ -220,7 +220,7 @@ def _compared(
 
 
 def _judged(
-    formulation: Formulation, result: Result, ours: Certificate, best: Attempt, pair: _Pair | None
+    formulation: Formulation, result: Result, ours: Certificate, best: ReferenceRun, pair: _Pair | None
 ) -> tuple[Verdict, str]:
     """Return the verdict and its reason; the table is read from the top."""
     residual = accuracy(ours)

@@ -1,6 +1,6 @@
-"""What a race between algorithms leaves behind: curves of error, work and time, and how often each is the best.
+"""What a race between algorithms leaves behind: curves of error, work and time, and who is the best how often.
 
-Dolan and Moré's performance profile: how often each method is the best, or within a multiple of the best.
+Dolan and Moré's performance profile says how often each method is the best, or within a multiple of the best.
 """
 
 from __future__ import annotations

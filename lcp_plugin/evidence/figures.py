@@ -1,4 +1,4 @@
-"""Figures of many lines: in a journal's column, with names where the lines end, readable in grey; and maps."""
+"""Figures of many lines: in a journal's column, readable in grey; and maps."""
 
 from __future__ import annotations
 
@@ -22,15 +22,8 @@ COLUMN, PAGE = 3.5, 7.1
 
 HEIGHT, MOST_COLUMNS, MOST_MAPS = 0.78, 3, 4  # of a panel, as a share of its width; panels and maps side by side
 MARKED = 7  # markers along a line
-MOST_NAMES = 9
-NAME_HEIGHT = 0.085
-"""Least distance of two names beside the axes, as a share of their height."""
-
+MOST_NAMES = 9  # in a legend of a panel's own
 LEGEND_LINE, LETTERS = 0.17, 13  # inches; letters of a title to the inch
-PLACES = (((4, 0), "left", "center"), ((0, 5), "center", "bottom"), ((-4, 0), "right", "center"),
-          ((4, 6), "left", "bottom"), ((-4, 6), "right", "bottom"))
-"""Where the name of a line may stand beside its end, the best first."""
-
 DEEPEST_BELOW_TOLERANCE = 1e-3
 DIGITS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0), tuple(np.arange(1.0, 10.0, 0.2)))
 """First digits of the ticks, the first set that gives two of them."""
@@ -60,7 +53,7 @@ def styles(families: Sequence[str]) -> list[dict[str, Any]]:
 class Line(NamedTuple):
     """One line of a panel: its name, the family that colours it, whether it converges, and how far x spreads.
 
-    `text` stands at its end where there is something to be told, as its exponent.
+    `text` stands behind the name where there is something to be told, as its exponent.
     """
 
     label: str
@@ -88,9 +81,9 @@ class Panel(NamedTuple):
 
 
 def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
-    """Return a figure as wide as a column, or with several panels as a page; names stand at the lines if they fit.
+    """Return a figure as wide as a column, or with several panels as a page, each with a legend.
 
-    Where they do not, or several panels share them, a legend below the panels has them.
+    Where there are many names, or several panels share them, one below the panels has them.
     """
     columns = max(1, min(len(panels), MOST_COLUMNS))
     rows = max(1, -(-len(panels) // columns))
@@ -110,18 +103,19 @@ def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
                 axes.set_ylabel("")
             if k + columns < len(panels):
                 axes.set_xlabel("")
-        alone = panels[0] if len(panels) == 1 else None
-        if alone is None or not _names_fit(figure, every[0], alone, looks):
+        own = [axes.get_legend_handles_labels() for axes in every]
+        if any(line.text for panel in panels for line in panel.lines) or (
+            len(panels) == 1 and len(own[0][1]) <= MOST_NAMES
+        ):
             for axes, panel in zip(every, panels, strict=False):
-                _in_the_margin(axes, [(line, line.text, looks[line.label]) for line in panel.lines if line.text])
-            found = {
-                label: handle for axes in every for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-            }
-            count = max(1, min(len(found), int(width / 1.1)))
-            extra = -(-len(found) // count) * LEGEND_LINE
-            figure.set_size_inches(width, height + extra)
-            figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=count, fontsize=LABEL_SIZE,
-                          handlelength=2.4, columnspacing=1.0, labelspacing=0.3)
+                axes.legend(loc="lower right" if panel.kind == "shares" else "best", fontsize=LABEL_SIZE,
+                            handlelength=2.4, labelspacing=0.3)
+            return figure
+        found = {label: handle for handles, labels in own for handle, label in zip(handles, labels, strict=True)}
+        count = max(1, min(len(found), int(width / 1.1)))
+        figure.set_size_inches(width, height + math.ceil(len(found) / count) * LEGEND_LINE)
+        figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=count, fontsize=LABEL_SIZE,
+                      handlelength=2.4, columnspacing=1.0, labelspacing=0.3)
     return figure
 
 
@@ -171,7 +165,7 @@ def _draw(axes: Any, line: Line, look: dict[str, Any], shown: tuple[float, float
     if is_share:
         edge = axes.get_xlim()[1]
         x, y = np.concatenate([[1.0], x, [edge]]), np.concatenate([[0.0], y, y[-1:] if len(y) else [0.0]])
-    label = line.label if line.converged else f"{line.label} ✕"
+    label = f"{line.label}{'' if line.converged else ' ✕'}  {line.text}".rstrip()
     every = [*np.unique(np.linspace(0, max(len(x) - 1, 0), MARKED).astype(int))] if len(x) else None
     axes.plot(x, y, linewidth=1.1, markersize=3.5, markerfacecolor="white", markeredgewidth=0.9, markevery=every,
               drawstyle="steps-post" if is_share else "default", zorder=3, label=label, **look)
@@ -196,87 +190,6 @@ def _tick_width(axes: Any) -> None:
                 break
         if digits != DIGITS[0]:
             getattr(axes, f"set_{name}ticks")(ticks, [f"{tick:g}" for tick in ticks])
-
-
-# --- Names ----------------------------------------------------------------------------------------------------
-
-
-def _names_fit(figure: Any, axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> bool:
-    """Write the names at the ends of the lines and return True, or leave them out where they do not fit."""
-    ends = [(line, f"{line.label}{'' if line.converged else ' ✕'}  {line.text}".rstrip(), looks[line.label])
-            for line in panel.lines]
-    if panel.marks or len(ends) > MOST_NAMES:
-        return False
-    if panel.kind == "shares":
-        axes.legend(loc="lower right", fontsize=LABEL_SIZE, handlelength=2.6, labelspacing=0.3)
-        return True
-    if panel.kind == "sizes":
-        _in_the_margin(axes, ends)
-        return True
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
-    figure.draw_without_rendering()
-    frame = axes.get_window_extent()
-    taken = [axes.transData.transform((x, y)) for line in panel.lines
-             for x, y in zip(_positive(line.x), line.y, strict=True) if 0.0 < y < math.inf]
-    placed: list[tuple[Any, Any]] = []
-    for line, text, look in ends:
-        for shift, side, height in PLACES:
-            note = axes.annotate(text, (_positive(line.x)[-1], max(line.y[-1], axes.get_ylim()[0])), shift, ha=side,
-                                 va=height, textcoords="offset points", fontsize=LABEL_SIZE, color=look["color"])
-            box = note.get_window_extent(renderer)
-            inside = frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1
-            if inside and not any(box.overlaps(other) for _, other in placed) and not any(
-                box.contains(*point) for point in taken
-            ):
-                placed.append((note, box))
-                break
-            note.remove()
-        else:
-            for note, _ in placed:
-                note.remove()
-            return False
-    return True
-
-
-def _in_the_margin(axes: Any, ends: Sequence[tuple[Line, str, dict[str, Any]]]) -> None:
-    """Write texts to the right of the axes, in the order in which the lines end, apart, each led to by a thin line."""
-    low, high = axes.get_ylim()
-    is_log = axes.get_yscale() == "log"
-    place = (lambda y: math.log(y / low) / math.log(high / low)) if is_log else (lambda y: (y - low) / (high - low))
-    order = sorted(ends, key=lambda end: end[0].y[-1] if len(end[0].y) else 0.0)
-    heights = [place(line.y[-1]) if len(line.y) else 0.0 for line, *_ in order]
-    for (line, text, look), free in zip(order, spread(heights, NAME_HEIGHT), strict=True):
-        x = axes.get_xlim()[1] if axes.get_yscale() == "linear" else (line.x[-1] if len(line.x) else 1.0)
-        y = line.y[-1] if len(line.y) else low
-        axes.annotate(text, (x, y), (1.05, free), textcoords="axes fraction", va="center", fontsize=LABEL_SIZE,
-                      color=look["color"], annotation_clip=False,
-                      arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": look["color"], "shrinkA": 0,
-                                  "shrinkB": 2})
-
-
-def spread(places: Sequence[float], gap: float, low: float = 0.015, high: float = 0.985) -> list[float]:
-    """Return the places moved as little as needed to lie at least `gap` apart within [low, high], order kept.
-
-    Examples
-    --------
-    >>> [round(place, 2) for place in spread([0.5, 0.5, 0.9], 0.1)]
-    [0.45, 0.55, 0.9]
-    """
-    count = len(places)
-    if count * gap > high - low:
-        gap = (high - low) / max(count, 1)
-    groups: list[list[float]] = []  # mean place wanted for the first of the group, number in it
-    for k, place in enumerate(places):
-        groups.append([place - k * gap, 1.0])
-        while len(groups) > 1 and groups[-2][0] > groups[-1][0]:
-            mean, size = groups.pop()
-            before, many = groups.pop()
-            groups.append([(before * many + mean * size) / (many + size), many + size])
-    shifts = [mean for mean, size in groups for _ in range(int(size))]
-    first, last = low, high - (count - 1) * gap
-    return [min(max(shift, first), last) + k * gap for k, shift in enumerate(shifts)]
 
 
 # --- Maps of stability ----------------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ PAPER_HEADINGS = (
 
 
 @dataclass(frozen=True)
-class Cell:
+class PaperCell:
     """One column of one row: the paper's IT, CPU and Res, and ours."""
 
     example: int
@@ -61,7 +61,7 @@ def published() -> dict[str, Any]:
     return content
 
 
-def cells() -> Iterator[Cell]:
+def cells() -> Iterator[PaperCell]:
     """Yield every cell of both tables, computed now.
 
     Stop at ‖min(z, Mz + q)‖₂ < 1e-5 from z = (1, 0, 1, 0, …); no row scaling; Ω = D/2 for MGS and D/(2α²)
@@ -76,7 +76,7 @@ def cells() -> Iterator[Cell]:
                 for _ in range(2):  # the first one may compile
                     _, *told = iterated(fresh(scene.problem), scene.start, algorithm)
                 count, seconds, residual = told
-                yield Cell(
+                yield PaperCell(
                     example, name, row.get("relaxation"), n, row["iterations"][column], row["seconds"][column],
                     row["residual"][column], int(count), seconds, residual,
                 )
@@ -96,7 +96,7 @@ def iterated(
     return z, count, time.perf_counter() - begin, residual
 
 
-def paper_table(computed: Iterable[Cell], example: int) -> Table:
+def paper_table(computed: Iterable[PaperCell], example: int) -> Table:
     """Return one of the paper's tables, each printed figure beside the computed one."""
     rows = [
         (f"{one.algorithm} {one.relaxation or ''}".strip(), one.n, one.paper_iterations, one.iterations,

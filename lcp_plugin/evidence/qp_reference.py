@@ -181,7 +181,7 @@ def _smallest_eigenvalue(solve: Callable[[FloatVector], FloatVector], n: int, sh
 
 
 @dataclass(frozen=True, eq=False)
-class Attempt:
+class ReferenceRun:
     """What one reference gave: its certificate on the caller's data (None: no answer), seconds, and a note."""
 
     name: str
@@ -205,7 +205,7 @@ class Attempt:
         return f"{self.name}: {said}, {self.seconds:.2g} s" + (f" ({self.note})" if self.note else "")
 
 
-def attempts(formulation: Formulation, reference: str, max_seconds: float) -> Iterator[Attempt]:
+def attempts(formulation: Formulation, reference: str, max_seconds: float) -> Iterator[ReferenceRun]:
     """Yield what the references give, one by one, the most accurate solver first; "auto" asks all that n permits."""
     for name, solver in SOLVERS.items():
         if reference == name or (reference == "auto" and formulation.scaled.problem.n <= solver.largest):
@@ -218,14 +218,14 @@ def check_reference(reference: object) -> None:
         raise InvalidOption(f"unknown reference {reference!r}{did_you_mean(reference, ['auto', *SOLVERS])}")
 
 
-def attempt(formulation: Formulation, name: str, max_seconds: float) -> Attempt:
+def attempt(formulation: Formulation, name: str, max_seconds: float) -> ReferenceRun:
     """Return what one reference gives; whatever goes wrong there becomes a note."""
     from cvxpy import installed_solvers
 
     began = time.perf_counter()
     scaled, solver = formulation.scaled, SOLVERS[name]
     if solver.name not in installed_solvers():
-        return Attempt(name, None, 0.0, "not installed")
+        return ReferenceRun(name, None, 0.0, "not installed")
     program = (quadratic_program if formulation.kind == PLAIN else gap_program)(scaled)
     limit = {solver.time_limit: max_seconds} if solver.time_limit else {}
     reply = asked(program, solver.name, verbose=False, **solver.options, **limit)
@@ -239,7 +239,7 @@ def attempt(formulation: Formulation, name: str, max_seconds: float) -> Attempt:
         certificate = polished(rough) if accuracy(rough) > POLISHED else rough
         if certificate is not rough:
             notes.append(f"{accuracy(rough):.1e} before we solved the equations on its active set")
-    return Attempt(name, certificate, time.perf_counter() - began, "; ".join(notes))
+    return ReferenceRun(name, certificate, time.perf_counter() - began, "; ".join(notes))
 
 
 def quadratic_program(scaled: Equilibrated) -> QuadraticProgram:

@@ -30,7 +30,7 @@ from .drawing import save
 from .exact_answers import lie_in, relative_error
 from .exporting import AnyPath, Exported
 from .figures import draw_maps
-from .stresses import FAMILIES, Case
+from .stresses import FAMILIES, StressCase
 
 Progress = Callable[[int, int, str], Any]
 
@@ -293,7 +293,7 @@ def _entrants(algorithms: Any) -> dict[str, str | Algorithm]:
     return {name: name for name in names}
 
 
-def _cell(family: str, case: Case, name: str, algorithm: str | Algorithm, quick: bool) -> Cell | tuple[str, str]:
+def _cell(family: str, case: StressCase, name: str, algorithm: str | Algorithm, quick: bool) -> Cell | tuple[str, str]:
     """Return the cell, or what was left out and why where the algorithm does not take this kind of problem."""
     told, certified, error, residual = False, None, math.nan, math.nan
     try:
@@ -315,7 +315,7 @@ def _cell(family: str, case: Case, name: str, algorithm: str | Algorithm, quick:
     return Cell(name, case.stress, family, case.condition, status, error, residual, certified, lost, told, note)
 
 
-def _strictly_solved(case: Case, algorithm: str | Algorithm, limit: int) -> Result:
+def _strictly_solved(case: StressCase, algorithm: str | Algorithm, limit: int) -> Result:
     with warnings.catch_warnings(), np.errstate(over="warn", divide="warn", invalid="warn", under="ignore"):
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", ConvergenceWarning)  # it tells what the atlas is about to find out
@@ -333,7 +333,7 @@ def _digits_lost(error: float, condition: float, residual: float) -> float:
     return max(0.0, math.log10(error / expected)) if error > 0.0 else 0.0
 
 
-def _movement(case: Case) -> str:
+def _movement(case: StressCase) -> str:
     """Return how far one unit in the last place of the data moves the answer."""
     if case.reference is None or case.exact is None:
         return ""

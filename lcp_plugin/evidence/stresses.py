@@ -21,7 +21,7 @@ LARGEST_INTEGER = 9
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Case:
+class StressCase:
     """A problem under one stress.
 
     Parameters
@@ -88,14 +88,14 @@ def pattern(n: int, *, active: float = 0.5, degenerate: float = 0.0, seed: int =
     return z, w
 
 
-def planted(stress: str, M: Any, z: FloatVector, w: FloatVector, **facts: Any) -> Case:
+def planted(stress: str, M: Any, z: FloatVector, w: FloatVector, **facts: Any) -> StressCase:
     """Return the case with q = w − M z, each entry rounded once; the exact answer then belongs to the rounded q."""
     unrounded = exact_slack(LCP(M, np.zeros(z.size)), z)
     q = [float(Fraction(value) - product) for value, product in zip(w.tolist(), unrounded, strict=True)]
-    return Case(stress=stress, problem=LCP(M, q), near=z, **facts)
+    return StressCase(stress=stress, problem=LCP(M, q), near=z, **facts)
 
 
-def half_active(stress: str, M: Any, *, degenerate: float = 0.0, seed: int = 0, **facts: Any) -> Case:
+def half_active(stress: str, M: Any, *, degenerate: float = 0.0, seed: int = 0, **facts: Any) -> StressCase:
     """Return a case with this matrix and an answer of small integers, half of it active, here and there.
 
     On the active rows w is a small integer times the diagonal.
@@ -104,7 +104,7 @@ def half_active(stress: str, M: Any, *, degenerate: float = 0.0, seed: int = 0, 
     return planted(stress, M, z, w * np.abs(M.diagonal()), **facts)
 
 
-def mostly_free(stress: str, M: Any, *, seed: int = 0, **facts: Any) -> Case:
+def mostly_free(stress: str, M: Any, *, seed: int = 0, **facts: Any) -> StressCase:
     """Return a case with this matrix and an answer of small integers whose first fifth is active, in one piece.
 
     What couples far-off rows can then be felt.
@@ -115,7 +115,7 @@ def mostly_free(stress: str, M: Any, *, seed: int = 0, **facts: Any) -> Case:
     return planted(stress, M, np.where(is_active, 0.0, z), np.where(is_active, w * np.abs(M.diagonal()), 0.0), **facts)
 
 
-def rescaled(stress: str, case: Case, row: Any, column: Any) -> Case:
+def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase:
     """Return the case with rows multiplied by `row` and z measured in units of 1/`column`."""
     problem = case.problem
     row, column = (np.broadcast_to(np.asarray(factor, dtype=np.float64), problem.n) for factor in (row, column))
@@ -126,7 +126,7 @@ def rescaled(stress: str, case: Case, row: Any, column: Any) -> Case:
     unit = 1.0 / column
     near = None if case.near is None else np.asarray(case.near) * unit
     start = None if case.start is None else case.start * unit
-    return Case(
+    return StressCase(
         stress=stress, problem=LCP(scaled, problem.q * row), near=near, start=start, unit=unit, has_line=case.has_line
     )
 
@@ -135,7 +135,7 @@ SIDE = 10
 PERTURBED_BY = 2.0**-52
 
 
-def stiffness(quick: bool) -> Iterator[Case]:
+def stiffness(quick: bool) -> Iterator[StressCase]:
     """Yield δ → 0, anisotropy, contrast, Péclet number and time scales, each towards its extreme."""
     for delta in (1e-4, 1e-12, 0.0):
         yield mostly_free(f"delta={delta:g}", grid(SIDE, 4.0 + delta))
@@ -156,7 +156,7 @@ MOST = {"contrast": 14, "aspect": 30, "margin": 14}
 """Beyond, double precision no longer holds the data: rows of an island sum to 0, 1 − ρ is 0."""
 
 
-def ranges(quick: bool) -> Iterator[Case]:
+def ranges(quick: bool) -> Iterator[StressCase]:
     """Yield four kinds of stiffness, each from 10^0 to the ends of double precision: the maps of `Atlas.plot`."""
     base = half_active("", grid(4, 5.0))
     for k in EXTENTS:
@@ -171,7 +171,7 @@ def ranges(quick: bool) -> Iterator[Case]:
         yield rescaled(f"units 1e{k}", base, factors, np.roll(factors, 1))
 
 
-def proved_ranges(quick: bool) -> Iterator[Case]:
+def proved_ranges(quick: bool) -> Iterator[StressCase]:
     """Yield the same problems, to be solved to a proved error instead of a residual."""
     return (replace(case, tolerance_on="error", tolerance=1e-6) for case in ranges(quick))
 
@@ -194,7 +194,7 @@ def _time_scales(span: float) -> sp.csr_array:
     return sp.csr_array(sp.diags_array([1.0 + rates, -rates[:-1]], offsets=[0, -1]))
 
 
-def scaling(quick: bool) -> Iterator[Case]:
+def scaling(quick: bool) -> Iterator[StressCase]:
     """Yield M and q in units of 1e±150, and rows and columns from 1e±8 to 1e±100."""
     base = half_active("", grid(4, 5.0))
     for of_M in (1e-150, 1.0, 1e150):
@@ -211,7 +211,7 @@ def scaling(quick: bool) -> Iterator[Case]:
         yield rescaled(f"M, q × 2^{k}", base, np.ldexp(1.0, k), 1.0)
 
 
-def singularity(quick: bool) -> Iterator[Case]:
+def singularity(quick: bool) -> Iterator[StressCase]:
     """Yield nearly singular and singular matrices, with one solution, with many, with none."""
     for bits in (10, 20, 30, 40):
         rho = 1.0 - 2.0**-bits
@@ -222,7 +222,7 @@ def singularity(quick: bool) -> Iterator[Case]:
     yield mostly_free("singular M, one solution", ring)
     z = pattern(12, active=0.0)[0]
     yield planted("singular M, a line of solutions", ring, z - z.min(), np.zeros(12), has_line=True)
-    yield Case(stress="singular M, no solution", problem=LCP(ring, np.full(12, -1.0)))
+    yield StressCase(stress="singular M, no solution", problem=LCP(ring, np.full(12, -1.0)))
     for tiny in (1e-8, 1e-14):
         yield mostly_free(f"singular M + {tiny:g}", sp.csr_array(ring + tiny * sp.eye_array(12)))
 
@@ -242,7 +242,7 @@ def _ring(n: int) -> sp.csr_array:
     return sp.csr_array(2.0 * eye - np.roll(eye, 1, axis=1) - np.roll(eye, -1, axis=1))
 
 
-def degeneracy(quick: bool) -> Iterator[Case]:
+def degeneracy(quick: bool) -> Iterator[StressCase]:
     """Yield answers with z = w = 0 in some rows, in all active ones, in all."""
     M = grid(SIDE)
     yield half_active("half of the active rows degenerate", M, degenerate=0.5)
@@ -252,17 +252,17 @@ def degeneracy(quick: bool) -> Iterator[Case]:
     yield planted("nearly degenerate, w = 1e-14", M, z, 1e-14 * w)
     yield planted("nearly degenerate, z = 1e-14", M, np.where(np.arange(z.size) % 5 == 0, 1e-14 * z, z), w)
     square = LCP(M, half_active("", M, degenerate=1.0).problem.q, upper=z.max())
-    yield Case(stress="degenerate at both bounds of a box", problem=square, near=z)
+    yield StressCase(stress="degenerate at both bounds of a box", problem=square, near=z)
 
 
-def far_starts(quick: bool) -> Iterator[Case]:
+def far_starts(quick: bool) -> Iterator[StressCase]:
     """Yield starts far beyond the answer."""
     for power in (10, 100, 300):
         M = grid(SIDE)
         yield half_active(f"z0 = 1e{power}", M, start=np.full(SIDE * SIDE, 10.0**power))
 
 
-def sizes(quick: bool) -> Iterator[Case]:
+def sizes(quick: bool) -> Iterator[StressCase]:
     """Yield n = 1 and 2, and a large n."""
     yield planted("n = 1", np.array([[3.0]]), np.array([1.0]), np.zeros(1))
     yield planted("n = 1, active", np.array([[3.0]]), np.zeros(1), np.ones(1))
@@ -271,24 +271,24 @@ def sizes(quick: bool) -> Iterator[Case]:
     yield half_active(f"n = {side * side}", grid(side, 8.0))
 
 
-def number_range(quick: bool) -> Iterator[Case]:
+def number_range(quick: bool) -> Iterator[StressCase]:
     """Yield subnormal data, data next to the largest double, and answers beyond it."""
     base = half_active("", grid(3, 5.0))
     M, q, z = base.problem.csr, base.problem.q, np.asarray(base.near)
     tiny, huge = 1e-310, 1e306
-    yield Case(stress="q and z subnormal, 1e-310", problem=LCP(M, q * tiny), near=z * tiny)
-    yield Case(stress="q a few times 5e-324", problem=LCP(M, q * 5e-324), near=np.ceil(z) * 5e-324)
-    yield Case(stress="M subnormal, 1e-310", problem=LCP(M * tiny, q * 1e-300), near=z * 1e10)
-    yield Case(stress="M and q subnormal, 1e-310", problem=LCP(M * tiny, q * tiny), near=z)
-    yield Case(stress="q and z huge, 1e306", problem=LCP(M, q * huge), near=z * huge)
-    yield Case(stress="M huge, 1e306", problem=LCP(M * huge, q), near=z / huge)
-    yield Case(stress="M and q huge, 1e306", problem=LCP(M * huge, q * huge), near=z)
-    yield Case(stress="the answer overflows", problem=LCP(M * 1e-200, q * 1e200))
+    yield StressCase(stress="q and z subnormal, 1e-310", problem=LCP(M, q * tiny), near=z * tiny)
+    yield StressCase(stress="q a few times 5e-324", problem=LCP(M, q * 5e-324), near=np.ceil(z) * 5e-324)
+    yield StressCase(stress="M subnormal, 1e-310", problem=LCP(M * tiny, q * 1e-300), near=z * 1e10)
+    yield StressCase(stress="M and q subnormal, 1e-310", problem=LCP(M * tiny, q * tiny), near=z)
+    yield StressCase(stress="q and z huge, 1e306", problem=LCP(M, q * huge), near=z * huge)
+    yield StressCase(stress="M huge, 1e306", problem=LCP(M * huge, q), near=z / huge)
+    yield StressCase(stress="M and q huge, 1e306", problem=LCP(M * huge, q * huge), near=z)
+    yield StressCase(stress="the answer overflows", problem=LCP(M * 1e-200, q * 1e200))
     start = np.full(M.shape[0], 1e200)
-    yield Case(stress="w overflows at the start", problem=LCP(M * 1e200, q * 1e200), near=z, start=start)
+    yield StressCase(stress="w overflows at the start", problem=LCP(M * 1e200, q * 1e200), near=z, start=start)
 
 
-def cancellation(quick: bool) -> Iterator[Case]:
+def cancellation(quick: bool) -> Iterator[StressCase]:
     """Yield a q that is what is left of much larger terms, and answers whose parts differ much in size."""
     M = grid(SIDE)
     z, w = pattern(SIDE * SIDE)
@@ -305,7 +305,7 @@ def cancellation(quick: bool) -> Iterator[Case]:
         yield planted(f"terms of 1e{power} cancel in M z", cyclic, np.array([1.0, 2.0, 2.0]), np.zeros(3))
 
 
-def one_ulp(quick: bool) -> Iterator[Case]:
+def one_ulp(quick: bool) -> Iterator[StressCase]:
     """Yield problems with every entry of M and q moved by one unit in the last place."""
     bases = [half_active("grid", grid(4, 5.0)), mostly_free("grid, delta=0", grid(SIDE))]
     bases += [mostly_free("Hilbert matrix, n=4", _hilbert(4))]
@@ -315,7 +315,7 @@ def one_ulp(quick: bool) -> Iterator[Case]:
         generator = np.random.default_rng(seed)
         M, q = base.problem.csr, base.problem.q
         moved = sp.csr_array((_moved(M.data, generator), M.indices, M.indptr), shape=M.shape)
-        yield Case(stress=f"1 ulp, {base.stress}", problem=LCP(moved, _moved(q, generator)), near=base.near,
+        yield StressCase(stress=f"1 ulp, {base.stress}", problem=LCP(moved, _moved(q, generator)), near=base.near,
                    reference=base.exact)  # fmt: skip
 
 
@@ -323,7 +323,7 @@ def _moved(values: FloatVector, generator: np.random.Generator) -> FloatVector:
     return values * (1.0 + PERTURBED_BY * generator.choice([-1.0, 1.0], size=values.size))
 
 
-FAMILIES: dict[str, Callable[[bool], Iterator[Case]]] = {
+FAMILIES: dict[str, Callable[[bool], Iterator[StressCase]]] = {
     family.__name__.replace("_", " "): family
     for family in (
         stiffness, scaling, singularity, degeneracy, far_starts, sizes, number_range, cancellation, one_ulp, ranges,

@@ -26,7 +26,7 @@ UNCERTAIN = 1e-3  # stands for entries of a derivative that are zero or infinite
 
 
 @dataclass(frozen=True, eq=False)
-class Function:
+class PairedRows:
     """Rows that belong to a pair, or that are to be zero, and what the language has in their place.
 
     Attributes
@@ -93,8 +93,8 @@ class Assembly:
         self.compiler, self.first, self.lower, self.upper = compiler, first, lower, upper
         self.is_paired = np.zeros(lower.size, dtype=bool)
         #: Of each pair: the unknowns, the function that belongs to them, and its sign.
-        self.pairs: list[tuple[NDArray[np.int64], Function, FloatVector]] = []
-        self.equations: list[Function] = []
+        self.pairs: list[tuple[NDArray[np.int64], PairedRows, FloatVector]] = []
+        self.equations: list[PairedRows] = []
 
     @property
     def count(self) -> int:
@@ -113,7 +113,7 @@ class Assembly:
         """Return how the unknown is written: h[2]."""
         raise NotImplementedError
 
-    def affine(self, functions: Sequence[Function]) -> Affine:
+    def affine(self, functions: Sequence[PairedRows]) -> Affine:
         """Return all rows over all unknowns, each with the number of its function; a single block as it is."""
         matrix, offset = assembled([one.rows for one in functions], self.first, self.count)
         return Affine(matrix, offset, np.repeat(np.arange(len(functions)), [one.rows.size for one in functions]))

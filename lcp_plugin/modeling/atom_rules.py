@@ -25,7 +25,7 @@ from .expressions.rows import Compiler, Indices, Rows, added, entries_behind, st
 Rule: TypeAlias = Callable[[Compiler, Any, list[Any]], Rows]
 
 
-class Kind(NamedTuple):
+class AtomKind(NamedTuple):
     """What is known of all nodes of a class."""
 
     is_variable: bool
@@ -37,11 +37,11 @@ class Kind(NamedTuple):
 
 
 @cache
-def kind_of(kind: type) -> Kind:
+def kind_of(kind: type) -> AtomKind:
     """Return what is known of the nodes of a class; asked once, because cvxpy's classes take a while to answer."""
     rule = next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
     broadcasts = rule in (_added, _negated, _broadcast, _product)
-    return Kind(issubclass(kind, cp.Variable), issubclass(kind, cp.Parameter), rule, broadcasts)
+    return AtomKind(issubclass(kind, cp.Variable), issubclass(kind, cp.Parameter), rule, broadcasts)
 
 
 def rule_of(node: Any) -> Rule | None:

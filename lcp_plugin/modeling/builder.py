@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector
 from ..core.errors import ModelWarning, UnsupportedModel
 from ._compat import attribute_bounds, attribute_expressions, dense
-from .assembly import Assembly, Function
+from .assembly import Assembly, PairedRows
 from .equations import Elimination
 from .expressions.rows import as_matrix, is_definition
-from .model import BoundSource, Model, Report, Sources
+from .model import BoundSource, DualReport, Model, Sources
 from .reading import Reader
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class Builder(Assembly):
         )
         super().__init__(self.reader.compiler, dict(self.offsets), lower, upper)  # of slacks, too, later
         self.is_defined = np.zeros(self.count, dtype=bool)
-        self.reports: list[Report] = []
+        self.reports: list[DualReport] = []
         self.bounds: list[BoundSource] = []
         for variable in self.variables:
             if (stated := attribute_expressions(variable)) is not None:
@@ -59,7 +59,7 @@ class Builder(Assembly):
         """Take in one equality, before the pairs: what it defines is better not the variable of a pair."""
         # Always the same expression object, so that the memo knows it again.
         rows = self.reader.rows(constraint.expr)
-        self.equations.append(Function(constraint.expr, rows, constraint))
+        self.equations.append(PairedRows(constraint.expr, rows, constraint))
         for key, block in rows.blocks.items():
             if key in self.offsets and is_definition(as_matrix(block, rows.size)):
                 self.is_defined[self.offsets[key] + as_matrix(block, rows.size).indices] = True
@@ -67,7 +67,7 @@ class Builder(Assembly):
     def add_pair(self, pair: Complements) -> None:
         """Take in one complementarity: find the side that is a variable, or make one of the other's value."""
         sides = (pair.first, pair.second)
-        functions = [Function(side.expression, self.reader.rows(side.expression)) for side in sides]
+        functions = [PairedRows(side.expression, self.reader.rows(side.expression)) for side in sides]
         singles = [self._single_columns(function) for function in functions]
         ranks = [self._rank(sides[k], sides[1 - k], singles[k]) for k in (0, 1)]
         k = 0 if ranks[0] <= ranks[1] else 1
@@ -84,7 +84,7 @@ class Builder(Assembly):
                 "give it a variable of its own: y == side in the list, and y in its place in the pair"
             )
 
-    def _single_columns(self, function: Function) -> Single | None:
+    def _single_columns(self, function: PairedRows) -> Single | None:
         """Return (column, coefficient) of each row where every row is one distinct unknown, else None."""
         rows = function.rows
         if rows.level or rows.terms != rows.size:
@@ -105,7 +105,7 @@ class Builder(Assembly):
         return preference(side, is_bounded, bool((weights == 1.0).all()))
 
     def _pair_variable(
-        self, pair: Complements, side: Side, own: Function, other: Side, function: Function,
+        self, pair: Complements, side: Side, own: PairedRows, other: Side, function: PairedRows,
         columns: NDArray[np.int64], weights: FloatVector,
     ) -> None:
         positive = weights > 0.0
@@ -132,7 +132,7 @@ class Builder(Assembly):
         self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.rows.offset, side.expression))
 
     def _keep_pair(
-        self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: Function,
+        self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: PairedRows,
         sign: FloatVector, value: tuple[Any, Any, Any] = (1.0, 0.0, None),
     ) -> None:
         """Keep that w = sign · function goes with the columns; value says what the first side is of its unknown."""
@@ -141,7 +141,7 @@ class Builder(Assembly):
         for constraint, is_slack in ((pair, True), (sides[0].constraint, True), (sides[1].constraint, False)):
             if constraint is not None:
                 how = (sign, 0.0, None) if is_slack else value
-                self.reports.append(Report(constraint, columns, shape, is_slack, *how))
+                self.reports.append(DualReport(constraint, columns, shape, is_slack, *how))
 
     def _tighten(self, side: Side, columns: NDArray[np.int64], low: FloatVector, high: FloatVector) -> None:
         """Set the bounds of the columns; the attributes of a variable may repeat them, not contradict them."""
@@ -158,7 +158,7 @@ class Builder(Assembly):
             raise UnsupportedModel(f"{side} has a lower bound above its upper bound")
         self.lower[columns], self.upper[columns] = low, high
 
-    def _pair_slack(self, pair: Complements, first: Function, second: Function) -> None:
+    def _pair_slack(self, pair: Complements, first: PairedRows, second: PairedRows) -> None:
         """S ≥ 0 ⟂ F ≥ 0 without a variable side: a new unknown s = S, s ≥ 0 ⟂ F ≥ 0."""
         size = first.rows.size
         columns = np.arange(self.count, self.count + size)
@@ -195,7 +195,7 @@ class Builder(Assembly):
         for function, end in zip(self.equations, ends, strict=True):
             if function.constraint is not None:
                 part = columns[end - function.rows.size : end]
-                self.reports.append(Report(function.constraint, part, function.rows.shape, False))
+                self.reports.append(DualReport(function.constraint, part, function.rows.shape, False))
 
     def names_of(self, columns: NDArray[np.int64]) -> list[str]:
         """Return the names of the variables that these unknowns are entries of."""
@@ -246,7 +246,7 @@ def sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -
 def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector] | None:
     """Return (lower, upper, weight, offset) of the entry that each row is, by attributes; None where some are none."""
     builder = Builder([expression], {})
-    function = Function(expression, builder.reader.rows(expression))
+    function = PairedRows(expression, builder.reader.rows(expression))
     if (single := builder._single_columns(function)) is None:
         return None
     columns, weights = single

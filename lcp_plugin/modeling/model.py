@@ -25,7 +25,7 @@ ROUNDINGS = 100.0
 
 
 @dataclass(eq=False)
-class Report:
+class DualReport:
     """What to write back into a constraint's dual variable: scale · (w or z)[columns] + shift."""
 
     constraint: Any
@@ -52,7 +52,7 @@ class Model:
     problem: LCP | NonlinearProblem
     variables: list[Any]
     offsets: dict[int, int]
-    reports: list[Report] = field(repr=False)
+    reports: list[DualReport] = field(repr=False)
     elimination: Elimination = field(repr=False)
     sources: Sources = field(repr=False)
 

@@ -26,7 +26,7 @@ from ..problems.programs.solving import ProgramResult, judged_program
 from ._compat import CVXPY_STATUS, statistics
 from .compiled_program import CompiledProgram
 from .stated_terms import dense_value
-from .user_terms import FAR, FAR_NUMBERS, Claim, accompany
+from .user_terms import FAR, FAR_NUMBERS, UserAnswer, accompany
 
 MATRICES = "lcp_plugin.matrices"  # the key of P, F and A, checked, in the program's data
 SOLVE_OPTIONS = {"tolerance": 1e-9}
@@ -155,7 +155,7 @@ class SolverAnswer:
     status: str
     goal: float
 
-    def claim(self, unpacked: Solution, invert: Callable[[SolverAnswer], Solution]) -> Claim | None:
+    def claim(self, unpacked: Solution, invert: Callable[[SolverAnswer], Solution]) -> UserAnswer | None:
         """Return what is claimed, in the user's variables and constraints; None where nothing is.
 
         Parameters
@@ -177,17 +177,17 @@ class SolverAnswer:
             y /= np.abs(y).max(initial=0.0)
             value = -float(y[y != 0.0] @ rows.limit[y != 0.0])
             y[rows.rows :] = 0.0  # cvxpy knows no multipliers of bounds
-            return Claim(unpacked, self.goal, (inverted(np.zeros(program.n), y), value))
+            return UserAnswer(unpacked, self.goal, (inverted(np.zeros(program.n), y), value))
         if isinstance(proof, QPUnboundedness):
             point, direction = numbers(proof.point), numbers(proof.direction)
             step = FAR * (1.0 + np.abs(point).max()) / np.abs(direction).max()
             ray = (inverted(point + k * step * direction, np.zeros(rows.limit.size)) for k in range(3))
-            return Claim(unpacked, SAME * self.goal, points=tuple(ray))
+            return UserAnswer(unpacked, SAME * self.goal, points=tuple(ray))
         if self.status not in (settings.OPTIMAL, settings.OPTIMAL_INACCURATE):
             return None  # a limit came first: the values are the best so far, and nobody claims anything
         errors = (self.goal, self.solution.residual, self.solution.row_residual)
         limit = SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors)))
-        return Claim(unpacked, limit)
+        return UserAnswer(unpacked, limit)
 
 
 class _Compiled(NamedTuple):

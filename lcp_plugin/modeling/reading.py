@@ -21,7 +21,7 @@ from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
 from . import _compat as atoms
 from ._compat import name_of, postorder
-from .atom_rules import Kind, kind_of, linearised, refused, right_to_left, rule_of, whole
+from .atom_rules import AtomKind, kind_of, linearised, refused, right_to_left, rule_of, whole
 from .expressions.functions import SAME
 from .expressions.rows import Compiler, Rows, as_matrix
 
@@ -159,7 +159,7 @@ class Reader:
             self._memo[id(node)] = (node, result)
             self._found.append((node, result))
 
-    def _computed(self, node: Any, kind: Kind, arguments: list[Any]) -> Any:
+    def _computed(self, node: Any, kind: AtomKind, arguments: list[Any]) -> Any:
         if kind.is_variable if self._held is None else kind.is_parameter:
             if kind.is_variable:
                 check_attributes(node)

@@ -51,7 +51,7 @@ FAR_NUMBERS = "lcp_plugin.far_numbers"  # the key of the program's data under wh
 
 
 @dataclass(frozen=True)
-class Claim:
+class UserAnswer:
     """A solver's answer in the variables and constraints of the user.
 
     Parameters
@@ -72,7 +72,7 @@ class Claim:
     points: tuple[Solution, ...] = ()
 
 
-def disagreement(problem: Any, claim: Claim, before: Values, stated: StatedTerms) -> str | None:
+def disagreement(problem: Any, claim: UserAnswer, before: Values, stated: StatedTerms) -> str | None:
     """Return what the problem itself says against the claim, or None.
 
     Parameters
@@ -150,7 +150,7 @@ def _near_enough(problem: Any, before: Values, base: Values) -> list[Values]:
     return [{variable.id: nearest(variable, before[variable.id]) for variable in problem.variables()}]
 
 
-def _against_unboundedness(problem: Any, stated: StatedTerms, claim: Claim) -> str | None:
+def _against_unboundedness(problem: Any, stated: StatedTerms, claim: UserAnswer) -> str | None:
     """Hold the points of the ray against the constraints and the objective."""
     for point in claim.points:
         terms = stated.at({key: dense_value(value) for key, value in point.primal_vars.items()})
@@ -305,7 +305,7 @@ def _judged(problem: Any, compiled: Any, solution: Any, chain: Any, inverse_data
         )
 
 
-def _against(problem: Any, compiled: Any, claim: Claim, before: Values) -> str | None:
+def _against(problem: Any, compiled: Any, claim: UserAnswer, before: Values) -> str | None:
     """Return what the problem says against a claim; keep its terms for the next claim while it stays compiled."""
     known, stated = _known.pop(problem, (None, None))
     with np.errstate(all="ignore"):

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, UnitLeastSquares
 from lcp_plugin.problems.least_squares.face_steps import projected_steps
-from lcp_plugin.problems.least_squares.faces import Faces, Point
+from lcp_plugin.problems.least_squares.faces import FacePoint, Faces
 from lcp_plugin.problems.least_squares.run import DENSE_PATIENCE, SPARSE_PATIENCE
 from lcp_plugin.problems.least_squares.solving import SMALL, bounded_least_squares
 
@@ -207,7 +207,7 @@ def _chain(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any],
 
     def solved_once(unit: UnitLeastSquares) -> Any:
         faces = Faces.of(unit)
-        return faces and faces.correction(Point(unit, unit.lower), np.ones(n, dtype=np.bool_))
+        return faces and faces.correction(FacePoint(unit, unit.lower), np.ones(n, dtype=np.bool_))
 
     return UnitLeastSquares(problem), solved_once, 1.0
 
@@ -215,5 +215,5 @@ def _chain(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any],
 def _patience(name: str, value: float, case: tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any], float]) -> str:
     unit, by_factor, size = case
     factor = timed(lambda: by_factor(unit)).seconds
-    steps = timed(lambda: list(islice(projected_steps(Point(unit, unit.lower)), STEPS))).seconds / STEPS
+    steps = timed(lambda: list(islice(projected_steps(FacePoint(unit, unit.lower)), STEPS))).seconds / STEPS
     return f"{name} = {value}: a face solved by a factor costs {factor / steps / size:.2g} steps of this unit"

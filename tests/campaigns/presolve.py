@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from exact_assignments import solutions, solves
 
 from lcp_plugin import LCP
-from lcp_plugin.methods.presolve.presolve import presolve
+from lcp_plugin.methods.presolve import presolve
 
 BOUNDS = [(0.0, np.inf), (0.0, np.inf), (-np.inf, np.inf), (-1.0, 1.0), (0.1, 0.1), (0.0, 0.0), (-np.inf, 2.0)]
 

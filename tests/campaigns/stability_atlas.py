@@ -19,12 +19,12 @@ from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence.exact_answers import lie_in
 from lcp_plugin.evidence.stability import stability_atlas
-from lcp_plugin.evidence.stresses import Case, planted, rescaled
+from lcp_plugin.evidence.stresses import StressCase, planted, rescaled
 
 SPREADS = (0, 3, 30, 100, 300)
 
 
-def random_case(rng: np.random.Generator) -> Case:
+def random_case(rng: np.random.Generator) -> StressCase:
     """An H₊ or positive definite matrix of integers with a planted answer, in random units."""
     n = int(rng.integers(1, 9))
     A = rng.integers(-9, 10, size=(n, n)) * (rng.random((n, n)) < rng.uniform(0.2, 1.0))
@@ -40,7 +40,7 @@ def random_case(rng: np.random.Generator) -> Case:
     return rescaled("random units", planted("", M.astype(float), z, w), row, column)
 
 
-def untrue(case: Case, name: str, counts: Counter[tuple[str, str]]) -> str:
+def untrue(case: StressCase, name: str, counts: Counter[tuple[str, str]]) -> str:
     """Count the status of a run; return what is untrue in it, or an empty text."""
     from lcp_plugin import solve
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scenes import SMALL
-from typer.testing import CliRunner
+from the_command import lcp_plugin
 
 from lcp_plugin import LCP, Status, __version__, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.commands.cli import app, run
+from lcp_plugin.commands.cli import run
 from lcp_plugin.evidence import paper_tables
 
 BOX = LCP([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]], [-5.0, 1.0, 2.0], upper=[2.0, np.inf, np.inf])
@@ -36,14 +36,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A current folder of its own, so that relative paths are typed as a user would and leftovers are seen."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def lcp_plugin(*arguments: str) -> Any:
-    """The command in this process; its result has exit_code, stdout and stderr."""
-    result = CliRunner().invoke(app, list(arguments))
-    assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
-    assert "Traceback" not in result.stdout + result.stderr
-    return result
 
 
 def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedProcess[bytes]:

@@ -15,7 +15,7 @@ from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.core.policy.choice import Auto
 from lcp_plugin.core.policy.stages import Choice, Stage
 from lcp_plugin.gallery.stencil import stencil_matrix
-from lcp_plugin.methods.direct.direct_methods import direct_methods, has_had_its_turn
+from lcp_plugin.methods.direct import direct_methods, has_had_its_turn
 from lcp_plugin.methods.search import is_searchable
 from lcp_plugin.methods.search.stages import ExhaustiveSearch
 from lcp_plugin.problems.programs.conversion import lcp_from_lp

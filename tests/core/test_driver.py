@@ -36,8 +36,8 @@ from lcp_plugin import (
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.proofs.bounds import error_bounds
-from lcp_plugin.proofs.bounds.error_watch import ErrorWatch
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
+from lcp_plugin.proofs.bounds.error_watch import ErrorWatch
 from lcp_plugin.proofs.exact.linear_systems import solve_exactly
 from lcp_plugin.proofs.guarantees import guarantees
 
@@ -386,7 +386,7 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
         ("core.solving.driver.Run.__init__", {}),
         ("core.solving.driver.CommonUnits.of", {}),
         ("proofs.guarantees.guarantees.warn_where_known_to_be_uncovered", {}),
-        ("proofs.bounds.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),
+        ("proofs.bounds.active_rows.ErrorWatch._bound", {"tolerance_on": "error"}),
         ("core.policy.choice.Auto.first", {}),
         ("core.policy.choice.Single.first", {}),
     ],

@@ -16,7 +16,7 @@ from lcp_plugin.algorithms import REGISTRY, Algorithm, create
 from lcp_plugin.core.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
 from lcp_plugin.core.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
 from lcp_plugin.methods.modulus.modulus import MAOR, MGS, MJ, MSOR
-from lcp_plugin.methods.npsplitting.np_splitting import NPSplitting
+from lcp_plugin.methods.npsplitting import NPSplitting
 
 STEPS = 30
 KINDS = ["dense", "sparse", "scaled"]

@@ -23,9 +23,18 @@ from typer.testing import CliRunner
 from lcp_plugin import LCP, InvalidOption, gallery
 from lcp_plugin.commands.cli import app
 from lcp_plugin.evidence.error_against_time import best_answer
-from lcp_plugin.evidence.report.page import collect, write_report
 from lcp_plugin.evidence.report.scenes import QUICK_SCENES, SCENES
-from lcp_plugin.evidence.report.section import FULL, QUICK, Collected, Part, Section, plan, sections
+from lcp_plugin.evidence.report.section import (
+    FULL,
+    QUICK,
+    Collected,
+    Part,
+    Section,
+    collect,
+    plan,
+    sections,
+    write_report,
+)
 from lcp_plugin.evidence.stability import stability_atlas
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -357,7 +366,7 @@ def test_interruption_between_two_parts_is_remembered(
 @pytest.mark.full
 def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C while the page is written: the parts are kept, the command says how to go on, the exit code is 1."""
-    from lcp_plugin.evidence.report import page as module
+    from lcp_plugin.evidence.report import section as module
 
     def stop(*args: Any, **options: Any) -> Path:
         raise KeyboardInterrupt

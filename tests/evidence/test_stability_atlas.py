@@ -29,7 +29,7 @@ from lcp_plugin.evidence import exact_answers
 from lcp_plugin.evidence import stability as atlas
 from lcp_plugin.evidence.exact_answers import condition_of_answer, exact_answer, lie_in, relative_error
 from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
-from lcp_plugin.evidence.stresses import FAMILIES, Case, grid, half_active, mostly_free, planted, rescaled
+from lcp_plugin.evidence.stresses import FAMILIES, StressCase, grid, half_active, mostly_free, planted, rescaled
 from lcp_plugin.methods.interior.suited_matrix import monotone_rows
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.proofs.exact.rational import is_exact_solution
@@ -56,7 +56,7 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any
 
 @pytest.mark.sampled(12)
 @pytest.mark.parametrize(("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES])
-def test_every_case_has_a_verified_answer_or_none(family: str, case: Case) -> None:
+def test_every_case_has_a_verified_answer_or_none(family: str, case: StressCase) -> None:
     """The answers of all cases solve their problems without rounding, and each has a condition number of 1 or more."""
     assert (case.exact is None) == (case.stress in ("singular M, no solution", "the answer overflows"))
     assert case.exact is None or is_exact_solution(case.problem, case.exact)

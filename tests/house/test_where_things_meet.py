@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kinds_of_problems import SAMPLES, Sample
-from test_ampl_command import content_of
+from nl_content import content_of
 from typer.testing import CliRunner
 
 from lcp_plugin import (
@@ -51,7 +51,7 @@ from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.answer import Answer
 from lcp_plugin.doors.nl import read_sol, write_nl
 from lcp_plugin.doors.nl.answers import CODES
-from lcp_plugin.methods.presolve.presolve import presolve
+from lcp_plugin.methods.presolve import presolve
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 
 CLOSE = 1e-5

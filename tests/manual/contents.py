@@ -25,7 +25,7 @@ SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages i
         "Prove: a matrix, a method, an error, an answer",
         "proofs core.certificates methods.search problems.programs.certification problems.programs.program_proofs",
     ),
-    "batch": ("Batch: many problems at once", "problems.batches problems.march problems.programs.program_batch"),
+    "batch": ("Batch: many problems at once", "problems.batches problems.march problems.programs.stacked_programs"),
     "differentiate": ("Differentiate: how the answer changes", "doors.learn problems.sensitivity"),
     "measure": ("Measure: scenes, pictures, tests of solvers", "gallery evidence strategies"),
     "doors": ("Doors: other languages, files, machines", "doors pyomo ranks commands"),

@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import LCP, Status, all_solutions, analyze, solve
-from lcp_plugin.methods.direct.direct_methods import direct_methods
+from lcp_plugin.methods.direct import direct_methods
 from lcp_plugin.methods.search.stages import LargestPoint
 from lcp_plugin.proofs.verdicts.report import sign_remark
 

@@ -67,7 +67,7 @@ from .remaining import TRIAL_SWEEPS, Remaining
 from .stages import Choice, Stage
 
 if TYPE_CHECKING:
-    from ...methods.direct.direct_methods import Retries, Turns
+    from ...methods.direct import Retries, Turns
 
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 BLOCK = 2**14  # rows

@@ -12,7 +12,7 @@ from ..checks import FloatVector
 from ..lcp import LCP
 
 if TYPE_CHECKING:
-    from ...methods.presolve.presolve import Presolved
+    from ...methods.presolve import Presolved
 
 STEADY = 0.05
 KEPT_RESIDUALS = 512

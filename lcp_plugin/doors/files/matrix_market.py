@@ -1,8 +1,7 @@
-"""Reading Matrix Market files strictly: scipy's reader takes misspelt numbers, and crashes on truncated ones.
+"""Reading Matrix Market files strictly, and MATLAB's .mat files, versions 4 to 7.2, by scipy.
 
-Reading MATLAB's .mat files, versions 4 to 7.2, by scipy.
-
-scipy's reader may end the process on a damaged file: read files that you trust.
+scipy's reader of Matrix Market takes misspelt numbers, and crashes on truncated ones. That of .mat files may end the
+process on a damaged file: read files that you trust.
 """
 
 from __future__ import annotations

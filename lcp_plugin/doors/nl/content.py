@@ -1,8 +1,7 @@
 """What an ``.nl`` file says, text or binary alike: plain arrays, nothing computed.
 
-What the text and the binary reader of ``.nl`` files hand on: the segments as they stand, with their places.
-
-The ten lines at the head of an ``.nl`` file, text in binary files too.
+It is made of the ten lines of the head, text in binary files too, and of what the text and the binary reader hand on:
+the segments as they stand, with their places.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...core.checks import BoolVector, FloatVector
 from ...core.errors import UnsupportedModel
 from ...core.lcp import LCP
-from ...modeling.assembly import Assembly, Function
+from ...modeling.assembly import Assembly, PairedRows
 from ...modeling.equations import SMALLEST_PIVOT
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.programs.program import QuadraticProgram
@@ -59,7 +59,7 @@ def model_of(content: NLContent) -> NLModel:
     UnsupportedModel
         Naming the row or variable that is not taken.
     """
-    statement = Statement(content)
+    statement = FileStatement(content)
     if statement.pairs.size and statement.has_objective():
         return statement.equilibrium_program()
     return statement.complementarities() if statement.is_complementarity_problem() else statement.program()
@@ -91,7 +91,7 @@ def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
     raise UnsupportedModel(f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it")
 
 
-class Statement:
+class FileStatement:
     """The rows of a file, sorted by what they say.
 
     Parameters
@@ -360,11 +360,11 @@ class _Assembly(Assembly):
         """Take in complementarity rows; place says which unknown a variable is."""
         columns = place[self.content.partners[rows]]
         self.is_paired[columns] = True
-        self.pairs.append((columns, Function(rows, self.found.rows(rows)), np.ones(rows.size)))
+        self.pairs.append((columns, PairedRows(rows, self.found.rows(rows)), np.ones(rows.size)))
 
     def take_equations(self, rows: Indices, place: Indices) -> None:
         """Take in equations, whose right-hand sides are on the left by now."""
-        self.equations.append(Function(rows, self.found.rows(rows)))
+        self.equations.append(PairedRows(rows, self.found.rows(rows)))
 
     def variable_of(self) -> NDArray[np.int64]:
         """Return 0: what is an array in its own language is not known here."""

@@ -2,7 +2,7 @@
 
 Operands come before their operator then, so that no recursion is needed, however deep a tree is.
 
-AMPL's operators by their numbers: what each is called, and what becomes of it.
+A table has AMPL's operators by their numbers: what each is called, and what becomes of it.
 """
 
 from __future__ import annotations

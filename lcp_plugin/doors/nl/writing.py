@@ -1,8 +1,7 @@
-"""Writing ``.nl`` files, text or binary: the same segments in the same order."""
+"""Writing ``.nl`` files, as text."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable
 from os import PathLike
 from typing import Any
@@ -12,26 +11,20 @@ import scipy.sparse as sp
 
 from ...core.errors import InvalidProblem
 from ..files.files import checked_path, write_whole
-from .content import ARITY, BIG_ENDIAN, LITTLE_ENDIAN, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL, NLContent, Token, Trees
+from .content import ARITY, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL, NLContent, Token, Trees
 
 LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o", Token.CALL: b"f", Token.STRING: b"h"}
 ANY_COUNT = -1  # of the operands of an external function, which the content does not keep
 ALSO_STRINGS = 1  # its type: it takes texts as well
 
 
-def write_nl(
-    content: NLContent, path: str | PathLike[str], binary: bool = False, *, big_endian: bool = False
-) -> None:
-    """Write the content as an ``.nl`` file, with ``.col`` and ``.row`` files of the names beside it.
+def write_nl(content: NLContent, path: str | PathLike[str]) -> None:
+    """Write the content as a text ``.nl`` file, with ``.col`` and ``.row`` files of the names beside it.
 
     Parameters
     ----------
     content : NLContent
     path : str or Path
-    binary : bool
-        Numbers of fixed length instead of text.
-    big_endian : bool
-        The order of their bytes.
 
     Raises
     ------
@@ -41,8 +34,7 @@ def write_nl(
     if not isinstance(content, NLContent):
         raise InvalidProblem(f"content must be an NLContent, as read_content returns it, got {type(content).__name__}")
     target = checked_path(path)
-    writer: _Text = _Binary(content, big_endian) if binary else _Text(content)
-    parts = writer.parts()
+    parts = TextWriter(content).parts()
     contents = {target: lambda file: file.writelines(parts)}
     for ending, names in ((".col", content.names), (".row", content.row_names)):
         if names is not None:
@@ -51,7 +43,7 @@ def write_nl(
     write_whole(contents)
 
 
-class _Text:
+class TextWriter:
     """The segments as lines."""
 
     format, arithmetic = "g", 0
@@ -140,11 +132,11 @@ class _Text:
 
     def _bounds(self, letter: str, lower: Any, upper: Any) -> None:
         self._line(letter, ())
-        for kind, *numbers in _bounds(self.content, lower, upper, is_rows=letter == "r"):
+        for kind, *numbers in stated_bounds(self.content, lower, upper, is_rows=letter == "r"):
             self.out.append(" ".join([str(kind), *map(repr, numbers)]).encode() + b"\n")
 
     def _tree(self, trees: Trees, k: int) -> None:
-        for kind, value, count in _tokens(trees, k):
+        for kind, value, count in tokens_of(trees, k):
             if kind == Token.STRING:
                 text = trees.strings[int(value)]
                 self.out.append(b"h%d:%s\n" % (len(text), text))
@@ -153,56 +145,8 @@ class _Text:
             else:
                 self.out.append(LETTERS[kind] + b"%d" % value)
                 self.out.append(b" %d\n" % count if kind == Token.CALL else b"\n")
-                if kind == Token.OPERATOR and (behind := _count_behind(int(value), count)):
+                if kind == Token.OPERATOR and (behind := count_behind(int(value), count)):
                     self.out.append(b"%d\n" % behind)
-
-
-class _Binary(_Text):
-    """The segments as letters and numbers of fixed length."""
-
-    format = "b"
-
-    def __init__(self, content: NLContent, big_endian: bool) -> None:
-        super().__init__(content)
-        self.order = ">" if big_endian else "<"
-        self.arithmetic = BIG_ENDIAN if big_endian else LITTLE_ENDIAN
-
-    def _integers(self, *numbers: int) -> bytes:
-        return struct.pack(f"{self.order}{len(numbers)}i", *numbers)
-
-    def _line(self, letter: str, numbers: Iterable[int], text: bytes | None = None) -> None:
-        self.out.append(letter.encode() + self._integers(*numbers))
-        if text is not None:
-            self.out.append(self._integers(len(text)) + text)
-
-    def _pairs(self, indices: Any, values: Any, is_real: bool = True) -> None:
-        pairs = np.empty(indices.size, dtype=[("index", self.order + "i4"),
-                                              ("value", self.order + ("f8" if is_real else "i4"))])
-        pairs["index"], pairs["value"] = indices, values
-        self.out.append(pairs.tobytes())
-
-    def _columns(self, counts: Any) -> None:
-        self._line("k", (counts.size,))
-        self.out.append(counts.astype(self.order + "i4").tobytes())
-
-    def _bounds(self, letter: str, lower: Any, upper: Any) -> None:
-        self._line(letter, ())
-        for kind, *numbers in _bounds(self.content, lower, upper, is_rows=letter == "r"):
-            form = "i" if kind == PARTNER else "d"
-            self.out.append(b"%d" % kind + struct.pack(f"{self.order}{len(numbers)}{form}", *numbers))
-
-    def _tree(self, trees: Trees, k: int) -> None:
-        for kind, value, count in _tokens(trees, k):
-            self.out.append(LETTERS[kind])
-            if kind == Token.STRING:
-                text = trees.strings[int(value)]
-                self.out.append(self._integers(len(text)) + text)
-            elif kind == Token.NUMBER:
-                self.out.append(struct.pack(self.order + "d", value))
-            else:
-                behind = _count_behind(int(value), count) if kind == Token.OPERATOR else 0
-                has_count = kind == Token.CALL or behind > 0
-                self.out.append(self._integers(int(value), *[behind or count] * has_count))
 
 
 def _row(matrix: sp.csr_array, i: int) -> tuple[Any, Any]:
@@ -210,17 +154,18 @@ def _row(matrix: sp.csr_array, i: int) -> tuple[Any, Any]:
     return matrix.indices[part], matrix.data[part]
 
 
-def _tokens(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
+def tokens_of(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
+    """Return kind, value and number of operands of each token of tree k."""
     part = slice(trees.starts[k], trees.starts[k + 1])
     return zip(trees.kinds[part].tolist(), trees.values[part].tolist(), trees.counts[part].tolist(), strict=True)
 
 
-def _count_behind(operator: int, count: int) -> int:
+def count_behind(operator: int, count: int) -> int:
     """Return the number that stands behind an operator: of operands, of slopes, or 0 where none does."""
     return {NARY: count, PIECEWISE: count // 2}.get(int(ARITY[operator]), 0)
 
 
-def _bounds(content: NLContent, lower: Any, upper: Any, *, is_rows: bool) -> Iterable[tuple[Any, ...]]:
+def stated_bounds(content: NLContent, lower: Any, upper: Any, *, is_rows: bool) -> Iterable[tuple[Any, ...]]:
     """Yield the kind of each bound with the numbers behind it."""
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
         if is_rows and content.partners[i] >= 0:

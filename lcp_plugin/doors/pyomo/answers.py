@@ -1,6 +1,6 @@
 """What a run found, put back into the Pyomo model: values, suffixes, and whether all that was stated holds.
 
-Pyomo's newer solver interface, ``pyomo.contrib.solver``, over the same answers.
+Pyomo's newer solver interface, ``pyomo.contrib.solver``, stands over the same answers.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ NO_POINT = (Status.INFEASIBLE, Status.NO_SOLUTION)
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class PyomoAnswer:
     """The answer to a Pyomo model.
 
     Attributes
@@ -108,7 +108,7 @@ class Answer:
         write_nl(content if labels else replace(content, names=None, row_names=None), path)
 
 
-def answered(model: Any, options: dict[str, Any], path: Path) -> Answer:
+def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
     """Return the answer to a Pyomo model, which is not changed.
 
     Parameters
@@ -133,7 +133,7 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> Answer:
     if values and found.status not in NO_POINT:
         tolerance = max(FEASIBLE, 10.0 * Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance)
         violated = _violated(statement, values, tolerance)
-    return Answer(statement, found, problem, values, duals, violated)
+    return PyomoAnswer(statement, found, problem, values, duals, violated)
 
 
 def _problem(statement: Statement) -> NLModel:
@@ -214,7 +214,7 @@ LOADER = getattr(solution_loader, "SolutionLoader", None) or solution_loader.Sol
 class Loader(LOADER):  # type: ignore[misc, valid-type]
     """Puts an answer into the model, or hands it out."""
 
-    def __init__(self, answer: Answer, model: Any) -> None:
+    def __init__(self, answer: PyomoAnswer, model: Any) -> None:
         self.answer, self._pyomo_model = answer, model
 
     def get_number_of_solutions(self) -> int:
@@ -258,7 +258,7 @@ def _told(kind: type[Exception], message: str) -> Exception:
     return error
 
 
-class LCPPlugin(SolverBase):  # type: ignore[misc]
+class LCPPluginV2(SolverBase):  # type: ignore[misc]
     """The solver by the newer interface; ``solver_options`` are those of :func:`lcp_plugin.solve`."""
 
     CONFIG = SolverConfig()
@@ -298,7 +298,7 @@ class LCPPlugin(SolverBase):  # type: ignore[misc]
         return results
 
 
-def _results_of(answer: Answer, model: Any) -> Any:
+def _results_of(answer: PyomoAnswer, model: Any) -> Any:
     found, results = answer.found, Results()
     is_solved = found.status is Status.SOLVED and not answer.violated
     results.termination_condition = ENDS.get(found.status, TerminationCondition.unknown)
@@ -316,4 +316,4 @@ def _results_of(answer: Answer, model: Any) -> Any:
 
 def register(name: str) -> None:
     """Register it with the newer interface; the older one knows this class by a name of its own."""
-    SolverFactory.register(name, legacy_name=f"{name}_v2", doc="Complementarity problems, by lcp_plugin")(LCPPlugin)
+    SolverFactory.register(name, legacy_name=f"{name}_v2", doc="Complementarity problems, by lcp_plugin")(LCPPluginV2)

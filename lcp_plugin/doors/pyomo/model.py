@@ -37,7 +37,7 @@ from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
 from ..nl.content import NLContent, Token, Trees
 from ..nl.reading import read_content
-from .pairs import Pair, Side, cannot_vary, difference, number, paired, sides_of, unit
+from .pairs import Pair, PairSide, cannot_vary, difference, number, paired, sides_of, unit
 
 KNOWN = {
     Block, Complementarity, Constraint, Expression, ExternalFunction, Objective, Param, Port, RangeSet, Set, Suffix,
@@ -178,7 +178,7 @@ class _Draft:
         if sizes:
             self.beside.append(Beside(name, lambda: _excess(body, least, most, max(sizes))))
 
-    def pair(self, conditions: Sequence[Any], sides: Sequence[tuple[Side, Side]]) -> None:
+    def pair(self, conditions: Sequence[Any], sides: Sequence[tuple[PairSide, PairSide]]) -> None:
         """Take the complementarities, first those that leave no choice of a partner."""
         choices = [sum(side.variable is not None for side in pair) for pair in sides]
         for condition, pair, _ in sorted(zip(conditions, sides, choices, strict=True), key=lambda each: each[2] != 1):

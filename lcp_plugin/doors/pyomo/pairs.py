@@ -18,7 +18,7 @@ from ...core.errors import UnsupportedModel
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class PairSide:
     """One side of a pair: lower ≤ body ≤ upper, infinite where nothing is stated, equal for an equation."""
 
     lower: float
@@ -61,13 +61,13 @@ class Pair:
     Attributes
     ----------
     stated : ComplementarityData
-    held : Side
+    held : PairSide
     row : expression
         ≥ 0 where the held body is at its lower bound, ≤ 0 at its upper bound, 0 between.
     """
 
     stated: Any
-    held: Side
+    held: PairSide
     row: Any
 
     @property
@@ -81,7 +81,7 @@ class Pair:
         return body - min(max(body - row, self.held.lower), self.held.upper) if math.isfinite(row) else math.nan
 
 
-def sides_of(stated: Any) -> tuple[Side, Side]:
+def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
     """Return both sides of a ComplementarityData, checked.
 
     Raises
@@ -107,25 +107,25 @@ def sides_of(stated: Any) -> tuple[Side, Side]:
     return first, second
 
 
-def _side(argument: Any, stated: Any) -> Side:
+def _side(argument: Any, stated: Any) -> PairSide:
     if argument is None or isinstance(argument, (bool, str)):
         raise UnsupportedModel(f"a side of {stated.name} is {argument!r}; it needs an expression of variables")
     if isinstance(argument, EqualityExpression):
         left, right = argument.args
-        return Side(0.0, difference(left, right) if _counts(right) else left, 0.0)
+        return PairSide(0.0, difference(left, right) if _counts(right) else left, 0.0)
     if isinstance(argument, (InequalityExpression, RangedExpression)) and any(_strict(argument)):
         raise UnsupportedModel(f"a side of {stated.name} is strict, {argument}; write <= or >=")
     if isinstance(argument, RangedExpression):
         lower, body, upper = argument.args
-        return Side(_bound(lower, stated), body, _bound(upper, stated))
+        return PairSide(_bound(lower, stated), body, _bound(upper, stated))
     if isinstance(argument, InequalityExpression):
         smaller, larger = argument.args
         if not is_potentially_variable(smaller) or (is_potentially_variable(larger) and cannot_vary(smaller)):
-            return Side(_bound(smaller, stated), larger, math.inf)
+            return PairSide(_bound(smaller, stated), larger, math.inf)
         if cannot_vary(larger):
-            return Side(-math.inf, smaller, _bound(larger, stated))
-        return Side(0.0, difference(larger, smaller), math.inf)
-    return Side(-math.inf, argument, math.inf)
+            return PairSide(-math.inf, smaller, _bound(larger, stated))
+        return PairSide(0.0, difference(larger, smaller), math.inf)
+    return PairSide(-math.inf, argument, math.inf)
 
 
 def _counts(expression: Any) -> bool:
@@ -184,13 +184,13 @@ def unit(expression: Any) -> float:
     return found if math.isfinite(found) else 1.0
 
 
-def paired(stated: Any, sides: tuple[Side, Side], is_taken: Callable[[Any], bool]) -> Pair:
+def paired(stated: Any, sides: tuple[PairSide, PairSide], is_taken: Callable[[Any], bool]) -> Pair:
     """Return a pair with that side held which is ranged, else one that is a variable not taken, else a fixed one.
 
     Parameters
     ----------
     stated : ComplementarityData
-    sides : tuple of Side
+    sides : tuple of PairSide
         Its sides, none of them an equation.
     is_taken : callable
         Whether a variable goes with another row already.

@@ -16,7 +16,7 @@ from ..error_against_time import best_answer, error_against_time
 from ..exporting import csv_text
 from ..figures import OWN
 from ..pictures import draw_sketch, sketch_of
-from .section import PAGE_WIDTH, Collected, Effort, Part, Say, Section, brief, count, figure, seconds
+from .section import PAGE_WIDTH, Collected, Part, ReportEffort, Say, Section, brief, count, figure, seconds
 
 SCENES = (
     "paper_example_1:n=10000",
@@ -57,7 +57,7 @@ class Scenes(Section):
     title = "Scene by scene"
     short = "Scenes"
 
-    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterator[Part]:
+    def parts(self, scenes: Mapping[str, str | Scene], effort: ReportEffort) -> Iterator[Part]:
         """Yield one part a scene; a misspelt one is refused before anything runs."""
         chosen = scenes or {text: text for text in (QUICK_SCENES if effort.is_quick else SCENES)}
         for given in scenes.values():
@@ -91,7 +91,7 @@ def _hash(scene: str | Scene) -> str:
     return "" if isinstance(scene, str) else data_of(scene.problem)
 
 
-def measured(name: str, given: str | Scene, effort: Effort, say: Say) -> dict[str, Any]:
+def measured(name: str, given: str | Scene, effort: ReportEffort, say: Say) -> dict[str, Any]:
     """Return the curves of a scene and a sketch of its answer."""
     scene = parse(given) if isinstance(given, str) else given
     max_work = effort.entries / max(scene.problem.nonzeros, 1)

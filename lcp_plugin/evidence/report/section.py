@@ -1,26 +1,34 @@
-"""What a part of the report is: one object that computes and draws. All of them lie in this folder."""
+"""What a part of the report is, one object that computes and draws, and the page that they make.
+
+All of them lie in this folder. The page is index.html, which needs no other file; beside it lie CSV and JSON.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module, resources
+from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, ClassVar
 
+from ...core.errors import LCPError
 from ...gallery.scene import Scene
-from ..collecting import Collected, Compute, Part, Say
-from ..drawing import svg
+from ..collecting import Collected, Compute, Part, Say, collect, machine
+from ..drawing import COLOURS, svg
+from ..exporting import finite_content, write_text
 
-__all__ = ["Collected", "Compute", "Effort", "Part", "Say", "Section", "plan", "sections"]
-
+__all__ = [
+    "Collected", "Compute", "Part", "ReportEffort", "Say", "Section", "collect", "plan", "sections", "write_report",
+]
 
 PAGE_WIDTH = 4.7  # inches, of a figure on the page
 
 
 @dataclass(frozen=True)
-class Effort:
+class ReportEffort:
     """How much a report spends: repeats, entries of M a run may touch, and the seconds of a run and a reference."""
 
     repeats: int
@@ -30,8 +38,8 @@ class Effort:
     is_quick: bool
 
 
-FULL = Effort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
-QUICK = Effort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
+FULL = ReportEffort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
+QUICK = ReportEffort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
 
 
 class Section:
@@ -65,11 +73,11 @@ class Section:
         """Return the template."""
         return self.template or resources.files(__package__).joinpath(f"{self.anchor}.html").read_text("utf-8")
 
-    def work(self, effort: Effort) -> Mapping[str, Compute]:
+    def work(self, effort: ReportEffort) -> Mapping[str, Compute]:
         """Return what the whole report has to compute, by name."""
         return {}
 
-    def parts(self, scenes: Mapping[str, str | Scene], effort: Effort) -> Iterable[Part]:
+    def parts(self, scenes: Mapping[str, str | Scene], effort: ReportEffort) -> Iterable[Part]:
         """Return what is to be computed one by one, for the scenes asked for or, without any, the whole report."""
         work = {} if scenes else self.work(effort)
         return [Part(self.kind, name, compute, effort) for name, compute in work.items()]
@@ -141,3 +149,63 @@ def seconds(value: float) -> str:
         if value >= size:
             return f"{value / size:.3g} {unit}"
     return f"{value / 1e-6:.2g} µs"
+
+
+def write_report(collected: Collected, folder: Path, *, is_quick: bool) -> Path:
+    """Write the page and the tables into the folder; return the path of the page.
+
+    Parameters
+    ----------
+    collected : Collected
+        What there is; the page says what is missing.
+    folder : Path
+        Where ``index.html``, ``report.json`` and the CSV files go.
+    is_quick : bool
+        Whether the problems are the small ones, which the page says.
+
+    Raises
+    ------
+    LCPError
+        Where jinja2 or matplotlib is not installed.
+    """
+    facts, every = machine(), sections_of(collected)
+    page = _template(resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8")).render(
+        machine=facts, sections=list(filter(None, (_shown(section, collected) for section in every))),
+        missing=collected.missing, is_quick=is_quick,
+    )
+    content = {
+        "machine": facts, "missing": collected.missing,
+        "parts": [{"kind": kind, "name": name} | part for (kind, name), part in collected.contents.items()],
+    }
+    for section in every:
+        for name, text in section.files(collected).items():
+            write_text(folder / name, text)
+    write_text(folder / "report.json", json.dumps(finite_content(content), ensure_ascii=False, indent=1))
+    write_text(folder / "index.html", page)
+    return folder / "index.html"
+
+
+def _shown(section: Section, collected: Collected) -> dict[str, Any] | None:
+    """Return heading and body of a section, None where it has nothing to show."""
+    from markupsafe import Markup
+
+    drawn = section.draw(collected)
+    body = Markup(_template(section.markup()).render(drawn).strip()) if drawn else ""
+    return {"anchor": section.anchor, "title": section.title, "short": section.short, "body": body} if body else None
+
+
+def require_jinja() -> Any:
+    """Return jinja2, or say how to install it."""
+    try:
+        import jinja2
+    except ImportError as error:
+        raise LCPError("the report needs jinja2; install it with: pip install 'lcp_plugin[report]'") from error
+    return jinja2
+
+
+def _template(text: str) -> Any:
+    jinja2 = require_jinja()
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(text, {"number": brief, "colours": COLOURS})

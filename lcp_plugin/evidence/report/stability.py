@@ -8,7 +8,7 @@ from typing import Any
 
 from ..stability import PROVED, RANGES, Atlas, Cell, stability_atlas
 from ..stresses import FAMILIES
-from .section import Collected, Compute, Effort, Say, Section, figure
+from .section import Collected, Compute, ReportEffort, Say, Section, figure
 
 TOO_LONG_FOR_QUICK = ("sizes", RANGES, PROVED)
 
@@ -21,7 +21,7 @@ class Stability(Section):
     title = "Stability atlas"
     short = "Stability"
 
-    def work(self, effort: Effort) -> dict[str, Compute]:
+    def work(self, effort: ReportEffort) -> dict[str, Compute]:
         """Return one part a family."""
         families = [one for one in FAMILIES if not (effort.is_quick and one in TOO_LONG_FOR_QUICK)]
         return {family: partial(_stressed, family, effort) for family in families}
@@ -49,7 +49,7 @@ class Stability(Section):
         return {"stability.csv": _whole(collected).to_csv()}
 
 
-def _stressed(family: str, effort: Effort, say: Say) -> dict[str, Any]:
+def _stressed(family: str, effort: ReportEffort, say: Say) -> dict[str, Any]:
     def progress(done: int, total: int, label: str) -> None:
         say(f"{done} of {total}, {label}")
 

@@ -35,8 +35,6 @@ References
    SIAM J. Control 9 (1971), doi:10.1137/0309028.
 .. [3] C. Gräser, R. Kornhuber, *Multigrid methods for obstacle problems*, J. Comput. Math. 27 (2009): the correction
    after a nonlinear smoother needs to be monotone only.
-
-The complementarity problem of one grid of projected full multigrid.
 """
 
 from __future__ import annotations

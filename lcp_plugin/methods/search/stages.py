@@ -31,7 +31,7 @@ from . import LARGEST_CHOICES, LARGEST_SIZE, Effort, Found, NoSolution, explore,
 
 SLIGHTLY = 1e-2  # of a contradiction, spent on the rounding of its proof
 MOST_CASES = 4096  # in doubles
-CHOICES = (LOWER, SLACKLESS, UPPER)  # as numbered in `methods.search.kernels.cases`
+CHOICES = (LOWER, SLACKLESS, UPPER)  # as numbered in `methods.search.kernels`
 CASES_A_STEP = 50
 MOST_EXACT = 20_000
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds
@@ -201,7 +201,7 @@ class Outline:
     entries : float
         Of the tableau that were computed.
     nodes, y : arrays
-        As `methods.search.kernels.cases` writes them.
+        As `methods.search.kernels` writes them.
     """
 
     z: FloatVector | None

@@ -25,7 +25,7 @@ from ...systems.factors import bands
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
-from ..programs.program_batch import QuadraticProgramBatch
+from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun, CallersOwn
 from .program_batch import ProgramBatchResult, ProgramBatchRun

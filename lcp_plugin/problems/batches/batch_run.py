@@ -20,7 +20,7 @@ from ...core.lcp import LCP
 from ...core.settings import Status
 from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result
-from ...methods.direct.direct_methods import may_be_searched
+from ...methods.direct import may_be_searched
 from ...methods.small.fused import fused_result
 from ...methods.small.small_dense import Answers, run
 from ..many.answers import AnswerSequence, T

@@ -13,13 +13,13 @@ from ...core.checks import FloatVector
 from ...core.settings import Status
 from ...core.solving.result import Result
 from ..programs.program import QuadraticProgram
-from ..programs.program_batch import QuadraticProgramBatch
 from ..programs.qp_certificates import with_bounds
 from ..programs.qp_forms import program_goal
 from ..programs.qp_proofs import QPInfeasibility
 from ..programs.qp_solution import QPSolution
 from ..programs.small_programs import MOST_STEPS, SEARCHED_UP_TO, SmallAnswers, SmallPrograms, may_be_small
 from ..programs.solving import ACTIVE_SET, QuadraticProgramResult, judged_program
+from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_run import BatchAnswers, BatchLoop
 
 STRICT = 1e-7  # what is within this is stationary to 1e-6

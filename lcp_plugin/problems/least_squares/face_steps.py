@@ -12,21 +12,17 @@ Active sets solve on the free columns, go there as far as the bounds allow, let 
 near the answer it is a few rounds. The cost falls with each, so that no set comes twice but for rounding: columns let
 go that want to cross their bound stay, and one let go alone does not want to (Lawson and Hanson).
 
+Projected gradients take the step lengths of Barzilai and Borwein until the face settles, conjugate gradients solve on
+it: a product with A and one with Aᵀ an iteration; AᵀA is never formed. Measured beside it on random
+sparse, dense, ill-conditioned, blurring, difference and wide matrices: accelerated gradients with restarts need
+1.3 – 8 times as many products, MPRGP .7 – 3 times, the projected steps alone 1 – 15 times, rounds of active sets
+1 – 3 times, and those end without an answer where A is ill-conditioned.
+
 References
 ----------
 L. F. Portugal, J. J. Júdice, L. N. Vicente, *A comparison of block pivoting and interior-point algorithms for linear
 least squares problems with nonnegative variables*, Math. Comp. 63 (1994), doi:10.1090/S0025-5718-1994-1250776-4.
 P. B. Stark, R. L. Parker, *Bounded-variable least-squares: an algorithm and applications*, Comput. Stat. 10 (1995).
-
-Projected gradients with the step lengths of Barzilai and Borwein until the face settles, conjugate gradients on it.
-
-A product with A and one with Aᵀ an iteration; AᵀA is never formed. Measured beside it on random sparse, dense,
-ill-conditioned, blurring, difference and wide matrices: accelerated gradients with restarts need 1.3 – 8 times as many
-products, MPRGP .7 – 3 times, the projected steps alone 1 – 15 times, rounds of active sets 1 – 3 times, and those
-end without an answer where A is ill-conditioned.
-
-References
-----------
 E. G. Birgin, J. M. Martínez, M. Raydan, *Nonmonotone spectral projected gradient methods on convex sets*,
 SIAM J. Optim. 10 (2000), doi:10.1137/S1052623497330963. W. W. Hager, H. Zhang, *A new active set algorithm for box
 constrained optimization*, SIAM J. Optim. 17 (2006), doi:10.1137/050635225.
@@ -47,7 +43,7 @@ from ...core.deadline import is_over
 from ...core.kernels.floats import EPSILON
 from ...methods.interior.newton_matrix import NewtonMatrix
 from ...methods.interior.predictor_corrector import PredictorCorrector
-from .faces import Faces, Point, Solve, clipped
+from .faces import FacePoint, Faces, Solve, clipped
 
 PROXIMITY = (1e-4, 1e-8)  # δ, of columns of unit length; the first where A is wide, so that AᵀA is singular
 NOISE = 1e3  # times rounding: less is no pull on a column at its bound, by a gradient with AᵀA
@@ -60,7 +56,7 @@ STEPS = 100
 REFINED = 0.5  # what a correction on the same face has to leave at the most to be followed by another
 
 
-def block_pivot_steps(start: Point, faces: Faces) -> Iterator[Point]:
+def block_pivot_steps(start: FacePoint, faces: Faces) -> Iterator[FacePoint]:
     """Yield points from the start on: active sets from where the rounds converge, nothing else where they do not."""
     yield start
     point = start
@@ -68,11 +64,11 @@ def block_pivot_steps(start: Point, faces: Faces) -> Iterator[Point]:
         x = _proximal_point(point, faces, proximity)
         if x is None:
             return
-        point = Point(point.problem, x)
+        point = FacePoint(point.problem, x)
     yield from islice(active_set_steps(point, faces), 1, ROUNDS)
 
 
-def _proximal_point(centre: Point, faces: Faces, proximity: float) -> FloatVector | None:
+def _proximal_point(centre: FacePoint, faces: Faces, proximity: float) -> FloatVector | None:
     """Return the minimum of the cost + ½ δ ‖x − centre‖² within the bounds; None where the rounds do not converge."""
     problem, side = centre.problem, _sides(centre)
     fewest, patience = side.size + 1, PATIENCE
@@ -96,7 +92,7 @@ def _proximal_point(centre: Point, faces: Faces, proximity: float) -> FloatVecto
     return None
 
 
-def _sides(point: Point) -> NDArray[np.int_]:
+def _sides(point: FacePoint) -> NDArray[np.int_]:
     """Return −1 for columns at their lower bound, 1 at the upper one, 0 for those between and those pulled inwards."""
     held = ~point.is_free & (point.pull == 0.0)
     return np.where(held, np.where(point.x <= point.problem.lower, -1, 1), 0)
@@ -131,14 +127,14 @@ class NormalMatrix(NewtonMatrix):
     solve = _apply
 
 
-def interior_steps(start: Point, faces: Faces) -> Iterator[Point]:
+def interior_steps(start: FacePoint, faces: Faces) -> Iterator[FacePoint]:
     """Yield points from the start on: interior ones until rounding decides which columns are free, then active sets."""
     yield start
     problem, x, reached = start.problem, start.x, start
     columns = np.flatnonzero(problem.lower < problem.upper)
     matrix, lower, upper = NormalMatrix(faces, columns), problem.lower[columns], problem.upper[columns]
     fixed = np.where(problem.lower < problem.upper, 0.0, problem.lower)
-    point = PredictorCorrector(matrix, Point(problem, fixed).gradient[columns], lower, upper, CORRECTIONS)
+    point = PredictorCorrector(matrix, FacePoint(problem, fixed).gradient[columns], lower, upper, CORRECTIONS)
     point.start_near(x[columns], start.gradient[columns])
     first = point.gap
     for _ in range(STEPS):
@@ -147,14 +143,14 @@ def interior_steps(start: Point, faces: Faces) -> Iterator[Point]:
         active, at = point.active(1.0)
         x = fixed.copy()
         x[columns] = np.clip(np.where(active, at, point.z), lower, upper)
-        reached = Point(problem, x)
+        reached = FacePoint(problem, x)
         yield reached
         if point.length <= SMALLEST_STEP or not point.gap > PRECISION * first:
             break
     yield from islice(active_set_steps(reached, faces), 1, None)
 
 
-def active_set_steps(start: Point, faces: Faces) -> Iterator[Point]:
+def active_set_steps(start: FacePoint, faces: Faces) -> Iterator[FacePoint]:
     """Yield points from the start on; ends at the answer up to rounding, or where no set gains any more."""
     yield start
     point, free, size = start, start.is_free, np.inf
@@ -178,14 +174,14 @@ def active_set_steps(start: Point, faces: Faces) -> Iterator[Point]:
             free = free | pulled
 
 
-def _moved(point: Point, correction: FloatVector, length: float) -> Point:
+def _moved(point: FacePoint, correction: FloatVector, length: float) -> FacePoint:
     """Return the minimum over the free columns, or what the bounds allow on the way there."""
     if length >= 1.0:
-        return Point(point.problem, np.clip(point.x + correction, point.problem.lower, point.problem.upper))
+        return FacePoint(point.problem, np.clip(point.x + correction, point.problem.lower, point.problem.upper))
     return point.projected(correction, point.problem.product(correction))
 
 
-def _without(point: Point, free: BoolVector, correction: FloatVector) -> BoolVector | None:
+def _without(point: FacePoint, free: BoolVector, correction: FloatVector) -> BoolVector | None:
     """Return the free columns without those that were let go and want to cross the bound they are at, if that helps.
 
     Where all want to, the one that pulls hardest is let go alone: but for rounding it moves inwards.
@@ -205,10 +201,10 @@ REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
 SUFFICIENT = 1e-4  # share of the fall that the gradient promises
 SETTLED = 2  # steps in a row that leave the face as it is
 
-Steps = Generator[Point, None, Point]
+Steps = Generator[FacePoint, None, FacePoint]
 
 
-def projected_steps(start: Point) -> Iterator[Point]:
+def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
     """Yield points from the start on; ends where no step leads anywhere."""
     yield start
     point, length = start, _cauchy_length(start)
@@ -217,14 +213,14 @@ def projected_steps(start: Point) -> Iterator[Point]:
         point = yield from _conjugate_steps(point)
 
 
-def _cauchy_length(point: Point) -> float:
+def _cauchy_length(point: FacePoint) -> float:
     """Return the length that minimises along the projected gradient, 0 where there is none."""
     direction = point.free_gradient + point.pull
     curvature = point.curvature(direction, point.problem.product(direction))
     return float(direction @ direction) / curvature if curvature > 0.0 else 0.0
 
 
-def _spectral_steps(point: Point, length: float) -> Generator[Point, None, tuple[Point, float]]:
+def _spectral_steps(point: FacePoint, length: float) -> Generator[FacePoint, None, tuple[FacePoint, float]]:
     """Take projected gradient steps until they leave the face alone; return the last point and step length."""
     costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
     while settled < SETTLED:
@@ -246,7 +242,7 @@ def _spectral_steps(point: Point, length: float) -> Generator[Point, None, tuple
     return point, length
 
 
-def _conjugate_steps(point: Point) -> Steps:
+def _conjugate_steps(point: FacePoint) -> Steps:
     """Take conjugate gradient steps on the face until a bound stops them or columns at a bound pull harder."""
     direction = -point.free_gradient
     size = float(direction @ direction)

@@ -36,7 +36,7 @@ def clipped(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVect
     return np.minimum(np.maximum(x, lower), upper)
 
 
-class Point:
+class FacePoint:
     """A point within the bounds.
 
     Parameters
@@ -113,10 +113,10 @@ class Point:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""
         return float(product @ product + (self.problem.ridge * direction) @ direction)
 
-    def moved(self, direction: FloatVector, product: FloatVector, length: float) -> Point:
+    def moved(self, direction: FloatVector, product: FloatVector, length: float) -> FacePoint:
         """Return the point at x + length · direction, which is within the bounds but for rounding."""
         x = clipped(self.x + length * direction, self.problem.lower, self.problem.upper)
-        return Point(self.problem, x, self.residual + length * product)
+        return FacePoint(self.problem, x, self.residual + length * product)
 
     def farthest(self, direction: FloatVector) -> float:
         """Return how far one may go along the direction before a bound stops it."""
@@ -128,7 +128,7 @@ class Point:
         """Return by how much the cost rises at x + d, of d and A d; costs themselves would cancel."""
         return float(self.gradient @ direction) + 0.5 * self.curvature(direction, product)
 
-    def projected(self, direction: FloatVector, product: FloatVector) -> Point:
+    def projected(self, direction: FloatVector, product: FloatVector) -> FacePoint:
         """Return the better of x + direction, projected onto the bounds, and the first bound on the way there."""
         length = min(self.farthest(direction), 1.0)
         bent = clipped(self.x + direction, self.problem.lower, self.problem.upper) - self.x
@@ -206,7 +206,7 @@ class Faces:
             return None
         return lambda right: right / diagonal - scaled.T @ factor.solve(scaled @ right)
 
-    def correction(self, point: Point, free: BoolVector) -> FloatVector | None:
+    def correction(self, point: FacePoint, free: BoolVector) -> FloatVector | None:
         """Return d, 0 but on the free columns, that minimises the cost at x + d; None where that cannot be had.
 
         Conjugate gradients with A converge in a few steps, as the factor is one of AᵀA up to rounding.
@@ -238,7 +238,7 @@ class Faces:
             correction[columns] = self._orthogonal(point, columns)
         return correction if np.isfinite(correction).all() else None
 
-    def _orthogonal(self, point: Point, columns: Any) -> FloatVector | float:
+    def _orthogonal(self, point: FacePoint, columns: Any) -> FloatVector | float:
         """Return the shortest correction by an orthogonal factor, for an A of which AᵀA says too little."""
         from scipy.linalg import LinAlgError, lstsq
 

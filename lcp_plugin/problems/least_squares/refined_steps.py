@@ -28,7 +28,7 @@ from ...core.deadline import is_over
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.structure import IntVector
 from ...core.rounding import compensated_product
-from .faces import Point
+from .faces import FacePoint
 
 CLEANED = 32.0 * EPSILON  # of the largest number that an entry was made of: less is rounding
 REFINEMENTS = 8
@@ -38,7 +38,7 @@ ROUNDS = 6  # of the columns and a few
 NOISE = 16.0 * EPSILON  # of the terms of s_j
 
 
-def refined_steps(start: Point) -> Iterator[Point]:
+def refined_steps(start: FacePoint) -> Iterator[FacePoint]:
     """Yield points with dual points from the start on; ends at the answer, or after many rounds."""
     yield start
     face = RefinedFaces(start)
@@ -68,7 +68,7 @@ def refined_steps(start: Point) -> Iterator[Point]:
             entering, pull = -1, 0.0
             continue
         x = np.clip(z, lower, upper)
-        yield Point(start.problem, np.clip(start.problem.from_caller(x), start.problem.lower, start.problem.upper),
+        yield FacePoint(start.problem, np.clip(start.problem.from_caller(x), start.problem.lower, start.problem.upper),
                     dual=y[: problem.shape[0]])
         slope, terms = face.slope(y)
         may_move = np.where(slope < 0.0, x < upper, x > lower)
@@ -96,10 +96,10 @@ class RefinedFaces:
 
     Parameters
     ----------
-    point : Point
+    point : FacePoint
     """
 
-    def __init__(self, point: Point) -> None:
+    def __init__(self, point: FacePoint) -> None:
         problem = point.problem.problem
         m, n = problem.shape
         ridge = np.full(n if problem.ridge > 0.0 else 0, problem.ridge)

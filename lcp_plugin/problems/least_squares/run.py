@@ -23,7 +23,7 @@ from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
 from .face_steps import active_set_steps, block_pivot_steps, interior_steps, projected_steps
-from .faces import Faces, Point
+from .faces import FacePoint, Faces
 from .refined_steps import refined_steps
 
 DENSE_PATIENCE = 0.05  # steps that AᵀA and its factors cost, ÷ the smaller dimension of A
@@ -64,7 +64,7 @@ def gap_of(problem: BoundedLeastSquares, x: FloatVector, dual: FloatVector, step
 def point_nearer(problem: BoundedLeastSquares, x: FloatVector, steps: int) -> FloatVector:
     """Return a point nearer to the answer than x, which about as many steps led to."""
     unit = problem.unit
-    start = Point(unit, np.clip(unit.from_caller(x), unit.lower, unit.upper))
+    start = FacePoint(unit, np.clip(unit.from_caller(x), unit.lower, unit.upper))
     points = islice(projected_steps(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP))
     return unit.to_caller(min(points, key=lambda point: float(np.abs(point.natural_residual).max(initial=0.0))).x)
 
@@ -80,20 +80,20 @@ class PointStep(Step):
 class Steps(Algorithm):
     """Steps from point to point, with the factors that they take or others took before, if any."""
 
-    take: Callable[[Point], Iterator[Point]]
+    take: Callable[[FacePoint], Iterator[FacePoint]]
     faces: Faces | None = None
     name = "least squares"
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a point."""
-        points = self.take(Point(problem, z0))
+        points = self.take(FacePoint(problem, z0))
         return (PointStep(point.x, point=point, is_settling=point.dual is not None) for point in points)
 
     def finish(self, problem: Any, z: FloatVector) -> FloatVector:
         """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
         if self.faces is None:
             return z
-        *_, refined = islice(active_set_steps(Point(problem, z), self.faces), ROUNDS)
+        *_, refined = islice(active_set_steps(FacePoint(problem, z), self.faces), ROUNDS)
         return refined.x
 
 
@@ -170,7 +170,7 @@ class LeastSquaresJudge(Judge):
 
     def measure(self, z: FloatVector) -> float:
         """Return the same of any z."""
-        return Point(self.asked.unit, z).steepness(self.enclosures.reference)
+        return FacePoint(self.asked.unit, z).steepness(self.enclosures.reference)
 
     def certified(self, z: FloatVector) -> float:
         """Return how steep it is; certify z but where a step before had not enough and this one has not clearly less.

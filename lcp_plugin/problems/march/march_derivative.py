@@ -19,7 +19,7 @@ from ...core.checks import FloatVector, finite_vector, is_number, real_array, re
 from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from .march import BLOCK, March
-from .march_steps import Band, Change, Part, Sums
+from .march_steps import Band, Change, CompiledSteps, Sums
 
 if TYPE_CHECKING:
     from ..sensitivity.derivative import Derivative
@@ -225,7 +225,7 @@ class MarchDerivative:
             part.vjp(g[:0].reshape(0, n) if is_last_alone else g[here], sums, by_q[here])
         return sums
 
-    def _parts(self, *, backwards: bool = False) -> Iterator[Part]:
+    def _parts(self, *, backwards: bool = False) -> Iterator[CompiledSteps]:
         """Yield the steps, some at a time, with what has been found out about each."""
         whole, every = self.march, BLOCK if self.march.keep_every == 1 else self.march.keep_every
         starts = range(0, len(whole), every)
@@ -234,7 +234,7 @@ class MarchDerivative:
             end = min(first + every, len(whole))
             states = np.array([part.z0 if first == begin else part.z[first - begin - 1],
                                *part.z[first - begin : end - begin]])
-            yield Part(whole, first, states, self._band, self._after)
+            yield CompiledSteps(whole, first, states, self._band, self._after)
 
     @cached_property
     def _band(self) -> Band | None:

@@ -77,7 +77,7 @@ def _places(A: sp.csr_array) -> Any:
     return row_numbers(A).astype(np.int64), A.indices.astype(np.int64)
 
 
-class Part:
+class CompiledSteps:
     """Some steps that follow each other, by the compiled loops as far as these go.
 
     Parameters

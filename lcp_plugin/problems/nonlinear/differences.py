@@ -1,13 +1,11 @@
-"""The derivative of a function by differences: columns that share no row are moved together.
+"""The derivative of a function by differences: columns that share no row are moved together; and its linearisation.
+
+Solving a linearisation is a run within another one, which judges its steps itself.
 
 References
 ----------
 A. R. Curtis, M. J. D. Powell, J. K. Reid, *On the estimation of sparse Jacobian matrices*, IMA J. Appl. Math. 13
 (1974), doi:10.1093/imamat/13.1.117.
-
-Groups of columns of a sparse matrix that share no row.
-
-Solving a linearisation of a nonlinear problem: a run within another one, which judges its steps itself.
 """
 
 from __future__ import annotations

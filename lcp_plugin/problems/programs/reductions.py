@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector, assembled, rectangular_matrix
 from ...core.matrix.structure import row_numbers
-from ...methods.presolve.presolve import like
+from ...methods.presolve import like
 from ...systems.definiteness import is_diagonal
 from ...systems.symmetry import is_its_mirror
 from .constraints import CONSTRAINTS

@@ -199,7 +199,7 @@ def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *
     if not problem.communicator.everywhere(bool(np.isfinite(z).all())):
         return _nothing_known(problem, family.kind, family.method)
     at = RowInequality.at(problem, z)
-    found = Enclosure(z, at, family.of_error(at), family.method)
+    found = BestBound(z, at, family.of_error(at), family.method)
     if not sharp:
         return found.result(family.kind)
     if isinstance(family, DefiniteBounds):
@@ -216,7 +216,7 @@ def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *
     return found.result(family.kind)
 
 
-class Enclosure:
+class BestBound:
     """The best bound so far, and the point near z at which most is known of z*."""
 
     def __init__(self, z: FloatVector, at: RowInequality, y: FloatVector, method: str) -> None:
@@ -260,7 +260,7 @@ class Enclosure:
         )
 
 
-def _sweep_nearer(found: Enclosure, family: HPlusBounds) -> None:
+def _sweep_nearer(found: BestBound, family: HPlusBounds) -> None:
     """Go nearer to the solution by projected Gauss–Seidel sweeps where a few are sure to be enough."""
     problem = found.at.problem
     gap = float((family.weights.margin / (problem.diagonal * family.weights.high)).min(initial=1.0))
@@ -280,7 +280,7 @@ def _sweep_nearer(found: Enclosure, family: HPlusBounds) -> None:
             found.go_to(near, y)
 
 
-def _sharpen(found: Enclosure, judge: Judge) -> None:
+def _sharpen(found: BestBound, judge: Judge) -> None:
     """Go to points nearer to the solution as long as that lowers the bound."""
     problem = found.at.problem
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale)
@@ -301,7 +301,7 @@ def _sharpen(found: Enclosure, judge: Judge) -> None:
             return
 
 
-def _is_worth_more(found: Enclosure) -> bool:
+def _is_worth_more(found: BestBound) -> bool:
     """Whether a component's bound is far above what its error is known to be, or a row is undecided."""
     error = found.near.distance(found.z) - found.near_y
     active, inactive = found.near.classified(found.near_y)

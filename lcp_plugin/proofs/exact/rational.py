@@ -1,12 +1,9 @@
-"""Exact arithmetic on what is stored in doubles: integers with an exponent, fractions, products of sparse rows.
+"""Exact arithmetic on what is stored in doubles, and doubles rounded upwards.
 
-Sums, products and quotients rounded upwards, element by element.
-
-An exact result stays exact, so that a bound of 0 can be had. Nothing is lost to overflow: a sum or quotient of −∞
-becomes the least double, which is above whatever it stands for. NaN stays NaN. Compiled at the first call: one pass
-without temporaries instead of nine, on vectors that do not fit the cache.
-
-Slack and complementarity without rounding on the stored doubles.
+Exact are integers with an exponent, fractions, products of sparse rows, slack and complementarity. Sums, products and
+quotients are rounded upwards element by element. An exact result stays exact, so that a bound of 0 can be had. Nothing
+is lost to overflow: a sum or quotient of −∞ becomes the least double, which is above whatever it stands for. NaN stays
+NaN. Compiled at the first call: one pass without temporaries instead of nine, on vectors that do not fit the cache.
 """
 
 from __future__ import annotations

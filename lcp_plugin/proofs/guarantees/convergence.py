@@ -53,7 +53,7 @@ Weights = FloatVector | float
 Sums = tuple[FloatVector, FloatVector]
 
 
-class Case(NamedTuple):
+class RowCase(NamedTuple):
     """One row bound: free = p − A, and the weights b + f of |L|v and u of |U|v."""
 
     free: Weights
@@ -69,12 +69,12 @@ class RowBound:
     ----------
     pivot, feedback : array, shape (n,), or float
         p and f.
-    cases : tuple of Case
+    cases : tuple of RowCase
     """
 
     pivot: Weights
     feedback: Weights
-    cases: tuple[Case, ...]
+    cases: tuple[RowCase, ...]
 
 
 # --- row bounds ------------------------------------------------------------------------------------------
@@ -87,19 +87,19 @@ def row_bound(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> RowBoun
             return _projected_type(facts, problem, rows)
         if facts.family == PROJECTED_SPLITTING:
             theta, weight = scaled(facts, problem, rows)
-            zero_case = Case(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
-            return RowBound(2.0 * theta + 2.0, weight, (zero_case, Case(2.0 * theta, 2.0 * weight, 2.0 * weight)))
+            zero_case = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
+            return RowBound(2.0 * theta + 2.0, weight, (zero_case, RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight)))
         alpha, beta = numbers(facts)
         diagonal = problem.diagonal[rows]
         per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix)[rows])
         if facts.family == PROJECTED_RELAXATION:
             free = min(alpha, 2.0 - alpha)
             lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
-            return RowBound(1.0, abs(beta) * per_diagonal, (Case(free, lower, alpha * per_diagonal),))
+            return RowBound(1.0, abs(beta) * per_diagonal, (RowCase(free, lower, alpha * per_diagonal),))
         omega = np.ones(diagonal.size) if facts.omega is None else facts.omega[rows] / diagonal
         kept = min(alpha, 2.0 - alpha) + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
         lower = (abs(alpha - beta) + alpha + abs(beta)) * per_diagonal
-        case = Case(kept, lower, 2.0 * alpha * per_diagonal)
+        case = RowCase(kept, lower, 2.0 * alpha * per_diagonal)
         return RowBound(alpha * omega + 1.0, abs(beta) * per_diagonal, (case,))
 
 
@@ -107,8 +107,8 @@ def _projected_type(facts: IterationFacts, problem: LCP, rows: slice) -> RowBoun
     alpha, beta = numbers(facts)
     g = beta / alpha
     theta, weight = scaled(facts, problem, rows)
-    zero = Case(np.minimum(2.0, 2.0 * theta / alpha + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0)
-    one = Case(
+    zero = RowCase(np.minimum(2.0, 2.0 * theta / alpha + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0)
+    one = RowCase(
         np.minimum(2.0 * theta, 2.0 * theta / alpha + 4.0), (abs(2.0 - g) + abs(g)) * weight, 2.0 * weight
     )
     return RowBound(theta / alpha + theta + 2.0, abs(g) * weight, (zero, one))

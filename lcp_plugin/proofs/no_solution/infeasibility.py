@@ -4,7 +4,7 @@ The linear constraints: whether some z within the bounds has a w of the signs th
 a linear program. A chain: rows whose slack has one sign force their z to a bound; followed to the end, that may
 contradict. A tree: every case of the complementarity conditions, each closed by a Farkas vector of its own.
 
-Rows whose signs no point of a box has.
+The look at each row finds those whose signs no point of a box has.
 """
 
 from __future__ import annotations

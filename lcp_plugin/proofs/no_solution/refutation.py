@@ -2,7 +2,7 @@
 
 Each is a set of cases, with a Farkas vector for every one; the linear constraints alone are one case.
 
-What residuals are compared with, in fractions: they reach beyond the range of doubles.
+The references that residuals are compared with are fractions: they reach beyond the range of doubles.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """What is known about a matrix: verdicts on demand, each with its evidence.
 
-What a look at M tells: its classes in words; whether its sign is right.
-
-A matrix whose diagonal is negative throughout is often meant to be its negative.
+A look at M tells its classes in words, and whether its sign is right: a matrix whose diagonal is negative throughout is
+often meant to be its negative.
 """
 
 from __future__ import annotations

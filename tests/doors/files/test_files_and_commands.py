@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import typer
+from nl_content import content_of
 from scipy.io import savemat
-from test_ampl_command import content_of
-from test_command_line import lcp_plugin
+from the_command import lcp_plugin
 
 from lcp_plugin import LCP
 from lcp_plugin.commands.cli import app

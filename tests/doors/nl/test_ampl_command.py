@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from binary_nl import write_form
 from fresh_process import printed_by
+from nl_content import content_of
 
 from lcp_plugin.commands import ampl, cli
 from lcp_plugin.doors.nl import read_sol, write_nl
@@ -21,29 +23,6 @@ from lcp_plugin.doors.nl.content import NLContent, Trees
 
 Z, W = np.array([1.5, 0.0, 2.0]), np.array([0.0, 0.25, 0.0])
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
-
-
-def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
-    """Rows M x + q complementary to x ≥ 0."""
-    n = len(q)
-    ones, none = np.ones(n, dtype=np.int64), np.zeros(0, dtype=np.int64)
-
-    def numbers(values: Any) -> Trees:
-        k = len(values)
-        return Trees(np.zeros(k, np.uint8), np.asarray(values, float), np.zeros(k, np.int64), np.arange(k + 1))
-
-    content = dict(
-        lower=np.zeros(n), upper=np.full(n, np.inf), row_lower=np.full(n, -np.inf), row_upper=np.full(n, np.inf),
-        partners=np.arange(n), partner_bounds=ones, linear=sp.csr_array(np.asarray(M, float)), trees=numbers(q),
-        is_maximized=none.astype(bool), objective_linear=sp.csr_array((0, n)), objective_trees=numbers([]),
-        defined_linear=sp.csr_array((0, n)), defined_trees=numbers([]), is_integer=np.zeros(n, dtype=bool),
-        logical_rows=0, functions=(), start=np.zeros(n), dual_start=np.zeros(n), has_start=np.zeros(n, dtype=bool),
-        suffixes=[],
-    )  # fmt: skip
-    if "objective" in changes:
-        changes |= dict(objective_linear=sp.csr_array([changes.pop("objective")]), objective_trees=numbers([0.0]),
-                        is_maximized=np.zeros(1, dtype=bool))  # fmt: skip
-    return NLContent(**content | changes)
 
 
 SOLVABLE = content_of(M, W - M @ Z, options=(5, 0, 1, 0, 7, 2021), names=["a", "bb", "ccc"])
@@ -55,7 +34,7 @@ NO_PAIRS = dict(partners=np.array([-1]), partner_bounds=np.array([0]))
 @pytest.mark.parametrize("binary", [False, True])
 def test_a_stub_is_answered_by_a_sol_file(tmp_path: Path, capsys: Any, ending: str, binary: bool) -> None:
     """Stub -AMPL writes values, multipliers, the head's options and code 0, prints nothing and exits with 0."""
-    write_nl(SOLVABLE, tmp_path / "m.nl", binary)
+    write_form(SOLVABLE, tmp_path / "m.nl", binary=binary)
     assert ampl.main([str(tmp_path / f"m{ending}"), "-AMPL"]) == 0
     found = read_sol(tmp_path / "m.sol")
     assert (found.code, found.options) == (0, (5, 0, 1, 0, 7, 2021))

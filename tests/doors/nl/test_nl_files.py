@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from binary_nl import write_form
 from hypothesis import given
 from hypothesis import strategies as st
 from random_nl import difference, mutilated, random_content
@@ -70,7 +71,7 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
     """Text and both binary orders give the same arrays, and those are the ones that were written."""
     content = random_content(np.random.default_rng(seed))
     for form in FORMS.values():
-        write_nl(content, tmp_path / "m.nl", **form)
+        write_form(content, tmp_path / "m.nl", **form)
         assert difference(content, read_content(tmp_path / "m.nl")) == ""
 
 
@@ -78,7 +79,7 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
 def test_signs_of_zeros_are_kept(tmp_path: Path, form: str) -> None:
     """Bounds −0 and 0 are read as they were written."""
     content = replace(read(tmp_path, SMALL), lower=np.array([-0.0, 0.0]), upper=np.array([0.0, 0.0]))
-    write_nl(content, tmp_path / "m.nl", **FORMS[form])
+    write_form(content, tmp_path / "m.nl", **FORMS[form])
     assert difference(content, read_content(tmp_path / "m.nl")) == ""
 
 
@@ -196,7 +197,7 @@ def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
 def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path: Path, form: str, seed: int) -> None:
     """Whatever happened to it, reading gives a content or an UnreadableFile that names line or byte, nothing else."""
     rng = np.random.default_rng([seed, len(form)])
-    write_nl(random_content(rng, 30), tmp_path / "m.nl", **FORMS[form])
+    write_form(random_content(rng, 30), tmp_path / "m.nl", **FORMS[form])
     require_refused_or_valid(tmp_path, mutilated((tmp_path / "m.nl").read_bytes(), rng))
 
 
@@ -222,7 +223,7 @@ def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
     kinds, values = np.full(levels + 2, 2, dtype=np.uint8), np.full(levels + 2, 16.0)
     kinds[[0, -1]], values[[0, -1]] = 0, [0.0, 1.0]  # row 0 is a number, row 1 the chain of minus signs
     trees = Trees(kinds, values, np.where(kinds == 2, 1, 0), np.array([0, 1, levels + 2]))
-    write_nl(replace(read(tmp_path, SMALL), trees=trees), tmp_path / "m.nl", **FORMS[form])
+    write_form(replace(read(tmp_path, SMALL), trees=trees), tmp_path / "m.nl", **FORMS[form])
     data = (tmp_path / "m.nl").read_bytes()
     assert read(tmp_path, data).trees.counts.sum() == levels
     with pytest.raises(errors.UnreadableFile, match=r"lacks 1 operands|part of an expression is needed"):
@@ -252,7 +253,7 @@ def test_counts_that_a_long_file_could_hold_allocate_little(tmp_path: Path, line
 @pytest.mark.parametrize("bits", [0x7FF0000000000001, 0x7FF8000000000000, 0x7FF0000000000000])
 def test_numbers_that_are_none_are_refused_in_silence(tmp_path: Path, bits: int) -> None:
     """A NaN of either kind and an infinity in an expression are refused with their byte, without a warning."""
-    write_nl(read(tmp_path, SMALL), tmp_path / "m.nl", binary=True)
+    write_form(read(tmp_path, SMALL), tmp_path / "m.nl", binary=True)
     data = (tmp_path / "m.nl").read_bytes()
     old = b"n" + struct.pack("<d", -2.0)
     assert data.count(old) == 1

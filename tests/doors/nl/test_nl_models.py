@@ -16,6 +16,7 @@ import mixed_units
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from binary_nl import write_form
 from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -684,7 +685,7 @@ def test_files_and_contents_say_the_same(tmp_path: Path) -> None:
     expected = model_of(content).solve(tolerance=1e-12)
     for is_binary in (False, True):
         path = tmp_path / f"{is_binary}.nl"
-        write_nl(content, path, binary=is_binary)
+        write_form(content, path, binary=is_binary)
         model = read_nl(path)
         assert isinstance(model, NLModel)
         np.testing.assert_array_equal(model.solve(tolerance=1e-12).x, expected.x)

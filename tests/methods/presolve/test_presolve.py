@@ -12,7 +12,7 @@ from exact_assignments import solutions, solves
 from hypothesis import given, settings
 
 from lcp_plugin import LCP, Certificate, InvalidProblem
-from lcp_plugin.methods.presolve.presolve import presolve
+from lcp_plugin.methods.presolve import presolve
 
 INF = np.inf
 

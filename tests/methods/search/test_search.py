@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
@@ -259,6 +260,7 @@ def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
     assert solution.w.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.needs("direct")
 def test_auto_says_that_the_solution_is_beyond_the_doubles() -> None:
     """A run whose search finds a solution that no doubles can hold ends STALLED and says so."""
     result = solve(BEYOND_DOUBLES)
@@ -306,3 +308,13 @@ def test_yields_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)]
     monkeypatch.setattr("lcp_plugin.proofs.exact.simplex.QUANTUM", 1)
     assert [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)] == plain
+
+
+def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof() -> None:
+    """On a singular M without a solution the energy has no least value; the run ends, and INFEASIBLE is proved."""
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(30, 30)).tolil()
+    line[0, 0] = line[-1, -1] = 1.0
+    M = sp.csr_array(sp.kron(line, sp.eye_array(30)) + sp.kron(sp.eye_array(30), line))
+    result = solve(LCP(M, np.full(900, -1e-3)), "multigrid")
+    assert result.status is Status.INFEASIBLE
+    assert result.iterations < 10_000

@@ -3,14 +3,13 @@
 As in :mod:`~lcp_plugin.methods.banded.kernels.bands`, with M's off-diagonal entries ≤ 0, but a round starts from the
 sides that the last one found: from one step of a march to the next few rows change.
 
-Compiled answers of tridiagonal problems whose off-diagonal entries are ≤ 0, bounded on one side: z ≥ value.
-
-The theory is Chandrasekaran's, the order of the rows Cryer's. With all rows at their bounds, free a row whose w is
-negative, then the next: z only rises, so that no free row returns to its bound. Take the rows from first to last, with
-all later ones at their bounds. A row that becomes free raises its neighbours on both sides: it joins the free rows
-before it, and if that makes w negative at the bound where these begin, that row becomes free too, and joins what is
-free before it. A block of free rows depends on the rest by the two values beside it alone, and the z of its two ends
-are linear in those; two blocks and the row between them join by one division. Each row is joined once: O(n).
+One problem alone, bounded on one side, z ≥ value, is answered without rounds. The theory is Chandrasekaran's, the order
+of the rows Cryer's. With all rows at their bounds, free a row whose w is negative, then the next: z only rises, so that
+no free row returns to its bound. Take the rows from first to last, with all later ones at their bounds. A row that
+becomes free raises its neighbours on both sides: it joins the free rows before it, and if that makes w negative at the
+bound where these begin, that row becomes free too, and joins what is free before it. A block of free rows depends on
+the rest by the two values beside it alone, and the z of its two ends are linear in those; two blocks and the row
+between them join by one division. Each row is joined once: O(n).
 """
 
 from __future__ import annotations

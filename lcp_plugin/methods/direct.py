@@ -32,23 +32,23 @@ from typing import Any
 
 import numpy as np
 
-from ...core.algorithms import create
-from ...core.algorithms.base import has_positive_diagonal
-from ...core.crossovers import (
+from ..core.algorithms import create
+from ..core.algorithms.base import has_positive_diagonal
+from ..core.crossovers import (
     INTERIOR_STEPS,
     LINEAR_PROGRAM_UP_TO,
     PIVOTED_UP_TO,
     PIVOTS_FIRST_UP_TO,
     SEMIDEFINITENESS_UP_TO,
 )
-from ...core.kernels.floats import EPSILON
-from ...core.lcp import LCP
-from ...core.policy.choice import last_resort
-from ...core.policy.stages import Choice, Stage
-from ...proofs.no_solution.infeasibility import contradictory_row
-from ...proofs.verdicts.report import is_negated_m_matrix, is_negative
-from ..lemke.lemke import has_parts_that_fit
-from ..presolve.presolve import presolve
+from ..core.kernels.floats import EPSILON
+from ..core.lcp import LCP
+from ..core.policy.choice import last_resort
+from ..core.policy.stages import Choice, Stage
+from ..proofs.no_solution.infeasibility import contradictory_row
+from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
+from .lemke.lemke import has_parts_that_fit
+from .presolve import presolve
 
 CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
 
@@ -132,7 +132,7 @@ def may_be_searched(problem: LCP) -> bool:
 
     A convex program is a matter of convex methods, which give the multipliers that its users expect.
     """
-    from ..search import is_searchable
+    from .search import is_searchable
 
     return is_searchable(problem) and not is_of_convex_program(problem.origin)
 
@@ -143,15 +143,15 @@ def is_of_convex_program(origin: Any) -> bool:
 
 
 def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
-    from ..search.stages import ExhaustiveSearch
+    from .search.stages import ExhaustiveSearch
 
     if may_be_searched(problem):
         yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), "few enough cases to look at all of them")
 
 
 def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
-    from ...systems.factors import factor_fits
-    from ..search.stages import FeasibilityCheck, LargestPoint
+    from ..systems.factors import factor_fits
+    from .search.stages import FeasibilityCheck, LargestPoint
 
     if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
         yield Choice(LargestPoint(refutes=refutes), "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does")
@@ -193,8 +193,8 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
 
 
 def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
-    from ..search import LARGEST_SIZE
-    from ..search.stages import ExhaustiveSearch
+    from .search import LARGEST_SIZE
+    from .search.stages import ExhaustiveSearch
 
     if refutes and problem.n <= LARGEST_SIZE:
         yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them to the end")
@@ -203,14 +203,14 @@ def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
 
 
 def _suits_newton(problem: LCP) -> bool:
-    from ...proofs.verdicts import analyze
+    from ..proofs.verdicts import analyze
 
     return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
 
 
 def _seems_monotone(problem: LCP, origin: Any) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
-    from ...systems.symmetry import is_nearly_symmetric
+    from ..systems.symmetry import is_nearly_symmetric
 
     if problem.n == 0:
         return False
@@ -218,7 +218,7 @@ def _seems_monotone(problem: LCP, origin: Any) -> bool:
         return True
     if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
         return True
-    from ...systems.definiteness import is_semidefinite_to_rounding, symmetric_part
+    from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 
     twice = symmetric_part(problem.M)
     if bool((twice.diagonal() < 0.0).any()):

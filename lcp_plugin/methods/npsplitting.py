@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.algorithms.base import Step, check_choice
-from ...core.certificates.row_residuals import euclidean_norm, scaled_residual
-from ...core.checks import FloatVector
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ...core.lcp import LCP
-from ...core.matrix.iteration_facts import PROJECTED_SPLITTING, IterationFacts
-from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.row_sums import balanced_factors, triangle_sums, unit_triangle_sums
-from ...core.splittings.projected_type import ScaledByRows
-from ...systems.factors import sparse_lu
+from ..core.algorithms.base import Step, check_choice
+from ..core.certificates.row_residuals import euclidean_norm, scaled_residual
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ..core.lcp import LCP
+from ..core.matrix.iteration_facts import PROJECTED_SPLITTING, IterationFacts
+from ..core.matrix.matrix import Matrix, fact
+from ..core.matrix.row_sums import balanced_factors, triangle_sums, unit_triangle_sums
+from ..core.splittings.projected_type import ScaledByRows
+from ..systems.factors import sparse_lu
 
 NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
 

@@ -1,1 +1,0 @@
-"""In which order auto tries the methods that factorise, pivot or search."""

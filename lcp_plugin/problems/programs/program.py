@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from ...core.checks import (
     check_order,
     checked_bound,
     checked_vector,
+    frozen,
     read_only,
     rectangular_matrix,
     restored,
@@ -373,9 +374,15 @@ def _checked_rows(
     """Return the checked matrix and right-hand side; none of either is no rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
-        return sp.csr_array((0, n)), read_only(np.zeros(0))
+        return _no_rows(n), read_only(np.zeros(0))
     checked = rectangular_matrix(matrix, name, None, n)
     return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
+
+
+@lru_cache(maxsize=64)
+def _no_rows(n: int) -> sp.csr_array:
+    """Return the same read-only matrix without rows for all: to make one takes longer than a small program."""
+    return frozen(sp.csr_array((0, n)))
 
 
 def symmetric(P: Any) -> tuple[Any, float]:
@@ -392,6 +399,6 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
-    if sp.issparse(M) and is_its_mirror(M):
+    if is_its_mirror(M) if sp.issparse(M) else bool((M == M.T).all()):
         return 0.0, None
     return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ...core.checks import FloatVector, checked_vector
+from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from .constraints import constraint_tolerance
 
@@ -101,6 +101,17 @@ class QPSolution:
         for name, size in sizes.items():
             vector = checked_vector(getattr(self, name), name, size, allow_nan=name != "x")
             object.__setattr__(self, name, vector)
+
+    @classmethod
+    def of_rows(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> QPSolution:
+        """Return that of finite vectors, the multipliers of all ``program.constraints`` in one; they are kept."""
+        m, p, n, _ = program.matrices.sizes
+        made, every = object.__new__(cls), read_only(multipliers)
+        made.__dict__.update(
+            program=program, x=read_only(x), inequality=every[:m], equality=every[m : m + p],
+            lower=every[m + p : m + p + n], upper=every[m + p + n :],
+        )
+        return made
 
     @cached_property
     def objective(self) -> float:

@@ -24,8 +24,8 @@ import numpy as np
 from ....core.kernels.compilation import LONGEST_IN_ORDER, compiled_into_others, compiled_part, interpreted_while_small
 from ....core.kernels.floats import EPSILON
 from ....methods.small.kernels.small_problems import USUAL, row_times
+from .program_residuals import measure
 from .row_operations import add_row, add_row_of_batch, copy_row
-from .small_programs import NUMBERS, WIDTH, measure
 
 # Rows of `real`: the point, its multipliers and limits; a step, what is left of the conditions; units.
 X, Y, LIMIT, STEP, LEFT, SIZE, ROOT, SPREAD, CENTER, ROWS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
@@ -37,8 +37,10 @@ DEPENDENT = 1e-13  # of gᵀ P⁻¹ g: what a normal g has outside of the active
 VIOLATED = 1e-10  # of the unit of a constraint
 CONSISTENT = 1e-5  # the same of a constraint that depends on active ones: the measures will tell
 STEPS = 5  # for each constraint and variable
+SHORT, LONGER = 80, 3  # unknowns beyond which others take over sooner: steps for each of them
 CENTERS = 5  # proximal points
 REFINEMENTS = 4
+NUMBERS = 2**17  # in the arrays of a call that may be interpreted: its loops are on rows
 REFINED = 1e-11  # a measure that needs no refinement
 NONE, DEFINITE, SEMIDEFINITE = 0, 1, 2
 LOST, CONTRADICTION = -1, -2  # in the place of a size
@@ -264,14 +266,14 @@ def _most_violated(C, at_C, real, whole):  # type: ignore[no-untyped-def]
 def _proceed(C, at_C, is_equality, real, whole, room, size):  # type: ignore[no-untyped-def]
     """Let constraints join and leave until none is violated; return the size of W, LOST or CONTRADICTION, and steps."""
     m, n = C.shape[1], C.shape[2]
-    made = 0
+    made, most = 0, STEPS * (m + 3 * n) if n <= SHORT else LONGER * (n + SHORT)
     while True:
         new = _most_violated(C, at_C, real, whole)
         if new < 0:
             return size, made
         violation, is_active = _value(C, at_C, new, real) - real[LIMIT, new], False
         while not is_active:
-            if made == STEPS * (m + 3 * n):
+            if made == most:
                 return LOST, made
             made += 1
             steepness = _direction(C, at_C, new, real, room, size)
@@ -348,7 +350,7 @@ def run(  # type: ignore[no-untyped-def]
     """
     m, n = C.shape[1], C.shape[2]
     real, whole = np.empty((ROWS, m + 2 * n)), np.empty((2, m + 2 * n + 1), np.int64)
-    room, inverse, vectors = np.empty((2 * n, 2 * n)), np.empty((n, n)), np.empty((WIDTH, n + m))
+    room, inverse, sums = np.empty((2 * n, 2 * n)), np.empty((n, n)), np.empty((4, n))
     kind = NONE
     for k in range(first, end):
         at_P, at_C = min(k, P.shape[0] - 1), min(k, C.shape[0] - 1)
@@ -382,7 +384,7 @@ def run(  # type: ignore[no-untyped-def]
                 for i in range(m):
                     y[k, i] = real[Y, i]
                 largest = measure(
-                    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, vectors, x, y, reduced, measures
+                    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, sums, x, y, reduced, measures
                 )
                 has_converged[k] = largest <= tolerance
                 if largest <= REFINED:

@@ -21,6 +21,7 @@ from ...proofs.bounds.curvature import constrained_curvature
 from ...proofs.bounds.solution_bounds import norm_above
 from ...proofs.exact.rational import enclosures
 from ...proofs.exact.upward import quotient_above, sum_above
+from .compiled_call import solved_at_once
 from .dual_bounds import DualBounds, implied_box
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from .given_multipliers import LOOSE, multiplier_error
@@ -101,6 +102,8 @@ class ProgramProofs:
     @cached_property
     def own_solution(self) -> QPSolution | None:
         """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
+        if (at_once := solved_at_once(self.program, ALMOST)) is not None:
+            return at_once.solution
         found: list[QPSolution] = []
         # What it is to prove takes time as well; a form may overflow.
         with suppress(LCPError), time_limit(SHARE * seconds_left()):
@@ -184,7 +187,8 @@ class ProgramProofs:
             complaint = multiplier_error(self.program, x, given, tolerance)
         found = Proved(value, violation, lower, self.upper(x), tolerance)
         if self.is_small or not found.is_proved() or found.may_have_bought():
-            found = replace(found, lower=max(lower, self.own_lower), points=self.upper(x))
+            points = found.points if self.is_small else self.upper(x)
+            found = replace(found, lower=max(lower, self.own_lower), points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
                 complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
         return found.certification(self, x, complaint)

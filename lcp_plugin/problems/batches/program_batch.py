@@ -10,10 +10,10 @@ import scipy.sparse as sp
 
 from ...core.settings import Status
 from ...core.solving.result import Result
-from ..programs.compiled_call import ACTIVE_SET, STRICT
+from ..programs.compiled_call import ACTIVE_SET
+from ..programs.criterion import PROGRAM_TOLERANCE, Errors, program_goal
 from ..programs.program import QuadraticProgram
 from ..programs.program_batch import QuadraticProgramBatch
-from ..programs.qp_forms import program_goal
 from ..programs.qp_solution import QPSolution
 from ..programs.small_programs import MOST_STEPS, SmallAnswers, SmallPrograms, may_be_small
 from ..programs.solving import QuadraticProgramResult, judged_program
@@ -57,7 +57,7 @@ class ProgramBatchRun(BatchLoop):
         if self.algorithm != "auto" or not (may_run and is_small):
             return
         small, answers = SmallPrograms(*self.programs.arrays), self.answers
-        tolerance, contradicts = min(self.settings.tolerance, STRICT), np.zeros(len(self.status), np.bool_)
+        tolerance, contradicts = min(self.settings.tolerance, PROGRAM_TOLERANCE), np.zeros(len(self.status), np.bool_)
 
         def solve_chunk(first: int, end: int) -> None:
             small.solve(tolerance, first, end, answers, contradicts)
@@ -65,7 +65,8 @@ class ProgramBatchRun(BatchLoop):
         try:
             self._in_chunks(solve_chunk, len(self.status))
         finally:
-            is_solved = answers.has_converged & self.programs.may_be_stated
+            is_optimal = Errors(*answers.measures[:, :5].T).meet(program_goal(self.settings.tolerance))
+            is_solved = answers.has_converged & is_optimal & self.programs.may_be_stated
             self.is_open, self.status[is_solved] = ~is_solved, Status.SOLVED
             self.residual[is_solved] = answers.measures[is_solved, :4].max(axis=1)
             self.at_bounds[:] = np.maximum(answers.reduced, 0.0), np.maximum(-answers.reduced, 0.0)
@@ -76,7 +77,7 @@ class ProgramBatchRun(BatchLoop):
         found = result.solution
         self.answers.x[k], self.answers.steps[k] = found.x, result.iterations
         self.answers.y[k] = np.concatenate([found.inequality, found.equality])
-        self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), max(found.residual, found.row_residual)
+        self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), found.error
         self.status[k], self.is_open[k] = result.status, False
         self.is_interrupted |= result.status is Status.INTERRUPTED
 

@@ -14,9 +14,10 @@ from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.settings import Status
 from ...core.solving.result import BoundOrReason, Result, StageRecord
+from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
 from .program import QuadraticProgram, refuse_nonconvex
 from .qp_certificates import with_bounds
-from .qp_forms import KKTForm, QPOrigin, program_goal
+from .qp_forms import KKTForm, QPOrigin
 from .qp_proofs import QPInfeasibility
 from .qp_solution import QPSolution
 from .reductions import FoldedRows, Substitution, fold_simple_rows, substitute_definitions
@@ -24,7 +25,7 @@ from .small_programs import SmallAnswers, SmallPrograms, may_be_small, work_of_s
 
 ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
-REACHED, STRICT = 1e-9, 1e-7  # tolerances of the compiled call: the smallest, and what is stationary to 1e-6
+REACHED = 1e-9  # the smallest tolerance that the compiled call is asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ def solved_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswe
         reduced = rows.folded
     if (part := _FreePart.of(reduced)) is None:
         return None
-    answers, contradicts = part.solved(min(max(tolerance, REACHED), STRICT))
+    answers, contradicts = part.solved(min(max(tolerance, REACHED), PROGRAM_TOLERANCE))
     if contradicts and reduced is program:
         keep_contradiction(program, answers.y[0], goal)
     if not answers.has_converged[0]:
@@ -82,8 +83,9 @@ def solved_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswe
     if substitution is not None:
         x, every = substitution.restored(x, every)
     solution = QPSolution.of_rows(program, x, every)
-    is_judged = reduced is program and part.x is None  # by the compiled call
-    if not (is_judged or solution.is_stationary(goal)):
+    if reduced is program and part.x is None:
+        solution.__dict__["_errors"] = Errors(*answers.measures[0, :5].tolist())
+    if not solution.is_stationary(goal):
         return None
     found = CompiledAnswer(solution, int(answers.steps[0]), clock.read(), substitution, rows, point)
     if tolerance < REACHED and not found.result(tolerance).residual <= tolerance:

@@ -110,7 +110,7 @@ class ProgramProofs:
             # A tolerance beside what acts in the complementarity problem may be far below the program's own.
             for run in program_runs(self.program, "auto", *[(ALMOST, OWN_TOLERANCE)] * 2):
                 found.append(run.solution)
-        return min(found, key=_residual, default=None)
+        return min(found, key=lambda solution: solution.error, default=None)
 
     @cached_property
     def own_lower(self) -> float:
@@ -338,10 +338,6 @@ def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]
         value, radius = compensated_product(rows.matrix[finite], x, -rows.limit[finite])
         value = np.where(rows.is_equality[finite], np.abs(value), value)
     return float((value - radius).max(initial=0.0)) / OUTWARD, float(rows.excess(x).max(initial=0.0))
-
-
-def _residual(solution: QPSolution) -> float:
-    return float(np.nan_to_num(max(solution.residual, solution.row_residual), nan=np.inf))
 
 
 def _if_finite(value: float) -> float | None:

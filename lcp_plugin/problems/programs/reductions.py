@@ -17,7 +17,7 @@ from ...core.matrix.structure import row_numbers
 from ...core.matrix.symmetry import is_its_mirror
 from ...methods.presolve.presolve import like
 from ...systems.definiteness import is_diagonal
-from .constraints import CONSTRAINTS
+from .criterion import CONSTRAINTS
 from .predicted_work import worth_putting_in
 from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
 

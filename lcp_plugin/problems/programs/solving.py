@@ -21,8 +21,8 @@ from ...core.solving.result import Result, Sample, StageRecord
 from ...methods.search.stages import FeasibilityCheck
 from .compiled_call import ACTIVE_SET, CompiledAnswer, known_contradiction, solved_at_once
 from .conversion import attempts
+from .criterion import program_goal
 from .program import QuadraticProgram, refuse_nonconvex
-from .qp_forms import program_goal
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
 from .small_programs import MOST_STEPS
@@ -39,12 +39,6 @@ class ProgramRun(NamedTuple):
     result: Result
     solution: QPSolution
     because: str
-
-    @property
-    def error(self) -> float:
-        """The largest residual of the program, ∞ where there is none."""
-        error = max(self.solution.residual, self.solution.row_residual)
-        return math.inf if math.isnan(error) else error
 
 
 ADVICE = {
@@ -288,7 +282,7 @@ def _by_forms(
         program, algorithm, (tolerance,), (goal, goal), guess=guess,
         is_refuted=(lambda: program.refutation(goal) is not None) if refutes else None, **options,
     ))
-    best = min(runs, key=lambda run: run.error)
+    best = min(runs, key=lambda run: run.solution.error)
     return replace(best.result, stages=_stages(runs, best)), best.solution
 
 

@@ -25,6 +25,7 @@ from .small_programs import SmallAnswers, SmallPrograms, may_be_small, work_of_s
 
 ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
+BOXED_UP_TO, BOXED = 200, 1.5  # unknowns and their bounds; where few rows hold x, the path from far outside is long
 REACHED = 1e-9  # the smallest tolerance that the compiled call is asked for
 
 
@@ -139,6 +140,9 @@ class _FreePart:
         free = lower < upper
         count = int(np.count_nonzero(free))
         if not may_be_small(count, m + p, matrices.stored):
+            return None
+        sides = int(np.isfinite(lower[free]).sum() + np.isfinite(upper[free]).sum())
+        if count > BOXED_UP_TO and sides > BOXED * count and BOXED * (m + p) < count:
             return None
         P, C = matrices.dense
         d = program.h if not p else program.b if not m else np.concatenate([program.h, program.b])

@@ -38,11 +38,12 @@ VIOLATED = 1e-10  # of the unit of a constraint
 CONSISTENT = 1e-5  # the same of a constraint that depends on active ones: the measures will tell
 STEPS = 5  # for each constraint and variable
 SHORT, LONGER = 80, 3  # unknowns beyond which others take over sooner: steps for each of them
-CENTERS = 5  # proximal points
-REFINEMENTS = 4
+CENTERS, AFRESH = 8, 4  # proximal points; of so many the first begins with a factor of its own
+REFINEMENTS, SURE, SLOW = 20, 3, 0.7  # at the most; those that are made in any case; a share that is worth another
 NUMBERS = 2**17  # in the arrays of a call that may be interpreted: its loops are on rows
 REFINED = 1e-11  # a measure that needs no refinement
 NONE, DEFINITE, SEMIDEFINITE = 0, 1, 2
+PASSED_OVER = 2  # of a constraint that the active ones imply
 LOST, CONTRADICTION = -1, -2  # in the place of a size
 
 
@@ -250,6 +251,40 @@ def _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse):  # 
     return size
 
 
+@compiled_part
+def _begin_again(P, at_P, C, at_C, c, k, is_equality, real, whole, room, size):  # type: ignore[no-untyped-def]
+    """Put x at the minimum subject to the active constraints, from CENTER; return the size of W, less those that leave.
+
+    With u = (x − CENTER, y) and w the row of one that leaves, u − w u_at ÷ w_at is what the others make of it.
+    """
+    n = C.shape[2]
+    for i in range(whole.shape[1] - 1):
+        if whole[ACTIVE, i] == PASSED_OVER:
+            whole[ACTIVE, i] = 0
+    for j in range(n):
+        real[X, j] = real[CENTER, j]
+    _gradient(P, at_P, c, k, real, n)
+    for a in range(n, size):
+        i = whole[ROW, a]
+        real[LEFT, a], real[Y, i] = _value(C, at_C, i, real) - real[LIMIT, i], 0.0
+    _multiply(real, room, size, size)
+    _move(real, whole, n, size, 1.0, True)
+    while True:
+        least, at = 0.0, -1
+        for a in range(n, size):
+            i = whole[ROW, a]
+            if real[Y, i] < least and not _is_equation(i, is_equality, n, real):
+                least, at = real[Y, i], a
+        if at < 0:
+            return size
+        share = least / room[at, at]
+        copy_row(room, at, 0, size, real, STEP)
+        _move(real, whole, n, size, share, True)
+        real[Y, whole[ROW, at]] = 0.0
+        size -= 1
+        _leave(real, whole, room, at, size)
+
+
 @compiled_into_others
 def _most_violated(C, at_C, real, whole):  # type: ignore[no-untyped-def]
     """Return the inequality that is violated most beside its unit, −1 where none is."""
@@ -263,17 +298,19 @@ def _most_violated(C, at_C, real, whole):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _proceed(C, at_C, is_equality, real, whole, room, size):  # type: ignore[no-untyped-def]
-    """Let constraints join and leave until none is violated; return the size of W, LOST or CONTRADICTION, and steps."""
-    m, n = C.shape[1], C.shape[2]
-    made, most = 0, STEPS * (m + 3 * n) if n <= SHORT else LONGER * (n + SHORT)
+def _proceed(C, at_C, is_equality, real, whole, room, size, most):  # type: ignore[no-untyped-def]
+    """Let constraints join and leave until none is violated; return the size of W, LOST or CONTRADICTION, and steps.
+
+    LOST after so many at the most.
+    """
+    n, made = C.shape[2], 0
     while True:
         new = _most_violated(C, at_C, real, whole)
         if new < 0:
             return size, made
         violation, is_active = _value(C, at_C, new, real) - real[LIMIT, new], False
         while not is_active:
-            if made == most:
+            if made >= most:
                 return LOST, made
             made += 1
             steepness = _direction(C, at_C, new, real, room, size)
@@ -287,7 +324,7 @@ def _proceed(C, at_C, is_equality, real, whole, room, size):  # type: ignore[no-
                 if not violation <= CONSISTENT * (real[SIZE, new] + abs(real[LIMIT, new])):
                     _contradict(C, at_C, new, 1.0, is_equality, real, whole, room, size)
                     return CONTRADICTION, made
-                real[Y, new], whole[ACTIVE, new] = 0.0, 1  # rounding of what depends on it: others stand for it
+                real[Y, new], whole[ACTIVE, new] = 0.0, PASSED_OVER  # what depends on others misses by rounding
                 break
             _move(real, whole, n, size, step, steepness > 0.0)
             real[Y, new] += step
@@ -351,7 +388,7 @@ def run(  # type: ignore[no-untyped-def]
     m, n = C.shape[1], C.shape[2]
     real, whole = np.empty((ROWS, m + 2 * n)), np.empty((2, m + 2 * n + 1), np.int64)
     room, inverse, sums = np.empty((2 * n, 2 * n)), np.empty((n, n)), np.empty((4, n))
-    kind = NONE
+    kind, most = NONE, STEPS * (m + 3 * n) if n <= SHORT else LONGER * (n + SHORT)
     for k in range(first, end):
         at_P, at_C = min(k, P.shape[0] - 1), min(k, C.shape[0] - 1)
         if k == first or at_P > 0:
@@ -363,10 +400,13 @@ def run(  # type: ignore[no-untyped-def]
         for j in range(n):
             real[LIMIT, m + j], real[LIMIT, m + n + j], real[CENTER, j] = -lower[k, j], upper[k, j], 0.0
         steps[k], has_converged[k], contradicts[k] = 0, False, False
-        for _center in range(0 if kind == NONE else 1 if kind == DEFINITE else CENTERS):
-            size = _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse)
+        for center in range(0 if kind == NONE else 1 if kind == DEFINITE else CENTERS):
+            if center % AFRESH == 0:
+                size = _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse)
+            else:
+                size = _begin_again(P, at_P, C, at_C, c, k, is_equality, real, whole, room, size)
             if size >= 0:
-                size, made = _proceed(C, at_C, is_equality, real, whole, room, size)
+                size, made = _proceed(C, at_C, is_equality, real, whole, room, size, most - steps[k])
                 steps[k] += made
             contradicts[k] = size == CONTRADICTION
             if size < 0:
@@ -377,7 +417,8 @@ def run(  # type: ignore[no-untyped-def]
                 break
             for j in range(n):
                 real[CENTER, j] = real[X, j]
-            for _refinement in range(REFINEMENTS):
+            before = np.inf
+            for refinement in range(REFINEMENTS):
                 _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, room, size)
                 for j in range(n):
                     x[k, j] = min(max(real[X, j], lower[k, j]), upper[k, j])
@@ -387,7 +428,8 @@ def run(  # type: ignore[no-untyped-def]
                     P, c, C, d, is_equality, lower, upper, k, at_P, at_C, sums, x, y, reduced, measures
                 )
                 has_converged[k] = largest <= tolerance
-                if largest <= REFINED:
+                if largest <= REFINED or (refinement >= SURE and not largest < SLOW * before):
                     break
+                before = largest
             if has_converged[k]:
                 break

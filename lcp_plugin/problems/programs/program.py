@@ -101,7 +101,9 @@ class QuadraticProgram:
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
-        P, asymmetry = symmetric(rectangular_matrix(sp.csr_array((n, n)) if P is None else P, "P", n, n))
+        if P is None or (np.isscalar(P) and P == 0):
+            P, asymmetry = sp.csr_array((n, n)), 0.0
+        P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
         equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
         below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
@@ -365,7 +367,10 @@ def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
     """Raise where there is a matrix without a right-hand side, or the other way round."""
     if (matrix is None) != (right is None):
         given, missing = (name, right_name) if right is None else (right_name, name)
-        raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
+        sign = "≤" if name == "G" else "="
+        raise InvalidProblem(
+            f"{name} and {right_name} belong together, got {given} without {missing}: {name} x {sign} {right_name}"
+        )
 
 
 def _checked_rows(

@@ -14,8 +14,9 @@ from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.settings import Status
 from ...core.solving.result import BoundOrReason, Result, StageRecord
+from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
-from .program import QuadraticProgram, refuse_nonconvex
+from .program import QuadraticProgram
 from .qp_certificates import with_bounds
 from .qp_forms import KKTForm, QPOrigin
 from .qp_proofs import QPInfeasibility

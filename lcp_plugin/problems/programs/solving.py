@@ -21,8 +21,9 @@ from ...core.solving.result import Result, Sample, StageRecord
 from ...methods.search.stages import FeasibilityCheck
 from .compiled_call import ACTIVE_SET, CompiledAnswer, known_contradiction, solved_at_once
 from .conversion import attempts
+from .convexity import refuse_nonconvex
 from .criterion import program_goal
-from .program import QuadraticProgram, refuse_nonconvex
+from .program import QuadraticProgram
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
 from .small_programs import MOST_STEPS

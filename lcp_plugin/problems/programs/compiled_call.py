@@ -22,11 +22,13 @@ from .qp_forms import KKTForm, QPOrigin
 from .qp_proofs import QPInfeasibility
 from .qp_solution import QPSolution
 from .reductions import FoldedRows, Substitution, fold_simple_rows, substitute_definitions
-from .small_programs import SmallAnswers, SmallPrograms, may_be_small, work_of_search
+from .small_programs import ROWS_UP_TO, UP_TO, SmallAnswers, SmallPrograms, may_be_small, work_of_search
 
 ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
 BOXED_UP_TO, BOXED = 200, 1.5  # unknowns and their bounds; where few rows hold x, the path from far outside is long
+FOLDED_FROM = 5e5  # multiplications by rows that may be bounds: to look for these takes as long
+MANY = UP_TO**2 * ROWS_UP_TO  # entries: those that are left are not counted yet
 REACHED = 1e-9  # the smallest tolerance that the compiled call is asked for
 
 
@@ -68,7 +70,10 @@ def solved_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswe
     if program.b.size and (substitution := _worthwhile(program)) is not None:
         refuse_nonconvex(program)  # on the subspace that is left P may be convex
         reduced = substitution.reduced
-    if reduced.matrices.has_sparse_rows:
+    if reduced.matrices.has_sparse_rows and reduced.matrices.sizes[0] * reduced.n**2 > FOLDED_FROM:
+        free, simple = np.count_nonzero(reduced.lower < reduced.upper), reduced.matrices.singletons[0].size
+        if not may_be_small(int(free), reduced.constraints.rows - simple, MANY):
+            return None
         rows = fold_simple_rows(reduced)
         reduced = rows.folded
     if (part := _FreePart.of(reduced)) is None:

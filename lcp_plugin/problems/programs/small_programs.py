@@ -85,8 +85,7 @@ class SmallAnswers(NamedTuple):
 
     @classmethod
     def empty(cls, count: int, n: int, m: int) -> SmallAnswers:
-        """Return tables for so many answers, all open."""
-        return cls(
-            np.full((count, n), np.nan), np.full((count, m), np.nan), np.full((count, n), np.nan),
-            np.full((count, MEASURES), np.inf), np.zeros(count, np.int64), np.zeros(count, np.bool_),
-        )
+        """Return tables for so many answers, all open: their numbers mean nothing before."""
+        x, y, reduced = np.empty((count, n)), np.empty((count, m)), np.empty((count, n))
+        measures, steps = np.empty((count, MEASURES)), np.zeros(count, np.int64)
+        return cls(x, y, reduced, measures, steps, np.zeros(count, np.bool_))

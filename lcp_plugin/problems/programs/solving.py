@@ -197,14 +197,16 @@ def _refuted(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float
     """Return the result of a program that the compiled call has found to be infeasible."""
     nothing = np.full(program.constraints.limit.size, np.nan)
     solution = QPSolution.of_rows(program, np.clip(0.0, program.lower, program.upper), nothing)
-
-    def run() -> Result:
-        result, _ = _by_forms(program, "auto", tolerance, None, {})
-        return replace(result, status=Status.INFEASIBLE, infeasibility=proof)
-
     return QuadraticProgramResult(
-        Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, 0.0, run, proof
+        Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, 0.0,
+        partial(_refuted_run, program, proof, tolerance), proof,
     )
+
+
+def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float) -> Result:
+    """Return the run on the complementarity problem of a program that this proof refutes."""
+    result, _ = _by_forms(program, "auto", tolerance, None, {})
+    return replace(result, status=Status.INFEASIBLE, infeasibility=proof)
 
 
 def _status(

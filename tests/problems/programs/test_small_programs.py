@@ -271,3 +271,18 @@ def test_one_criterion_judges_dense_loops_and_solutions() -> None:
         theirs = np.array([getattr(solution, name) for name in MEASURED])
         assert (theirs[:4] <= measures[0, :4]).all()
         np.testing.assert_allclose(measures[0, :5], theirs, rtol=1e-12, atol=1e-13)
+
+
+def test_the_complementarity_problem_is_made_when_somebody_asks() -> None:
+    """Of one that is solved and of one that is refuted: z, w and certificate, pickled or not; until then none is."""
+    solved = solve(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
+    refuted = solve(QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1], [-1, -1]], h=[-1, 0.5]))
+    assert solved.is_compiled
+    assert refuted.is_compiled
+    for result in (*(pickle.loads(pickle.dumps(one)) for one in (solved, refuted)), solved, refuted):
+        assert result.status == result.lcp_result.status
+        assert result.w.shape == result.z.shape == result.certificate.z.shape
+    assert solved.certificate.relative_residual <= 1e-14
+    assert refuted.proof is not None
+    assert refuted.proof.verify()
+    assert np.isnan(refuted.duals["inequality"]).all()

@@ -16,7 +16,8 @@ import numpy as np
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, did_you_mean
 from ..problems.programs.certification import certify
-from ..problems.programs.program import QuadraticProgram, refuse_nonconvex
+from ..problems.programs.convexity import refuse_nonconvex
+from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.program_proofs import Certification
 
 OURS = "LCP"

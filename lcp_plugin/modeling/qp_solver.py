@@ -22,7 +22,7 @@ from ..core.errors import InvalidProblem, UnsupportedModel
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..problems.programs.qp_solution import QPSolution
-from ..problems.programs.solving import ProgramResult, judged_program
+from ..problems.programs.solving import judged_program
 from ._compat import CVXPY_STATUS, statistics
 from .compiled_program import CompiledProgram
 from .stated_terms import dense_value
@@ -118,9 +118,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
         found = judged_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
-        result = found.lcp_result
         # What was solved at once begins anew, and is not asked for the z of a problem that nobody has made.
-        cache[self.name()] = compiled._replace(z=None if isinstance(result, ProgramResult) else result.z)
+        cache[self.name()] = compiled._replace(z=None if found.is_compiled else found.z)
         if verbose:
             settings.LOGGER.info(found.explain())
         return SolverAnswer(found, found.solution, CVXPY_STATUS[found.status], found.goal)

@@ -113,7 +113,8 @@ def by_batch(sample: Sample, folder: Path) -> None:
 
 
 def by_many(sample: Sample, folder: Path) -> None:
-    for answer in solve_many(sample.problem, [sample.problem.q, sample.problem.q]):
+    given = [{}, {"c": sample.problem.c}] if sample.kind == "QuadraticProgram" else [sample.problem.q] * 2
+    for answer in solve_many(sample.problem, given):
         confirm(answer, sample)
 
 

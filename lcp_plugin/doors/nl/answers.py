@@ -279,7 +279,7 @@ class ProgramModel(NLModel):
         is_told = found.proof is None
         words += f", objective {objective:.9g}" if is_told else ""
         # The program's own residuals, which the status is made of, not those of its optimality conditions.
-        message = self._message(words, max(found.solution.residual, found.solution.row_residual), found.iterations)
+        message = self._message(words, found.solution.error, found.iterations)
         duals = -self.sign * found.solution.row_multipliers + 0.0
         return NLAnswer(x, duals, status, message, found, objective if is_told else None, code)
 

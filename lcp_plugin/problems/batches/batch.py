@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,29 +24,35 @@ from ...methods.banded.banded import Banded
 from ...systems.factors import bands
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
+from ..programs.other_vectors import prepare_program, solve_programs
 from ..programs.program import QuadraticProgram
+from ..programs.solving import QuadraticProgramResult
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun, CallersOwn
 from .program_batch import ProgramBatchResult, ProgramBatchRun
 
+P = TypeVar("P", LCP, QuadraticProgram)
 
-def prepare(problem: LCP, *, threads: int | None = None) -> LCP:
+
+def prepare(problem: P, *, threads: int | None = None) -> P:
     """Return the same problem with all that depends on M alone computed: diagonal, bands, row splits, hierarchy.
 
     ``problem.with_q(q)`` shares it, so that a march in time pays for it once; a solve without it computes what it
-    needs when it needs it.
+    needs when it needs it. Of a program it is what P, G and A say, and ``program.with_vectors(c, h, b)`` shares that.
 
     Parameters
     ----------
-    problem : LCP
+    problem : LCP or QuadraticProgram
     threads : int, optional
         As for :func:`lcp_plugin.solve`.
 
     Raises
     ------
     InvalidOption
-        Where it is no LCP, or `threads` no number of threads.
+        Where it is neither, or `threads` no number of threads.
+    UnsupportedModel
+        Where the program is not convex.
 
     Examples
     --------
@@ -55,6 +61,10 @@ def prepare(problem: LCP, *, threads: int | None = None) -> LCP:
     >>> [float(solve(problem.with_q([-1, q])).z[0].round(6)) for q in (0.0, 1.0)]
     [0.666667, 0.5]
     """
+    if isinstance(problem, QuadraticProgram):
+        checked_threads(threads)
+        prepare_program(problem)
+        return problem
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("prepare", problem))
     from ...methods.multigrid.multigrid import Multigrid
@@ -261,23 +271,31 @@ def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None
         raise InvalidOption(f"{what} bring q and their bounds; write {remedy} for others")
 
 
+@overload
 def solve_many(
     problem: LCP, Q: ArrayLike | Sequence[ArrayLike], algorithm: str | Algorithm = "auto", **options: Any
-) -> list[Result | LCPError]:
+) -> list[Result | LCPError]: ...
+@overload
+def solve_many(
+    problem: QuadraticProgram, Q: Sequence[Mapping[str, ArrayLike]], algorithm: str | Algorithm = "auto",
+    **options: Any,
+) -> list[QuadraticProgramResult | LCPError]: ...
+def solve_many(problem: Any, Q: Any, algorithm: str | Algorithm = "auto", **options: Any) -> Any:
     """Return one entry a column of Q, in order: its Result, or the error that says what is wrong with it.
 
     Parameters
     ----------
-    problem : LCP
-        Gives M and the bounds; its own q is not used.
-    Q : array, shape (n, k), or a sequence of k vectors
+    problem : LCP or QuadraticProgram
+        Gives M and the bounds; its own q is not used. Of a program all that an entry of Q does not name.
+    Q : array, shape (n, k), or a sequence of k vectors; of a program a sequence of k mappings
         A vector of another length, or with NaN in it, is an InvalidProblem in its place and does not stop the rest.
+        Mappings hold what ``program.with_vectors`` takes, as ``{"b": …}`` for a controller's next state.
     algorithm, **options
         As for :func:`lcp_plugin.solve`.
 
     Returns
     -------
-    list of Result or LCPError
+    list of Result, or QuadraticProgramResult, or LCPError
         Of length k; shorter only where a run was INTERRUPTED, which ends the batch.
 
     Raises
@@ -294,7 +312,12 @@ def solve_many(
     >>> answers = solve_many(LCP([[2, 1], [1, 2]], [0, 0]), [[-5, 1], [np.nan, 0], [1, 1]])
     >>> [type(answer).__name__ for answer in answers], answers[0].z.round(6)
     (['Result', 'InvalidProblem', 'Result'], array([2.5, 0. ]))
+    >>> program = prepare(QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[2]))
+    >>> [answer.x.tolist() for answer in solve_many(program, [{"b": [2]}, {"b": [4]}])]
+    [[1.0, 1.0], [2.0, 2.0]]
     """
+    if isinstance(problem, QuadraticProgram):
+        return solve_programs(problem, Q, algorithm, **options)
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("solve_many", problem))
     if callable(options.get("callback")):

@@ -25,7 +25,7 @@ from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption
 from ...core.settings import Status
-from ..programs.program import refuse_nonconvex
+from ..programs.convexity import refuse_nonconvex
 from ..programs.qp_proofs import QPUnboundedness
 from .cuts import strengthened
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts

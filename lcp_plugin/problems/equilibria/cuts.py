@@ -16,9 +16,9 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...proofs.bounds.curvature import curvature
+from ..programs.compiled_call import solved_at_once
 from ..programs.dual_bounds import DualBounds, implied_box
 from ..programs.program import QuadraticProgram
-from ..programs.solving import solved_at_once
 from .equilibrium_program import BETWEEN, LOWER, EquilibriumProgram
 from .monotone import ellipsoid, separating_points, tight_points, with_points
 
@@ -92,10 +92,10 @@ class _Sides:
     def furthest(self, column: int) -> ProvedBound | None:
         """Return a bound of a variable by a linear program, None where it has none."""
         linear = self._linear(column)
-        found = solved_at_once(linear, "auto", 1e-9, {})
+        found = solved_at_once(linear, 1e-9)
         if found is None:
             return None
-        dual = found[1].x, np.concatenate([found[1].inequality, found[1].equality])
+        dual = found.solution.x, np.concatenate([found.solution.inequality, found.solution.equality])
         bound = self.proved(column, dual)
         return ProvedBound(column, bound, dual) if bound < min(self.implied[column], math.inf) else None
 

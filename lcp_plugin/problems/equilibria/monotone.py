@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 from ...core.rounding import gamma
 from ...proofs.bounds.curvature import curvature
+from ..programs.compiled_call import solved_at_once
 from ..programs.dual_bounds import implied_box
 from ..programs.program import QuadraticProgram
-from ..programs.solving import solved_at_once
 from .equilibrium_program import BETWEEN, LOWER, EquilibriumProgram
 
 MOST_PAIRS = 300  # a cut has an entry for each
@@ -132,8 +132,8 @@ def separating_points(problem: EquilibriumProgram, within: Ellipsoid) -> tuple[F
     for _ in range(ROUNDS):
         cut = with_points(problem, within, points)
         lower, upper = cut.bounds(cut.all_cases)
-        found = solved_at_once(cut.program.with_vectors(lower=lower, upper=upper), "auto", 1e-9, {})
-        at = None if found is None else within.boundary(found[1].x[within.columns])
+        found = solved_at_once(cut.program.with_vectors(lower=lower, upper=upper), 1e-9)
+        at = None if found is None else within.boundary(found.solution.x[within.columns])
         if at is None:
             break
         points.append(at)
@@ -146,10 +146,10 @@ def tight_points(
     """Return the points whose cuts hold with equality where the relaxation with all of them is least."""
     cut = with_points(problem, within, points)
     lower, upper = cut.bounds(cut.all_cases)
-    found = solved_at_once(cut.program.with_vectors(lower=lower, upper=upper), "auto", 1e-9, {})
+    found = solved_at_once(cut.program.with_vectors(lower=lower, upper=upper), 1e-9)
     if found is None:
         return points
-    multipliers = found[1].inequality[problem.program.h.size :]
+    multipliers = found.solution.inequality[problem.program.h.size :]
     return tuple(point for point, multiplier in zip(points, multipliers, strict=True) if multiplier > 0.0)
 
 

@@ -15,14 +15,14 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...core.settings import Status
-from ...core.solving.result import Result
 from ...proofs.bounds.curvature import Curvature, constrained_curvature
+from ..programs.compiled_call import solved_at_once
 from ..programs.dual_bounds import DualBounds, implied_box
 from ..programs.program import QuadraticProgram
 from ..programs.qp_certificates import prove_infeasible
 from ..programs.qp_proofs import QPInfeasibility
 from ..programs.qp_solution import QPSolution
-from ..programs.solving import solve_quadratic_program, solved_at_once
+from ..programs.solving import solve_quadratic_program
 from .equilibrium_program import Cases, EquilibriumProgram, case_counts
 
 TOLERANCE = 1e-9
@@ -146,11 +146,14 @@ class Relaxations:
 
     def _solution(self, program: QuadraticProgram) -> QPSolution | None:
         """Return the solution of a program, None where a first try finds none: it may have none."""
-        found = solved_at_once(program, "auto", TOLERANCE, {})
+        found = solved_at_once(program, TOLERANCE)
         self._are_small = self._are_small or found is not None
-        if found is None and not self._are_small:
-            found = _by_steps(program, algorithm="interior_point", max_iterations=MOST_STEPS)
-        return found[1] if found is not None and found[1].is_stationary() else None
+        if found is not None:
+            return found.solution
+        if self._are_small:
+            return None
+        solution = _by_steps(program, algorithm="interior_point", max_iterations=MOST_STEPS)
+        return solution if solution.is_stationary() else None
 
     def _within_a_box(self, program: QuadraticProgram) -> QPSolution:
         """Return the solution of a program that a first try does not find, or else one within a large box.
@@ -160,15 +163,15 @@ class Relaxations:
         limits = np.concatenate([program.lower, program.upper, program.h, program.b])
         far = FAR * (1.0 + float(np.abs(limits[np.isfinite(limits)]).max(initial=0.0)))
         within = program.with_vectors(lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far))
-        found = solved_at_once(within, "auto", TOLERANCE, {})
-        solution = (found or _by_steps(within))[1]
+        found = solved_at_once(within, TOLERANCE)
+        solution = _by_steps(within) if found is None else found.solution
         is_inside = bool(np.abs(solution.x).max(initial=0.0) < far * (1.0 - INSIDE)) and solution.is_stationary()
         return replace(solution, program=program) if is_inside else solution
 
 
-def _by_steps(program: QuadraticProgram, **options: Any) -> tuple[Result, QPSolution]:
+def _by_steps(program: QuadraticProgram, **options: Any) -> QPSolution:
     """Return what a run of steps finds; Ctrl-C, which ends it with a status, ends the search, too."""
     result, solution = solve_quadratic_program(program, tolerance=TOLERANCE, refute=False, **options)
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
-    return result, solution
+    return solution

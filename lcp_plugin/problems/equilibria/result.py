@@ -199,7 +199,7 @@ class EquilibriumResult(Answer):
         if self.status not in LIMITS:
             return advice
         found = "no solution was found so far" if self.x is None else "x is the best solution found so far"
-        return f"{advice}; {found}, lower_bound holds"
+        return f"{advice}; {found}" + (", lower_bound holds" if self.lower_bound > -math.inf else "")
 
     def _numbers(self) -> dict[str, float]:
         own = {"lower_bound": self.lower_bound, "gap": self.gap, "programs": self.programs, "tolerance": self.tolerance}
@@ -209,7 +209,7 @@ class EquilibriumResult(Answer):
         """Return the value and the bound."""
         if self.is_refuted:
             return "no least objective" if self.status is Status.UNBOUNDED else "no solution"
-        bound = f"bound {self.lower_bound:.9g}"
+        bound = f"bound {self.lower_bound:.9g}" if self.lower_bound > -math.inf else "no bound yet"
         if self.x is None:
             return f"no solution found, {bound}"
         return f"objective {self.value:.9g}, {bound}, gap {self.gap:.1e}"

@@ -1,13 +1,16 @@
 """Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
 
+``solve(QuadraticProgram(…))`` takes a program as it is, whoever asks: a small one is solved on its own arrays in one
+compiled call (`compiled_call`, `small_programs`, `kernels`), any other in one of its forms (`solving`, `conversion`,
+`qp_forms`); what is optimal says one criterion (`criterion`), what has no minimum a proof (`qp_certificates`).
 Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` remembers where it came
 from: ``origin.recover(result)``, with a result of ``solve`` or any z, gives the answer in the terms of the problem that
-was asked, together with a measure of how wrong it is there. Who wants the answer alone need not convert:
-``solve(QuadraticProgram(…))`` and ``solve(BoundedLeastSquares(A, b))`` take these problems as they are.
+was asked, together with a measure of how wrong it is there.
 
 | problem | function |
 |---|---|
 | convex quadratic program | ``LCP.from_qp(P, c, G, h, A, b, lower, upper)``; back: ``problem.to_qp()`` |
+| programs with the same matrices | ``solve_many(prepare(program), [{"b": b}, …])``, ``program.with_vectors(b=b)`` |
 | many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
 | linear program | ``problems.programs.conversion.lcp_from_lp`` |
 | least squares within bounds | ``problems.least_squares.conversion.lcp_from_least_squares`` |

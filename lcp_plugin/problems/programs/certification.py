@@ -19,7 +19,8 @@ from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.kinds import kind_of, refusal
 from ...core.registry import ask
 from ...core.solving.answer import Answer
-from .program import QuadraticProgram, refuse_nonconvex
+from .convexity import refuse_nonconvex
+from .program import QuadraticProgram
 from .program_proofs import Certification, ProgramProofs
 from .qp_solution import QPSolution
 from .solving import QuadraticProgramResult

@@ -19,9 +19,6 @@ from .program_matrices import Indices, ProgramMatrices, as_csr
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
-SHARE = 0.1  # of a larger tolerance
-
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
@@ -145,17 +142,3 @@ def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
         matrix, program.c, np.isinf(program.upper), np.isinf(program.lower),
         np.where(is_inequality, 0.0, -np.inf), free, program.dual_unit, (nothing, nothing),
     )
-
-
-def constraint_tolerance(tolerance: float) -> float:
-    """Return the primal residual that is called optimal where the other conditions hold to a tolerance.
-
-    A tenth of the tolerance, but no less than 1e-7 where the tolerance is no less: a program whose constraints
-    contradict by 1e-6 is infeasible, not nearly feasible.
-
-    Examples
-    --------
-    >>> constraint_tolerance(1e-6), constraint_tolerance(1e-12), constraint_tolerance(1e-3)
-    (1e-07, 1e-12, 0.0001)
-    """
-    return max(SHARE * tolerance, min(tolerance, CONSTRAINTS))

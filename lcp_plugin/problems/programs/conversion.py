@@ -14,7 +14,8 @@ from ...core.checks import checked_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
-from .program import QuadraticProgram, asymmetry_of, refuse_nonconvex
+from .convexity import refuse_nonconvex
+from .program import QuadraticProgram, asymmetry_of
 from .qp_forms import FORMS, DualForm
 from .reductions import Substitution, fold_simple_rows, substitute_definitions
 

@@ -1,8 +1,9 @@
 """Points that are proved to satisfy all constraints of a program, near a point that nearly does.
 
-Without equations a point is moved off the rows that are tight, by least squares, and every row evaluated with its
-rounding. In small programs the equations and the rows that are tight are solved in rational arithmetic; where that
-leaves a row violated, the point is moved towards one that a linear program finds inside, and checked again.
+A point is moved onto the equations and off the rows that are tight, by least squares, and every row evaluated with its
+rounding; that the equations have a solution near by is proved by an approximate inverse. Where they depend on each
+other or leave no room, in small programs, the equations and the rows that are tight are solved in rational arithmetic;
+where that leaves a row violated, the point is moved towards one that a linear program finds inside, and checked again.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
-from ...core.rounding import compensated_pair, compensated_product, upper_end
+from ...core.rounding import compensated_pair, compensated_product, gamma, upper_end
 from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import Vector, enclosures, product_above, products, rational, sum_above
 from .dual_bounds import ROOMS, least_squares
@@ -29,6 +30,9 @@ TIGHT = (0.0, 1e-9, 1e-6, -np.inf)  # of a row's unit: rows that are solved for 
 EXACT_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200
 SMALL = 2000  # variables and rows of a program whose points are checked in fractions: a second
 NEAR = 1e-9  # of a row's unit: rows that a point is moved off
+DENSE_UP_TO = 4_000_000  # entries of equations that are looked at at once
+MOST_BITS, TINY = 400, 1e-290  # of the unit of a row; more than what underflow takes from a sum
+OUTWARD = 1.0 + 2.0**-30  # more than what rounding takes from a sum of terms that are not negative
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +70,9 @@ class FeasiblePoints:
         constraints = self.program.constraints
         if not (constraints.excess(x) > 0.0).any():
             return FeasiblePoint.of(self.program, x, x)
-        for room in ROOMS if not constraints.is_equality.any() else ():
-            moved = self._moved_off(x, room)
-            if not (constraints.excess(moved) > 0.0).any():
-                return FeasiblePoint.of(self.program, moved, moved)
+        for room in ROOMS:
+            if (point := self._enclosed(self._moved_off(x, room))) is not None:
+                return point
         if not self.is_small:
             return None
         for tight in TIGHT:
@@ -91,18 +94,35 @@ class FeasiblePoints:
         return self.program.b.size <= EXACT_UP_TO and self.program.n + self.program.constraints.rows <= SMALL
 
     def _moved_off(self, x: FloatVector, room: float) -> FloatVector:
-        """Return the nearest point that leaves some room in the rows and bounds that x nearly meets, to rounding."""
+        """Return the nearest point on the equations with some room in what else x nearly meets, to rounding."""
         rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
         is_row = np.arange(rows.limit.size) < rows.rows
         with np.errstate(invalid="ignore"):
             value = rows.matrix @ x - rows.limit
-        tight = np.flatnonzero(is_row & (value > -NEAR * rows.unit))
+        tight = np.flatnonzero(is_row & (rows.is_equality | (value > -NEAR * rows.unit)))
         at_bound = (x <= self.program.lower) | (x >= self.program.upper)
         free = np.flatnonzero(~at_bound)
-        right = np.minimum(-value - room * rows.unit, 0.0)[tight]
+        right = np.where(rows.is_equality, -value, np.minimum(-value - room * rows.unit, 0.0))[tight]
         moved = x.copy()
         moved[free] += least_squares(rows.matrix[tight][:, free], right)
         return np.clip(moved, self.program.lower, self.program.upper)
+
+    @np.errstate(all="ignore")  # a row without a limit has no excess
+    def _enclosed(self, x: FloatVector) -> FeasiblePoint | None:
+        """Return the point near x that satisfies the equations; None where x leaves no room for that elsewhere."""
+        program, rows = self.program, self.program.constraints
+        excess = rows.excess(x)
+        if not (excess > 0.0).any():
+            return FeasiblePoint.of(program, x, x)
+        m, is_equality = program.h.size, rows.is_equality
+        radius = distance_of_equations(program, x, excess[m : m + program.b.size])
+        if radius is None or (excess[~is_equality] > 0.0).any():
+            return None
+        others = abs(rows.matrix[np.flatnonzero(~is_equality)])
+        spread = (others @ radius + np.where(others.astype(bool) @ (radius > 0.0), TINY, 0.0)) * OUTWARD
+        if not (sum_above(excess[~is_equality], spread) <= 0.0).all():
+            return None
+        return FeasiblePoint(x, radius, objective_bounds(program, x, radius)[1])
 
     def _solved(self, x: FloatVector, tight: float) -> Vector | None:
         """Return a feasible point at which the rows that x nearly meets hold with equality, or one beside it."""
@@ -146,6 +166,47 @@ class FeasiblePoints:
         share = min(Fraction(math.nextafter(float(share) * (1.0 + 2.0**-40), 2.0)), Fraction(1))
         moved = [a + share * (b - a) for a, b in zip(x, inside, strict=True)]
         return moved if not any(losses(rows, moved)) else None
+
+
+@np.errstate(all="ignore")
+def distance_of_equations(program: QuadraticProgram, x: FloatVector, excess: FloatVector) -> FloatVector | None:
+    """Return how far from x, component by component, a solution of A x = b is at the most; None where none is proved.
+
+    Only variables between their bounds move.
+
+    Parameters
+    ----------
+    excess : array, shape (rows of A,)
+        Upper bounds of |A x − b|.
+
+    Notes
+    -----
+    With B the free columns of A, rows scaled by powers of two, x + Bᵀu is a solution where B Bᵀu = r, r = b − A x. If
+    ‖I − R B Bᵀ‖∞ ≤ α < 1 for an approximate inverse R, rounding included, there is one with ‖u‖∞ ≤ ‖|R||r|‖∞/(1 − α).
+    """
+    free = np.flatnonzero((program.lower < x) & (x < program.upper))
+    B, radius = sp.csr_array(program.A)[:, free], np.zeros(x.size)
+    p, n = B.shape
+    if max(p * n, p * p) > DENSE_UP_TO:
+        return None
+    B = B.toarray()
+    _, exponent = np.frexp(np.abs(B).max(axis=1, initial=0.0))
+    if (np.abs(exponent) > MOST_BITS).any() or not np.isfinite(excess).all():
+        return None
+    B, r = np.ldexp(B, -exponent[:, None]), np.ldexp(excess, -exponent)
+    product, sizes = B @ B.T, np.abs(B) @ np.abs(B).T
+    try:
+        R = np.linalg.inv(product)
+    except np.linalg.LinAlgError:
+        return None
+    left = np.abs(np.eye(p) - R @ product) + gamma(p + 3) * (np.abs(R) @ np.abs(product) + 1.0)
+    left += gamma(n + 3) * (np.abs(R) @ sizes) + TINY * (1.0 + np.abs(R).sum())
+    alpha = float(left.sum(axis=1).max(initial=0.0)) * OUTWARD
+    if not alpha <= 0.5:
+        return None
+    largest = float((np.abs(R) @ r).max(initial=0.0)) * OUTWARD / (1.0 - alpha) + TINY
+    radius[free] = (np.abs(B).sum(axis=0) * largest + TINY) * OUTWARD
+    return radius
 
 
 def objective_bounds(

@@ -5,7 +5,8 @@ from ...core.kinds import LANGUAGES, Kind
 QUADRATIC_PROGRAM = Kind(
     "quadratic program", "problems.programs.program:QuadraticProgram", "problems.programs.solving:judged_program",
     "problems.programs.solving:QuadraticProgramResult",
-    ("solve", "solve_batch", "certify", "pickle", *LANGUAGES, "lcp-plugin solve", "lcp-plugin certify"),
+    ("solve", "solve_batch", "solve_many", "prepare", "certify", "pickle", *LANGUAGES, "lcp-plugin solve",
+     "lcp-plugin certify"),
     "LCP.from_qp(program) makes an LCP of it",
     {
         "x0=": "z0=result.z goes on from an earlier result",

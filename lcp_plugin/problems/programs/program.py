@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,15 +16,14 @@ from ...core.checks import (
     check_order,
     checked_bound,
     checked_vector,
+    frozen,
     read_only,
     rectangular_matrix,
     restored,
 )
-from ...core.errors import InvalidProblem, UnsupportedModel
-from ...core.kernels.floats import EPSILON
+from ...core.errors import InvalidProblem
 from ...core.matrix.matrix import largest_in_rows
 from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
-from ...systems.definiteness import is_semidefinite_to_rounding
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
 from .program_matrices import ProgramMatrices, as_csr
@@ -33,9 +32,6 @@ from .qp_proofs import QPInfeasibility, QPUnboundedness
 
 SYMMETRIC_TO = 1e-12
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # the convention of file formats, which may hold 9.999999999999999e19
-LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question of convexity alone
-LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
-CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -100,7 +96,9 @@ class QuadraticProgram:
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
-        P, asymmetry = symmetric(rectangular_matrix(sp.csr_array((n, n)) if P is None else P, "P", n, n))
+        if P is None or (np.isscalar(P) and P == 0):
+            P, asymmetry = sp.csr_array((n, n)), 0.0
+        P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
         equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
         below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
@@ -297,64 +295,6 @@ class QuadraticProgram:
     __setstate__ = restored
 
 
-def refuse_nonconvex(program: QuadraticProgram) -> None:
-    """Raise where P has an eigenvalue that is negative beyond the rounding of its largest entries.
-
-    One factorisation up to n = 5000; beyond, a look at each entry beside its diagonal ones.
-
-    Raises
-    ------
-    UnsupportedModel
-        With the eigenvalue or the entries that show it.
-
-    Examples
-    --------
-    >>> refuse_nonconvex(QuadraticProgram([[1, 2], [2, 1]], [0, 0]))  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    lcp_plugin.core.errors.UnsupportedModel: the program is not convex: the smallest eigenvalue of P is -1, ...
-    """
-    P = program.P
-    if program.n <= LARGEST_CHECKED:
-        if program.is_convex is not False or is_semidefinite_beside_its_largest(P):
-            return
-        dense = P.toarray() if sp.issparse(P) else P
-        what = f"the smallest eigenvalue of P is {np.linalg.eigvalsh(dense)[0]:.3g}" if program.n <= LARGEST_MEASURED \
-            else "P has a negative eigenvalue"
-    else:
-        place = clearly_indefinite_at(P)
-        if place is None:
-            return
-        i, j = place
-        entries = dict.fromkeys(((i, i), (j, j), (i, j)))
-        what = f"{', '.join(f'P[{k}, {m}] = {P[k, m]:.3g}' for k, m in entries)} shows it"
-    raise UnsupportedModel(
-        f"the program is not convex: {what}, so that a stationary point need not be a minimum; state a convex "
-        "objective, use a solver for nonconvex programs, or solve(LCP(P, c, lower=…, upper=…)) for a stationary point"
-    )
-
-
-def is_semidefinite_beside_its_largest(P: Any) -> bool:
-    """Return whether P is positive semidefinite up to the rounding of its largest entries.
-
-    A row that should be zero may hold rounding errors of the others, which a scale of its own would magnify.
-    """
-    n = P.shape[0]
-    shift = n * (n + 4) * EPSILON * float(abs(P).max())
-    return is_semidefinite_to_rounding(sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(n))) is not False
-
-
-def clearly_indefinite_at(P: Any) -> tuple[int, int] | None:
-    """Return i, j with |p_ij| clearly above √(p_ii p_jj), or i, i with a negative p_ii; None where there are none."""
-    listed, d = sp.coo_array(P), P.diagonal()
-    scale = float(abs(d).max(initial=0.0)) * CLEAR
-    if d.min(initial=0.0) < -scale:
-        return int(d.argmin()), int(d.argmin())
-    root = np.sqrt(np.maximum(d, 0.0))
-    excess = np.abs(listed.data) - (1.0 + CLEAR) * root[listed.row] * root[listed.col]
-    worst = int(excess.argmax()) if excess.size else 0
-    return (int(listed.row[worst]), int(listed.col[worst])) if excess.size and excess[worst] > scale else None
-
-
 def _with_infinities(limit: FloatVector) -> FloatVector:
     """Return the limit with ±1e20 and beyond read as ±∞."""
     return np.where(np.abs(limit) >= INFINITE_LIMIT, np.copysign(np.inf, limit), limit)
@@ -364,7 +304,10 @@ def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
     """Raise where there is a matrix without a right-hand side, or the other way round."""
     if (matrix is None) != (right is None):
         given, missing = (name, right_name) if right is None else (right_name, name)
-        raise InvalidProblem(f"{name} and {right_name} belong together, got {given} without {missing}")
+        sign = "≤" if name == "G" else "="
+        raise InvalidProblem(
+            f"{name} and {right_name} belong together, got {given} without {missing}: {name} x {sign} {right_name}"
+        )
 
 
 def _checked_rows(
@@ -373,9 +316,15 @@ def _checked_rows(
     """Return the checked matrix and right-hand side; none of either is no rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
-        return sp.csr_array((0, n)), read_only(np.zeros(0))
+        return _no_rows(n), read_only(np.zeros(0))
     checked = rectangular_matrix(matrix, name, None, n)
     return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
+
+
+@lru_cache(maxsize=64)
+def _no_rows(n: int) -> sp.csr_array:
+    """Return the same read-only matrix without rows for all: to make one takes longer than a small program."""
+    return frozen(sp.csr_array((0, n)))
 
 
 def symmetric(P: Any) -> tuple[Any, float]:
@@ -392,6 +341,6 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
-    if sp.issparse(M) and is_its_mirror(M):
+    if is_its_mirror(M) if sp.issparse(M) else bool((M == M.T).all()):
         return 0.0, None
     return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

@@ -57,6 +57,24 @@ class ProgramMatrices:
         return vertically(self.rows, diagonal_array(-1.0, n), diagonal_array(1.0, n))
 
     @cached_property
+    def dense(self) -> tuple[Any, Any]:
+        """P and [G; A] as ndarrays of shapes (1, n, n) and (1, m + p, n), C-contiguous."""
+        given = [one for one in (self.P, self.G, self.A) if one.shape[0]]
+        P, *rows = (np.ascontiguousarray(one.toarray() if sp.issparse(one) else one) for one in given)
+        C = rows[0] if len(rows) == 1 else np.vstack([np.zeros((0, P.shape[0])), *rows])
+        return read_only(P)[np.newaxis], read_only(C)[np.newaxis]
+
+    @cached_property
+    def stored(self) -> int:
+        """How many entries are stored, zeros of ndarrays among them."""
+        return sum(int(one.nnz if sp.issparse(one) else one.size) for one in (self.P, self.G, self.A))
+
+    @cached_property
+    def has_sparse_rows(self) -> bool:
+        """Whether some constraints were given as a sparse array."""
+        return any(sp.issparse(one) and one.shape[0] > 0 for one in (self.G, self.A))
+
+    @cached_property
     def gradient(self) -> sp.csr_array:
         """[P Gᵀ Aᵀ]: the part of the Lagrangian's gradient that depends on x and the multipliers."""
         return sp.csr_array(sp.hstack([as_csr(self.P), self.rows.T], format="csr"))

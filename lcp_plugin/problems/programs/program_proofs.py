@@ -20,6 +20,7 @@ from ...core.rounding import compensated_product, gamma
 from ...proofs.bounds.curvature import constrained_curvature
 from ...proofs.bounds.solution_bounds import norm_above
 from ...proofs.exact.rational import enclosures, quotient_above, sum_above
+from .compiled_call import solved_at_once
 from .dual_bounds import DualBounds, implied_box
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from .given_multipliers import LOOSE, multiplier_error
@@ -100,13 +101,15 @@ class ProgramProofs:
     @cached_property
     def own_solution(self) -> QPSolution | None:
         """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
+        if (at_once := solved_at_once(self.program, ALMOST)) is not None:
+            return at_once.solution
         found: list[QPSolution] = []
         # What it is to prove takes time as well; a form may overflow.
         with suppress(LCPError), time_limit(SHARE * seconds_left()):
             # A tolerance beside what acts in the complementarity problem may be far below the program's own.
             for run in program_runs(self.program, "auto", *[(ALMOST, OWN_TOLERANCE)] * 2):
                 found.append(run.solution)
-        return min(found, key=_residual, default=None)
+        return min(found, key=lambda solution: solution.error, default=None)
 
     @cached_property
     def own_lower(self) -> float:
@@ -183,7 +186,8 @@ class ProgramProofs:
             complaint = multiplier_error(self.program, x, given, tolerance)
         found = Proved(value, violation, lower, self.upper(x), tolerance)
         if self.is_small or not found.is_proved() or found.may_have_bought():
-            found = replace(found, lower=max(lower, self.own_lower), points=self.upper(x))
+            points = found.points if self.is_small else self.upper(x)
+            found = replace(found, lower=max(lower, self.own_lower), points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
                 complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
         return found.certification(self, x, complaint)
@@ -333,10 +337,6 @@ def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]
         value, radius = compensated_product(rows.matrix[finite], x, -rows.limit[finite])
         value = np.where(rows.is_equality[finite], np.abs(value), value)
     return float((value - radius).max(initial=0.0)) / OUTWARD, float(rows.excess(x).max(initial=0.0))
-
-
-def _residual(solution: QPSolution) -> float:
-    return float(np.nan_to_num(max(solution.residual, solution.row_residual), nan=np.inf))
 
 
 def _if_finite(value: float) -> float | None:

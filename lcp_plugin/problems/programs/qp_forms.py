@@ -15,6 +15,7 @@ from ...core.lcp import LCP
 from ...proofs.no_solution.farkas import linear_program
 from ...systems.definiteness import is_diagonal
 from ...systems.factors import factor_fits
+from .criterion import PROGRAM_TOLERANCE, program_goal
 from .program_matrices import Indices, as_csr, is_kept_dense, sums_and_terms
 from .qp_solution import QPSolution
 from .reductions import FoldedRows, Substitution
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
-PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 CANCELS = 100.0  # times the gradient: terms that may be small, as they cancel
@@ -100,12 +100,12 @@ class QPOrigin:
         folded = self.rows.folded
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
         found = self._with_bounds(x, y)
-        is_worth_it = folded.n + y.size <= LARGEST_IN_PASSING or _error(found) > WORTH
+        is_worth_it = folded.n + y.size <= LARGEST_IN_PASSING or found.error > WORTH
         smaller = least_multipliers(folded, x, y) if is_worth_it else None
         if smaller is None:
             return found
         other = self._with_bounds(x, smaller)
-        return other if _error(other) <= max(_error(found), WORTH) else found
+        return other if other.error <= max(found.error, WORTH) else found
 
     def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
@@ -264,21 +264,6 @@ class DualForm(QPOrigin):
 
 
 FORMS: dict[str, type[QPOrigin]] = {"direct": DirectForm, "dual": DualForm, "kkt": KKTForm}
-
-
-def program_goal(tolerance: float) -> float:
-    """Return the size of a program's own residuals that is called optimal at this tolerance of a run.
-
-    Examples
-    --------
-    >>> program_goal(1e-8), program_goal(1e-4)
-    (1e-06, 0.001)
-    """
-    return max(PROGRAM_TOLERANCE, 10.0 * tolerance)
-
-
-def _error(solution: QPSolution) -> float:
-    return max(solution.residual, solution.row_residual)
 
 
 def _is_better_left(

@@ -14,7 +14,8 @@ from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...proofs.exact.rational import ZERO, Vector, products, rounded_down
 from ...proofs.no_solution.linear_constraints import Contradiction, within
-from .constraints import Constraints, constraint_tolerance, stationarity
+from .constraints import Constraints, stationarity
+from .criterion import constraint_tolerance
 from .program_matrices import as_csr
 
 if TYPE_CHECKING:

@@ -4,53 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.checks import FloatVector, checked_vector
+from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
-from .constraints import constraint_tolerance
+from .criterion import Errors
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
     from .qp_proofs import QPInfeasibility, QPUnboundedness
-
-OBJECTIVE = 1e-6  # what the duality gap may be at any smaller tolerance: rounding of large terms stays in it
-
-
-class Errors(NamedTuple):
-    """The largest error of each kind of condition, rounding included; NaN where a number is not finite."""
-
-    primal: float
-    dual: float
-    complementarity: float
-    rows: float
-    gap: float
-
-    @classmethod
-    def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
-        """Return the errors of x and of the multipliers of all constraints, in units of the program's data."""
-        is_equality = program.constraints.is_equality
-        signed = np.where(is_equality, multipliers, np.maximum(multipliers, 0.0))
-        wrong = float((signed - multipliers).max(initial=0.0))
-        errors = _measured(program, x, multipliers)
-        if wrong <= 0.0:
-            return errors
-        dual = _measured(program, x, signed).dual + wrong / (1.0 + np.abs(program.c).max(initial=0.0))
-        return errors._replace(dual=float(dual))
-
-
-def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
-    from .kernels.program_residuals import program_residuals  # numba, which not every run needs
-
-    matrices, rows = program.matrices, program.constraints
-    worst, columns = np.zeros(7), np.zeros((4, program.n))
-    program_residuals(
-        *matrices.rows_of_hessian, matrices.rows.indptr, matrices.rows.indices, matrices.rows.data, program.h.size,
-        program.c, rows.limit, rows.unit, program.dual_unit, x, multipliers, columns, worst,
-    )
-    return Errors(*worst[: len(Errors._fields)].tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +66,17 @@ class QPSolution:
             vector = checked_vector(getattr(self, name), name, size, allow_nan=name != "x")
             object.__setattr__(self, name, vector)
 
+    @classmethod
+    def of_rows(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> QPSolution:
+        """Return that of finite vectors, the multipliers of all ``program.constraints`` in one; they are kept."""
+        m, p, n, _ = program.matrices.sizes
+        made, every = object.__new__(cls), read_only(multipliers)
+        made.__dict__.update(
+            program=program, x=read_only(x), inequality=every[:m], equality=every[m : m + p],
+            lower=every[m + p : m + p + n], upper=every[m + p + n :],
+        )
+        return made
+
     @cached_property
     def objective(self) -> float:
         """½ xᵀP x + cᵀx."""
@@ -133,7 +108,12 @@ class QPSolution:
     @property
     def residual(self) -> float:
         """The largest of the primal residual, the dual residual and complementarity."""
-        return float(np.max([self.primal_residual, self.dual_residual, self.complementarity]))
+        return float(np.max(self._errors[:3]))
+
+    @property
+    def error(self) -> float:
+        """The larger one of `residual` and `row_residual`; ∞ where one of them is not finite."""
+        return float(np.nan_to_num(np.max(self._errors[:4]), nan=np.inf))
 
     @property
     def row_residual(self) -> float:
@@ -185,10 +165,7 @@ class QPSolution:
         """
         if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
-        if not self.primal_residual <= constraint_tolerance(float(tolerance)):
-            return False
-        is_small = self.residual <= tolerance and self.row_residual <= tolerance
-        return bool(is_small and self.duality_gap <= max(OBJECTIVE, tolerance))
+        return bool(self._errors.meet(float(tolerance)))
 
     @property
     def duality_gap(self) -> float:

@@ -17,7 +17,7 @@ from ...core.matrix.structure import row_numbers
 from ...methods.presolve import like
 from ...systems.definiteness import is_diagonal
 from ...systems.symmetry import is_its_mirror
-from .constraints import CONSTRAINTS
+from .criterion import CONSTRAINTS
 from .predicted_work import worth_putting_in
 from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
 
@@ -273,7 +273,15 @@ def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
 
     A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
     singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
+    Done once for a program.
     """
+    known: FoldedRows | None = program.__dict__.get("_folded")
+    if known is None:
+        known = program.__dict__["_folded"] = _folded(program)
+    return known
+
+
+def _folded(program: QuadraticProgram) -> FoldedRows:
     matrices, right = program.matrices, np.concatenate([program.h, program.b])
     is_equality, (rows, columns, coefficient) = matrices.is_equality[: right.size], matrices.singletons
     with np.errstate(over="ignore"):

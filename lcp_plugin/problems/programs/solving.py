@@ -5,35 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector, checked_vector, read_only, restored
-from ...core.communicator import ALONE
-from ...core.deadline import Clock, is_over, seconds_left
+from ...core.checks import FloatVector, checked_vector, restored
+from ...core.deadline import is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.driver import asked_of_solve, solve
-from ...core.solving.result import BoundOrReason, Result, Sample, StageRecord
+from ...core.solving.result import Result, Sample, StageRecord
 from ...methods.search.stages import FeasibilityCheck
+from .compiled_call import ACTIVE_SET, CompiledAnswer, known_contradiction, solved_at_once
 from .conversion import attempts
-from .program import QuadraticProgram, refuse_nonconvex
-from .qp_forms import PROGRAM_TOLERANCE, KKTForm, QPOrigin, program_goal
+from .convexity import refuse_nonconvex
+from .criterion import program_goal
+from .program import QuadraticProgram
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
-from .reductions import fold_simple_rows, substitute_definitions
-from .small_programs import MOST_STEPS, SmallPrograms, may_be_small, work_of, work_of_search
+from .small_programs import MOST_STEPS
 
-TAKE_SMALL_PROGRAMS = ("auto", "interior_point")
-ACTIVE_SET = "dual active set"
-AT_ONCE = "small: all steps in one compiled call"
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
-REACHED = 1e-9  # the tolerance that the compiled call is asked for at the least
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
@@ -44,12 +40,6 @@ class ProgramRun(NamedTuple):
     result: Result
     solution: QPSolution
     because: str
-
-    @property
-    def error(self) -> float:
-        """The largest residual of the program, ∞ where there is none."""
-        error = max(self.solution.residual, self.solution.row_residual)
-        return math.inf if math.isnan(error) else error
 
 
 ADVICE = {
@@ -95,7 +85,7 @@ class QuadraticProgramResult(Answer):
 
     @cached_property
     def lcp_result(self) -> Result:
-        """The run on the complementarity problem that was made of the program; of a batch made when looked at."""
+        """The run on the complementarity problem of the program; where none was needed, made when looked at."""
         return self._lcp_result if isinstance(self._lcp_result, Result) else self._lcp_result()
 
     @property
@@ -134,9 +124,14 @@ class QuadraticProgramResult(Answer):
         return self.lcp_result.certificate
 
     @property
+    def is_compiled(self) -> bool:
+        """Whether one compiled call settled the program: no complementarity problem was made of it."""
+        return not isinstance(self._lcp_result, Result)
+
+    @property
     def setup_seconds(self) -> float:
         """Seconds until the first iterate."""
-        return self.lcp_result.setup_seconds
+        return 0.0 if self.is_compiled else self.lcp_result.setup_seconds
 
     @property
     def stages(self) -> tuple[StageRecord, ...]:
@@ -175,11 +170,20 @@ def judged_program(
             options["guess"] = checked_vector(start, "z0", None)
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
-    result, solution = solve_quadratic_program(program, algorithm, tolerance=tolerance, **options)
-    goal, proof = program_goal(tolerance), None
-    is_optimal = solution.is_stationary(goal)
+    guess = options.pop("guess", None)
+    options = {name: wish for name, wish in options.items() if wish is not None}
+    goal, refutes = program_goal(tolerance), options.get("refute", True)
+    if (found := _at_once(program, algorithm, tolerance, options)) is not None:
+        return QuadraticProgramResult(
+            Status.SOLVED, found.solution, goal, f"auto: {ACTIVE_SET}", found.steps, found.seconds,
+            partial(found.result, tolerance),
+        )
+    if (known := known_contradiction(program)) is not None and known.excludes(goal):
+        return _refuted(program, known, tolerance)
+    result, solution = _by_forms(program, algorithm, tolerance, guess, options)
+    is_optimal, proof = solution.is_stationary(goal), None
     is_proven = program.__dict__.get("proof_of_no_minimum") is not None
-    if options.get("refute", True) and not is_optimal and (is_proven or not ended_by_caller(result, options)):
+    if refutes and not is_optimal and (is_proven or not ended_by_caller(result, options)):
         proof = program.refutation(goal)
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
     if proof is not None:
@@ -187,6 +191,22 @@ def judged_program(
     return QuadraticProgramResult(
         status, solution, goal, result.algorithm, result.iterations, result.seconds, result, proof
     )
+
+
+def _refuted(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float) -> QuadraticProgramResult:
+    """Return the result of a program that the compiled call has found to be infeasible."""
+    nothing = np.full(program.constraints.limit.size, np.nan)
+    solution = QPSolution.of_rows(program, np.clip(0.0, program.lower, program.upper), nothing)
+    return QuadraticProgramResult(
+        Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, 0.0,
+        partial(_refuted_run, program, proof, tolerance), proof,
+    )
+
+
+def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float) -> Result:
+    """Return the run on the complementarity problem of a program that this proof refutes."""
+    result, _ = _by_forms(program, "auto", tolerance, None, {})
+    return replace(result, status=Status.INFEASIBLE, infeasibility=proof)
 
 
 def _status(
@@ -229,103 +249,44 @@ def solve_quadratic_program(
         As `solve`.
     """
     options = {name: wish for name, wish in options.items() if wish is not None}
-    asked_of_solve(algorithm, {"tolerance": tolerance, **options})  # what is wrong is refused whichever way is taken
-    checked_callback(options.get("callback"))
-    refuse_nonconvex(program)
+    if (found := _at_once(program, algorithm, tolerance, options)) is not None:
+        return found.result(tolerance), found.solution
+    return _by_forms(program, algorithm, tolerance, guess, options)
+
+
+def _at_once(
+    program: QuadraticProgram, algorithm: Any, tolerance: float, options: dict[str, Any]
+) -> CompiledAnswer | None:
+    """Return the answer by one compiled call; None where it finds none, or somebody watches. Refuse what is wrong."""
+    is_auto = isinstance(algorithm, str) and algorithm == "auto"
+    if options or not is_auto or not isinstance(tolerance, float):
+        asked_of_solve(algorithm, {"tolerance": tolerance, **options})
+        checked_callback(options.get("callback"))
+        is_short = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
+        if not is_auto or is_short or any(options.get(name, False) is not False for name in SEEN):
+            return None
+    if not 0.0 < tolerance < 1.0:
+        asked_of_solve(algorithm, {"tolerance": tolerance})
+        return None
     try:
-        if (found := solved_at_once(program, algorithm, tolerance, options)) is not None:
-            return found
+        return solved_at_once(program, tolerance)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
+        return None
+
+
+def _by_forms(
+    program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
+) -> tuple[Result, QPSolution]:
+    """Return the run and the answer of the best of some complementarity problems."""
+    refuse_nonconvex(program)
     goal, refutes = program_goal(tolerance), options.get("refute", True)
     runs = list(program_runs(
         program, algorithm, (tolerance,), (goal, goal), guess=guess,
         is_refuted=(lambda: program.refutation(goal) is not None) if refutes else None, **options,
     ))
-    best = min(runs, key=lambda run: run.error)
+    best = min(runs, key=lambda run: run.solution.error)
     return replace(best.result, stages=_stages(runs, best)), best.solution
-
-
-def solved_at_once(
-    program: QuadraticProgram, algorithm: Any, tolerance: float, options: Mapping[str, Any]
-) -> tuple[Result, QPSolution] | None:
-    """Return the answer to a small program by one compiled call; None where it finds none, or somebody watches."""
-    is_seen = any(name in options and options[name] is not False for name in SEEN)
-    if not isinstance(algorithm, str) or algorithm not in TAKE_SMALL_PROGRAMS or is_seen or not 0.0 < tolerance < 1.0:
-        return None
-    is_limited = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
-    matrices = program.matrices
-    defined = min(int(np.count_nonzero(matrices.is_definable)), program.b.size)
-    simple = defined + matrices.singletons[0].size
-    if is_limited or not may_be_small(program.n - defined, max(program.constraints.rows - simple, 0)):  # at the least
-        return None
-    clock, substitution = Clock(ALONE), substitute_definitions(program)
-    origin = KKTForm(fold_simple_rows(program if substitution is None else substitution.reduced), substitution)
-    rows = origin.rows.folded
-    limits, is_equality = np.append(rows.h, rows.b), rows.matrices.is_equality[: origin.rows.left.size]
-    small = SmallPrograms.of_one(rows.P, rows.c, rows.matrices.rows, limits, is_equality, rows.lower, rows.upper)
-    if small is None:
-        return None
-    sharp = min(max(tolerance, REACHED), PROGRAM_TOLERANCE)
-    name, work_of_steps = ACTIVE_SET, work_of_search
-    answers = small.searched(sharp) if algorithm == "auto" else None
-    if answers is None:
-        answers, name, work_of_steps = small.solved(sharp), "interior_point", work_of
-    if not answers.has_converged[0]:
-        return None
-    z = small.point(answers, 0)
-    solution = origin.recover(z)
-    if not solution.is_stationary(program_goal(tolerance)):
-        return None
-    steps = int(answers.steps[0])
-    work = work_of_steps(rows.n, limits.size, steps) / max(sum(rows.matrices.entries), 1)
-    stage = StageRecord(name, AT_ONCE, steps, work)
-    result = ProgramResult.of(origin, z, stage, clock.read(), tolerance, algorithm)
-    if tolerance < REACHED and not result.residual <= tolerance:  # that is asked of the complementarity problem, too
-        return None
-    return result, solution
-
-
-class ProgramResult(Result):
-    """The result of a program that was solved as it is: its complementarity problem is made once somebody asks for it.
-
-    SOLVED means that the program's own residuals are within the tolerance.
-
-    Attributes
-    ----------
-    origin : QPOrigin
-        Of that problem.
-    z : ndarray, shape (n,)
-    """
-
-    origin: QPOrigin
-
-    @classmethod
-    def of(
-        cls, origin: QPOrigin, z: FloatVector, stage: StageRecord, seconds: float, tolerance: float, algorithm: str
-    ) -> ProgramResult:
-        """Return the result of z, found in one stage."""
-        made = object.__new__(cls)
-        made.__dict__.update(
-            origin=origin, z=read_only(z), status=Status.SOLVED, iterations=stage.iterations, work=stage.work,
-            algorithm=stage.name if algorithm == stage.name else f"{algorithm}: {stage.name}", seconds=seconds,
-            setup_seconds=0.0, tolerance=tolerance, history=(), stages=(stage,),
-            infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm,
-            _bound=BoundOrReason(), _advice={},
-        )
-        return made
-
-    @cached_property
-    def certificate(self) -> Certificate:
-        """The certificate of z in the KKT form of the program."""
-        problem = self.origin.problem()
-        problem.origin = problem.criterion = self.origin
-        return Certificate.of(problem, self.z)
-
-    @cached_property
-    def w(self) -> FloatVector:
-        """The certificate's w."""
-        return self.certificate.w
 
 
 def program_runs(

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from ...core.checks import BoolVector, read_only, real_array
 from ...core.errors import InvalidProblem
 from ..many.data import length_of_all, rows_of_a_batch
-from .program import SYMMETRIC_TO, QuadraticProgram, check_pair, refuse_nonconvex
+from .convexity import refuse_nonconvex
+from .program import SYMMETRIC_TO, QuadraticProgram, check_pair
 
 
 class QuadraticProgramBatch:
@@ -101,7 +102,7 @@ class QuadraticProgramBatch:
     def refuse_nonconvex(self) -> None:
         """Raise where one P for all is not convex.
 
-        As :func:`~lcp_plugin.problems.programs.program.refuse_nonconvex`.
+        As :func:`~lcp_plugin.problems.programs.convexity.refuse_nonconvex`.
         """
         if self._shared is not None:
             refuse_nonconvex(self._shared)

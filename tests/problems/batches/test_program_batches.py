@@ -25,8 +25,8 @@ from lcp_plugin import (
     solve_batch,
     strategies,
 )
-from lcp_plugin.problems.batches import program_batch
 from lcp_plugin.problems.batches.program_batch import ProgramBatchResult, ProgramBatchRun
+from lcp_plugin.problems.programs import solving
 from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.strategies.programs import QPAnswer
 
@@ -220,7 +220,7 @@ def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytes
     def never(*given: Any, **options: Any) -> Any:
         raise AssertionError("the long way was taken")
 
-    monkeypatch.setattr(program_batch, "judged_program", never)
+    monkeypatch.setattr(solving, "_by_forms", never)
     rng, (P, c, G, h) = np.random.default_rng(3), dense(40)
     A, b, y = rng.normal(size=(40, 2, 6)), rng.normal(size=(40, 2)), rng.random((40, 12))
     signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum("kij,ki->kj", A, np.ones((40, 2)))
@@ -251,9 +251,9 @@ def test_rounding_in_the_symmetry_of_P_is_averaged_away() -> None:
 
 
 def test_what_is_too_large_for_the_loop_is_solved_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """More than 80 variables, and any number of them where the algorithm is not auto; a thousand rows are not."""
+    """More than 400 variables, and any number of them where the algorithm is not auto; a thousand rows are not."""
     by_themselves = alone(monkeypatch)
-    P, c, G, h = dense(1, 90, 180)
+    P, c, G, h = dense(1, 410, 20)
     assert solve_batch(QuadraticProgramBatch(P, c, G, h)).all_solved
     P, c, G, h = dense(3)
     assert solve_batch(QuadraticProgramBatch(P, c, G, h), algorithm="interior_point").all_solved

@@ -39,7 +39,7 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.modeling.stated_terms import StatedTerms
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
 from lcp_plugin.problems.programs.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
-from lcp_plugin.problems.programs.feasible_points import FeasiblePoint, FeasiblePoints
+from lcp_plugin.problems.programs.feasible_points import FeasiblePoint, FeasiblePoints, distance_of_equations
 from lcp_plugin.problems.programs.program_proofs import SMALL, ProgramProofs, distances
 from lcp_plugin.problems.programs.solving import solve_quadratic_program
 from lcp_plugin.proofs.bounds.curvature import Curvature, constrained_curvature, curvature
@@ -481,6 +481,21 @@ def test_feasible_points_are_feasible() -> None:
         assert Fraction(found.value) >= case.value
 
 
+def test_a_solution_of_the_equations_lies_within_the_distance() -> None:
+    """Of equations with a known solution, to a radius that rounding explains; of dependent ones there is none."""
+    rng = np.random.default_rng(8)
+    for n, p in ((1, 1), (6, 2), (30, 10), (12, 12)):
+        A, x = rng.integers(-8, 9, (p, n)) / 8.0, rng.integers(-8, 9, n) / 8.0
+        program = QuadraticProgram(np.eye(n), np.zeros(n), A=A, b=A @ x)
+        moved = x + 1e-9 * rng.normal(size=n) * (p == n)  # else x need not be the nearest solution
+        radius = distance_of_equations(program, moved, np.abs(A @ moved - A @ x) + 1e-15)
+        assert radius is not None
+        assert (np.abs(moved - x) <= radius).all()
+        assert radius.max() < 1e-5
+    twice = QuadraticProgram(np.eye(2), np.zeros(2), A=[[1, 1], [1, 1]], b=[1, 1])
+    assert distance_of_equations(twice, np.zeros(2), np.ones(2)) is None
+
+
 def test_what_is_called_feasible_is() -> None:
     """Near points that miss rows, one another's opposites among them: no row is missed by more than the radius."""
     for seed in range(25):
@@ -778,6 +793,7 @@ def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -
         return solve(problem, *args, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve", counted)
+    monkeypatch.setattr("lcp_plugin.problems.programs.program_proofs.solved_at_once", lambda *_: None)
     program = QuadraticProgram([[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3])
     assert certify(program, ProgramProofs.of(program).own_solution).verdict == "proved"
     assert asked == [1e-9]
@@ -792,6 +808,7 @@ def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyP
         return solve(problem, *args, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve", counted)
+    monkeypatch.setattr("lcp_plugin.problems.programs.program_proofs.solved_at_once", lambda *_: None)
     assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
     assert limits
     assert max(limits) <= 30.0

@@ -13,7 +13,7 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, NotConverged, solve
-from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp, qp_from_lcp
 from lcp_plugin.problems.programs.qp_solution import QPSolution
 from lcp_plugin.problems.reformulations.absolute_value import lcp_from_absolute_value
@@ -475,6 +475,25 @@ REFUSED = {
     "c not a vector": (InvalidProblem, r"c must be a vector.*shape \(1, 2\)", lambda: QuadraticProgram(EYE, [[1, 2]])),
     "c infinite": (InvalidProblem, r"c\[1\] = inf", lambda: QuadraticProgram(EYE, [1, np.inf])),
     "G a vector": (InvalidProblem, r"as \[\[…\]\]", lambda: QuadraticProgram(EYE, [1, 2], [1, 2], [1])),
+    "P too large": (InvalidProblem, r"shape \(2, 2\), got shape \(3, 3\)", lambda: QuadraticProgram(np.eye(3), [1, 2])),
+    "not convex": (
+        UnsupportedModel, "smallest eigenvalue of P is -3", lambda: solve(QuadraticProgram(-3 * EYE, [1, 2]))
+    ),
+    "not convex beside equations": (
+        UnsupportedModel, "smallest eigenvalue of P is -3",
+        lambda: solve(QuadraticProgram(np.diag([1.0, -3.0]), [0, 0], A=[[1, 1]], b=[1])),
+    ),
+    "program without a bound": (
+        NotConverged, "UNBOUNDED.*bound the unknowns where it falls",
+        lambda: solve(QuadraticProgram(None, [-1, 0], [[0, 1]], [1])).require_solved(),
+    ),
+    "contradiction": (
+        NotConverged, "INFEASIBLE.*check the data",
+        lambda: solve(QuadraticProgram(EYE, [0, 0], [[1, 1], [-1, -1]], [-1, 0.5])).require_solved(),
+    ),
+    "bound a NaN": (
+        InvalidProblem, r"lower\[1\] = nan; use -inf", lambda: QuadraticProgram(EYE, [1, 2], lower=[0, np.nan])
+    ),
     "G without h": (InvalidProblem, "got G without h", lambda: QuadraticProgram(EYE, [1, 2], EYE)),
     "b without A": (InvalidProblem, "got b without A", lambda: QuadraticProgram(EYE, [1, 2], b=[1])),
     "h too short": (InvalidProblem, "h must be a vector of length 2", lambda: QuadraticProgram(EYE, [1, 2], EYE, [1])),

@@ -1,16 +1,16 @@
 """The compiled residuals of a quadratic program, with a proved bound of what rounding did to them; arrays only.
 
-`judge_row` and `judge_column` are the criterion, whoever has made the sums: `program_residuals` here, and
-:func:`~lcp_plugin.problems.programs.kernels.small_programs.measure` on dense arrays. Every sum here is one of rounded
-terms, beside it their rounding errors, beside these what that second sum loses, as in
-:mod:`lcp_plugin.core.kernels.enclosures`. Columns are summed while rows are read: no matrix is transposed.
+`judge_row` and `judge_column` are the criterion, whoever has made the sums: `program_residuals` of any program, and
+`measure` of dense arrays inside a compiled loop, by plain sums. Every sum of the former is one of rounded terms, beside
+it their rounding errors, beside these what that second sum loses, as in :mod:`lcp_plugin.core.kernels.enclosures`.
+Columns are summed while rows are read: no matrix is transposed.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_into_others, interpreted_while_small
+from ....core.kernels.compilation import compiled_into_others, compiled_part, interpreted_while_small
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, outward, split_sum
 from ....core.kernels.floats import EPSILON, TINY
 
@@ -18,6 +18,7 @@ TOTAL, ERRORS, LOST, TERM = range(4)  # rows of `columns`, an entry a variable
 ROUNDED = 16.0 * EPSILON
 PRIMAL, DUAL, PRODUCT, ROW, GAP, PRODUCT_SIZE, OBJECTIVE = range(7)  # of `worst`; the last two are sizes
 MEASURES = 5
+SUM, SIZE, LARGEST, UNIT = range(4)  # rows of the room of `measure`: of a column of [C; P], and of its residual
 
 
 @compiled_into_others
@@ -164,3 +165,68 @@ def program_residuals(  # type: ignore[no-untyped-def]
             dual_units[j],
         )
     beside_sizes(worst)
+
+
+@compiled_part
+def measure(  # type: ignore[no-untyped-def]
+    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, room, x, y, reduced, measures
+):
+    """Write upper bounds of the same of program k, in dense arrays; return the largest.
+
+    Of a bound that x is at the multiplier is what stationarity leaves; `reduced` is that of the lower one less that of
+    the upper one. `room` has four rows of n numbers.
+    """
+    m, n = C.shape[1], C.shape[2]
+    margin, worst = 2.0 * (n + m + 8) * EPSILON, measures[k]
+    worst[:] = 0.0
+    slope, right, violated, has_P = 0.0, 0.0, 0.0, False
+    for j in range(n):
+        room[UNIT, j] = 0.0  # the largest entry of each column
+        for i in range(n):
+            room[UNIT, j] = max(room[UNIT, j], abs(P[at_P, i, j]))
+        has_P |= room[UNIT, j] > 0.0
+        room[SUM, j], room[SIZE, j], room[LARGEST, j] = c[k, j], abs(c[k, j]), abs(c[k, j])
+    for i in range(m):
+        value, size, largest, coefficient = 0.0, 0.0, 0.0, 0.0
+        multiplier, limit = y[k, i], d[k, i]
+        for j in range(n):
+            entry = C[at_C, i, j]
+            summand = entry * x[k, j]
+            value += summand
+            size += abs(summand)
+            largest = max(largest, abs(summand))
+            coefficient = max(coefficient, abs(entry))
+            room[UNIT, j] = max(room[UNIT, j], abs(entry))
+            pull = entry * multiplier
+            room[SUM, j] += pull
+            room[SIZE, j] += abs(pull)
+            room[LARGEST, j] = max(room[LARGEST, j], abs(pull))
+        coefficient = coefficient if coefficient > 0.0 else 1.0
+        unit, error = coefficient * (1.0 + abs(limit) / coefficient), margin * (size + abs(limit))
+        judge_row(worst, value - limit, error, limit, largest, multiplier, unit, is_equality[i])
+        if is_equality[i]:
+            right = max(right, abs(limit) / coefficient)
+        else:
+            violated = max(violated, -limit / coefficient)
+    for j in range(n):
+        column = room[UNIT, j] if room[UNIT, j] > 0.0 else 1.0
+        room[UNIT, j] = column
+        slope = max(slope, abs(c[k, j]) / column)
+    unit = 1.0 + (max(slope, right, violated) if has_P else slope)
+    for j in range(n):
+        value, size, largest = 0.0, 0.0, room[LARGEST, j]
+        for i in range(n):
+            summand = P[at_P, j, i] * x[k, i]
+            value += summand
+            size += abs(summand)
+            largest = max(largest, abs(summand))
+        left, error = room[SUM, j] + value, margin * (size + room[SIZE, j])
+        reduced[k, j] = 0.0
+        if x[k, j] == (lower[k, j] if left > 0.0 else upper[k, j]):  # what is left is the multiplier of that bound
+            worst[PRODUCT_SIZE] = max(worst[PRODUCT_SIZE], abs(left * x[k, j]))
+            reduced[k, j], left = left, 0.0
+        judge_column(
+            worst, left, error, x[k, j], c[k, j], value, P[at_P, j, j], lower[k, j], upper[k, j], largest,
+            room[UNIT, j] * unit,
+        )
+    return beside_sizes(worst)

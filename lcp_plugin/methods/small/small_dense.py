@@ -156,16 +156,17 @@ def run(
     workspace, left = workspace or new_workspace(arrays[0].shape[1]), [(first, end)]
     if phases == EVERYTHING and steps is None and max_iterations > 0:
         left = run_contacts(arrays, tolerance, first, end, workspace, answers)
-    for first, end in left:
-        made, work = answers.made[first:end].copy(), answers.work[first:end].copy()
-        limit = max_iterations - int(made[0, 1]) if steps is None else max_iterations
-        if run_all(
-            *arrays, *phases, tolerance, limit, first, end, ALL if steps is None else steps, *workspace, *answers.arrays
-        ):
-            follow_all(*arrays[:4], tolerance, first, end, *workspace, *answers.arrays)
-        if steps is None and made.any():
-            answers.made[first:end] += made
-            answers.work[first:end] += work
+    else:
+        answers.made[first:end] = 0
+    steps = ALL if steps is None else steps
+    for begin, stop in left:
+        made, work = answers.made[begin:stop].copy(), answers.work[begin:stop].copy()
+        limit = max_iterations - int(made[0].sum())
+        if run_all(*arrays, *phases, tolerance, limit, begin, stop, steps, *workspace, *answers.arrays):
+            follow_all(*arrays[:4], tolerance, begin, stop, *workspace, *answers.arrays)
+        if made.any():
+            answers.made[begin:stop] += made
+            answers.work[begin:stop] += work
 
 
 def run_contacts(
@@ -177,6 +178,7 @@ def run_contacts(
     """
     M, n = arrays[0], arrays[0].shape[1]
     if np.einsum("kii->ki", M[first:end] if len(M) > 1 else M).all():  # no row holds a radius
+        answers.made[first:end] = 0
         return [(first, end)]
     from .kernels.contact_problems import solve_all_contacts
 
@@ -207,7 +209,7 @@ class Answers:
 
     def __init__(self, count: int, n: int) -> None:
         self.z, self.residual = np.empty((count, n)), np.empty(count)
-        self.made, self.work = np.empty((count, 3), np.int64), np.empty((count, 4))
+        self.made, self.work = np.zeros((count, 3), np.int64), np.empty((count, 4))
         self.has_converged, self.needs_path = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
 
     @property

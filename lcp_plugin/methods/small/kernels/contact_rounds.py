@@ -6,11 +6,18 @@ Of a problem that :mod:`.friction_pyramids` has read, the unknowns are x = (p, f
 
 u and v the velocities G x + g along normals and edges. A sweep takes one contact after the other by this equation. A
 round keeps, of what sweeps or the last round left, which contacts press, which of these stick (Σ|f| < μ p: v = 0) and
-at which edges the others slip (f on these, where |v| is largest), and solves for p and f. What contacts leave open, more
-of them than motions, stays near to what it was: a small share of the diagonal is added, and the solution refined. Where
-rounds do not settle, more sweeps follow from the best point so far.
+at which edges the others slip (f on these, where |v| is largest), and solves for p and f: a semismooth Newton step.
 
-Arrays as in :mod:`~lcp_plugin.core.kernels.workspace`, with rows of other names while this lasts.
+More contacts than motions leave x open, and rounds astray. Then X is pulled to a point near, velocities being
+G x + g + ε D (x − that point) with D the diagonal of G, which leaves nothing open; the answer to that is the next point
+(the proximal point method, whose ends have ε D (x − that point) = 0), and a round without the pull may be the last.
+
+References
+----------
+R. T. Rockafellar, SIAM J. Control Optim. 14 (1976), doi:10.1137/0314056; P. Alart, A. Curnier, Comput. Methods Appl.
+Mech. Eng. 92 (1991), doi:10.1016/0045-7825(91)90022-X (rounds).
+
+Arrays as in :mod:`.contact_systems`.
 """
 
 from __future__ import annotations
@@ -18,88 +25,94 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.kernels.compilation import compiled_into_others, compiled_part
-from ....core.kernels.workspace import (
-    BASE,
-    BASIC,
-    CANDIDATE,
-    DISTANCE,
-    FOUND,
-    FREE,
-    HIGH,
-    KEPT,
-    LOW,
-    OTHER,
-    PIVOT_ROW,
-    PLACE,
-    ROW_UNIT,
-    UNIT,
-    WIDTH,
-    W,
+from ....core.kernels.workspace import FOUND, KEPT
+from .contact_systems import (
+    BEST,
+    CONE,
+    FOR,
+    FREELY,
+    LEAST,
+    OF_CONES,
+    OWN,
+    PULLED,
+    ROW,
+    SLOPE,
+    STATUS,
+    STEP,
+    STICKS,
+    V,
+    X,
+    add,
+    move,
+    solve_equations,
 )
-from .small_systems import eliminate, solve_again, substitute
-
-# Rows of `real` for the unknowns: the point, its velocities, the best point, g, 1/G_ii (of f: ρ), μ (of f: its unit),
-# what a projection finds.
-X, V, BEST, FREELY, STEP, SLOPE, FOR = WIDTH, BASE, ROW_UNIT, UNIT, LOW, HIGH, DISTANCE
-FIRST, SECOND = PIVOT_ROW, W  # coefficients of the columns of a round
-LEAST = KEPT  # the least residual so far, behind the last row
-# Rows of `whole`: the row of M that an unknown is, that of −d behind them; whether it presses, sticks or slips; which
-# cone a normal has, −1 for none; which unknowns, or pairs of them, a round solves for.
-ROW, STATUS, CONE, SOLVED_FOR = FREE, OTHER, CANDIDATE, PLACE
-OF_CONES = BASIC  # two numbers a cone, the row of λ and its first f; behind the last one, where another's would be
 
 SETTLED = 1e-12  # of the residual without impulses
-NEAR = 1e-9  # what is added, of the diagonal
-FEWEST_SWEEPS, MOST_SWEEPS = 8, 128  # before the first rounds and before the last, four times as many each time
-ROUNDS, IDLE = 12, 3
-REFINED = 4
-STICKS = 2
+PROMISING = 1e-3  # the same, from which a round of the problem itself may be the last
+FIRST_NEAR, LAST_NEAR = 0.01, 1e-4  # ε
+FIRST_SWEEPS, SWEEPS = 8, 4
+ROUNDS, MOST_ROUNDS, IDLE = 12, 60, 3  # in a row; altogether; that get no better, before X is pulled
 
 
 @compiled_part
 def solve_contacts(real, whole, room, n, unknowns, has_start):  # type: ignore[no-untyped-def]
     """Write FOUND; return the entries touched. FOUND holds the start, used where `has_start` says so."""
     for i in range(unknowns):
-        real[X, i], real[V, i], real[BEST, i] = 0.0, real[FREELY, i], 0.0
+        real[X, i], real[V, i], real[BEST, i], real[OWN, i] = 0.0, real[FREELY, i], 0.0, room[unknowns + i, i]
     none = real[LEAST, n] = _residual(real, whole)
-    touched, settled, sweeps = float(n * n), SETTLED * none, FEWEST_SWEEPS
+    settled, near = SETTLED * none, FIRST_NEAR
     if has_start:
         _begin_at(real, whole, n, unknowns)
-        touched += _rounds(real, whole, room, n, unknowns, settled)
-    while real[LEAST, n] > settled and sweeps <= MOST_SWEEPS:
-        touched += _sweeps(real, whole, room, n, unknowns, sweeps)
-        touched += _rounds(real, whole, room, n, unknowns, settled)
-        sweeps *= 4
-    for i in range(unknowns):
-        real[X, i] = real[BEST, i]
-    _move(real, room, unknowns)
+        _copy(real, unknowns, X, BEST)
+        _stay_near(real, room, unknowns, 0.0)
+    else:
+        _stay_near(real, room, unknowns, 0.0)
+        _sweep(real, whole, room, unknowns, FIRST_SWEEPS)
+        _keep(real, n, unknowns, _residual(real, whole))
+    rounds, _ = _rounds(real, whole, room, n, unknowns, settled, 1 if has_start else IDLE, True)
+    _copy(real, unknowns, BEST, X)
+    while real[LEAST, n] > settled and rounds < MOST_ROUNDS:
+        _stay_near(real, room, unknowns, near)
+        _sweep(real, whole, room, unknowns, SWEEPS)
+        made, is_settled = _rounds(real, whole, room, n, unknowns, settled, ROUNDS, False)
+        _stay_near(real, room, unknowns, 0.0)
+        move(real, room, unknowns)
+        size = _residual(real, whole)
+        _keep(real, n, unknowns, size)
+        rounds += made
+        if is_settled and size <= PROMISING * none:
+            for i in range(unknowns):
+                real[KEPT, unknowns + i] = real[X, i]
+            _classify(real, whole)
+            made, _ = _rounds(real, whole, room, n, unknowns, settled, 0, True)
+            for i in range(unknowns):
+                real[X, i] = real[KEPT, unknowns + i]
+            rounds += made
+        near = max(0.5 * near, LAST_NEAR) if is_settled else min(5.0 * near, 1.0)
+    _copy(real, unknowns, BEST, X)
+    move(real, room, unknowns)
     _classify(real, whole)
     _write(real, whole, n, unknowns)
-    return touched
+    return float(n * n + (rounds + 1.0) * (4.0 + unknowns / 12.0) * unknowns * unknowns)
+
+
+@compiled_into_others
+def _copy(real, unknowns, source, target):  # type: ignore[no-untyped-def]
+    for i in range(unknowns):
+        real[target, i] = real[source, i]
 
 
 @compiled_part
-def _sweeps(real, whole, room, n, unknowns, count):  # type: ignore[no-untyped-def]
-    """Sweep so many times from the best point, and note what presses, sticks and slips then; return the work."""
+def _stay_near(real, room, unknowns, near):  # type: ignore[no-untyped-def]
+    """Let velocities grow with the distance from X, by that share of the diagonal; 0 gives those of the problem."""
     for i in range(unknowns):
-        real[X, i] = real[BEST, i]
-    _move(real, room, unknowns)
-    for _ in range(count):
-        _sweep(real, whole, room, unknowns)
-    _keep(real, n, unknowns, _residual(real, whole))
-    _classify(real, whole)
-    return float((count + 1) * unknowns * unknowns)
+        room[unknowns + i, i] = real[OWN, i] * (1.0 + near)
+        real[PULLED, i] = real[FREELY, i] - near * real[OWN, i] * real[X, i]
 
 
 @compiled_into_others
 def _sign(x):  # type: ignore[no-untyped-def]
     return 1 if x > 0.0 else -1 if x < 0.0 else 0
-
-
-@compiled_into_others
-def _radius(real, i):  # type: ignore[no-untyped-def]
-    """Return μ p of normal i."""
-    return real[SLOPE, i] * max(real[X, i], 0.0)
 
 
 @compiled_part
@@ -118,7 +131,7 @@ def _nearest(real, first, end, radius):  # type: ignore[no-untyped-def]
             if abs(real[FOR, i]) > cut:
                 above += abs(real[FOR, i])
                 left += 1
-        if left == 0 or left == count:
+        if left in (0, count):
             break
         count, cut = left, (above - radius) / left
     for i in range(first, end):
@@ -138,7 +151,7 @@ def _residual(real, whole):  # type: ignore[no-untyped-def]
         c = whole[CONE, i]
         if c >= 0:
             first, end = whole[OF_CONES, 2 * c + 1], whole[OF_CONES, 2 * c + 3]
-            _nearest(real, first, end, _radius(real, i))
+            _nearest(real, first, end, real[SLOPE, i] * max(real[X, i], 0.0))
             for j in range(first, end):
                 r = abs(real[X, j] - real[FOR, j])
                 largest = r if not r <= largest else largest
@@ -146,38 +159,25 @@ def _residual(real, whole):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _move(real, room, unknowns):  # type: ignore[no-untyped-def]
-    """Write V at X."""
-    for i in range(unknowns):
-        real[V, i] = real[FREELY, i]
-    for j in range(unknowns):
-        if real[X, j] != 0.0:
-            _add(real, room, unknowns, j, real[X, j])
-
-
-@compiled_into_others
-def _add(real, room, unknowns, j, change):  # type: ignore[no-untyped-def]
-    """Add to V what a change of unknown j does."""
-    for i in range(unknowns):
-        real[V, i] += change * room[unknowns + j, i]
-
-
-@compiled_part
-def _sweep(real, whole, room, unknowns):  # type: ignore[no-untyped-def]
-    """Take each contact to the solution of its own equations, its friction by a step of projection."""
-    for i in range(whole[OF_CONES, 1]):
-        new = max(real[X, i] - real[STEP, i] * real[V, i], 0.0)
-        if new != real[X, i]:
-            change, real[X, i] = new - real[X, i], new
-            _add(real, room, unknowns, i, change)
-        c = whole[CONE, i]
-        if c >= 0:
+def _sweep(real, whole, room, unknowns, count):  # type: ignore[no-untyped-def]
+    """Take each contact to the solution of its own equations, its friction by a step of projection, so many times."""
+    move(real, room, unknowns)
+    for _ in range(count):
+        for i in range(whole[OF_CONES, 1]):
+            new = max(real[X, i] - real[STEP, i] * real[V, i], 0.0)
+            if new != real[X, i]:
+                change, real[X, i] = new - real[X, i], new
+                add(real, room, unknowns, i, change)
+            c = whole[CONE, i]
+            if c < 0:
+                continue
             first, end = whole[OF_CONES, 2 * c + 1], whole[OF_CONES, 2 * c + 3]
-            _nearest(real, first, end, _radius(real, i))
+            _nearest(real, first, end, real[SLOPE, i] * real[X, i])
             for j in range(first, end):
                 if real[FOR, j] != real[X, j]:
                     change, real[X, j] = real[FOR, j] - real[X, j], real[FOR, j]
-                    _add(real, room, unknowns, j, change)
+                    add(real, room, unknowns, j, change)
+    _classify(real, whole)
 
 
 @compiled_into_others
@@ -232,23 +232,34 @@ def _classify(real, whole):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _rounds(real, whole, room, n, unknowns, settled):  # type: ignore[no-untyped-def]
-    """Solve for what presses, sticks and slips until that is the answer or gets no better; return the work."""
-    touched, idle, least = 0.0, 0, np.inf
-    for _ in range(ROUNDS):
-        solved = _solve(real, whole, room, n, unknowns, settled)
-        if solved < 0:
+def _rounds(real, whole, room, n, unknowns, settled, idle, is_kept):  # type: ignore[no-untyped-def]
+    """Solve for what presses, sticks and slips until that is the answer, or so many rounds got no better.
+
+    Returns how many rounds were made, and whether they settled; X is the best of them. With `is_kept` they are those
+    of the problem itself, and BEST is kept.
+    """
+    made, least, is_settled = 0, np.inf, False
+    while made < ROUNDS and not is_settled:
+        if solve_equations(real, whole, room, n, unknowns, settled) < 0:
             break
-        touched += 3.0 * unknowns * unknowns + solved * solved * (solved / 3.0)
-        changes = _classify(real, whole)
+        made += 1
+        is_settled = _classify(real, whole) == 0
         if _project(real, whole):
-            _move(real, room, unknowns)
+            move(real, room, unknowns)
         size = _residual(real, whole)
-        _keep(real, n, unknowns, size)
-        idle, least = (0, size) if size < least else (idle + 1, least)
-        if size <= settled or idle >= IDLE or changes == 0:
+        is_settled |= size <= settled
+        if is_kept:
+            _keep(real, n, unknowns, size)
+        if size < least:
+            least = size
+            _copy(real, unknowns, X, KEPT)
+        else:
+            idle -= 1
+        if idle <= 0:
             break
-    return touched
+    if made > 0:
+        _copy(real, unknowns, KEPT, X)
+    return made, is_settled
 
 
 @compiled_part
@@ -269,103 +280,6 @@ def _project(real, whole):  # type: ignore[no-untyped-def]
                 real[X, j] *= radius / total
             is_moved = True
     return is_moved
-
-
-@compiled_part
-def _solve(real, whole, room, n, unknowns, settled):  # type: ignore[no-untyped-def]
-    """Move X, and V with it, to where the equations of what presses, sticks and slips hold; return how many these are.
-
-    −1 stands for a system that is singular to working precision.
-    """
-    size = _name(real, whole, n, unknowns)
-    _move(real, room, unknowns)
-    for t in range(size):
-        for s in range(size):
-            room[s, t] = _entry(real, whole, room, n, unknowns, s, t)
-        room[t, t] *= 1.0 + NEAR
-    last = np.inf
-    for again in range(REFINED):
-        wrong = 0.0
-        for t in range(size):
-            i, j = whole[SOLVED_FOR, t], whole[SOLVED_FOR, n + 1 + t]
-            r = real[FIRST, t] * real[V, i] + (real[SECOND, t] * real[V, j] if i >= whole[OF_CONES, 1] else 0.0)
-            room[t, size] = -r
-            wrong = max(wrong, abs(r) * real[STEP, i])
-        if again > 0 and (wrong <= 0.01 * settled or not wrong < 0.5 * last):
-            break
-        last = wrong
-        if again == 0:
-            if not eliminate(room, whole, n, size):
-                return -1
-            substitute(room, size)
-        else:
-            solve_again(room, whole, n, size)
-        for t in range(size):
-            i, j = whole[SOLVED_FOR, t], whole[SOLVED_FOR, n + 1 + t]
-            real[X, i] += real[FIRST, t] * room[t, size]
-            real[X, j] += real[SECOND, t] * room[t, size]
-        _move(real, room, unknowns)
-    return size
-
-
-@compiled_into_others
-def _entry(real, whole, room, n, unknowns, s, t):  # type: ignore[no-untyped-def]
-    """Return what the unknown of column t does to the equation of row s."""
-    i, j = whole[SOLVED_FOR, s], whole[SOLVED_FOR, n + 1 + s]
-    p, q = unknowns + whole[SOLVED_FOR, t], unknowns + whole[SOLVED_FOR, n + 1 + t]
-    a, b = real[FIRST, t], real[SECOND, t]
-    entry = a * room[p, i] if b == 0.0 else a * room[p, i] + b * room[q, i]
-    if i >= whole[OF_CONES, 1]:
-        c, d = real[FIRST, s], real[SECOND, s]
-        entry *= c
-        if d != 0.0:
-            entry += d * (a * room[p, j] + b * room[q, j])
-    return entry
-
-
-@compiled_part
-def _name(real, whole, n, unknowns):  # type: ignore[no-untyped-def]
-    """Name what a round solves for, and move X to where it may be; return how many that are.
-
-    A normal impulse takes the friction at its first edge along; at a further edge, impulse moves over from the first.
-    """
-    size = 0
-    for i in range(whole[OF_CONES, 1]):
-        presses, c = whole[STATUS, i] == 1, whole[CONE, i]
-        real[X, i] = real[X, i] if presses else 0.0
-        normal = size
-        if presses:
-            whole[SOLVED_FOR, size], whole[SOLVED_FOR, n + 1 + size] = i, i
-            real[FIRST, size], real[SECOND, size] = 1.0, 0.0
-            size += 1
-        if c < 0:
-            continue
-        first, total = -1, 0.0
-        begin, end = whole[OF_CONES, 2 * c + 1], whole[OF_CONES, 2 * c + 3]
-        for j in range(begin, end):
-            status = whole[STATUS, j]
-            if not presses or status == 0:
-                real[X, j] = 0.0
-            elif status == STICKS:
-                whole[SOLVED_FOR, size], whole[SOLVED_FOR, n + 1 + size] = j, j
-                real[FIRST, size], real[SECOND, size] = 1.0, 0.0
-                size += 1
-            else:
-                real[X, j] = max(status * real[X, j], 0.0)
-                total += real[X, j]
-                if first < 0:
-                    first = j
-                    whole[SOLVED_FOR, n + 1 + normal], real[SECOND, normal] = j, real[SLOPE, i] * status
-                else:
-                    whole[SOLVED_FOR, size], whole[SOLVED_FOR, n + 1 + size] = j, first
-                    real[FIRST, size], real[SECOND, size] = status, -whole[STATUS, first]
-                    size += 1
-        if first >= 0:
-            radius = real[SLOPE, i] * real[X, i]
-            for j in range(begin, end):
-                share = real[X, j] / total if total > 0.0 else 1.0 if j == first else 0.0
-                real[X, j] = whole[STATUS, j] * radius * share
-    return size
 
 
 @compiled_part

@@ -3,7 +3,7 @@
 Of n rows in any order, read are those of :mod:`lcp_plugin.problems.contact.contacts`: a row with a zero on the diagonal
 holds a radius μ p less the impulses β of its edges, and its column lets a speed λ into theirs; both units may differ
 from 1. Edges come as d, −d. Unknowns are the normal impulses p, those of rows without friction, too, and
-f = β₊ − β₋ of each pair of edges. Arrays as in :mod:`.contact_rounds`.
+f = β₊ − β₋ of each pair of edges. Arrays as in :mod:`.contact_systems`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from ....core.kernels.compilation import compiled_into_others, compiled_part
 from ....core.kernels.workspace import LOWER, UPPER, Q
-from .contact_rounds import CONE, FREELY, OF_CONES, ROW, SLOPE, SOLVED_FOR, STATUS, STEP
+from .contact_systems import CONE, FREELY, OF_CONES, ROW, SLOPE, SOLVED_FOR, STATUS, STEP
 
 ALIKE = 1e-9  # how far d and −d may differ, of the largest entry
 
@@ -53,7 +53,7 @@ def read_pyramids(M, k, real, whole):  # type: ignore[no-untyped-def]
 
 @compiled_into_others
 def _numbered(M, k, real, whole, n, plain, cones):  # type: ignore[no-untyped-def]
-    """Number the unknowns, normal impulses first, then pairs of edges; return how many, 0 where they do not fit."""
+    """Give unknowns their places, normal impulses first, then pairs of edges; return how many, 0 where none fit."""
     count = 0
     for i in range(n):
         if whole[STATUS, i] < 0 and M[k, i, i] != 0.0:

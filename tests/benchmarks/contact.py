@@ -193,8 +193,10 @@ def dantzig(W, free, mu):  # type: ignore[no-untyped-def]
                     least, at, becomes = (bottom - x[j]) / change[j], j, 0
                 elif side[j] == 1 and change[j] > 0.0 and (top - x[j]) / change[j] < least:
                     least, at, becomes = (top - x[j]) / change[j], j, 2
-                elif ((side[j] == 0 and speed[j] < 0.0) or (side[j] == 2 and speed[j] > 0.0)) and -w[j] / speed[j] < least:
-                    least, at, becomes = -w[j] / speed[j], j, 1
+                else:
+                    is_turning = (side[j] == 0 and speed[j] < 0.0) or (side[j] == 2 and speed[j] > 0.0)
+                    if is_turning and -w[j] / speed[j] < least:
+                        least, at, becomes = -w[j] / speed[j], j, 1
             if at < 0:
                 break
             least = max(least, 0.0)

@@ -103,9 +103,13 @@ def are_in_one_unit(matrices: Any) -> BoolVector:
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
     most = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD
     are: BoolVector = most <= pivots.min(axis=1, initial=np.inf)
+    rest = np.flatnonzero(~are)
+    if rest.size:
+        left = sizes[rest] if rest.size < are.size else sizes
+        sides = np.concatenate([left.max(axis=1), left.max(axis=2)], axis=1)
+        are[rest] = most[rest] <= sides.min(axis=1, initial=np.inf, where=sides > 0.0)
     for k in np.flatnonzero(~are):
-        least = _least_positive(sizes[k].max(axis=0), sizes[k].max(axis=1))
-        are[k] = most[k] <= least or _is_dominant(sizes[k], pivots[k])
+        are[k] = _is_dominant(sizes[k], pivots[k])
     return are
 
 

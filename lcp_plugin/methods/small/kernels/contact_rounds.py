@@ -47,11 +47,11 @@ from .contact_systems import (
     solve_equations,
 )
 
-SETTLED = 1e-12  # of the residual without impulses
+SETTLED = 1e-10  # of the residual without impulses; rounds that arrive leave less
 PROMISING = 1e-3  # the same, from which a round of the problem itself may be the last
 FIRST_NEAR, LAST_NEAR = 0.01, 1e-4  # ε
 FIRST_SWEEPS, SWEEPS = 8, 4
-ROUNDS, MOST_ROUNDS, IDLE = 12, 60, 3  # in a row; altogether; that get no better, before X is pulled
+ROUNDS, MOST_ROUNDS, IDLE = 12, 40, 3  # in a row; altogether, and one for three rows; in vain, before X is pulled
 
 
 @compiled_part
@@ -71,7 +71,7 @@ def solve_contacts(real, whole, room, n, unknowns, has_start):  # type: ignore[n
         _keep(real, n, unknowns, _residual(real, whole))
     rounds, _ = _rounds(real, whole, room, n, unknowns, settled, 1 if has_start else IDLE, True)
     _copy(real, unknowns, BEST, X)
-    while real[LEAST, n] > settled and rounds < MOST_ROUNDS:
+    while real[LEAST, n] > settled and rounds < MOST_ROUNDS + n // 3:
         _stay_near(real, room, unknowns, near)
         _sweep(real, whole, room, unknowns, SWEEPS)
         made, is_settled = _rounds(real, whole, room, n, unknowns, settled, ROUNDS, False)

@@ -81,7 +81,7 @@ def solve_equations(real, whole, room, n, unknowns, settled):  # type: ignore[no
             r = real[FIRST, t] * real[V, i] + (real[SECOND, t] * real[V, j] if i >= whole[OF_CONES, 1] else 0.0)
             room[t, size] = -r
             wrong = max(wrong, abs(r) * real[STEP, i])
-        if again > 0 and (wrong <= 0.01 * settled or not wrong < 0.5 * last):
+        if again > 0 and (wrong <= 1e-4 * settled or not wrong < 0.5 * last):
             break
         last = wrong
         if again == 0:

@@ -26,6 +26,7 @@ OFFERS = {
         "from_qp": "problems.programs.conversion:lcp_from_qp",
         "to_qp": "problems.programs.conversion:qp_from_lcp",
         "from_game": "problems.reformulations.bimatrix_game:lcp_from_bimatrix_game",
+        "from_contacts": "problems.contact.contacts:lcp_from_contacts",
         "from_cvxpy": "modeling.registration:lcp_stated_by",
         "to_cvxpy": "modeling.registration:stated_in_cvxpy",
     },

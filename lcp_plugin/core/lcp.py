@@ -14,7 +14,7 @@ from .checks import FloatVector, check_order, checked_bound, finite_vector, read
 from .communicator import Communicator
 from .matrix.matrix import Matrix
 from .registry import ask
-from .written import written_lcp
+from .written import described_lcp, written_lcp
 
 
 class OriginsCriterion(Protocol):
@@ -287,11 +287,11 @@ class LCP:
     ) -> LCP:
         """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
-        Who wants x writes ``solve(QuadraticProgram(P, c, …))``, which is sooner there. This is for who wants the
-        LCP: ``problem.origin.recover(result)`` gives x, the multipliers and the residuals of the program; see
-        :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp` for the forms and errors. A run of
-        ``solve`` ends where the tolerance holds for the complementarity problem and the program is solved by its own
-        criteria, to 1e-6; where only the latter can be had, that is SOLVED (at tolerances from 1e-9 on).
+        Who wants x writes ``solve(QuadraticProgram(P, c, …))``, which is sooner there. Who wants the LCP gets x,
+        multipliers and residuals by ``problem.origin.recover(result)``; forms and errors:
+        :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`. A run of ``solve`` ends where the tolerance holds
+        for the LCP and the program is solved by its own criteria, to 1e-6; where only the latter can be had, that is
+        SOLVED (at tolerances from 1e-9 on).
 
         Parameters
         ----------
@@ -315,8 +315,6 @@ class LCP:
     def from_game(cls, A: Any, B: Any = None) -> LCP:
         """Return the LCP whose solutions are a two-player game's Nash equilibria.
 
-        See ``problems.reformulations.bimatrix_game``.
-
         Parameters
         ----------
         A, B : array, shape (m, k)
@@ -324,6 +322,24 @@ class LCP:
             ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
         """
         problem: LCP = ask("conversion", "from_game")(A, B)
+        return problem
+
+    @classmethod
+    def from_contacts(cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4) -> LCP:
+        """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
+
+        See :func:`lcp_plugin.problems.contact.contacts.contact_data` for shapes, units, errors, and for batches.
+
+        Parameters
+        ----------
+        contacts : array W, shape (d k, d k), or (mass matrix, normals, tangents)
+        friction : number or array, shape (k,)
+        velocities : array, shape (k, d), or (v,) beside a mass matrix
+            Without the impulses.
+        directions : int
+            Edges of each friction pyramid.
+        """
+        problem: LCP = ask("conversion", "from_contacts")(contacts, friction, velocities, directions)
         return problem
 
     def to_qp(self) -> Any:
@@ -375,19 +391,7 @@ class LCP:
         return problem
 
     __repr__ = written_lcp
-
-    def __str__(self) -> str:
-        last = f"ranks={self.communicator.size}" if self.is_distributed else f"bounds {self._bounds}"
-        return f"LCP(n={self.n}, nonzeros={self.nonzeros}, {last})"
-
-    @property
-    def _bounds(self) -> str:
-        if self.is_plain:
-            return "0 ≤ z"
-        is_below, is_above = np.isfinite(self.lower), np.isfinite(self.upper)
-        boxed, free = int((is_below & is_above).sum()), int((~is_below & ~is_above).sum())
-        parts = [(self.n - free - boxed, "one-sided"), (boxed, "boxed"), (free, "free")]
-        return ", ".join(f"{count} {kind}" for count, kind in parts if count)
+    __str__ = described_lcp
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""

@@ -20,6 +20,21 @@ def written_lcp(problem: Any) -> str:
     return f"LCP({', '.join([written_matrix(problem.M), repr(problem.q.tolist()), *bounds])})"
 
 
+def described_lcp(problem: Any) -> str:
+    """Return how large an LCP is, and which bounds it has, or on how many ranks it lies."""
+    last = f"ranks={problem.communicator.size}" if problem.is_distributed else f"bounds {_bounds_in_words(problem)}"
+    return f"LCP(n={problem.n}, nonzeros={problem.nonzeros}, {last})"
+
+
+def _bounds_in_words(problem: Any) -> str:
+    if problem.is_plain:
+        return "0 ≤ z"
+    is_below, is_above = np.isfinite(problem.lower), np.isfinite(problem.upper)
+    boxed, free = int((is_below & is_above).sum()), int((~is_below & ~is_above).sum())
+    parts = [(problem.n - free - boxed, "one-sided"), (boxed, "boxed"), (free, "free")]
+    return ", ".join(f"{count} {kind}" for count, kind in parts if count)
+
+
 def written_matrix(M: Any) -> str:
     """Return what can be pasted for a matrix of floats, and is kept as this one is: a list of rows, or a CSR array.
 

@@ -183,7 +183,7 @@ def test_what_does_not_go_on_does_not_say_so(algorithm: str) -> None:
 
 @pytest.mark.parametrize(
     ("algorithm", "words"),
-    [("lemke", "z0 was not used: lemke begins from a start"), ("interior_point", "z0 was not used")],
+    [("lemke", "z0 was not used but for its active set: lemke begins"), ("interior_point", "z0 was not used")],
 )
 def test_a_start_that_changes_nothing_is_said(algorithm: str, words: str) -> None:
     """Where a given z0 changes nothing explain() says so; where it is used, or none was given, it does not."""
@@ -191,7 +191,7 @@ def test_a_start_that_changes_nothing_is_said(algorithm: str, words: str) -> Non
     z0 = np.random.default_rng(0).random(problem.n)
     begun, plain = solve(problem, algorithm, z0=z0), solve(problem, algorithm)
     assert begun.z.tobytes() == plain.z.tobytes()
-    assert begun.work == plain.work
+    assert plain.work <= begun.work <= 1.001 * plain.work  # what an active set costs that is not the answer's
     assert words in begun.explain()
     assert "z0 was not used" not in plain.explain()
     for other in ("newton", "psor", "auto", "multigrid", "banded"):

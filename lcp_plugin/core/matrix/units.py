@@ -93,7 +93,7 @@ def units_of(matrix: Matrix) -> Units | None:
         return None
     pivots = np.abs(matrix.diagonal)
     is_led_by_diagonal = pivots.min(initial=np.inf) >= matrix.largest * 2.0**-SPREAD
-    if is_led_by_diagonal or (matrix.is_dense and _is_even(matrix.array, pivots)):
+    if is_led_by_diagonal or (matrix.is_dense and are_in_one_unit(matrix.array[np.newaxis])[0]):
         return None
     several = parts(matrix)
     labels = np.zeros(matrix.n, np.int64) if several is None else several.labels
@@ -110,22 +110,18 @@ def units_of(matrix: Matrix) -> Units | None:
 
 
 def are_in_one_unit(matrices: Any) -> BoolVector:
-    """Return which of several dense matrices, shape (k, n, n), keep their units for certain, shape (k,)."""
+    """Return which of several dense matrices, shape (k, n, n), are even or dominant as a whole, shape (k,)."""
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
-    are: BoolVector = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD <= pivots.min(axis=1, initial=np.inf)
-    for k in np.flatnonzero(~are):
-        are[k] = _is_even(matrices[k], pivots[k])
+    most = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD
+    are: BoolVector = most <= pivots.min(axis=1, initial=np.inf)
+    rest = np.flatnonzero(~are)
+    if rest.size:
+        left = sizes[rest] if rest.size < are.size else sizes
+        sides = np.concatenate([left.max(axis=1), left.max(axis=2)], axis=1)
+        with np.errstate(over="ignore"):
+            is_dominant = (left.sum(axis=2) <= (1.0 + DOMINANT) * pivots[rest]).all(axis=1)
+        are[rest] = is_dominant | (most[rest] <= sides.min(axis=1, initial=np.inf, where=sides > 0.0))
     return are
-
-
-def _is_even(M: FloatVector, pivots: FloatVector) -> bool:
-    """Return whether all of a dense M is even or dominant, as `_uneven_parts` says of each part."""
-    sizes = np.abs(M)
-    sides = np.stack([sizes.max(axis=0), sizes.max(axis=1)])
-    if sides.max() * 2.0**-SPREAD <= sides.min(initial=np.inf, where=sides > 0.0):
-        return True
-    with np.errstate(over="ignore"):
-        return bool((sizes.sum(axis=1) <= (1.0 + DOMINANT) * pivots).all())
 
 
 def _of_symmetric(M: FloatVector, diagonal: FloatVector) -> Exponents | None:

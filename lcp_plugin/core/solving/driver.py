@@ -82,8 +82,8 @@ def solve(
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
         Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. ``interior_point``
-        uses one on dense symmetric M and programs only, ``lemke`` where its residual is a tenth of that point's or
-        less; where it changes nothing ``explain()`` says so.
+        uses one on dense symmetric M and programs only; ``lemke`` tries its active set, and begins there where its
+        residual is a tenth of that point's or less; where it changes nothing ``explain()`` says so.
     tolerance : float
         SOLVED means that the measured residual of the returned z is at most this: in every part of the problem
         (connected component of M's pattern) relative to that part's own reference.

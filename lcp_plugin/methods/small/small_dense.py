@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, without_warnings
-from ...core.checks import FloatVector, read_only
-from ...core.crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
+from ...core.checks import DENSE_ABOVE_DENSITY, FloatVector, read_only
+from ...core.crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO, CONTACTS_UP_TO
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 
@@ -36,8 +37,8 @@ class SmallDenseSolver(Algorithm):
 
     @staticmethod
     def takes(problem: LCP) -> bool:
-        """Return whether the problem is small enough, and all of it is here."""
-        return is_short(problem)
+        """Return whether the problem is small enough, or of contacts with friction, and all of it is here."""
+        return is_short(problem) or has_contacts(problem)
 
     def phases_of_small(self) -> Phases:
         """Return all phases."""
@@ -56,6 +57,23 @@ def is_short(problem: LCP) -> bool:
     """Return whether the problem is small enough, and all of it is here."""
     largest = COMPILED_UP_TO if problem.is_dense else COMPILED_SPARSE_UP_TO
     return 0 < problem.n <= largest and not problem.is_distributed
+
+
+def has_contacts(problem: LCP) -> bool:
+    """Return whether the problem is one of contacts with friction pyramids that a compiled call takes."""
+    may_have = 0 < problem.n <= CONTACTS_UP_TO and not problem.is_distributed
+    return may_have and problem.is_plain and has_pyramids(problem.matrix)
+
+
+@fact
+def has_pyramids(matrix: Matrix) -> bool:
+    """Return whether M has the form of contacts with friction pyramids, its rows in any order."""
+    if matrix.diagonal.all():
+        return False
+    from .kernels.contact_problems import count_pyramids
+
+    real, whole, _ = new_workspace(matrix.n)
+    return bool(count_pyramids(as_dense(matrix), real, whole) > 0)
 
 
 @fact
@@ -86,7 +104,15 @@ def steps(problem: LCP, z0: FloatVector, phases: Phases) -> Iterator[Step]:
     if state[kernels.PHASE] == kernels.UNUSUAL:
         return
     phase = int(answers.work[0, :3].argmax())
-    while True:
+    contacts = Answers(1, problem.n)
+    if phases == EVERYTHING and not unit:
+        run_contacts(arrays, -1.0, 0, 1, new_workspace(problem.n), contacts)
+    if contacts.made.any():
+        z, touched = answers.z[0], problem.n**2 / max(problem.nonzeros, 1)
+        yield Step(z, residual=float(answers.residual[0]), work=touched, label=PARTS[1])
+        z, work = contacts.z[0], contacts.work[0, kernels.TOTAL] - touched
+        yield Step(z, residual=float(contacts.residual[0]), work=work, label=PARTS[1])
+    while is_short(problem):
         z = np.clip(np.ldexp(answers.z[0], -unit), problem.lower, problem.upper) if unit else answers.z[0]
         if np.isfinite(z).all():
             residual, work = np.ldexp(answers.residual[0], -unit), answers.work[0, kernels.TOTAL]
@@ -127,9 +153,42 @@ def run(
     """Write the answers to problems first ≤ k < end of a batch, as far as the planned phases converge."""
     from .kernels.small_problems import ALL, follow_all, run_all
 
-    workspace, steps = workspace or new_workspace(arrays[0].shape[1]), ALL if steps is None else steps
-    if run_all(*arrays, *phases, tolerance, max_iterations, first, end, steps, *workspace, *answers.arrays):
-        follow_all(*arrays[:4], tolerance, first, end, *workspace, *answers.arrays)
+    workspace, left = workspace or new_workspace(arrays[0].shape[1]), [(first, end)]
+    if phases == EVERYTHING and steps is None and max_iterations > 0:
+        left = run_contacts(arrays, tolerance, first, end, workspace, answers)
+    else:
+        answers.made[first:end] = 0
+    steps = ALL if steps is None else steps
+    for begin, stop in left:
+        made, work = answers.made[begin:stop].copy(), answers.work[begin:stop].copy()
+        limit = max_iterations - int(made[0].sum())
+        if run_all(*arrays, *phases, tolerance, limit, begin, stop, steps, *workspace, *answers.arrays):
+            follow_all(*arrays[:4], tolerance, begin, stop, *workspace, *answers.arrays)
+        if made.any():
+            answers.made[begin:stop] += made
+            answers.work[begin:stop] += work
+
+
+def run_contacts(
+    arrays: tuple[Any, ...], tolerance: float, first: int, end: int, workspace: Any, answers: Answers
+) -> list[tuple[int, int]]:
+    """Write the answers to those of these problems that are of contacts with friction; return the rest, as ranges.
+
+    Those of a range have taken as many steps, none or one. What is too large for other phases is not in the rest.
+    """
+    M, n = arrays[0], arrays[0].shape[1]
+    if np.einsum("kii->ki", M[first:end] if len(M) > 1 else M).all():  # no row holds a radius
+        answers.made[first:end] = 0
+        return [(first, end)]
+    from .kernels.contact_problems import solve_all_contacts
+
+    if not solve_all_contacts(*arrays, tolerance, first, end, *workspace, *answers.arrays):
+        return []
+    if n > COMPILED_SPARSE_UP_TO and (n > COMPILED_UP_TO or np.count_nonzero(M[:1]) <= DENSE_ABOVE_DENSITY * n * n):
+        return []
+    kinds = np.where(answers.has_converged[first:end], -1, answers.made[first:end, 1])
+    cuts = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), end - first]
+    return [(first + a, first + b) for a, b in pairwise(cuts) if kinds[a] >= 0]
 
 
 class Answers:
@@ -150,7 +209,7 @@ class Answers:
 
     def __init__(self, count: int, n: int) -> None:
         self.z, self.residual = np.empty((count, n)), np.empty(count)
-        self.made, self.work = np.empty((count, 3), np.int64), np.empty((count, 4))
+        self.made, self.work = np.zeros((count, 3), np.int64), np.empty((count, 4))
         self.has_converged, self.needs_path = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
 
     @property

@@ -15,6 +15,7 @@ was asked, together with a measure of how wrong it is there.
 | linear program | ``problems.programs.conversion.lcp_from_lp`` |
 | least squares within bounds | ``problems.least_squares.conversion.lcp_from_least_squares`` |
 | bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
+| contacts with friction | ``LCP.from_contacts(W, friction, velocities)`` or of bodies; back: impulses, slip, stick |
 | absolute value equation | ``problems.reformulations.absolute_value.lcp_from_absolute_value`` |
 | model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
 

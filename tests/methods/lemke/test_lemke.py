@@ -392,3 +392,17 @@ def test_blocks_whose_condition_overflows_warn_nobody() -> None:
     """Where the condition of a block of a start exceeds the doubles, the path is another one, without a warning."""
     problem = small_lcps.extreme_problem("squares overflow", np.random.default_rng(2029000011871))
     assert solve(problem, "lemke").status is Status.STALLED
+
+
+def test_a_start_with_the_answers_active_set_costs_one_factor() -> None:
+    """Where q moves and the active set stays, lemke from the last answer needs a factor and a check, and no pivots."""
+    generator = np.random.default_rng(5)
+    M = generator.standard_normal((40, 40))
+    M = M @ M.T + 0.1 * (M - M.T)
+    before = solve(LCP(M, generator.standard_normal(40)), "lemke").require_solved()
+    moved = LCP(M, before.certificate.problem.q + 1e-9 * generator.standard_normal(40))
+    warm, cold = solve(moved, "lemke", z0=before.z), solve(moved, "lemke")
+    assert warm.is_solved
+    assert warm.iterations <= 1
+    assert warm.work < 0.5 * cold.work
+    np.testing.assert_allclose(warm.z, cold.z, atol=1e-10)

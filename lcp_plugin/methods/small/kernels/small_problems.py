@@ -228,7 +228,7 @@ def _judge_round(changes, whole, n):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _ends(M, k, real, is_zero, is_dense):  # type: ignore[no-untyped-def]
+def ends(M, k, real, is_zero, is_dense):  # type: ignore[no-untyped-def]
     """Return (a lower, an upper bound) of ‖r(z)‖∞ as `residual_ends` does; ∞ where a product may underflow."""
     n, least, most = M.shape[1], 0.0, 0.0
     for i in range(n):
@@ -254,18 +254,18 @@ def _ratio_upwards(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _is_dense(nonzeros, n):  # type: ignore[no-untyped-def]
+def is_kept_dense(nonzeros, n):  # type: ignore[no-untyped-def]
     """Return whether M is kept with its zeros; a sparse one is kept without them, and has fewer terms a row."""
     return nonzeros > DENSE_ABOVE_DENSITY * n * n
 
 
 @compiled_into_others
-def _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):  # type: ignore[no-untyped-def]
+def judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):  # type: ignore[no-untyped-def]
     """Write the relative residual of Z, enclosed where `size` lets it hope for that; return whether it will do."""
     residual[item] = size
     if not size / most <= tolerance:
         return False
-    _, largest = _ends(M, k, real, False, is_dense)
+    _, largest = ends(M, k, real, False, is_dense)
     residual[item] = _ratio_upwards(largest, least)
     return residual[item] <= tolerance
 
@@ -296,9 +296,9 @@ def run_all(  # type: ignore[no-untyped-def]
             is_zero = take(q, lower, upper, item, real, n)
             nonzeros, is_usual, may_sweep, is_symmetric = look_at(M, k, real)
             whole[STATE, IS_SYMMETRIC], whole[STATE, NONZEROS], whole[STATE, PHASE] = is_symmetric, nonzeros, UNUSUAL
-            is_dense = _is_dense(nonzeros, n)
+            is_dense = is_kept_dense(nonzeros, n)
             if is_usual and is_judged:
-                least, most = _ends(M, k, real, is_zero, is_dense)
+                least, most = ends(M, k, real, is_zero, is_dense)
             has_start = starts.shape[1] > 0 and most > 0.0
             after = _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n)
             work[item, after] = work[item, TOTAL] = n * n / nonzeros
@@ -323,7 +323,7 @@ def run_all(  # type: ignore[no-untyped-def]
                 work[item, phase] += touched / whole[STATE, NONZEROS]
                 work[item, TOTAL] += touched / whole[STATE, NONZEROS]
             count += 1
-            has_converged[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
+            has_converged[item] = judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
             if has_converged[item]:
                 break
         for i in range(n):
@@ -344,7 +344,7 @@ def follow_all(  # type: ignore[no-untyped-def]
         is_zero = take(q, lower, upper, item, real, n)
         nonzeros, _, _, is_symmetric = look_at(M, k, real)
         if tolerance >= 0.0:
-            least, most = _ends(M, k, real, is_zero, _is_dense(nonzeros, n))
+            least, most = ends(M, k, real, is_zero, is_kept_dense(nonzeros, n))
         pivots = follow_path(M, k, real, whole, room, PIVOTS * (n + 10))
         if pivots < 0:
             continue
@@ -357,7 +357,7 @@ def follow_all(  # type: ignore[no-untyped-def]
         made[item, PIVOT] += 1
         passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
         work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes
-        is_dense = _is_dense(nonzeros, n)
-        has_converged[item] = _judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
+        is_dense = is_kept_dense(nonzeros, n)
+        has_converged[item] = judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
         for i in range(n):
             z[item, i] = real[Z, i]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ....core.kernels.compilation import compiled_into_others, compiled_part
-from .workspace import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
+from .workspace import AT_UPPER, BETWEEN, CANDIDATE, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290
@@ -24,13 +24,9 @@ def solve_free(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untype
     if not (is_symmetric and _eliminate_symmetric(room, n, free)):
         if is_symmetric:
             _gather(M, k, real, whole, room, False, free)
-        if not _eliminate(room, n, free):
+        if not eliminate(room, whole, n, free):
             return -1
-    for p in range(free - 1, -1, -1):
-        total = room[p, free]
-        for j in range(p + 1, free):
-            total -= room[p, j] * room[j, free]
-        room[p, free] = total / room[p, p]
+    substitute(room, free)
     for p in range(free):
         if not abs(room[p, free]) < LARGEST:
             return -1
@@ -39,6 +35,30 @@ def solve_free(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untype
     for p in range(free):
         real[FOUND, whole[FREE, p]] = room[p, free]
     return free
+
+
+@compiled_part
+def substitute(room, free):  # type: ignore[no-untyped-def]
+    """Solve with what elimination left on and above the diagonal; the right-hand side is column `free`."""
+    for p in range(free - 1, -1, -1):
+        total = room[p, free]
+        for j in range(p + 1, free):
+            total -= room[p, j] * room[j, free]
+        room[p, free] = total / room[p, p]
+
+
+@compiled_part
+def solve_again(room, whole, n, free):  # type: ignore[no-untyped-def]
+    """Solve with the factors that `eliminate` left for another right-hand side in column `free`."""
+    for p in range(free):
+        best = whole[CANDIDATE, n + 1 + p]
+        room[p, free], room[best, free] = room[best, free], room[p, free]
+    for i in range(free):
+        total = room[i, free]
+        for p in range(i):
+            total -= room[i, p] * room[p, free]
+        room[i, free] = total
+    substitute(room, free)
 
 
 @compiled_into_others
@@ -93,11 +113,11 @@ def _eliminate_symmetric(room, n, free):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled_into_others
-def _eliminate(room, n, free):  # type: ignore[no-untyped-def]
+@compiled_part
+def eliminate(room, whole, n, free):  # type: ignore[no-untyped-def]
     """Eliminate below the diagonal with partial pivoting; return whether no column was all rounding.
 
-    Four columns are eliminated at a time; their factors stay below the diagonal until the rest is updated.
+    Four columns are eliminated at a time. Their factors stay below the diagonal, and the rows exchanged in `whole`.
     """
     largest = 0.0
     for i in range(free):
@@ -111,8 +131,9 @@ def _eliminate(room, n, free):  # type: ignore[no-untyped-def]
                 best = i if abs(room[i, p]) > abs(room[best, p]) else best
             if not abs(room[best, p]) > CANCELLED * largest:
                 return False
+            whole[CANDIDATE, n + 1 + p] = best
             if best != p:
-                for j in range(begin, free + 1):
+                for j in range(free + 1):
                     room[p, j], room[best, j] = room[best, j], room[p, j]
             for i in range(p + 1, free):
                 factor = room[i, p] / room[p, p]
@@ -128,6 +149,8 @@ def _eliminate(room, n, free):  # type: ignore[no-untyped-def]
         _copy(room, n, begin, end, free)
         for i in range(end, free):
             a, b, c, d = room[i, begin], room[i, begin + 1], room[i, begin + 2], room[i, begin + 3]
+            if a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0:  # of another island
+                continue
             _subtract(room, n, i, a, b, c, d, end, free)
     return True
 

@@ -1,0 +1,74 @@
+"""Small problems of contact with friction pyramids, from data to enclosed answer in one compiled call."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from ....core.kernels.compilation import compiled, interpreted_while_small
+from .contact_rounds import solve_contacts
+from .friction_pyramids import condense, read_pyramids
+from .small_problems import PATH_UP_TO, ROUND, TOTAL, USUAL, ends, is_kept_dense, judged, look_at, moved, take
+from .workspace import FOUND, Z
+
+
+@compiled
+def count_pyramids(M, real, whole):  # type: ignore[no-untyped-def]
+    """Return how many friction pyramids M, shape (1, n, n), has, 0 where it is of another form; q counts as 0."""
+    for i in range(M.shape[1]):
+        real[0, i], real[1, i], real[2, i] = 0.0, 0.0, np.inf
+    unknowns, cones = read_pyramids(M, 0, real, whole)
+    return cones if unknowns > 0 else 0
+
+
+@partial(interpreted_while_small, longest=PATH_UP_TO)
+def solve_all_contacts(  # type: ignore[no-untyped-def]
+    M, q, lower, upper, starts, tolerance, first, end, real, whole, room, z, residual, made, work, has_converged,
+    needs_path,
+):
+    """Solve those problems first ≤ item < end of a batch that are of contacts; return how many are left.
+
+    Arrays as in `small_problems.run_all`. Each takes one step, of all sweeps and rounds, or none; nothing is judged
+    where the tolerance is below 0.
+    """
+    n, left = M.shape[1], 0
+    for item in range(first, end):
+        k = item if M.shape[0] > 1 else 0
+        has_converged[item] = needs_path[item] = False
+        for phase in range(3):
+            made[item, phase], work[item, phase] = 0, 0.0
+        work[item, TOTAL] = 0.0
+        left += 1
+        is_zero = take(q, lower, upper, item, real, n)
+        unknowns, cones = read_pyramids(M, k, real, whole)
+        if cones == 0 or unknowns == 0:
+            continue
+        nonzeros, is_usual, _, _ = look_at(M, k, real)
+        is_dense, least, most = is_kept_dense(nonzeros, n), 1.0, 1.0
+        if is_usual and tolerance >= 0.0:
+            least, most = ends(M, k, real, is_zero, is_dense)
+        if not (is_usual and (tolerance < 0.0 or (least > 0.0 and USUAL[0] < most < USUAL[1]))):
+            continue
+        is_cold, at = True, item if starts.shape[0] > 1 else 0
+        for i in range(n):
+            real[FOUND, i] = starts[at, i] if starts.shape[1] > 0 else 0.0
+            is_cold &= real[FOUND, i] == 0.0
+        if tolerance >= 0.0:
+            size = moved(M, k, real, FOUND, False)
+            if judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):
+                has_converged[item] = True
+        work[item, ROUND] = n * n / nonzeros
+        if not has_converged[item]:
+            condense(M, k, real, whole, room, unknowns, cones)
+            work[item, ROUND] += solve_contacts(real, whole, room, n, unknowns, not is_cold) / nonzeros
+            made[item, ROUND] = 1
+            size = moved(M, k, real, FOUND, False)
+            has_converged[item] = judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
+        if made[item, ROUND] > 0 and tolerance >= 0.0 and not has_converged[item]:
+            work[item, ROUND] -= n * n / nonzeros  # who goes on counts the start
+        work[item, TOTAL] = work[item, ROUND]
+        left -= has_converged[item]
+        for i in range(n):
+            z[item, i] = real[Z, i]
+    return left

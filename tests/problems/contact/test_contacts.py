@@ -1,0 +1,153 @@
+"""Contacts with friction as LCPs: the pyramid's conditions, closed forms, batches, and mistakes in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, solve, solve_batch
+from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin.problems.contact.contacts import contact_data
+
+GRAVITY, STEP = 9.81, 0.01
+
+
+def contacts_of_bodies(count: int, bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """W and the velocities of random contacts among free bodies, some of which press."""
+    generator = np.random.default_rng(seed)
+    J = generator.standard_normal((3 * count, 6 * bodies))
+    return J @ J.T / (6 * bodies), (J @ generator.standard_normal(6 * bodies)).reshape(count, 3)
+
+
+@pytest.mark.parametrize("directions", [4, 6, 8])
+def test_an_answer_keeps_the_conditions_of_contact_and_friction(directions: int) -> None:
+    """Normals do not pull or overlap, friction is in its pyramid, and is the most that opposes the slip."""
+    for seed in range(8):
+        W, velocities = contacts_of_bodies(5, 4, seed)
+        problem = LCP.from_contacts(W, 0.6, velocities, directions)
+        motion = problem.origin.recover(solve(problem).require_solved())
+        moved = (W @ np.column_stack([motion.normal, motion.tangential]).ravel()).reshape(5, 3) + velocities
+        np.testing.assert_allclose(moved, np.column_stack([motion.separation, motion.slip]), atol=1e-12)
+        assert min(motion.normal.min(), motion.separation.min()) >= -1e-7
+        np.testing.assert_allclose(motion.normal * motion.separation, 0.0, atol=1e-7)
+        edges = problem.origin.edges
+        power = np.einsum("ct,ct->c", motion.tangential, motion.slip)
+        np.testing.assert_allclose(power, 0.6 * motion.normal * (motion.slip @ edges.T).min(axis=1), atol=1e-7)
+        assert (motion.sticks <= motion.touches).all()
+
+
+def block_on_incline(angle: float, friction: float) -> tuple[float, bool]:
+    """The speed along the slope after one step from rest, of a block on its two corners, and whether it sticks."""
+    mass = np.diag([2.0, 2.0, 0.4])  # down the slope, away from it, turning
+    normals, tangents = [[0, 1, -0.5], [0, 1, 0.5]], [[1, 0, 0.2], [1, 0, 0.2]]
+    pull = STEP * GRAVITY * np.array([np.sin(angle), -np.cos(angle), 0.0])
+    problem = LCP.from_contacts((mass, normals, tangents), friction, pull)
+    motion = problem.origin.recover(solve(problem, tolerance=1e-12).require_solved())
+    return motion.slip[0, 0], bool(motion.sticks.all())
+
+
+def test_a_block_slides_where_the_slope_is_steeper_than_its_friction() -> None:
+    """It slides at tan θ > μ with the speed of the closed form, to 1e-9, and rests below; also a millionth beside."""
+    for friction in (0.3, 0.8):
+        for share in (0.5, 0.999999, 1.000001, 1.2):
+            angle = np.arctan(share * friction)
+            speed, sticks = block_on_incline(angle, friction)
+            expected = STEP * GRAVITY * max(np.sin(angle) - friction * np.cos(angle), 0.0)
+            assert abs(speed - expected) <= 1e-9
+            assert sticks == (share < 1.0)
+
+
+def test_a_tower_of_ten_carries_its_weight() -> None:
+    """Ten blocks on each other rest, and each interface carries what lies above it."""
+    k = 10
+    normals, tangents = np.zeros((2 * k, 3 * k)), np.zeros((2 * k, 3 * k))
+    for row in range(2 * k):
+        block, arm = row // 2, (-0.5, 0.5)[row % 2]
+        normals[row, 3 * block:3 * block + 3], tangents[row, 3 * block:3 * block + 3] = (0, 1, arm), (1, 0, 0.1)
+        if block:
+            normals[row, 3 * block - 3:3 * block], tangents[row, 3 * block - 3:3 * block] = (0, -1, -arm), (-1, 0, 0.1)
+    mass = np.diag(np.tile([1.0, 1.0, 0.1], k))
+    fall = np.tile([0.0, -STEP * GRAVITY, 0.0], k)
+    problem = LCP.from_contacts((mass, normals, tangents), 0.5, fall)
+    motion = problem.origin.recover(solve(problem).require_solved())
+    weight = STEP * GRAVITY * np.arange(k, 0, -1)
+    np.testing.assert_allclose(motion.normal.reshape(k, 2).sum(axis=1), weight, rtol=1e-7)
+    assert motion.sticks.all()
+
+
+def test_a_batch_of_contacts_is_the_problems_one_by_one() -> None:
+    """Arrays of a batch give the M and q of each problem, and its motion after solve_batch."""
+    parts = [contacts_of_bodies(3, 3, seed) for seed in range(6)]
+    W, velocities = (np.array(part) for part in zip(*parts, strict=True))
+    friction = np.linspace(0.0, 1.0, 18).reshape(6, 3)
+    data = contact_data(W, friction, velocities)
+    batch = solve_batch(*data.arrays)
+    assert batch.all_solved
+    motion = data.recover(batch)
+    for k in range(6):
+        problem = LCP.from_contacts(W[k], friction[k], velocities[k])
+        np.testing.assert_array_equal(problem.M, data.arrays[0][k])
+        alone = problem.origin.recover(batch.z[k])
+        np.testing.assert_allclose(alone.slip, motion.slip[k], atol=1e-14)
+        np.testing.assert_array_equal(alone.sticks, motion.sticks[k])
+
+
+def test_a_start_is_carried_over_to_contacts_that_stay() -> None:
+    """Of contacts that come and go, those that stay keep their part of z, and new ones begin at 0."""
+    W, velocities = contacts_of_bodies(4, 3, 1)
+    before = solve(LCP.from_contacts(W, 0.5, velocities))
+    kept = [3, -1, 0]
+    rows = np.ravel([[9, 10, 11], [3, 4, 5], [0, 1, 2]])
+    after = LCP.from_contacts(W[np.ix_(rows, rows)], 0.5, velocities[[3, 1, 0]])
+    start = after.origin.start_from(before, kept)
+    assert start.shape == (after.n,)
+    np.testing.assert_array_equal(start[:3], [before.z[3], 0.0, before.z[0]])
+    np.testing.assert_array_equal(start[3:15].reshape(3, 4)[0], before.z[16:20])
+    np.testing.assert_array_equal(start[15:], [before.z[23], 0.0, before.z[20]])
+    np.testing.assert_array_equal(after.origin.start_from(np.empty(0), [-1, -1, -1]), np.zeros(18))
+
+
+EYE, FALL = np.eye(3), [[-1.0, 0.0, 0.0]]
+BODY = (np.eye(3), [[0, 0, 1]], [[[1, 0, 0], [0, 1, 0]]])
+MISTAKES: dict[str, tuple[str, Any]] = {
+    "negative friction": (r"friction must not be negative, but friction\[0\] = -0.5", (EYE, [-0.5], FALL)),
+    "negative number": ("must not be negative, but friction = -0.5", (EYE, -0.5, FALL)),
+    "friction of others": (r"array of shape \(1,\)", (EYE, [0.5, 0.5], FALL)),
+    "tangents not unit": (
+        "must be unit vectors, but those of contact 0 are off by 1 .* divide",
+        ((np.eye(3), [[0, 0, 1]], [[[2, 0, 0], [0, 1, 0]]]), 0.5, np.zeros(3)),
+    ),
+    "too few velocities": (r"must have shape \(2, 3\).*too few", (np.eye(6), 0.5, FALL)),
+    "too few of the bodies": (r"velocities must have shape \(3,\).*too few", (BODY, 0.5, np.zeros(2))),
+    "too many velocities": ("too many", (EYE, 0.5, [[0.0] * 3] * 2)),
+    "flat velocities": (r"must have shape \(1, 3\)", (EYE, 0.5, np.zeros(3))),
+    "NaN": (r"velocities .* entry \[0, 0\] is nan", (EYE, 0.5, [[np.nan, 0.0, 0.0]])),
+    "W not symmetric": ("W must be symmetric.*same J", (np.tri(3), 0.5, FALL)),
+    "W not square": ("W must be square", (np.ones((3, 2)), 0.5, FALL)),
+    "mass singular": ("positive definite", ((np.diag([1.0, 1.0, 0.0]), *BODY[1:]), 0.5, np.zeros(3))),
+    "two arrays": ("got 2 arrays", (BODY[:2], 0.5, FALL)),
+    "normals of other bodies": (r"normals must have shape \(k, 3\)", ((EYE, [[0, 1]], [[[1, 0]]]), 0.5, FALL)),
+    "tangents of other contacts": ("tangents must be .*k = 1", ((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL)),
+    "odd directions": ("even number ≥ 4.*got 5", (EYE, 0.5, FALL, 5)),
+    "a batch": ("contact_data", (EYE, 0.5, [FALL, FALL])),
+    "batches of two lengths": ("equally long", (np.stack([EYE] * 3), 0.5, [FALL, FALL])),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_refused_in_words(name: str) -> None:
+    """What does not state contacts is an InvalidProblem that says what is needed."""
+    words, arguments = MISTAKES[name]
+    with pytest.raises(InvalidProblem, match=words):
+        LCP.from_contacts(*arguments)
+
+
+def test_rotations_of_length_one_are_no_mistake() -> None:
+    """Of a body with spherical inertia, rotations before translations, lever arms may have any length."""
+    for arm in ([1.0, 0, 0], [0, 1.0, 0], [1.0, 1.0, -1.0], [0, 0, -1.0]):
+        directions = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
+        rows = np.hstack([np.cross(arm, directions), directions])
+        contacts = (np.diag([1.0, 1, 1, 2, 2, 2]), rows[:1], rows[None, 1:])
+        assert solve(LCP.from_contacts(contacts, 0.5, [0, 0, 0, 0, 0, -1.0])).is_solved

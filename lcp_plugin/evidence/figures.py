@@ -107,9 +107,10 @@ def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
         if any(line.text for panel in panels for line in panel.lines) or (
             len(panels) == 1 and len(own[0][1]) <= MOST_NAMES
         ):
-            for axes, panel in zip(every, panels, strict=False):
-                axes.legend(loc="lower right" if panel.kind == "shares" else "best", fontsize=LABEL_SIZE,
-                            handlelength=2.4, labelspacing=0.3)
+            for axes, panel, (_, named) in zip(every, panels, own, strict=False):
+                if named:
+                    axes.legend(loc="lower right" if panel.kind == "shares" else "best", fontsize=LABEL_SIZE,
+                                handlelength=2.4, labelspacing=0.3)
             return figure
         found = {label: handle for handles, labels in own for handle, label in zip(handles, labels, strict=True)}
         count = max(1, min(len(found), int(width / 1.1)))

@@ -228,7 +228,7 @@ def z_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) 
     >>> from hypothesis import Phase, find, settings
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
     >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
-    >>> find(z_matrices(), lambda M: M[0, 0] < 0, settings=shrunk)
+    >>> find(z_matrices(1), lambda M: M[0, 0] < 0, settings=shrunk)
     array([[-1.]])
     """
     return matrices(_z_matrix, size, density, dense)

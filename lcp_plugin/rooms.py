@@ -42,6 +42,7 @@ OFFERS = {
         "equal_part": "ranks.on_ranks:equal_part",
         "save": "ranks.on_ranks:save",
         "load": "ranks.on_ranks:load",
+        "auto": "ranks.auto:AutoOnRanks",
         "joined_parts": "ranks.joint_facts:joined_parts",
         "has_symmetric_products": "ranks.joint_facts:has_symmetric_products",
         "pivot_weight": "ranks.joint_facts:pivot_weight",

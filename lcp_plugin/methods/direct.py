@@ -33,7 +33,6 @@ from typing import Any
 import numpy as np
 
 from ..core.algorithms import create
-from ..core.algorithms.base import has_positive_diagonal
 from ..core.crossovers import (
     INTERIOR_STEPS,
     LINEAR_PROGRAM_UP_TO,
@@ -43,6 +42,7 @@ from ..core.crossovers import (
 )
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
+from ..core.matrix.row_sums import has_positive_diagonal
 from ..core.policy.choice import last_resort
 from ..core.policy.stages import Choice, Stage
 from ..proofs.no_solution.infeasibility import contradictory_row

@@ -37,6 +37,7 @@ def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector
 
     Examples
     --------
+    >>> import numpy as np
     >>> import scipy.sparse as sp
     >>> value, radius = comparison_product(sp.csr_array(np.array([[2.0, 1.0], [-3.0, 3.0]])), np.ones(2))
     >>> value, radius

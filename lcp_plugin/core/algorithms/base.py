@@ -15,9 +15,7 @@ from ..crossovers import SWEEP_ENTRIES
 from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from ..lcp import LCP
 from ..matrix.iteration_facts import IterationFacts
-from ..matrix.row_sums import has_positive_diagonal as has_positive_diagonal  # noqa: PLC0414 - offered here
-from ..matrix.row_sums import inverse_residual_scale as inverse_residual_scale  # noqa: PLC0414
-from ..matrix.row_sums import row_splits as row_splits  # noqa: PLC0414
+from ..matrix.row_sums import has_positive_diagonal
 
 SWEEPS = ("forward", "backward", "symmetric")
 Phases = tuple[bool, bool, bool]  # sweeps, rounds, pivots

@@ -16,7 +16,6 @@ from ..lcp import LCP
 from ..rounding import compensated_product, lower_end, read_only_views, upper_end
 
 BLOCK = 2**14  # rows
-LARGE_PRODUCT = 1e-2, 1e4  # in units of ‖r(z°)‖², and of that times the relative residual: worth a word
 FEWEST = 2**13  # rows a thread: on five-point rows some 0.15 ms, several times what a hand-over takes
 
 
@@ -198,9 +197,3 @@ def euclidean_norm(vector: FloatVector, communicator: Communicator = ALONE) -> f
         return largest
     scaled = vector / largest
     return largest * math.sqrt(communicator.total(float(scaled @ scaled)))
-
-
-def is_large_product(relative_complementarity: float, relative_residual: float) -> bool:
-    """Return whether complementarity is worth a word beside a residual."""
-    least, factor = LARGE_PRODUCT
-    return relative_complementarity > max(least, factor * relative_residual)

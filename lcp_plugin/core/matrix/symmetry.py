@@ -22,6 +22,7 @@ def is_symmetric_entrywise(M: Any) -> bool:
 
     Examples
     --------
+    >>> import scipy.sparse as sp
     >>> is_symmetric_entrywise(sp.csr_array([[2.0, 1e-9], [1e-9, 2.0]]))
     True
     >>> is_symmetric_entrywise(sp.csr_array([[2.0, 1e-20], [0.0, 2.0]]))

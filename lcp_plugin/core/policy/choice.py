@@ -59,7 +59,7 @@ from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..lcp import LCP
 from ..matrix.row_sums import has_positive_diagonal
-from ..registry import ask_or_none
+from ..registry import ask, ask_or_none
 from ..settings import OF_SOLVE
 from ..splittings.projected_relaxation import PGS, PSOR
 from ..splittings.projected_type import NPSOR
@@ -198,20 +198,6 @@ class Auto(Policy):
 DIRECT = "newton"  # predicts for all direct methods
 
 
-class AutoOnRanks(Policy):
-    """What is left of the tables where no process holds all rows: multigrid, then sweeps."""
-
-    name = chosen = "auto"
-
-    def first(self, problem: LCP) -> Choice:
-        """Return multigrid, which needs about as many cycles whatever n is."""
-        return Choice(_multigrid())
-
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
-        """Return PSOR where multigrid came to an end."""
-        return Choice(PSOR(), "multigrid came to an end: projected sweeps") if failed and len(stages) == 1 else None
-
-
 def takes_the_small_dense_solver(problem: LCP) -> bool:
     """Return whether auto solves the problem by one compiled call: small, and no tridiagonal M-matrix kept sparse."""
     small = _small()
@@ -324,7 +310,7 @@ def policy_for(
                 f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well'
                 f"{did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
-        return AutoOnRanks() if on_ranks else Auto(refutes=refutes, looks_at_cases=looks_at_cases)
+        return ask("ranks", "auto")() if on_ranks else Auto(refutes=refutes, looks_at_cases=looks_at_cases)
     if isinstance(algorithm, type):
         name = algorithm.__name__
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")

@@ -79,7 +79,7 @@ class Run:
                     from_start = following.from_start or self.incumbent.z is None
                     self.state.open(Stage(following.algorithm, following.because, from_start))
                     z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
-                    reason, following = self._follow(following.iterates(self.problem, z))
+                    reason, following = self._follow(iter(following.iterates(self.problem, z)))
         except OutOfTimeError:
             return Status.MAX_SECONDS
         return reason

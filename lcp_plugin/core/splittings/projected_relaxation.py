@@ -9,19 +9,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..algorithms.base import (
-    Step,
-    check_positive,
-    directions,
-    inverse_residual_scale,
-    require_positive_diagonal,
-    row_splits,
-)
+from ..algorithms.base import Step, check_positive, directions, require_positive_diagonal
 from ..checks import FloatVector
 from ..crossovers import PSOR_GAIN, PSOR_PASSES
 from ..errors import InvalidOption
 from ..lcp import LCP
 from ..matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
+from ..matrix.row_sums import inverse_residual_scale, row_splits
 from ..matrix.symmetry import has_symmetric_entries
 from ..registry import ask
 from . import Splitting

@@ -18,20 +18,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..algorithms.base import (
-    Algorithm,
-    Step,
-    check_choice,
-    check_positive,
-    has_positive_diagonal,
-    inverse_residual_scale,
-    row_splits,
-)
+from ..algorithms.base import Algorithm, Step, check_choice, check_positive
 from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix
 from ..lcp import LCP
 from ..matrix.iteration_facts import PROJECTED_TYPE, IterationFacts
-from ..matrix.row_sums import automatic_factors
+from ..matrix.row_sums import automatic_factors, has_positive_diagonal, inverse_residual_scale, row_splits
 from . import Splitting
 
 SCALINGS = ("auto", "diagonal", None)

@@ -16,11 +16,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.algorithms.base import Step, check_positive, inverse_residual_scale, require_positive_diagonal
+from ...core.algorithms.base import Step, check_positive, require_positive_diagonal
 from ...core.checks import FloatVector, is_number, real_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import MODULUS, IterationFacts
+from ...core.matrix.row_sums import inverse_residual_scale
 from ...core.splittings import Splitting
 
 

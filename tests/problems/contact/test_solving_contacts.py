@@ -1,0 +1,123 @@
+"""Solving contacts: every family, warm starts, batches, rows in any order, and what has not quite the form."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from contact_families import FAMILIES, falling, planted
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lcp_plugin import LCP, solve, solve_batch
+from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin.problems.contact.contacts import Contacts, contact_data
+
+SIZES = st.sampled_from([(1, 1), (2, 1), (4, 2), (6, 1), (8, 4)])
+
+
+def problem_of(data: Contacts) -> LCP:
+    return LCP(*data.arrays)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(sorted(FAMILIES)), SIZES, st.sampled_from([1.0, 1e3]), st.integers(0, 2**16))
+def test_contacts_that_have_an_answer_get_one(name: str, size: tuple[int, int], ratio: float, seed: int) -> None:
+    """Of any rank of W, masses up to 10³ apart, contacts at a kink: SOLVED, and the motion keeps Coulomb's law."""
+    data = FAMILIES[name](*size, ratio, np.random.default_rng(seed))
+    result = solve(problem_of(data)).require_solved()
+    motion = data.recover(result)
+    slow = 1e-5 * np.abs(data.velocities).max()
+    assert motion.normal.min() >= 0.0
+    assert motion.separation.min() >= -slow
+    assert np.abs(motion.separation[motion.normal > 1e-6 * motion.normal.max(initial=1e-300)]).max(initial=0.0) <= slow
+    limit = data.friction * motion.normal
+    assert (np.abs(motion.tangential).sum(axis=1) <= limit + 1e-6 * (1e-300 + limit.max())).all()
+
+
+def test_a_start_with_the_answers_contacts_costs_a_round() -> None:
+    """From the answer before, where velocities have moved a little, contacts take one step and less work."""
+    data = planted(8, 8, 10.0, np.random.default_rng(3))
+    before = solve(problem_of(data))
+    moved = contact_data(data.W, data.friction, data.velocities * (1.0 + 1e-9))
+    warm, cold = solve(problem_of(moved), z0=before.z), solve(problem_of(moved))
+    assert warm.is_solved
+    assert cold.is_solved
+    assert warm.work < cold.work
+    np.testing.assert_allclose(data.recover(warm).slip, data.recover(cold).slip, atol=1e-7)
+
+
+@pytest.mark.parametrize("is_warm", [False, True])
+def test_a_batch_gives_the_bits_of_each_problem(is_warm: bool) -> None:
+    """A batch of contacts gives each problem the z and iterations that solve gives it, watched or not."""
+    items = [falling(4, 2, 10.0, np.random.default_rng(seed)).arrays for seed in range(12)]
+    M, q = (np.array(part) for part in zip(*items, strict=True))
+    z0 = solve_batch(M, 1.01 * q).z if is_warm else None
+    batch = solve_batch(M, q, z0=z0)
+    assert batch.all_solved
+    for k in range(len(q)):
+        start = None if z0 is None else z0[k]
+        alone, watched = solve(LCP(M[k], q[k]), z0=start), solve(LCP(M[k], q[k]), z0=start, record=True)
+        assert alone.z.tobytes() == batch.z[k].tobytes() == watched.z.tobytes()
+        assert alone.iterations == batch.iterations[k] == watched.iterations
+
+
+def rounds_alone(problem: LCP) -> bool:
+    return solve(problem).algorithm == "auto: newton"
+
+
+def test_rows_may_come_in_any_order_and_unit() -> None:
+    """The same contacts with rows permuted, sparse, beside other islands, without friction, in other units: rounds."""
+    data = falling(4, 4, 10.0, np.random.default_rng(1))
+    M, q = data.arrays
+    order = np.random.default_rng(0).permutation(q.size)
+    assert rounds_alone(LCP(M, q))
+    assert rounds_alone(LCP(M[np.ix_(order, order)], q[order]))
+    assert rounds_alone(LCP(sp.block_diag([M] * 3, format="csr"), np.tile(q, 3)))
+    assert rounds_alone(problem_of(contact_data(data.W, [0.0, 0.5, 0.0, 0.5], data.velocities)))
+    unit = np.where(np.arange(q.size) < 4, 4.0, 1.0)
+    assert rounds_alone(LCP(unit[:, None] * M * unit, unit * q))
+    assert rounds_alone(problem_of(contact_data(data.W, 0.5, data.velocities, directions=8)))
+
+
+def _without_an_edge(M: Any, q: Any) -> LCP:
+    keep = np.arange(q.size) != 7
+    return LCP(M[np.ix_(keep, keep)], q[keep])
+
+
+NOT_QUITE = {
+    "an edge is missing": _without_an_edge,
+    "a radius has a part of its own": lambda M, q: LCP(M, np.where(np.arange(q.size) == q.size - 1, 0.1, q)),
+    "a bound": lambda M, q: LCP(M, q, upper=np.where(np.arange(q.size) == 0, 50.0, np.inf)),
+    "an edge of its own": lambda M, q: LCP(M, np.where(np.arange(q.size) == 4, q + 0.1, q)),
+}
+
+
+@pytest.mark.parametrize("name", NOT_QUITE)
+def test_what_has_not_quite_the_form_is_solved_as_before(name: str) -> None:
+    """Problems near to those of contacts are left to other phases, and solved."""
+    M, q = falling(4, 4, 10.0, np.random.default_rng(2)).arrays
+    result = solve(NOT_QUITE[name](M, q))
+    assert result.is_solved
+    assert "lemke" in result.algorithm
+
+
+def test_a_hundred_contacts_stay_in_one_call() -> None:
+    """A problem of 600 rows, sparse, is solved by rounds, from scratch and from its answer."""
+    data = planted(100, 100, 10.0, np.random.default_rng(0))
+    problem = problem_of(data)
+    assert not problem.is_dense
+    result = solve(problem).require_solved()
+    assert result.algorithm == solve(problem, z0=result.z).algorithm == "auto: newton"
+
+
+def test_starts_of_other_contacts_are_refused() -> None:
+    """Indices that no earlier contact has, or an answer of another length, are an InvalidProblem in words."""
+    data = falling(2, 1, 1.0, np.random.default_rng(0))
+    for answer, same in ((np.zeros(12), [0, 2]), (np.zeros(11), [0, 1]), (np.zeros(12), [0]), (np.zeros(12), [0, -2])):
+        with pytest.raises(InvalidProblem, match="start_from needs an answer with 4 edges a contact and 2 indices"):
+            data.start_from(answer, same)
+    with pytest.raises(InvalidProblem, match=r"z must have shape \(12,\)"):
+        data.recover(np.zeros(11))

@@ -1,6 +1,7 @@
 """What a round for contacts solves: the unknowns, their equations, and the names of their rows in the workspace.
 
-Arrays as in :mod:`~lcp_plugin.methods.small.kernels.workspace`, with rows of other names while a problem of contacts is solved.
+Arrays as in :mod:`~lcp_plugin.methods.small.kernels.workspace`, whose rows have other names while a problem of contacts is
+solved.
 """
 
 from __future__ import annotations

@@ -380,6 +380,7 @@ OPTION_ROWS = [
 
 def test_every_option_has_bad_values() -> None:
     """No option of a registered algorithm is missing from the table of values to refuse."""
+    algorithm_class("mgs")  # said to be missing where its room is
     assert set(BAD_VALUES) == {option for options in OPTIONS.values() for option in options}
 
 
@@ -433,6 +434,8 @@ def test_splitting_must_be_a_matrix_like_M(splitting: Any, pattern: str) -> None
 @pytest.mark.parametrize("option", ["relaxation", "acceleration", "scaling_factor", "omega"])
 def test_integer_beyond_every_double_is_refused(option: str) -> None:
     """An integer that no double can hold is out of range like infinity, for every algorithm with that option."""
+    if option == "omega":
+        algorithm_class("mgs")  # said to be missing where its room is
     names = [name for name, options in OPTIONS.items() if option in options]
     assert names
     for name in names:

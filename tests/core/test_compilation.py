@@ -406,7 +406,7 @@ def test_a_constant_argument_compiles_no_kernel_of_its_own() -> None:
     from lcp_plugin.methods.small.kernels import small_problems, small_systems
 
     assert solve(LCP([[2.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), "newton").is_solved
-    for kernel in (small_problems._ends, small_problems.slack, small_problems.classify, small_systems._eliminate):
+    for kernel in (small_problems.ends, small_problems.slack, small_problems.classify, small_systems.eliminate):
         kinds = [tuple(str(kind) for kind in signature) for signature in kernel.signatures]
         assert len(kinds) == len(set(kinds))
         assert not any("Literal" in kind for key in kinds for kind in key)

@@ -386,7 +386,7 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
         ("core.solving.driver.Run.__init__", {}),
         ("core.solving.driver.CommonUnits.of", {}),
         ("proofs.guarantees.guarantees.warn_where_known_to_be_uncovered", {}),
-        ("proofs.bounds.active_rows.ErrorWatch._bound", {"tolerance_on": "error"}),
+        ("proofs.bounds.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),
         ("core.policy.choice.Auto.first", {}),
         ("core.policy.choice.Single.first", {}),
     ],
@@ -581,7 +581,7 @@ def test_bounds_along_the_run_are_sharp_where_that_is_affordable(monkeypatch: py
         error = np.max(np.abs(samples[sample.iteration] - exact))
         assert error <= sample.error_bound <= 2.0 * error + 1e-9
     assert error_bound(problem, result.z, sharp=False).infinity > 100.0 * result.history[-1].error_bound
-    monkeypatch.setattr("lcp_plugin.proofs.bounds.active_rows.SHARP_SAMPLES_UP_TO", 100)
+    monkeypatch.setattr("lcp_plugin.proofs.bounds.error_watch.SHARP_SAMPLES_UP_TO", 100)
     history = solve(problem, "pgs", error_bound=True, record=True).history
     assert history[0].error_bound > 2.0 * result.history[0].error_bound
     assert history[-1].error_bound <= 2.0 * result.history[-1].error_bound

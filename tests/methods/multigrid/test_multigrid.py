@@ -449,7 +449,7 @@ def test_prepare_fills_the_cache_that_with_q_shares() -> None:
     assert prepare(problem) is problem
     assert hierarchy_of.is_known(problem.with_q(problem.q + 1.0).matrix, Multigrid.coarsest)
     assert prepare(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0])).n == 2  # no positive diagonal: no hierarchy, no error
-    with pytest.raises(InvalidOption, match="prepare needs an LCP, got list"):
+    with pytest.raises(InvalidOption, match="prepare needs an LCP or QuadraticProgram, got list"):
         prepare([1.0])  # type: ignore[arg-type]
 
 

@@ -14,8 +14,8 @@ from small_families import FAMILIES, definite_stack, draw, told
 
 from lcp_plugin import LCP, InvalidProblem, Status, march, solve, solve_batch, solve_many
 from lcp_plugin.core.errors import InvalidOption
-from lcp_plugin.core.kernels import threads as sharing
 from lcp_plugin.problems.batches import batch_run
+from lcp_plugin.problems.many import chunks as sharing
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)

@@ -49,7 +49,7 @@ from .workspace import FOUND, KEPT
 
 SETTLED = 1e-10  # of the residual without impulses; rounds that arrive leave less
 PROMISING = 1e-3  # the same, from which a round of the problem itself may be the last
-FIRST_NEAR, LAST_NEAR = 0.01, 1e-4  # ε
+FIRST_NEAR, LAST_NEAR = 0.01, 1e-6  # ε
 FIRST_SWEEPS, SWEEPS = 8, 4
 ROUNDS, MOST_ROUNDS, IDLE = 12, 40, 3  # in a row; altogether, and one for three rows; in vain, before X is pulled
 

@@ -1,7 +1,6 @@
 """What a round for contacts solves: the unknowns, their equations, and the names of their rows in the workspace.
 
-Arrays as in :mod:`~lcp_plugin.methods.small.kernels.workspace`, whose rows have other names while a problem of contacts is
-solved.
+Arrays as in :mod:`~lcp_plugin.methods.small.kernels.workspace`; their rows have other names while contacts are solved.
 """
 
 from __future__ import annotations

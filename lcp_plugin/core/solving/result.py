@@ -254,14 +254,14 @@ class Result(Answer):
         certificate, bound = self.certificate, self.error_bound
         bounds = {} if bound is None else {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
         return {
+            "n": certificate.problem.n,  # x is the own part where rows are spread over ranks
             "relative_residual": certificate.relative_residual,
             "natural_residual": certificate.natural_residual,
             "euclidean_residual": certificate.euclidean_residual,
             "bound_violation": certificate.bound_violation,
             "slack_violation": certificate.slack_violation,
             "complementarity": certificate.complementarity,
-            "work": self.work,
-            "setup_seconds": self.setup_seconds,
+            "work": self.work, "setup_seconds": self.setup_seconds,
             "tolerance": self.tolerance,
             **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
             **bounds,

@@ -129,7 +129,8 @@ def solve_fused(
     """Return where `steps` converge within the tolerance, None where they do not."""
     start = NO_START if z0 is problem.nearest_to_zero else as_batch(z0)
     vectors, answers = map(as_batch, (problem.q, problem.lower, problem.upper)), Answers(1, problem.n)
-    run((as_dense(problem.matrix), *vectors, start), phases, tolerance, max_iterations, 0, 1, answers)
+    arrays, has_pairs = (as_dense(problem.matrix), *vectors, start), has_pyramids(problem.matrix)
+    run(arrays, phases, tolerance, max_iterations, 0, 1, answers, may_have_contacts=has_pairs)
     return answers.solve_fused(0)
 
 
@@ -149,24 +150,26 @@ def _shapes(n: int) -> Any:
 def run(
     arrays: tuple[Any, ...], phases: Phases, tolerance: float, max_iterations: int, first: int, end: int,
     answers: Answers, *, steps: int | None = None, workspace: tuple[Any, Any, Any] | None = None,
+    may_have_contacts: bool = True,
 ) -> None:  # fmt: skip
     """Write the answers to problems first ≤ k < end of a batch, as far as the planned phases converge."""
     from .kernels.small_problems import ALL, follow_all, run_all
 
     workspace, left = workspace or new_workspace(arrays[0].shape[1]), [(first, end)]
-    if phases == EVERYTHING and steps is None and max_iterations > 0:
+    if may_have_contacts and phases == EVERYTHING and steps is None and max_iterations > 0:
         left = run_contacts(arrays, tolerance, first, end, workspace, answers)
     else:
         answers.made[first:end] = 0
     steps = ALL if steps is None else steps
     for begin, stop in left:
-        made, work = answers.made[begin:stop].copy(), answers.work[begin:stop].copy()
-        limit = max_iterations - int(made[0].sum())
-        if run_all(*arrays, *phases, tolerance, limit, begin, stop, steps, *workspace, *answers.arrays):
+        before = int(answers.made[begin].sum())  # steps for contacts, as many in all of a range
+        spent = (answers.made[begin:stop].copy(), answers.work[begin:stop].copy()) if before else (0, 0.0)
+        limits = tolerance, max_iterations - before, begin, stop
+        if run_all(*arrays, *phases, *limits, steps, *workspace, *answers.arrays):
             follow_all(*arrays[:4], tolerance, begin, stop, *workspace, *answers.arrays)
-        if made.any():
-            answers.made[begin:stop] += made
-            answers.work[begin:stop] += work
+        if before:
+            answers.made[begin:stop] += spent[0]
+            answers.work[begin:stop] += spent[1]
 
 
 def run_contacts(

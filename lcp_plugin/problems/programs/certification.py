@@ -48,7 +48,7 @@ def certify(
         never proved. Without them those of a solution of our own serve.
     claim : str, optional
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
-        and of a cvxpy problem what its status says.
+        and of a result or a cvxpy problem what its status says.
     tolerance : float
         "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (1 + |f(x)|), and
         neither is x proved to be farther than 10 · tolerance (1 + ‖x‖∞) from every optimal one, nor are multipliers
@@ -103,7 +103,9 @@ def certify(
     _check_options(tolerance, max_seconds)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         if isinstance(problem, QuadraticProgramResult) and x is None:
-            problem, x = problem.program, problem.solution
+            problem, x = problem.program, problem
+        if isinstance(x, QuadraticProgramResult) and claim is None and x.is_refuted:
+            claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
             if kind_of(problem) is not None or isinstance(problem, (Answer, QPSolution)):
                 raise InvalidProblem(refusal("certify", problem))

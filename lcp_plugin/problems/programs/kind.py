@@ -7,7 +7,7 @@ QUADRATIC_PROGRAM = Kind(
     "problems.programs.solving:QuadraticProgramResult",
     ("solve", "solve_batch", "solve_many", "prepare", "certify", "pickle", *LANGUAGES, "lcp-plugin solve",
      "lcp-plugin certify"),
-    "LCP.from_qp(program) makes an LCP of it",
+    "LCP.from_qp(program.P, program.c, …) makes an LCP of it",
     {
         "x0=": "z0=result.z goes on from an earlier result",
         "derivative": "requires_grad=True in cvxpy; or derivative(result.lcp_result), by the data of its "

@@ -147,6 +147,8 @@ class ProgramProofs:
         # What a time limit may cut short is not kept with the program.
         is_limited = math.isfinite(seconds_left())
         proof = proof_of_no_minimum(self.program) if is_limited else self.program.proof_of_no_minimum
+        if proof is not None and not proof.is_exact and not is_limited:  # the compiled call keeps its own
+            proof = proof_of_no_minimum(self.program)
         return proof if proof is not None and proof.is_exact and proof.verify() else None
 
     @property

@@ -12,7 +12,8 @@ import numpy as np
 
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, restored
-from ...core.deadline import is_over, seconds_left
+from ...core.communicator import ALONE
+from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
@@ -172,14 +173,15 @@ def judged_program(
             raise InvalidOption(str(error)) from error
     guess = options.pop("guess", None)
     options = {name: wish for name, wish in options.items() if wish is not None}
+    is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes = program_goal(tolerance), options.get("refute", True)
-    if (found := _at_once(program, algorithm, tolerance, options)) is not None:
+    if is_one_call and (found := _at_once(program, tolerance, options)) is not None:
         return QuadraticProgramResult(
             Status.SOLVED, found.solution, goal, f"auto: {ACTIVE_SET}", found.steps, found.seconds,
             partial(found.result, tolerance),
         )
-    if (known := known_contradiction(program)) is not None and known.excludes(goal):
-        return _refuted(program, known, tolerance)
+    if is_one_call and (known := known_contradiction(program)) is not None and known.excludes(goal):
+        return _refuted(program, known, tolerance, clock.read())
     result, solution = _by_forms(program, algorithm, tolerance, guess, options)
     is_optimal, proof = solution.is_stationary(goal), None
     is_proven = program.__dict__.get("proof_of_no_minimum") is not None
@@ -193,12 +195,14 @@ def judged_program(
     )
 
 
-def _refuted(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float) -> QuadraticProgramResult:
+def _refuted(
+    program: QuadraticProgram, proof: QPInfeasibility, tolerance: float, seconds: float
+) -> QuadraticProgramResult:
     """Return the result of a program that the compiled call has found to be infeasible."""
     nothing = np.full(program.constraints.limit.size, np.nan)
     solution = QPSolution.of_rows(program, np.clip(0.0, program.lower, program.upper), nothing)
     return QuadraticProgramResult(
-        Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, 0.0,
+        Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, seconds,
         partial(_refuted_run, program, proof, tolerance), proof,
     )
 
@@ -249,25 +253,29 @@ def solve_quadratic_program(
         As `solve`.
     """
     options = {name: wish for name, wish in options.items() if wish is not None}
-    if (found := _at_once(program, algorithm, tolerance, options)) is not None:
+    is_one_call = _takes_one_call(algorithm, tolerance, options)
+    if is_one_call and (found := _at_once(program, tolerance, options)) is not None:
         return found.result(tolerance), found.solution
     return _by_forms(program, algorithm, tolerance, guess, options)
 
 
-def _at_once(
-    program: QuadraticProgram, algorithm: Any, tolerance: float, options: dict[str, Any]
-) -> CompiledAnswer | None:
-    """Return the answer by one compiled call; None where it finds none, or somebody watches. Refuse what is wrong."""
+def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -> bool:
+    """Return whether a small program may be solved by one compiled call: nobody watches it. Refuse what is wrong."""
     is_auto = isinstance(algorithm, str) and algorithm == "auto"
     if options or not is_auto or not isinstance(tolerance, float):
         asked_of_solve(algorithm, {"tolerance": tolerance, **options})
         checked_callback(options.get("callback"))
         is_short = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
         if not is_auto or is_short or any(options.get(name, False) is not False for name in SEEN):
-            return None
+            return False
     if not 0.0 < tolerance < 1.0:
         asked_of_solve(algorithm, {"tolerance": tolerance})
-        return None
+        return False
+    return True
+
+
+def _at_once(program: QuadraticProgram, tolerance: float, options: dict[str, Any]) -> CompiledAnswer | None:
+    """Return the answer by one compiled call; None where it finds none."""
     try:
         return solved_at_once(program, tolerance)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is

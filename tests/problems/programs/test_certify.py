@@ -28,6 +28,7 @@ from lcp_plugin import (
     LCPError,
     NonlinearProblem,
     QuadraticProgram,
+    Status,
     UnsupportedModel,
     bounded_least_squares,
     certify,
@@ -286,6 +287,28 @@ def test_claims_are_proved_by_proofs_and_refuted_by_points() -> None:
     assert (answer.verdict, answer.lower) == ("refuted", None)
     assert answer.reason.startswith("the program is unbounded")
     assert certify(infeasible, [0.5]).verdict == "refuted"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_claim_is_proved_after_a_solve_as_before(seed: int) -> None:
+    """The proof that a compiled solve keeps may be rounded: "infeasible" is proved exactly all the same."""
+    rng = np.random.default_rng(seed)
+    G, h = rng.normal(size=(40, 6)), np.full(40, -1.0)
+    program = QuadraticProgram(np.eye(6), np.zeros(6), G, h)
+    result = solve(program)
+    assert result.status is Status.INFEASIBLE
+    assert certify(program, claim="infeasible").verdict == "proved"
+    assert certify(result).verdict == "proved"
+    assert certify(program, result).claim == "infeasible"
+
+
+def test_a_result_claims_what_its_status_says() -> None:
+    """`certify` of a result without a minimum proves that there is none."""
+    contradicting = QuadraticProgram(np.eye(2), [1.0, 1.0], A=[[1.0, 1.0], [1.0, 1.0]], b=[1.0, 2.0])
+    falling = QuadraticProgram(None, [1.0, 1.0])
+    for program, claim in ((contradicting, "infeasible"), (falling, "unbounded"), (SIMPLE, "optimal")):
+        found = certify(solve(program))
+        assert (found.verdict, found.claim) == ("proved", claim)
 
 
 @pytest.mark.parametrize("miss", [1e-7, 1e-5])

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import LCPError, QuadraticProgramBatch, solve, solve_batch
+from lcp_plugin import LCPError, QuadraticProgramBatch, Status, solve, solve_batch
 from lcp_plugin.core.kernels.compilation import compiling_at_once
 from lcp_plugin.problems.programs import solving
 from lcp_plugin.problems.programs.compiled_call import ProgramResult
@@ -286,3 +286,17 @@ def test_the_complementarity_problem_is_made_when_somebody_asks() -> None:
     assert refuted.proof is not None
     assert refuted.proof.verify()
     assert np.isnan(refuted.duals["inequality"]).all()
+
+
+def test_a_contradiction_that_is_kept_answers_the_compiled_call_only() -> None:
+    """After a solve of an infeasible program, too, the named algorithm runs, within its limit, and is recorded."""
+    arrays = (np.eye(2), [1.0, 1.0], [[1.0, 1.0], [-1.0, -1.0]], [1.0, -2.0])
+    solved = QuadraticProgram(*arrays)
+    result = solve(solved)
+    assert result.status is Status.INFEASIBLE
+    assert result.is_compiled
+    assert result.seconds > 0.0
+    for options in ({"algorithm": "lemke"}, {"record": True}, {"max_iterations": 1}):
+        first, second = (solve(program, **options) for program in (QuadraticProgram(*arrays), solved))
+        assert first.algorithm == second.algorithm
+        assert len(first.history) == len(second.history)

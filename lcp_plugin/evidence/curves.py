@@ -26,6 +26,8 @@ AXIS_LABELS = {
     RESIDUAL: "relative residual",
 }
 AXES = {"seconds": "time [s], set-up included", "work": "work [passes over M]"}
+LEAST = {"work": 1.0, "seconds": 1e-9}
+"""Less is not told apart: a run whose start is the answer counts one pass."""
 
 
 class Point(NamedTuple):
@@ -245,10 +247,6 @@ class Report(Exported):
 def _curve(content: Mapping[str, Any]) -> Curve:
     points = tuple(Point(int(entry[0]), *map(number, entry[1:])) for entry in content["points"])
     return Curve(content["label"], content["family"], content["status"], points, content["note"])
-
-
-LEAST = {"work": 1.0, "seconds": 1e-9}
-"""Less is not told apart: a run whose start is the answer counts one pass."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,9 @@ from ...core.errors import UnreadableFile
 NUMBERS = ("real", "double", "integer", "unsigned-integer")
 SIGN_OF_MIRROR = {"symmetric": 1.0, "skew-symmetric": -1.0}
 MOST_UNSEEN = 10_000_000  # rows or columns that a file may announce with less than a byte for each
+WHOLE = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
+NUMERIC = {"sparse", "double", "single", "logical", *WHOLE}
+WORDS = {"char": "text", "cell": "a cell array", "struct": "a struct", "object": "an object", "function": "a function"}
 
 
 def read_matrix_market(source: Path) -> Any:
@@ -117,11 +120,6 @@ def _from_columns(size: list[int], body: NDArray[np.float64], symmetry: str) -> 
 def _check_count(body: NDArray[np.float64], count: int) -> None:
     if body.size != count or (body.size and body.shape[1] != 1):
         raise ValueError(f"it announces {count} numbers, one a line, and holds {body.size}")
-
-
-WHOLE = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
-NUMERIC = {"sparse", "double", "single", "logical", *WHOLE}
-WORDS = {"char": "text", "cell": "a cell array", "struct": "a struct", "object": "an object", "function": "a function"}
 
 
 def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], list[str]]:

@@ -17,6 +17,37 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 
 Indices = NDArray[np.int64]
+NARY, PIECEWISE = -1, -2  # in ARITY: a number of operands follows; a number of slopes
+NO_OPERATOR = -9
+UNARY_OPERATORS = (13, 14, 15, 16, 34, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46, 47, 49, 50, 51, 52, 53, 77)
+BINARY_OPERATORS = (
+    0, 1, 2, 3, 4, 5, 6, 20, 21, 22, 23, 24, 28, 29, 30, 48, 55, 56, 57, 58, 62, 63, 66, 67, 68, 69, 73, 76, 78,
+)
+TERNARY_OPERATORS = (35, 65, 72)
+NARY_OPERATORS = (11, 12, 54, 59, 60, 61, 70, 71, 74, 75)
+PIECEWISE_OPERATOR = 64
+ARITY = np.full(79, NO_OPERATOR, dtype=np.int64)
+ARITY[list(UNARY_OPERATORS)] = 1
+ARITY[list(BINARY_OPERATORS)] = 2
+ARITY[list(TERNARY_OPERATORS)] = 3
+ARITY[list(NARY_OPERATORS)] = NARY
+ARITY[PIECEWISE_OPERATOR] = PIECEWISE
+SUFFIX_KIND, SUFFIX_IS_REAL = 3, 4  # bits of the first number of an S segment
+BOUND_WORDS = (2, 1, 1, 0, 1, 2)  # numbers behind the kind of a bound
+PARTNER = 5  # the kind of a complementarity row
+LINES = 10
+MOST_OPTIONS = 9
+WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
+LITTLE_ENDIAN, BIG_ENDIAN = 1, 2  # the kinds of arithmetic that can be read; 0 is the writer's own
+MOST_LINE_BYTES = 4096  # a line of the header is never longer
+NEEDED = {  # line: (numbers that must stand there, numbers that may)
+    2: (3, 6), 3: (2, 6), 4: (2, 2), 5: (2, 3), 6: (2, 4), 7: (2, 5), 8: (2, 2), 9: (2, 2), 10: (5, 5),
+}
+MEANING = {
+    2: "variables, rows, objectives", 3: "nonlinear rows and objectives", 4: "network rows", 5: "nonlinear variables",
+    6: "network variables, functions", 7: "integer variables", 8: "nonzeros", 9: "lengths of names",
+    10: "defined variables",
+}
 
 
 class Token(IntEnum):
@@ -137,28 +168,6 @@ class NLContent:
     tolerance: float | None = None
 
 
-NARY, PIECEWISE = -1, -2  # in ARITY: a number of operands follows; a number of slopes
-NO_OPERATOR = -9
-UNARY_OPERATORS = (13, 14, 15, 16, 34, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46, 47, 49, 50, 51, 52, 53, 77)
-BINARY_OPERATORS = (
-    0, 1, 2, 3, 4, 5, 6, 20, 21, 22, 23, 24, 28, 29, 30, 48, 55, 56, 57, 58, 62, 63, 66, 67, 68, 69, 73, 76, 78,
-)
-TERNARY_OPERATORS = (35, 65, 72)
-NARY_OPERATORS = (11, 12, 54, 59, 60, 61, 70, 71, 74, 75)
-PIECEWISE_OPERATOR = 64
-
-ARITY = np.full(79, NO_OPERATOR, dtype=np.int64)
-ARITY[list(UNARY_OPERATORS)] = 1
-ARITY[list(BINARY_OPERATORS)] = 2
-ARITY[list(TERNARY_OPERATORS)] = 3
-ARITY[list(NARY_OPERATORS)] = NARY
-ARITY[PIECEWISE_OPERATOR] = PIECEWISE
-
-SUFFIX_KIND, SUFFIX_IS_REAL = 3, 4  # bits of the first number of an S segment
-BOUND_WORDS = (2, 1, 1, 0, 1, 2)  # numbers behind the kind of a bound
-PARTNER = 5  # the kind of a complementarity row
-
-
 class Fault(ValueError):
     """What is wrong with a file, and in which line or at which byte."""
 
@@ -267,22 +276,6 @@ def checked_count(value: float, most: int, place: Any, what: str) -> int:
     if not 0 <= value <= most or value != int(value):
         fail(place, f"{what} is {value:g}, and only 0 to {most} is possible here")
     return int(value)
-
-
-LINES = 10
-MOST_OPTIONS = 9
-WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
-LITTLE_ENDIAN, BIG_ENDIAN = 1, 2  # the kinds of arithmetic that can be read; 0 is the writer's own
-MOST_LINE_BYTES = 4096  # a line of the header is never longer
-
-NEEDED = {  # line: (numbers that must stand there, numbers that may)
-    2: (3, 6), 3: (2, 6), 4: (2, 2), 5: (2, 3), 6: (2, 4), 7: (2, 5), 8: (2, 2), 9: (2, 2), 10: (5, 5),
-}
-MEANING = {
-    2: "variables, rows, objectives", 3: "nonlinear rows and objectives", 4: "network rows", 5: "nonlinear variables",
-    6: "network variables, functions", 7: "integer variables", 8: "nonzeros", 9: "lengths of names",
-    10: "defined variables",
-}
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,27 @@ from ...modeling.expressions import functions
 from ...modeling.expressions.functions import Function
 from .content import NLContent, Token
 
+#: What is not taken; none of it is smooth everywhere.
+REFUSED = {
+    4: "mod", 6: "less", 11: "min", 12: "max", 13: "floor", 14: "ceil", 15: "abs", 20: "or", 21: "and", 22: "<",
+    23: "<=", 24: "=", 28: ">=", 29: ">", 30: "<>", 34: "not", 35: "if", 48: "atan2", 55: "div", 56: "precision",
+    57: "round", 58: "trunc", 59: "count", 60: "numberof", 61: "numberof", 62: "atleast", 63: "atmost",
+    64: "piecewise-linear term", 65: "if", 66: "exactly", 67: "not atleast", 68: "not atmost", 69: "not exactly",
+    70: "forall", 71: "exists", 72: "==>", 73: "<==>", 74: "alldiff", 75: "not alldiff",
+}
+REMEDIES = {
+    "abs": "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
+    "max": "max(a, b) is a + s with s >= 0 complements a + s - b >= 0",
+    "min": "min(a, b) is a - s with s >= 0 complements b - a + s >= 0",
+}
+MOST_FILL = 4  # how much of what there is may be put in for defined variables
+MOST_NESTED = 1000  # functions in one another: each level is one more that derivatives go through
+NUMBER, VARIABLE, OPERATOR = int(Token.NUMBER), int(Token.VARIABLE), int(Token.OPERATOR)
+NONE = -1
+#: What becomes of a defined variable: its only user holds it, or all users do, or it is a quantity of its own: a
+#: function, or where it is affine, one more unknown with an equation.
+INLINE, PUT_IN, OWN, UNKNOWN = range(4)
+
 
 class Arithmetic(Enum):
     """Operators that are affine, or become another function, where operands are constants."""
@@ -60,30 +81,8 @@ OPERATORS: dict[int, Arithmetic | Function] = {
     78: Arithmetic.POWER,
 }
 
-#: What is not taken; none of it is smooth everywhere.
-REFUSED = {
-    4: "mod", 6: "less", 11: "min", 12: "max", 13: "floor", 14: "ceil", 15: "abs", 20: "or", 21: "and", 22: "<",
-    23: "<=", 24: "=", 28: ">=", 29: ">", 30: "<>", 34: "not", 35: "if", 48: "atan2", 55: "div", 56: "precision",
-    57: "round", 58: "trunc", 59: "count", 60: "numberof", 61: "numberof", 62: "atleast", 63: "atmost",
-    64: "piecewise-linear term", 65: "if", 66: "exactly", 67: "not atleast", 68: "not atmost", 69: "not exactly",
-    70: "forall", 71: "exists", 72: "==>", 73: "<==>", 74: "alldiff", 75: "not alldiff",
-}
 
-REMEDIES = {
-    "abs": "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
-    "max": "max(a, b) is a + s with s >= 0 complements a + s - b >= 0",
-    "min": "min(a, b) is a - s with s >= 0 complements b - a + s >= 0",
-}
-
-
-MOST_FILL = 4  # how much of what there is may be put in for defined variables
-MOST_NESTED = 1000  # functions in one another: each level is one more that derivatives go through
-NUMBER, VARIABLE, OPERATOR = int(Token.NUMBER), int(Token.VARIABLE), int(Token.OPERATOR)
 SUMS = (Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION)
-NONE = -1
-#: What becomes of a defined variable: its only user holds it, or all users do, or it is a quantity of its own: a
-#: function, or where it is affine, one more unknown with an equation.
-INLINE, PUT_IN, OWN, UNKNOWN = range(4)
 
 
 class Tokens:

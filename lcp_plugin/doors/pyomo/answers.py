@@ -43,6 +43,17 @@ from .pairs import Pair
 
 FEASIBLE = 1e-6  # what holds beside the rows of the problem may be violated by that, or by ten times the tolerance
 NO_POINT = (Status.INFEASIBLE, Status.NO_SOLUTION)
+ENDS = {
+    Status.SOLVED: TerminationCondition.convergenceCriteriaSatisfied,
+    Status.UNBOUNDED: TerminationCondition.unbounded,
+    Status.MAX_ITERATIONS: TerminationCondition.iterationLimit,
+    Status.MAX_SECONDS: TerminationCondition.maxTimeLimit,
+    Status.INTERRUPTED: TerminationCondition.interrupted,
+    Status.INFEASIBLE: TerminationCondition.provenInfeasible,
+    Status.NO_SOLUTION: TerminationCondition.provenInfeasible,
+}
+NOT_JUDGED = getattr(SolutionStatus, "unknown", SolutionStatus.infeasible)
+LOADER = getattr(solution_loader, "SolutionLoader", None) or solution_loader.SolutionLoaderBase
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,19 +207,6 @@ def imported(model: Any, name: str) -> Any:
     """Return the suffix of that name that wants values from solvers, the nearest to the root, or None."""
     suffixes = model.component_objects(Suffix, active=True, descend_into=True, sort=SortComponents.deterministic)
     return next((suffix for suffix in suffixes if suffix.local_name == name and suffix.import_enabled()), None)
-
-
-ENDS = {
-    Status.SOLVED: TerminationCondition.convergenceCriteriaSatisfied,
-    Status.UNBOUNDED: TerminationCondition.unbounded,
-    Status.MAX_ITERATIONS: TerminationCondition.iterationLimit,
-    Status.MAX_SECONDS: TerminationCondition.maxTimeLimit,
-    Status.INTERRUPTED: TerminationCondition.interrupted,
-    Status.INFEASIBLE: TerminationCondition.provenInfeasible,
-    Status.NO_SOLUTION: TerminationCondition.provenInfeasible,
-}
-NOT_JUDGED = getattr(SolutionStatus, "unknown", SolutionStatus.infeasible)
-LOADER = getattr(solution_loader, "SolutionLoader", None) or solution_loader.SolutionLoaderBase
 
 
 class Loader(LOADER):  # type: ignore[misc, valid-type]

@@ -54,6 +54,10 @@ SMALLEST_STEP = 1e-8  # a shorter one leads nowhere
 PRECISION = EPSILON**2  # complementarity, ÷ that of the start, from which on rounding decides
 STEPS = 100
 REFINED = 0.5  # what a correction on the same face has to leave at the most to be followed by another
+REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
+SUFFICIENT = 1e-4  # share of the fall that the gradient promises
+SETTLED = 2  # steps in a row that leave the face as it is
+Steps = Generator[FacePoint, None, FacePoint]
 
 
 def block_pivot_steps(start: FacePoint, faces: Faces) -> Iterator[FacePoint]:
@@ -195,13 +199,6 @@ def _without(point: FacePoint, free: BoolVector, correction: FloatVector) -> Boo
     hardest = point.is_free.copy()
     hardest[np.argmax(np.abs(np.where(let_go, point.pull, 0.0)))] = True
     return hardest
-
-
-REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
-SUFFICIENT = 1e-4  # share of the fall that the gradient promises
-SETTLED = 2  # steps in a row that leave the face as it is
-
-Steps = Generator[FacePoint, None, FacePoint]
 
 
 def projected_steps(start: FacePoint) -> Iterator[FacePoint]:

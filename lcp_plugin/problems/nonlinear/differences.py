@@ -37,6 +37,14 @@ from ...core.solving.run import Run
 from ...methods.lemke.lemke import Lemke
 from ...methods.small.fused import fused
 
+DENSE_PATTERN_UP_TO = 1000  # unknowns, each of which costs an evaluation of F a derivative
+STEP = float(np.sqrt(EPSILON))  # of |x_i|: rounding and curvature take about as many digits
+SMALL = 1e-3  # beside a step that is made for unknowns of the size 1
+ROUNDINGS, TOLD = 4.0, 1024.0  # of F: a difference is one, or none
+FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
+LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
+PATHS = 2  # of pivots
+
 
 @compiled
 def colour_columns(indptr, indices, row_indptr, row_indices, colours):  # type: ignore[no-untyped-def]
@@ -57,12 +65,6 @@ def colour_columns(indptr, indices, row_indptr, row_indices, colours):  # type: 
         while seen_by[uintp(first)] == j:
             first += 1
         colours[j] = first
-
-
-DENSE_PATTERN_UP_TO = 1000  # unknowns, each of which costs an evaluation of F a derivative
-STEP = float(np.sqrt(EPSILON))  # of |x_i|: rounding and curvature take about as many digits
-SMALL = 1e-3  # beside a step that is made for unknowns of the size 1
-ROUNDINGS, TOLD = 4.0, 1024.0  # of F: a difference is one, or none
 
 
 class Differences:
@@ -183,11 +185,6 @@ def _steps(size: FloatVector, x: FloatVector, lower: FloatVector, upper: FloatVe
         ahead, behind = np.where(sign > 0.0, above, below), np.where(sign > 0.0, below, above)
         steps: FloatVector = np.where((ahead < length) & (behind > ahead), -sign, sign) * length
     return steps
-
-
-FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
-LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
-PATHS = 2  # of pivots
 
 
 class LinearPolicy(Policy):

@@ -33,6 +33,7 @@ Row = dict[int, Fraction]
 Vector = list[Fraction]
 
 ZERO = Fraction(0)
+LEAST = -LARGEST
 
 
 def integers(values: FloatVector) -> tuple[list[int], int]:
@@ -188,9 +189,6 @@ def short(values: FloatVector, denominator: int = 1 << 30) -> Vector:
         return [ZERO] * values.size
     unit = Fraction(2) ** int(np.floor(np.log2(largest))) / denominator
     return [round(Fraction(value) / unit) * unit for value in values.tolist()]
-
-
-LEAST = -LARGEST
 
 
 def sum_above(a: Any, b: Any) -> FloatVector:

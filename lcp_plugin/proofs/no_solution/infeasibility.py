@@ -38,6 +38,11 @@ from .refutation import (
     row_choices,
 )
 
+Verdict = Literal["infeasible", "feasible", "undecided"]
+DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
+UNITS_TRIED = 3
+MOST_PASSES = 50
+
 
 @interpreted_while_small
 def is_missed(indptr, indices, data, q, lower, upper, rows):  # type: ignore[no-untyped-def]
@@ -52,13 +57,6 @@ def is_missed(indptr, indices, data, q, lower, upper, rows):  # type: ignore[no-
         if (upper[i] == np.inf and highest + q[i] < 0.0) or (lower[i] == -np.inf and lowest + q[i] > 0.0):
             return True
     return False
-
-
-Verdict = Literal["infeasible", "feasible", "undecided"]
-
-DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
-UNITS_TRIED = 3
-MOST_PASSES = 50
 
 
 @dataclass(frozen=True, eq=False)

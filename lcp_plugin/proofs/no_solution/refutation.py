@@ -28,6 +28,8 @@ from .linear_constraints import Contradiction, within
 
 _exact: WeakKeyDictionary[LCP, list[Fraction]] = WeakKeyDictionary()
 SAFE_RANGE = (1e-290, 1e290)
+LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
+FEW = 500  # rows up to which all of M is kept in integers
 
 
 def exact_reference(problem: LCP, row: int) -> Fraction:
@@ -59,10 +61,6 @@ def _exact_reference(problem: LCP, row: int) -> Fraction:
         _exact[problem] = exactly_weighted(problem, problem.nearest_to_zero)
     rows = range(problem.own) if several is None else np.flatnonzero(several.labels == part).tolist()
     return max(_exact[problem][i] for i in rows)
-
-
-LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
-FEW = 500  # rows up to which all of M is kept in integers
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:

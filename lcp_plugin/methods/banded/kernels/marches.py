@@ -22,6 +22,8 @@ from ....core.kernels.floats import TINY, UNIT
 
 ROUNDS = 10  # beyond, the contacts of a march are rather found directly
 UNDERFLOW = 4.0 * TINY / UNIT  # stands among the magnitudes of a sum for what it takes from a product and its error
+NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular to double precision
+EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
 
 
 @compiled_part
@@ -187,10 +189,6 @@ def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     first = before[0] + before[2] * own, before[1] + before[2] * left, before[2] * right
     last = after[3] + after[4] * own, after[4] * left, after[5] + after[4] * right
     return (first[0], first[1], first[2], last[0], last[1], last[2]), pivot
-
-
-NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular to double precision
-EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
 
 
 @compiled_part

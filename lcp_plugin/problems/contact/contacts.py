@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem
 from ...core.lcp import LCP
+from ...core.solving.result import Result
 
 FloatArray = NDArray[np.float64]
 
@@ -115,6 +116,7 @@ class Contacts:
         Parameters
         ----------
         answer : Result, BatchResult or array, shape (n,) or (B, n)
+            A Result of ``problem.with_q(q)`` has the velocities that its q stands for.
 
         Raises
         ------
@@ -126,11 +128,21 @@ class Contacts:
         impulses = np.empty((*z.shape[:-1], *self.velocities.shape[-2:]))
         impulses[..., 0] = z[..., :k]
         impulses[..., 1:] = z[..., k:-k].reshape(*z.shape[:-1], k, m) @ self.edges
-        moved = (self.W @ impulses.reshape(*z.shape[:-1], -1, 1)).reshape(impulses.shape) + self.velocities
+        given = self._velocities_of(answer)
+        moved = (self.W @ impulses.reshape(*z.shape[:-1], -1, 1)).reshape(impulses.shape) + given
         slip, touches = moved[..., 1:], z[..., :k] > 0.0
-        still = STILL * np.abs(self.velocities).max(axis=(-2, -1), initial=0.0)
+        still = STILL * np.abs(given).max(axis=(-2, -1), initial=0.0)
         sticks = touches & (np.abs(slip).max(axis=-1) <= np.expand_dims(still, -1))
         return ContactMotion(impulses[..., 0], impulses[..., 1:], moved[..., 0], slip, touches, sticks)
+
+    def _velocities_of(self, answer: Any) -> FloatArray:
+        """Return the velocities without impulses, of the problem that a Result answers where that has another q."""
+        problem = answer.certificate.problem if isinstance(answer, Result) else None
+        if problem is None or problem.origin is self:
+            return self.velocities
+        k, along_edges = self.count, np.linalg.pinv(self.edges)
+        tangential = problem.q[k:-k or None].reshape(k, -1) @ along_edges.T
+        return np.concatenate([problem.q[:k, np.newaxis], tangential], axis=1)
 
     def start_from(self, answer: Any, same: ArrayLike) -> FloatArray:
         """Return a start z0, shape (n,), from the answer before, of contacts some of which have come or gone.
@@ -252,15 +264,14 @@ def contact_data(contacts: Any, friction: ArrayLike, velocities: ArrayLike, dire
     [[[-0.3, 0.0]], [[-0.5, 0.0]]]
     """
     given = _array(velocities, "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane")
-    if isinstance(contacts, tuple):
-        W, given = _of_bodies(contacts, given)
+    if isinstance(contacts, tuple) or (isinstance(contacts, list) and len(contacts) == 3 and np.ndim(contacts[0]) == 2):
+        W, given = _of_bodies(tuple(contacts), given)
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         _check_symmetric(W, "W")
     if given.ndim not in (2, 3) or given.shape[-1] not in (2, 3) or given.shape[-2] * given.shape[-1] != W.shape[-1]:
         _refuse_velocities(W.shape[-1], given)
-    edges = _edges(given.shape[-1] - 1, directions)
-    k = given.shape[-2]
+    edges, k = _edges(given.shape[-1] - 1, directions), given.shape[-2]
     need = f"friction must be a number, or an array of shape ({k},): one a contact"
     mu = _array(friction, need)
     if mu.ndim and (mu.ndim > 2 or mu.shape[-1] != k):
@@ -322,8 +333,8 @@ def _check_directions(rows: FloatArray, mass: FloatArray) -> None:
     """Refuse rows (k, d, v) that are no unit vectors where they show it.
 
     Columns in which the mass matrix is m times the identity, beside zeros, are translations of a free body, or
-    rotations of one with three equal moments of inertia. Normal and tangents there are all orthogonal and nonzero
-    for translations only: r × n, r × t and r × s lie in a plane.
+    rotations of one with three equal moments of inertia. Normal and tangents are linearly independent there for
+    translations only: r × n, r × t and r × s lie in a plane.
     """
     *batch, _, d, v = rows.shape
     if batch or mass.ndim != 2:
@@ -334,17 +345,17 @@ def _check_directions(rows: FloatArray, mass: FloatArray) -> None:
         others = np.delete(mass[own], np.s_[own], axis=1)
         if others.any() or not np.array_equal(mass[own, own], mass[first, first] * np.eye(d)):
             continue
-        lengths = np.linalg.norm(rows[:, :, own], axis=2)
-        products = rows[:, :, own] @ np.swapaxes(rows[:, :, own], 1, 2) - lengths[:, :, None] ** 2 * np.eye(d)
-        are = (lengths > 0.0).all(axis=1) & (np.abs(products).max(axis=(1, 2)) <= UNIT * lengths.max(axis=1) ** 2)
-        off = np.abs(lengths - 1.0).max(axis=1)
-        seen, worst = seen | are, np.where(are, np.minimum(worst, off), worst)
+        products = rows[:, :, own] @ np.swapaxes(rows[:, :, own], 1, 2)
+        lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
+        are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT
+        seen, worst = seen | are, np.where(are, np.minimum(worst, np.abs(products - np.eye(d)).max(axis=(1, 2))), worst)
     wrong = np.flatnonzero(seen & (worst > UNIT))
     if wrong.size:
         c = int(wrong[0])
         raise InvalidProblem(
-            f"normals and tangents must be unit vectors, but those of contact {c} are off by {worst[c]:.2g} in the "
-            "translations of a body; divide each by its length, the lever arms with it"
+            f"normals and tangents must be orthogonal unit vectors, but those of contact {c} are off by {worst[c]:.2g} "
+            "in the translations of a body; divide each by its length, the lever arms with it; or, where the unknowns "
+            "are no translations, give W = J m⁻¹ Jᵀ and the velocities J u"
         )
 
 
@@ -371,7 +382,7 @@ def _array(values: Any, need: str) -> FloatArray:
 
 def _check_symmetric(matrix: FloatArray, name: str) -> None:
     if matrix.ndim not in (2, 3) or matrix.shape[-1] != matrix.shape[-2]:
-        raise InvalidProblem(f"{name} must be square, got shape {matrix.shape}")
+        raise InvalidProblem(f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)")
     difference = np.abs(matrix - np.swapaxes(matrix, -1, -2)).max(initial=0.0)
     if difference > SYMMETRIC * np.abs(matrix).max(initial=0.0):
         raise InvalidProblem(
@@ -383,8 +394,7 @@ def _check_symmetric(matrix: FloatArray, name: str) -> None:
 def _refuse_velocities(size: int, velocities: FloatArray) -> None:
     d = velocities.shape[-1] if velocities.ndim > 1 and velocities.shape[-1] in (2, 3) else 3 if size % 3 == 0 else 2
     count = velocities.shape[-2] if velocities.ndim > 1 else velocities.size
-    amount = "few" if count < size // d else "many"
     raise InvalidProblem(
         f"velocities must have shape ({size // d}, {d}): one row (normal, tangents) a contact, W having {size} rows, "
-        f"got {velocities.shape}: too {amount}; of the bodies' own velocities give J u, or the mass matrix and u"
+        f"got {velocities.shape}: too {'few' if count < size // d else 'many'}; of bodies give J u, or the mass matrix and u"
     )

@@ -209,7 +209,10 @@ class Derivative:
 
     @property
     def determined(self) -> BoolVector:
-        """Which z_i are the same for all solutions with these free rows, shape (n,); all where M_FF is regular."""
+        """Which z_i are the same for all solutions with the rows in `free` free, shape (n,); all where M_FF is regular.
+
+        Where rows are degenerate, solutions with other free rows may have others.
+        """
         determined = np.ones(self.problem.own, np.bool_)
         determined[self._system.rows] = self._system.determined
         return determined
@@ -220,13 +223,12 @@ class Derivative:
         system, rows = self._system, self.degenerate
         if rows.size:
             named = ", ".join(map(str, rows[:5].tolist())) + (", …" if rows.size > 5 else "")
-            return (
+            kink = (
                 f"{rows.size} rows ({named}) are at a bound with w = 0: jvp is one-sided, and vjp the gradient of one "
                 "of the pieces that meet there"
             )
-        if not system.is_singular:
-            return ""
-        return words_on_singular(self.problem, system)
+            return f"{kink}; {words_on_singular(self.problem, system)}" if system.is_singular else kink
+        return words_on_singular(self.problem, system) if system.is_singular else ""
 
     def jvp(
         self, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,

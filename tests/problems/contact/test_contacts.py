@@ -116,7 +116,7 @@ MISTAKES: dict[str, tuple[str, Any]] = {
     "negative number": ("must not be negative, but friction = -0.5", (EYE, -0.5, FALL)),
     "friction of others": (r"array of shape \(1,\)", (EYE, [0.5, 0.5], FALL)),
     "tangents not unit": (
-        "must be unit vectors, but those of contact 0 are off by 1 .* divide",
+        "must be orthogonal unit vectors, but those of contact 0 are off by .* divide",
         ((np.eye(3), [[0, 0, 1]], [[[2, 0, 0], [0, 1, 0]]]), 0.5, np.zeros(3)),
     ),
     "too few velocities": (r"must have shape \(2, 3\).*too few", (np.eye(6), 0.5, FALL)),
@@ -151,3 +151,25 @@ def test_rotations_of_length_one_are_no_mistake() -> None:
         rows = np.hstack([np.cross(arm, directions), directions])
         contacts = (np.diag([1.0, 1, 1, 2, 2, 2]), rows[:1], rows[None, 1:])
         assert solve(LCP.from_contacts(contacts, 0.5, [0, 0, 0, 0, 0, -1.0])).is_solved
+
+
+@pytest.mark.parametrize(
+    "tangents",
+    [[[1, 1, 0], [0, 1, 0]], [[3, 1, 0], [0, 5, 0]], [[5, 0, 0.1], [0, 5, 0]], [[1, 0, 0], [0.6, 0.8, 0]]],
+    ids=["long and skew", "longer", "along the normal", "unit and skew"],
+)
+def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list[float]]) -> None:
+    """What is skew is refused as well, with a way out for unknowns that are no translations."""
+    bodies = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [tangents]
+    with pytest.raises(InvalidProblem, match=r"must be orthogonal unit vectors.*or, where the unknowns are no transl"):
+        LCP.from_contacts(bodies, 0.4, [0.5, 0.3, -1.0])
+
+
+def test_an_answer_to_another_q_has_its_own_velocities() -> None:
+    """``problem.with_q(q)`` along a trajectory leads back to the velocities that its q stands for."""
+    bodies = [np.diag([2.0, 2.0, 2.0]), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]]
+    here, there = (LCP.from_contacts(bodies, 0.4, u) for u in ([0.5, 0.3, -1.0], [4.0, -0.2, -0.5]))
+    moved = here.origin.recover(solve(here.with_q(there.q)))
+    truth = there.origin.recover(solve(there))
+    for name in ("normal", "tangential", "separation", "slip", "sticks"):
+        assert getattr(moved, name) == pytest.approx(getattr(truth, name), abs=1e-14)

@@ -396,5 +396,5 @@ def _refuse_velocities(size: int, velocities: FloatArray) -> None:
     count = velocities.shape[-2] if velocities.ndim > 1 else velocities.size
     raise InvalidProblem(
         f"velocities must have shape ({size // d}, {d}): one row (normal, tangents) a contact, W having {size} rows, "
-        f"got {velocities.shape}: too {'few' if count < size // d else 'many'}; of bodies give J u, or the mass matrix and u"
+        f"got {velocities.shape}: too {'few' if count < size // d else 'many'}; of bodies give the mass matrix and u"
     )

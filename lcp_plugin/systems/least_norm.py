@@ -23,4 +23,5 @@ def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
     left, sizes, right = np.linalg.svd(blocks)
     is_kept = sizes > SINGULAR * sizes[:, :1]
     reciprocal = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=is_kept)
-    return (right.mT * reciprocal[:, np.newaxis]) @ left.mT, np.any(~is_kept, axis=1)
+    right, left = np.swapaxes(right, 1, 2), np.swapaxes(left, 1, 2)
+    return (right * reciprocal[:, np.newaxis]) @ left, np.any(~is_kept, axis=1)

@@ -296,7 +296,7 @@ COMPILE = """
     print(*kernels.row_splits(problem.csr, backward=False))
 """
 ELEMENTWISE = """
-    from lcp_plugin.proofs.exact.rational import sum_above
+    from lcp_plugin.proofs.exact.upward import sum_above
     print(sum_above(1.0, 2.0))
 """
 SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"

@@ -211,7 +211,7 @@ def test_a_size_or_a_matrix_that_is_refused_is_a_row_with_the_reason() -> None:
         ((5, ["psor"]), {}, InvalidOption, "problems must be a list"),
         (([], ["psor"]), {}, InvalidOption, "problems must be a list"),
         ((["half_activ"], ["psor"]), {}, InvalidOption, "did you mean 'half_active'"),
-        ((QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]), {}, InvalidOption, r"LCP.from_qp\(program\)"),
+        ((QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]), {}, InvalidOption, r"LCP.from_qp\(program\.P"),
         ((chain, ["psr"], [4]), {}, UnknownAlgorithm, "did you mean 'psor'"),
         ((chain, ["psor"], [0]), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),
         ((chain, ["psor"], "4"), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),

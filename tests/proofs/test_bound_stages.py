@@ -16,7 +16,7 @@ from lcp_plugin.proofs.bounds import error_bounds, row_inequality, solution_boun
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.bounds.row_inequality import RowInequality
 from lcp_plugin.proofs.bounds.solution_bounds import EigenvalueBound, bounds_of, smallest_eigenvalue_bound
-from lcp_plugin.proofs.exact.rational import product_above, quotient_above, sum_above
+from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.systems import factors, free_systems
 from lcp_plugin.systems.equilibration import unit_diagonal
 from lcp_plugin.systems.factors import positive_factor

@@ -17,7 +17,7 @@ from lcp_plugin.proofs.bounds import error_bounds, solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
 from lcp_plugin.proofs.bounds.row_inequality import RowInequality
 from lcp_plugin.proofs.bounds.solution_bounds import HPlusBounds, bounds_of, smallest_eigenvalue_bound
-from lcp_plugin.proofs.exact.rational import product_above, quotient_above, sum_above
+from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.proofs.verdicts import comparison_certificate
 from lcp_plugin.proofs.verdicts.verdicts import eigenvalue_proven
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps

@@ -1,6 +1,4 @@
-"""The derivative of a function by differences: columns that share no row are moved together; and its linearisation.
-
-Solving a linearisation is a run within another one, which judges its steps itself.
+"""The derivative of a function by differences: columns that share no row are moved together.
 
 References
 ----------
@@ -10,61 +8,21 @@ A. R. Curtis, M. J. D. Powell, J. K. Reid, *On the estimation of sparse Jacobian
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numba import uintp
 from numpy.typing import NDArray
 
-from ...core.algorithms import Algorithm
-from ...core.certificates.criterion import CommonUnits
 from ...core.checks import BoolVector, FloatVector
-from ...core.crossovers import INTERIOR_STEPS
-from ...core.deadline import Clock, seconds_left
 from ...core.errors import InvalidProblem
-from ...core.kernels.compilation import compiled
 from ...core.kernels.floats import EPSILON
-from ...core.lcp import LCP
-from ...core.policy.choice import Policy, policy_for
-from ...core.policy.stages import Choice, Stage
-from ...core.settings import Settings
-from ...core.solving.result import Result, Sample
-from ...core.solving.run import Run
-from ...methods.lemke.lemke import Lemke
-from ...methods.small.fused import fused
 
 DENSE_PATTERN_UP_TO = 1000  # unknowns, each of which costs an evaluation of F a derivative
 STEP = float(np.sqrt(EPSILON))  # of |x_i|: rounding and curvature take about as many digits
 SMALL = 1e-3  # beside a step that is made for unknowns of the size 1
 ROUNDINGS, TOLD = 4.0, 1024.0  # of F: a difference is one, or none
-FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
-LARGE = 1000  # unknowns: beyond them steps without progress are too expensive
-PATHS = 2  # of pivots
-
-
-@compiled
-def colour_columns(indptr, indices, row_indptr, row_indices, colours):  # type: ignore[no-untyped-def]
-    """Give each column the first colour that no column has which meets one of its rows; colours begin as −1.
-
-    The pattern comes by columns and by rows. Cost: the sum of the squared lengths of the rows.
-    """
-    one, n = uintp(1), uintp(colours.size)
-    seen_by = np.full(colours.size + 1, -1, np.int64)  # which column has met this colour last
-    for j in range(n):
-        for k in range(uintp(indptr[j]), uintp(indptr[j + one])):
-            i = uintp(indices[k])
-            for m in range(uintp(row_indptr[i]), uintp(row_indptr[i + one])):
-                colour = colours[uintp(row_indices[m])]
-                if colour >= 0:
-                    seen_by[uintp(colour)] = j
-        first = 0
-        while seen_by[uintp(first)] == j:
-            first += 1
-        colours[j] = first
 
 
 class Differences:
@@ -97,6 +55,7 @@ class Differences:
                     f"n = {DENSE_PATTERN_UP_TO}; give a jacobian, or the pattern of its entries as a sparse array"
                 )
             return cls(sp.csc_array(np.ones((n, n))), np.arange(n, dtype=np.int32))
+        from .kernels import colour_columns
 
         rows = sp.csr_array(pattern)
         groups = np.full(n, -1, dtype=np.int32)
@@ -185,59 +144,3 @@ def _steps(size: FloatVector, x: FloatVector, lower: FloatVector, upper: FloatVe
         ahead, behind = np.where(sign > 0.0, above, below), np.where(sign > 0.0, below, above)
         steps: FloatVector = np.where((ahead < length) & (behind > ahead), -sign, sign) * length
     return steps
-
-
-class LinearPolicy(Policy):
-    """What solves a linearisation: the caller's policy without a look for proofs; pivots are its last resort."""
-
-    def __init__(self, algorithm: str | Algorithm) -> None:
-        self._policy = policy_for(algorithm, {}, refutes=False, looks_at_cases=False)
-        self.name, self.chosen = self._policy.name, self._policy.chosen
-
-    def first(self, problem: LCP) -> Choice:
-        """Return what the policy begins with."""
-        return self._policy.first(problem)
-
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
-        """Return the policy's next choice; pivots are the last, and nothing has two turns."""
-        if isinstance(stages[-1].algorithm, Lemke):
-            return None
-        choice = self._policy.next_step(problem, stages, target, failed)
-        if choice is None or any(stage.algorithm == choice.algorithm for stage in stages):
-            return None
-        is_pivoting = isinstance(choice.algorithm, Lemke)
-        return replace(choice, algorithm=Lemke(restarts=PATHS)) if is_pivoting else choice
-
-
-def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
-    """Return the result of a run within another one, whose limits hold for it and whose Ctrl-C ends both.
-
-    It solves a linearisation of a nonlinear problem, from the projected gradient step: the methods see a start and look
-    for a solution near it.
-    """
-    left, clock, units = seconds_left(), Clock(problem.communicator), CommonUnits.of(problem)
-    policy = LinearPolicy(algorithm)
-    settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
-    step = np.nan_to_num(-problem.q / problem.residual_scale)
-    start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
-    if (result := fused(units, policy, first, settings, start, clock)) is not None:
-        return result
-    run = Run(units, policy, settings, _Patience() if problem.n > LARGE else None, clock)
-    return run.judged(start, run.drive(start, first))
-
-
-class _Patience:
-    """Ends a run in which many factorisations have not halved the residual."""
-
-    def __init__(self) -> None:
-        self.lowest, self.idle, self.before = math.inf, 0, 0
-
-    def __call__(self, sample: Sample, z: FloatVector) -> bool:
-        """Return whether the run has had its time."""
-        residual, steps = math.inf if sample.residual is None else sample.residual, sample.iteration - self.before
-        self.before = sample.iteration
-        if residual <= 0.5 * self.lowest:
-            self.lowest, self.idle = residual, 0
-        elif sample.label in FACTORS:
-            self.idle += steps
-        return self.idle >= FACTORS.get(sample.label, math.inf)

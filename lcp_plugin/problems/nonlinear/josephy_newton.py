@@ -26,7 +26,7 @@ from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister, 
 from ...systems.factors import factor_fits, factorise
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations
-from .differences import solved_within
+from .linearisation import solved_within
 
 SUFFICIENT = 1e-4
 SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened

@@ -36,7 +36,7 @@ from ...core.matrix.matrix import Matrix
 from ...core.rounding import gamma, lower_end
 from ...proofs.bounds.error_bounds import ErrorBound, relative_to
 from ...proofs.bounds.row_inequality import NearPoint
-from ...proofs.exact.rational import quotient_above, sum_above
+from ...proofs.exact.upward import quotient_above, sum_above
 from ...proofs.verdicts import comparison_certificate
 from ...systems.comparison_sums import comparison_product
 from .data import Enclosure

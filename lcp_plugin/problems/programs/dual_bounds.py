@@ -31,18 +31,8 @@ from ...core.matrix.structure import row_numbers
 from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end
 from ...proofs.bounds.curvature import Curvature
 from ...proofs.exact.linear_systems import independent_rows, solved_nearby
-from ...proofs.exact.rational import (
-    ZERO,
-    Row,
-    Vector,
-    enclosures,
-    product_above,
-    products,
-    quotient_above,
-    rational,
-    rational_rows,
-    sum_above,
-)
+from ...proofs.exact.rational import ZERO, Row, Vector, enclosures, products, rational, rational_rows
+from ...proofs.exact.upward import product_above, quotient_above, sum_above
 from .program import QuadraticProgram
 from .reductions import fold_simple_rows
 

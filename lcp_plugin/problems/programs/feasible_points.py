@@ -20,7 +20,8 @@ from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.rounding import compensated_pair, compensated_product, gamma, upper_end
 from ...proofs.exact.linear_systems import solved_nearby
-from ...proofs.exact.rational import Vector, enclosures, product_above, products, rational, sum_above
+from ...proofs.exact.rational import Vector, enclosures, products, rational
+from ...proofs.exact.upward import product_above, sum_above
 from .dual_bounds import ROOMS, least_squares
 from .program import QuadraticProgram
 from .qp_certificates import feasible_point

@@ -19,7 +19,8 @@ from ...core.kernels.floats import EPSILON
 from ...core.rounding import compensated_product, gamma
 from ...proofs.bounds.curvature import constrained_curvature
 from ...proofs.bounds.solution_bounds import norm_above
-from ...proofs.exact.rational import enclosures, quotient_above, sum_above
+from ...proofs.exact.rational import enclosures
+from ...proofs.exact.upward import quotient_above, sum_above
 from .compiled_call import solved_at_once
 from .dual_bounds import DualBounds, implied_box
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds

@@ -21,7 +21,7 @@ from ...core.kinds import refusal
 from ...core.lcp import LCP
 from ...core.rounding import lower_end
 from ...systems.comparison_sums import comparison_product
-from ..exact.rational import quotient_above, sum_above
+from ..exact.upward import quotient_above, sum_above
 from ..verdicts import comparison_solve, h_verdict
 from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
 from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of

@@ -34,7 +34,7 @@ from ...core.lcp import LCP
 from ...core.rounding import compensated_pair, compensated_product
 from ...systems.comparison_sums import comparison_product
 from ...systems.free_systems import KRYLOV_GOAL, FreeSystem
-from ..exact.rational import product_above, quotient_above, sum_above
+from ..exact.upward import product_above, quotient_above, sum_above
 from ..verdicts import Weights
 
 

@@ -32,7 +32,7 @@ from ...core.rounding import compensated_product, gamma
 from ...systems.equilibration import unit_diagonal
 from ...systems.factors import PositiveFactor, factor_fits, positive_factor
 from ...systems.free_systems import FreeSystem
-from ..exact.rational import product_above, quotient_above, sum_above
+from ..exact.upward import product_above, quotient_above, sum_above
 from ..verdicts import Weights, comparison_weights
 from ..verdicts.verdicts import eigenvalue_proven
 from .row_inequality import NearPoint, RowInequality

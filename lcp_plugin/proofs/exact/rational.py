@@ -1,9 +1,6 @@
-"""Exact arithmetic on what is stored in doubles, and doubles rounded upwards.
+"""Exact arithmetic on what is stored in doubles.
 
-Exact are integers with an exponent, fractions, products of sparse rows, slack and complementarity. Sums, products and
-quotients are rounded upwards element by element. An exact result stays exact, so that a bound of 0 can be had. Nothing
-is lost to overflow: a sum or quotient of −∞ becomes the least double, which is above whatever it stands for. NaN stays
-NaN. Compiled at the first call: one pass without temporaries instead of nine, on vectors that do not fit the cache.
+Integers with an exponent, fractions, products of sparse rows, slack and complementarity.
 """
 
 from __future__ import annotations
@@ -18,13 +15,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from numpy.typing import ArrayLike
 
 from ...core.checks import FloatVector
 from ...core.errors import InvalidProblem
-from ...core.kernels.compilation import compiled_elementwise
-from ...core.kernels.floats import EPSILON, LARGEST, TINY
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 
@@ -33,7 +27,6 @@ Row = dict[int, Fraction]
 Vector = list[Fraction]
 
 ZERO = Fraction(0)
-LEAST = -LARGEST
 
 
 def integers(values: FloatVector) -> tuple[list[int], int]:
@@ -189,52 +182,6 @@ def short(values: FloatVector, denominator: int = 1 << 30) -> Vector:
         return [ZERO] * values.size
     unit = Fraction(2) ** int(np.floor(np.log2(largest))) / denominator
     return [round(Fraction(value) / unit) * unit for value in values.tolist()]
-
-
-def sum_above(a: Any, b: Any) -> FloatVector:
-    """Return a double ≥ a + b, equal to it where a + b is a double."""
-    total: FloatVector = _sum(a, b)
-    return total
-
-
-def product_above(a: Any, b: Any) -> FloatVector:
-    """Return a double ≥ a b, and 0 where a factor is 0."""
-    product: FloatVector = _product(a, b)
-    return product
-
-
-def quotient_above(a: Any, b: Any) -> FloatVector:
-    """Return a double ≥ a/b for b > 0, and 0 where a is 0."""
-    quotient: FloatVector = _quotient(a, b)
-    return quotient
-
-
-@njit(inline="always")
-def _above(value):  # type: ignore[no-untyped-def]
-    """Return a double above the value: the next one or the one after."""
-    if value < LEAST:
-        return LEAST
-    # In [1, 2) units in the last place; the product underflows only where TINY is one unit.
-    return value + max(abs(value) * EPSILON, TINY)
-
-
-@compiled_elementwise
-def _sum(a, b):  # type: ignore[no-untyped-def]
-    value = a + b
-    part = value - a
-    error = (a - (value - part)) + (b - part)
-    # The error is NaN where something overflowed or was infinite.
-    return value if error <= 0.0 else _above(value)
-
-
-@compiled_elementwise
-def _product(a, b):  # type: ignore[no-untyped-def]
-    return 0.0 if a == 0.0 or b == 0.0 else _above(a * b)
-
-
-@compiled_elementwise
-def _quotient(a, b):  # type: ignore[no-untyped-def]
-    return 0.0 if a == 0.0 else _above(a / b)
 
 
 @fact

@@ -19,7 +19,6 @@ import numpy as np
 from ...core.certificates.criterion import CommonUnits, RowUnits, reference_residual
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption
-from ...core.kernels.compilation import interpreted_while_small
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
 from ...core.matrix.structure import IntVector, row_numbers
@@ -42,21 +41,6 @@ Verdict = Literal["infeasible", "feasible", "undecided"]
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 UNITS_TRIED = 3
 MOST_PASSES = 50
-
-
-@interpreted_while_small
-def is_missed(indptr, indices, data, q, lower, upper, rows):  # type: ignore[no-untyped-def]
-    """Return whether z within the bounds miss the sign that w has to have in one of the rows, to rounding."""
-    for i in rows:
-        lowest = highest = 0.0
-        for k in range(indptr[i], indptr[i + 1]):
-            if data[k] == 0.0:
-                continue
-            first, second = data[k] * lower[indices[k]], data[k] * upper[indices[k]]
-            lowest, highest = lowest + min(first, second), highest + max(first, second)
-        if (upper[i] == np.inf and highest + q[i] < 0.0) or (lower[i] == -np.inf and lowest + q[i] > 0.0):
-            return True
-    return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +167,8 @@ def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
 
 def _may_miss(problem: LCP, rows: Any) -> bool:
     """Return whether z within the bounds miss one of the rows, to rounding; one pass."""
+    from .kernels import is_missed
+
     M = compressed_rows(problem.M)
     return bool(is_missed(*M, problem.q, problem.lower, problem.upper, rows))
 

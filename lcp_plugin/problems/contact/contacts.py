@@ -97,8 +97,7 @@ class Contacts:
         """M, shape (n, n), and q, shape (n,), n = k (m + 2); of a batch (B, n, n) and (B, n)."""
         k, m = self.count, len(self.edges)
         d, pressing = self.velocities.shape[-1], k * (1 + m)
-        rows = np.zeros((pressing, k * d))  # normals and edges by normals and tangents
-        contact = np.arange(k)
+        rows, contact = np.zeros((pressing, k * d)), np.arange(k)  # normals and edges by normals and tangents
         rows[contact, d * contact] = 1.0
         for c in range(k):
             rows[k + m * c:k + m * (c + 1), d * c + 1:d * (c + 1)] = self.edges
@@ -115,7 +114,7 @@ class Contacts:
 
         Parameters
         ----------
-        answer : Result, BatchResult or array, shape (n,) or (B, n)
+        answer : Result or array, shape (n,); of a batch BatchResult or array, shape (B, n)
             A Result of ``problem.with_q(q)`` has the velocities that its q stands for.
 
         Raises
@@ -175,10 +174,11 @@ class Contacts:
         return np.concatenate([part.ravel() for part in parts])
 
     def _checked(self, z: Any, k: int) -> FloatArray:
-        n = k * (len(self.edges) + 2)
-        array = real_array(z, f"z must have shape ({n},), or (B, {n}) of a batch")
-        if array.ndim not in (1, 2) or array.shape[-1] != n:
-            raise InvalidProblem(f"z must have shape ({n},), or (B, {n}) of a batch, got {array.shape}")
+        shape = (*self.velocities.shape[:-2], k * (len(self.edges) + 2))
+        need = f"z must have shape {shape}, of one result at a time where these are contacts of one problem"
+        array = real_array(z, need)
+        if array.shape != shape:
+            raise InvalidProblem(f"{need}, got {array.shape}")
         return array
 
 

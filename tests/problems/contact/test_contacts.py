@@ -173,3 +173,11 @@ def test_an_answer_to_another_q_has_its_own_velocities() -> None:
     truth = there.origin.recover(solve(there))
     for name in ("normal", "tangential", "separation", "slip", "sticks"):
         assert getattr(moved, name) == pytest.approx(getattr(truth, name), abs=1e-14)
+
+
+def test_a_batch_of_other_velocities_is_not_led_back_with_these() -> None:
+    """Contacts of one problem know one set of velocities: answers of many are refused in words."""
+    problem = LCP.from_contacts(np.eye(3), 0.5, FALL)
+    batch = solve_batch(np.array([problem.M]), np.array([2.0 * problem.q]))
+    with pytest.raises(InvalidProblem, match=r"shape \(6,\), of one result at a time.*got \(1, 6\)"):
+        problem.origin.recover(batch)

@@ -25,12 +25,15 @@ if TYPE_CHECKING:
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
+MOST_ALONG_A_LINE, NARROW = 2, 8  # variables of a constraint in a chain or a ring; rows that one in order reaches
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 CANCELS = 100.0  # times the gradient: terms that may be small, as they cancel
+CANCELS_MUCH = 1e3  # the same, where the residuals are small as it is: the search takes as long as the run
 ACTIVE = 1e-7  # of the unit of a row
 LARGEST = 5000  # variables and rows of a program that is worth a linear program
 LARGEST_IN_PASSING = 1500  # the same, where the residuals are small as it is
 LARGEST_DENSE = 1_000_000  # entries of a least squares problem; .1 s
+EXACTLY = 1e-12  # of the gradient: what a vertex of a linear program leaves, as a rule
 RANK = 1e-12  # beside the largest singular value: what should depend on each other is independent by rounding
 
 
@@ -100,8 +103,10 @@ class QPOrigin:
         folded = self.rows.folded
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
         found = self._with_bounds(x, y)
-        is_worth_it = folded.n + y.size <= LARGEST_IN_PASSING or found.error > WORTH
-        smaller = least_multipliers(folded, x, y) if is_worth_it else None
+        is_small = found.error <= WORTH
+        if is_small and folded.n + y.size > LARGEST_IN_PASSING:
+            return found
+        smaller = least_multipliers(folded, x, y, CANCELS_MUCH if is_small else CANCELS)
         if smaller is None:
             return found
         other = self._with_bounds(x, smaller)
@@ -204,13 +209,20 @@ class DualForm(QPOrigin):
         return size**2 <= of_P + 2 * of_rows
 
     def _is_laplacian(self) -> bool:
-        """Whether each variable stands in one constraint, or in two with opposite signs: M is an M-matrix then."""
+        """Whether each variable stands in one constraint, or in two with opposite signs: M is an M-matrix then.
+
+        Not so of a ring: its factor does not fill, and on a long one errors are as slow as its number of rows.
+        """
         if not is_diagonal(self.rows.program.P):
             return False
-        C = self._constraints[0]
-        counts = np.bincount(C.indices, minlength=self.rows.program.n)
-        signs = np.bincount(C.indices, np.sign(C.data), minlength=self.rows.program.n)
-        return bool(np.all((counts <= 1) | ((counts == 2) & (signs == 0.0))))
+        C = sp.csc_array(self._constraints[0])
+        counts, columns = np.diff(C.indptr), np.repeat(np.arange(C.shape[1]), np.diff(C.indptr))
+        signs = np.bincount(columns, np.sign(C.data), minlength=C.shape[1])
+        if not np.all((counts <= 1) | ((counts == 2) & (signs == 0.0))):
+            return False
+        is_along_a_line = np.bincount(C.indices, minlength=C.shape[0]).max(initial=0) <= MOST_ALONG_A_LINE
+        reach = np.diff(C.indices[np.repeat(counts == 2, counts)])[::2]
+        return not is_along_a_line or int(np.abs(reach).max(initial=0)) <= NARROW
 
     def _is_all_that_fits(self, size: int) -> bool:
         left, n = self.rows.left.size, self.rows.program.n
@@ -292,7 +304,9 @@ def _kept_as_suits(M: sp.csr_array) -> Any:
     return M.toarray() if is_kept_dense(M.shape[0], M.nnz) else M
 
 
-def least_multipliers(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> FloatVector | None:
+def least_multipliers(
+    program: QuadraticProgram, x: FloatVector, y: FloatVector, cancels: float = CANCELS
+) -> FloatVector | None:
     """Return multipliers of G and A of the least Σ|y_i| + Σ|μ_j|, μ those of bounds; None where these cancel nothing.
 
     Only those of active constraints differ from 0. Nothing is judged here: look at the residuals.
@@ -301,7 +315,9 @@ def least_multipliers(program: QuadraticProgram, x: FloatVector, y: FloatVector)
     ----------
     x : array, shape (n,)
     y : array, shape (rows of G + rows of A,)
-        Some multipliers; None is returned where their terms are at most 100 times as large as the gradient.
+        Some multipliers.
+    cancels : float
+        None is returned where their terms are at most so many times as large as the gradient.
 
     Notes
     -----
@@ -322,7 +338,7 @@ def least_multipliers(program: QuadraticProgram, x: FloatVector, y: FloatVector)
     gradient = np.asarray(program.P @ x + program.c)
     size = float(np.abs(gradient).max(initial=0.0))
     terms = program.matrices.row_sizes[:count] * np.abs(y)
-    if not terms.max(initial=0.0) > CANCELS * size or not 0.0 < size < np.inf or program.n + count > LARGEST:
+    if not terms.max(initial=0.0) > cancels * size or not 0.0 < size < np.inf or program.n + count > LARGEST:
         return None
     limits, is_equality = program.constraints.limit[:count], program.constraints.is_equality[:count]
     unit = program.constraints.unit[:count]
@@ -355,7 +371,8 @@ def _polished(
     from scipy.linalg import solve_triangular
 
     used, left = np.flatnonzero(y), np.flatnonzero(~is_balanced)
-    if used.size and used.size * left.size <= LARGEST_DENSE:
+    rest = np.abs(gradient + y @ program.matrices.rows)[left].max(initial=0.0)
+    if rest > EXACTLY * np.abs(gradient).max() and used.size * left.size <= LARGEST_DENSE:
         block = as_csr(program.matrices.rows)[used][:, left].toarray().T
         y, (Q, R) = y.copy(), np.linalg.qr(block)
         sizes = np.abs(R.diagonal())

@@ -31,6 +31,7 @@ LATER_GUESS = (10, 0.02)
 HEAVIER = 1e4  # multipliers of a program that are as much larger beside its distances, where a first start fails
 EARLIEST_GUESS = 3
 MOST_ITERATIONS = 150
+AT_ONCE = 8  # steps between two looks at where they have come to
 MUCH_SMALLER = 0.1
 CLOSED_GAP = 1e-20  # of the first gap: nothing is hidden any more
 POLISHED_GAP = 1e-4  # of the first gap; no active set is looked for before
@@ -99,10 +100,24 @@ class InteriorPoint(Algorithm):
         """Return z, or the solution of the linear system of the active set that z shows, where that is better."""
         with np.errstate(all="ignore"):
             left = float(np.max(np.abs(scaled_residual(problem, z, problem.slack(z))), initial=0.0))
-            return z if left <= FINISHED * reference_residual(problem) else _Search(problem).finished(z)
+            return z if left <= FINISHED * reference_residual(problem) else Search(problem).finished(z)
+
+
+def points(problem: LCP) -> Iterator[tuple[FloatVector, float, int, float]]:
+    """Yield better and better points of a program's problem, with many steps between two looks at them.
+
+    z, its residual beside that of z°, the steps taken so far, and their work in passes over M. Nobody watches single
+    steps here: no limit is obeyed but between two points.
+    """
+    with np.errstate(all="ignore"):
+        search = Search(problem, AT_ONCE)
+    work = 0.0
+    for step in without_warnings(search.steps(np.array(problem.nearest_to_zero))):
+        work += step.work
+        yield search.best_z, search.best / search.reference if search.reference else 0.0, search.taken, work
 
     def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
-        yield from _Search(problem).steps(z)
+        yield from Search(problem).steps(z)
 
 
 class Standstill:
@@ -116,9 +131,9 @@ class Standstill:
         self._least = [np.inf] * self._count
         self._since = 0
 
-    def is_reached(self, *measures: float) -> bool:
+    def is_reached(self, steps: int, *measures: float) -> bool:
         """Return whether for a while none of residual, gap, infeasibility fell below nine tenths of its smallest."""
-        self._since += 1
+        self._since += steps
         for k, present in enumerate(measures[: self._count]):
             if present < 0.9 * self._least[k]:
                 self._least[k], self._since = present, 0
@@ -145,11 +160,21 @@ class Starts:
         return True
 
 
-class _Search:
-    """The run on the rows that are not fixed, in equilibrated unknowns z = unit · y."""
+class Search:
+    """The run on the rows that are not fixed, in equilibrated unknowns z = unit · y; so many interior steps `at_once`.
 
-    def __init__(self, problem: LCP) -> None:
-        self.problem = problem
+    Attributes
+    ----------
+    best_z : ndarray, shape (n,)
+        The best point of the caller's problem.
+    best, reference : float
+        Its residual, and that of z°.
+    taken : int
+        Interior steps.
+    """
+
+    def __init__(self, problem: LCP, at_once: int = 1) -> None:
+        self.problem, self.at_once, self.taken = problem, at_once, 0
         q, lower, upper, self.known = problem.q, problem.lower, problem.upper, known_before(problem)
         kept = np.flatnonzero(np.isnan(self.known))
         self.kept = None if kept.size == problem.n else kept
@@ -265,15 +290,16 @@ class _Search:
         if not point.start(starts.weight):
             return False
         standstill, first_gap, counted = Standstill(self.is_convex), point.gap, point.matrix.work
-        polishes, settled_for, last, steps, held = 0, 0, point.is_active(), 0, 0
-        for _ in range(MOST_ITERATIONS):
-            if not point.step():
+        polishes, steps, held = 0, 0, 0
+        while steps < MOST_ITERATIONS:
+            made = point.advance(self.at_once if steps > 1 else min(self.at_once, 2), POLISHED_GAP * first_gap)
+            if not made:
                 break
-            steps += 1
+            steps, self.taken = steps + made, self.taken + made
             step = self.step(point.z, point.matrix.work - counted)
             # A residual that is small already hides errors beside large multipliers: as long as the gap falls, go on.
             is_falling = point.gap > CLOSED_GAP * first_gap and not is_over()
-            held = held + 1 if self.is_near and is_falling and held < MOST_HELD else 0
+            held = held + made if self.is_near and is_falling and held < MOST_HELD else 0
             if not held:
                 yield step
                 counted = point.matrix.work
@@ -282,19 +308,16 @@ class _Search:
                 if not point.start(starts.weight):
                     return False
                 continue
-            if standstill.is_reached(self.best, point.gap, point.infeasibility):
+            if standstill.is_reached(made, self.best, point.gap, point.infeasibility):
                 break
-            present = point.is_active()
-            changes, last = int(np.count_nonzero(present != last)), present
             if primal is not None:
-                if steps >= EARLIEST_GUESS and changes <= self._limit(LATER_GUESS):
-                    primal.start(np.clip(point.z, self.lower, self.upper), ~present)
+                if steps >= EARLIEST_GUESS and point.changes <= self._limit(LATER_GUESS):
+                    primal.start(np.clip(point.z, self.lower, self.upper), ~point.is_active())
                     yield from self.corrected(primal, self._limit(LATER_GUESS))
                     if primal.is_solved:  # and yet the driver asks on: what is left is a matter of rounding
                         break
                 continue
-            settled_for = 0 if changes else settled_for + 1
-            if settled_for in (1, 3, 6) and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
+            if point.has_settled and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
                 polishes += 1
                 yield from self.polished(point.z, *point.active(1.0))
         for threshold in CLASSIFICATIONS:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, read_only
+from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.matrix.structure import row_numbers
 from ...systems.factors import cholesky, dense_lu, sparse_lu, sparse_work
 from ...systems.refinement import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
@@ -84,6 +84,12 @@ class NewtonMatrix:
             self._least = max(0.01 * self._least, SMALLEST_REGULARISATION)
         else:
             self._least = min(100.0 * self._least, REGULARISATION)
+
+    def steps(
+        self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, small_gap: float, most: int, settled: int
+    ) -> tuple[int, int] | None:
+        """Make many steps in one call, where the factor allows it: return what its kernel does, else None."""
+        return None
 
     def solve(self, right: FloatVector) -> FloatVector:
         """Return x with (M + diag(diagonal)) x = right, shape (n,), the regularisation refined away where possible."""

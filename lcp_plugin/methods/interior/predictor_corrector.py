@@ -11,7 +11,6 @@ import numpy as np
 from ...core.checks import BoolVector, FloatVector
 from .newton_matrix import NewtonMatrix
 
-ENOUGH = 1e-2  # of the infeasibility: an error that a solve of a direction may leave
 INSIDE = 1.5  # times the worst violation is what the start is shifted by
 FAR = 10.0  # times as large as usual, a number says nothing of where to start
 
@@ -29,6 +28,8 @@ class PredictorCorrector:
         The mean product of a distance and its multiplier.
     infeasibility : float
         The largest |M z + q − w_lower + w_upper| before the last step.
+    changes, settled : int
+        Rows that came to a bound or left one with the last step; steps since there was any.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class PredictorCorrector:
         facts[kernels.IS_PROGRAM] = float((matrix.signs < 0.0).any())
         facts[kernels.INFEASIBILITY] = np.inf
         self.z = vectors[kernels.Z]
+        self.changes, self.settled, self._was_active = 0, 0, np.zeros(q.size, dtype=bool)
 
     @property
     def length(self) -> float:
@@ -127,6 +129,7 @@ class PredictorCorrector:
         np.minimum(parts[:2], half, out=parts[:2])
         self.z[:] = np.where(has[0], lower + parts[0], np.where(has[1], upper - parts[1], z))
         facts[kernels.GAP] = np.vdot(parts[:2], parts[2:]) / max(facts[kernels.PAIRS], 1.0)
+        self._was_active[:], self.settled = self.is_active(), 0
 
     def _shift_roles(self, parts: FloatVector, has: BoolVector, z: FloatVector) -> None:
         """Apply Mehrotra's shifts, one to what is primal in a program, one to what is dual.
@@ -152,13 +155,37 @@ class PredictorCorrector:
             partner[apart] = mean / role[apart]
         parts[:] = np.where(is_dual, sides[[2, 3, 0, 1]], sides)
 
+    def advance(self, most: int, small_gap: float) -> int:
+        """Make so many steps, or fewer, and return how many; 0 where nothing can be factorised or is finite any more.
+
+        Fewer where the gap is small and the active set may have settled.
+        """
+        made = self.matrix.steps(self._vectors, self._facts, self._was_active, small_gap, most, self.settled)
+        if made is not None:
+            self.changes, (made, self.settled) = 0, made
+            return made
+        for made in range(most):
+            if not self.step():
+                return made
+            present = self.is_active()
+            self.changes, self._was_active = int(np.count_nonzero(present != self._was_active)), present
+            self.settled = 0 if self.changes else self.settled + 1
+            if self.gap <= small_gap and self.has_settled:
+                return made + 1
+        return most
+
+    @property
+    def has_settled(self) -> bool:
+        """Whether the active set may have, and was not looked at since."""
+        return self.settled in self._kernels.LOOKS
+
     def step(self) -> bool:
         """Make one predictor–corrector step; return False where nothing can be factorised or is finite any more."""
         vectors, facts, kernels, matrix = self._vectors, self._facts, self._kernels, self.matrix
         vectors[kernels.LEFT] = matrix.product(self.z)
         if not kernels.begin(vectors, facts) or not matrix.factorise(vectors[kernels.DIAGONAL]):
             return False
-        matrix.enough = ENOUGH * self.infeasibility
+        matrix.enough = kernels.ENOUGH * self.infeasibility
         phase = kernels.advance(vectors, facts, kernels.BEGUN)
         while phase != kernels.DONE:
             vectors[kernels.FOUND] = matrix.solve(vectors[kernels.RIGHT])

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, read_only
-from ...systems.factors import made, most_operations
+from ...core.checks import BoolVector, FloatVector, read_only
+from ...systems.factors import LONG, made, most_operations
 from ...systems.graph import compressed_rows
 from ...systems.refinement import REFINEMENTS, STABLE, USEFUL
 from .newton_matrix import SMALLEST, NewtonMatrix
@@ -110,7 +110,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         self._own_diagonal, self._entries_of = M.diagonal(), compressed_rows(M)
         self._signed = np.repeat(signs, np.diff(M.indptr)) * M.data
         self._values, self._pivots = np.empty(self.symbolic.entries), np.empty(self.n)
-        self._ones, self._spare = np.ones(self.n), np.empty((3, self.n))
+        self._ones, self._spare = np.ones(self.n), np.empty((5, self.n))
         self._system = *self.symbolic.pattern[:3], self._values, self._pivots, self.signs, *self._entries_of
 
     def _try(self, diagonal: FloatVector) -> bool:
@@ -127,6 +127,28 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
 
         arrays = *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
         return bool(symmetric_factors.factorise(*arrays))
+
+    def steps(
+        self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, small_gap: float, most: int, settled: int
+    ) -> tuple[int, int] | None:
+        """Make steps as :mod:`lcp_plugin.methods.interior.kernels.steps_at_once` has them; None where each takes long."""
+        if self.symbolic.work > LONG:
+            return None
+        from .kernels import steps_at_once as kernels
+
+        state = np.array([
+            self.regularisation, self._least, self._may_sharpen, self._is_easy, 0.0, self.share, self._share_before,
+            0.0, 0.0,
+        ])
+        made: tuple[int, int] = kernels.steps(
+            vectors, facts, state, self.symbolic.pattern, self._signed, self._own_diagonal, self.signs,
+            self._entries_of, (self._values, self._pivots), self._spare, is_active, small_gap, most, settled,
+        )
+        self.regularisation, self._least, self.share, self._share_before = state[[0, 1, 5, 6]].tolist()
+        self._may_sharpen, self._is_easy = (state[[2, 3]] > 0.0).tolist()
+        self.work += float(state[kernels.FACTORS]) * self.symbolic.work
+        self.work += float(state[kernels.SOLVES]) * (self.symbolic.solve_work + self._entries)
+        return made
 
     @property
     def corrections(self) -> int:

@@ -46,6 +46,7 @@ class CompiledAnswer:
     solution: QPSolution
     steps: int
     seconds: float
+    name = ACTIVE_SET
     _substitution: Substitution | None
     _rows: FoldedRows | None
     _point: tuple[FloatVector, FloatVector]

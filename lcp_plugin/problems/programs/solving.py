@@ -24,6 +24,7 @@ from .compiled_call import ACTIVE_SET, CompiledAnswer, known_contradiction, solv
 from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
+from .interior_call import InteriorAnswer, solved_by_interior_points
 from .program import QuadraticProgram
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
@@ -31,6 +32,7 @@ from .small_programs import MOST_STEPS
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
+LIMITS = {"max_seconds", "max_iterations"}
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
@@ -177,7 +179,7 @@ def judged_program(
     goal, refutes = program_goal(tolerance), options.get("refute", True)
     if is_one_call and (found := _at_once(program, tolerance, options)) is not None:
         return QuadraticProgramResult(
-            Status.SOLVED, found.solution, goal, f"auto: {ACTIVE_SET}", found.steps, found.seconds,
+            Status.SOLVED, found.solution, goal, f"auto: {found.name}", found.steps, found.seconds,
             partial(found.result, tolerance),
         )
     if is_one_call and (known := known_contradiction(program)) is not None and known.excludes(goal):
@@ -274,10 +276,15 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
     return True
 
 
-def _at_once(program: QuadraticProgram, tolerance: float, options: dict[str, Any]) -> CompiledAnswer | None:
-    """Return the answer by one compiled call; None where it finds none."""
+def _at_once(
+    program: QuadraticProgram, tolerance: float, options: dict[str, Any]
+) -> CompiledAnswer | InteriorAnswer | None:
+    """Return the answer by one compiled call, or by interior points; None where these find none."""
     try:
-        return solved_at_once(program, tolerance)
+        found = solved_at_once(program, tolerance)
+        if found is None and not (options.keys() & LIMITS) and "proof_of_no_minimum" not in program.__dict__:
+            return solved_by_interior_points(program, tolerance)
+        return found
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
         return None

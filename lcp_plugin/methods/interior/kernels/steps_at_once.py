@@ -1,0 +1,119 @@
+"""Predictor–corrector steps with sparse quasi-definite factors, many in one call.
+
+What a step does between linear solves is in :mod:`.interior_steps`, factors and solves in :mod:`.symmetric_factors`;
+how much is regularised, in :mod:`lcp_plugin.methods.interior.newton_matrix`, whose rules these are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....core.kernels.compilation import compiled, compiled_in_place
+from ....systems.refinement import REFINEMENTS, STABLE, USEFUL
+from ..newton_matrix import LARGEST_REGULARISATION, REGULARISATION, SMALLEST, SMALLEST_REGULARISATION, WORSE
+from .interior_steps import (
+    ABOVE, BEGUN, BELOW, DIAGONAL, DONE, ENOUGH, FOUND, GAP, INFEASIBILITY, IS_PROGRAM, LEFT, LOOKS, RIGHT, SHARP,
+    W_LOWER, W_UPPER, Z, advance, begin, move,
+)
+from .symmetric_factors import factorise, solve
+
+# Entries of `state`: the regularisation, now and at least; whether it may become smaller, and whether the last factor
+# was useful at once; the largest error that a solve has left, and beside its right-hand side, that a factorisation ago
+# too; how many factors were made, and how many solves.
+NOW, LEAST, MAY_SHARPEN, IS_EASY, MISSED, SHARE, SHARE_BEFORE, FACTORS, SOLVES = range(9)
+STATE = 9
+
+
+@compiled
+def steps(  # type: ignore[no-untyped-def]
+    vectors, facts, state, pattern, entries, own, signs, M, factor, spare, is_active, small_gap, most, settled
+):
+    """Make so many steps, or fewer: until the active set has settled and the gap is small, or one fails.
+
+    Changed are vectors, facts, state, `factor` (L, D), `spare`, shape (5, n), and `is_active`, shape (n,). `pattern` is
+    that of a Symbolic, M = (indptr, indices, data) of a CSR array, `own` its diagonal, `entries` those of S M. Return
+    how many steps were made, and before how many the active set has changed last.
+    """
+    order, starts, below = pattern[0], pattern[1], pattern[2]
+    indptr, indices, data = M
+    values, pivots = factor
+    diagonal = vectors[DIAGONAL]
+    for made in range(most):
+        for i in range(own.size):
+            total = 0.0
+            for p in range(indptr[i], indptr[i + 1]):
+                total += data[p] * vectors[Z, indices[p]]
+            vectors[LEFT, i] = total
+        if not begin(vectors, facts):
+            return made, settled
+        if not _factorised(state, pattern, entries, own, signs, indptr, indices, data, values, pivots, spare, diagonal):
+            return made, settled
+        enough, phase = ENOUGH * facts[INFEASIBILITY], advance(vectors, facts, BEGUN)
+        while phase != DONE:
+            error, size, passes = solve(
+                order, starts, below, values, pivots, signs, indptr, indices, data, diagonal, vectors[RIGHT],
+                vectors[FOUND], spare, REFINEMENTS, enough,
+            )
+            state[SOLVES] += passes
+            state[MISSED] = error if error > state[MISSED] else state[MISSED]
+            share = error / max(size, SMALLEST)
+            state[SHARE] = share if share > state[SHARE] else state[SHARE]
+            phase = advance(vectors, facts, phase)
+        is_blunt = facts[IS_PROGRAM] > 0.0 and state[MISSED] > SHARP * facts[INFEASIBILITY]
+        if is_blunt and state[MAY_SHARPEN] > 0.0:
+            _sharpen(state)
+        if not move(vectors, facts):
+            return made, settled
+        settled += 1
+        for i in range(own.size):
+            now = vectors[BELOW, i] < vectors[W_LOWER, i] or vectors[ABOVE, i] < vectors[W_UPPER, i]
+            if now != is_active[i]:
+                is_active[i], settled = now, 0
+        if facts[GAP] <= small_gap and settled in LOOKS:
+            return made + 1, settled
+    return most, settled
+
+
+@compiled_in_place
+def _factorised(state, pattern, entries, own, signs, indptr, indices, data, values, pivots, spare, diagonal):  # type: ignore[no-untyped-def]
+    """Factorise M + diag(diagonal), regularised as little as gives a useful factor; return whether there is one."""
+    order, starts, below = pattern[0], pattern[1], pattern[2]
+    row_starts, columns, above_starts, above, at = pattern[3], pattern[4], pattern[5], pattern[6], pattern[7]
+    shifted, x, ones = spare[3], spare[4], np.ones(own.size)
+    state[MISSED] = state[SHARE] = 0.0
+    if state[IS_EASY] > 0.0:
+        state[NOW] = max(state[LEAST], 0.01 * state[NOW])
+    state[IS_EASY], is_useful = 1.0, False
+    while not is_useful:
+        for i in range(own.size):
+            shifted[i] = diagonal[i] + state[NOW]
+            pivots[i] = signs[i] * (own[i] + shifted[i])
+        state[FACTORS] += 1.0
+        if factorise(
+            order, starts, below, row_starts, columns, above_starts, above, at, entries, values, pivots, spare[0]
+        ):
+            error, _, passes = solve(
+                order, starts, below, values, pivots, signs, indptr, indices, data, shifted, ones, x, spare, 0, 0.0
+            )
+            state[SOLVES] += passes
+            largest = 0.0
+            for i in range(own.size):
+                largest = max(largest, abs(x[i]))
+            is_useful = error <= max(USEFUL, STABLE * largest)
+        if not is_useful:
+            state[MAY_SHARPEN] = state[IS_EASY] = 0.0
+            state[NOW] *= 100.0
+            state[LEAST] = min(state[NOW], REGULARISATION)
+            if state[NOW] > LARGEST_REGULARISATION:
+                return False
+    return True
+
+
+@compiled_in_place
+def _sharpen(state):  # type: ignore[no-untyped-def]
+    """Regularise less from the next factorisation on, unless that has made matters worse before."""
+    may = state[SHARE] <= WORSE * state[SHARE_BEFORE]
+    state[MAY_SHARPEN], state[SHARE_BEFORE] = may, state[SHARE]
+    state[LEAST] = (
+        max(0.01 * state[LEAST], SMALLEST_REGULARISATION) if may else min(100.0 * state[LEAST], REGULARISATION)
+    )

@@ -1,0 +1,67 @@
+"""Programs solved by interior points, on the KKT form that auto begins with, without a run around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.checks import FloatVector
+from ...core.communicator import ALONE
+from ...core.deadline import Clock, is_over
+from ...core.solving.result import StageRecord
+from ...methods.interior.interior_point import InteriorPoint, points
+from .compiled_call import ProgramResult
+from .conversion import attempts
+from .convexity import refuse_nonconvex
+from .criterion import program_goal
+from .program import QuadraticProgram
+from .qp_forms import QPOrigin
+from .qp_solution import QPSolution
+
+BECAUSE = "the KKT form: multipliers have no diagonal entry to sweep with"
+
+
+@dataclass(frozen=True, eq=False)
+class InteriorAnswer:
+    """The answer to a program, judged by its own criterion and by the residual of its complementarity problem.
+
+    Attributes
+    ----------
+    solution : QPSolution
+    steps : int
+    seconds : float
+    """
+
+    solution: QPSolution
+    steps: int
+    seconds: float
+    name = InteriorPoint.name
+    _origin: QPOrigin
+    _z: FloatVector
+    _work: float
+
+    def result(self, tolerance: float, algorithm: str = "auto") -> ProgramResult:
+        """Return the same as the result of the complementarity problem of the program."""
+        stage = StageRecord(self.name, BECAUSE, self.steps, self._work)
+        return ProgramResult.of(self._origin, self._z, stage, self.seconds, tolerance, algorithm)
+
+
+def solved_by_interior_points(program: QuadraticProgram, tolerance: float) -> InteriorAnswer | None:
+    """Return the answer by interior points; None where another form comes first, or where they find none."""
+    clock = Clock(ALONE)
+    refuse_nonconvex(program)
+    problem = next(attempts(program)).problem
+    origin, goal = problem.origin, program_goal(tolerance)
+    if origin.form != "kkt":
+        return None
+    judged = np.inf
+    for z, residual, steps, work in points(problem):
+        if residual <= tolerance and residual < 0.5 * judged:
+            judged, z = residual, InteriorPoint().finish(problem, z)
+            solution = origin.recover(z)
+            if solution.is_stationary(goal):
+                return InteriorAnswer(solution, steps, clock.read(), origin, z, work)
+        if is_over():
+            break
+    return None

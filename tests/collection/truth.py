@@ -39,7 +39,7 @@ class Truth:
 def decide(problem: Any) -> Truth:
     """Return whether the problem has a solution, only linear feasibility, or not even that."""
     M = problem.csr.toarray().tolist()
-    return _Search(M, problem.q.tolist(), problem.lower.tolist(), problem.upper.tolist()).run()
+    return Search(M, problem.q.tolist(), problem.lower.tolist(), problem.upper.tolist()).run()
 
 
 def is_farkas(problem: Any, y: Sequence[Fraction]) -> bool:
@@ -146,7 +146,7 @@ class _Simplex:
         self.basic[r], self.nonbasic[column] = self.nonbasic[column], self.basic[r]
 
 
-class _Search:
+class Search:
     def __init__(self, M: list[list[float]], q: list[float], lower: list[float], upper: list[float]) -> None:
         self.n = len(q)
         self.simplex = _Simplex(M)

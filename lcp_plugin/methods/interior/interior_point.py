@@ -34,7 +34,7 @@ MOST_ITERATIONS = 150
 AT_ONCE = 8  # steps between two looks at where they have come to
 MUCH_SMALLER = 0.1
 CLOSED_GAP = 1e-20  # of the first gap: nothing is hidden any more
-POLISHED_GAP = 1e-4  # of the first gap; no active set is looked for before
+POLISHED_GAP = (1e-4, 1e-6)  # of the first gap, no active set is looked for before; where steps are cheap, many at once
 MOST_POLISHES = 12
 POLISHING_ROUNDS = 4
 NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
@@ -94,7 +94,9 @@ class InteriorPoint(Algorithm):
         """Yield one step a factorisation, and the solutions of the active sets tried; end where nothing improves."""
         z = np.clip(z0, problem.lower, problem.upper)
         yield Step(z, work=1.0)
-        yield from without_warnings(self._steps(problem, z))
+        with np.errstate(all="ignore"):
+            search = Search(problem)
+        yield from without_warnings(search.steps(z))
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z, or the solution of the linear system of the active set that z shows, where that is better."""
@@ -103,21 +105,25 @@ class InteriorPoint(Algorithm):
             return z if left <= FINISHED * reference_residual(problem) else Search(problem).finished(z)
 
 
-def points(problem: LCP) -> Iterator[tuple[FloatVector, float, int, float]]:
-    """Yield better and better points of a program's problem, with many steps between two looks at them.
+def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, float]]:
+    """Yield better and better points of a program's problem whose relative residual is within the tolerance.
 
-    z, its residual beside that of z°, the steps taken so far, and their work in passes over M. Nobody watches single
-    steps here: no limit is obeyed but between two points.
+    z, the steps taken so far, and their work in passes over M. Nobody watches single steps here: many are made between
+    two looks, and no limit is obeyed but between these.
     """
     with np.errstate(all="ignore"):
         search = Search(problem, AT_ONCE)
-    work = 0.0
+    allowed, work = tolerance * search.reference, 0.0
     for step in without_warnings(search.steps(np.array(problem.nearest_to_zero))):
         work += step.work
-        yield search.best_z, search.best / search.reference if search.reference else 0.0, search.taken, work
-
-    def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
-        yield from Search(problem).steps(z)
+        if is_over():
+            return
+        if search.best <= allowed:
+            is_exact = search.best <= FINISHED * search.reference
+            with np.errstate(all="ignore"):
+                z = search.best_z if is_exact else search.finished(search.best_z)
+            yield z, search.taken, work
+            allowed = min(allowed, 0.5 * search.best)
 
 
 class Standstill:
@@ -290,9 +296,9 @@ class Search:
         if not point.start(starts.weight):
             return False
         standstill, first_gap, counted = Standstill(self.is_convex), point.gap, point.matrix.work
-        polishes, steps, held = 0, 0, 0
+        polishes, steps, held, small_gap = 0, 0, 0, POLISHED_GAP[self.at_once > 1] * point.gap
         while steps < MOST_ITERATIONS:
-            made = point.advance(self.at_once if steps > 1 else min(self.at_once, 2), POLISHED_GAP * first_gap)
+            made = point.advance(self.at_once if steps > 1 else min(self.at_once, 2), small_gap)
             if not made:
                 break
             steps, self.taken = steps + made, self.taken + made
@@ -317,7 +323,7 @@ class Search:
                     if primal.is_solved:  # and yet the driver asks on: what is left is a matter of rounding
                         break
                 continue
-            if point.has_settled and point.gap <= POLISHED_GAP * first_gap and polishes < MOST_POLISHES:
+            if point.has_settled and point.gap <= small_gap and polishes < MOST_POLISHES:
                 polishes += 1
                 yield from self.polished(point.z, *point.active(1.0))
         for threshold in CLASSIFICATIONS:

@@ -91,7 +91,8 @@ class Symbolic:
 
     def fits(self, M: sp.csr_array) -> bool:
         """Return whether M has this pattern."""
-        return np.array_equal(self.indptr, M.indptr) and np.array_equal(self.indices, M.indices)
+        is_same = self.indptr is M.indptr and self.indices is M.indices
+        return is_same or (np.array_equal(self.indptr, M.indptr) and np.array_equal(self.indices, M.indices))
 
 
 class QuasidefiniteNewtonMatrix(NewtonMatrix):

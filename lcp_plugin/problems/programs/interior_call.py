@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from ...core.checks import FloatVector
 from ...core.communicator import ALONE
-from ...core.deadline import Clock, is_over
+from ...core.deadline import Clock
 from ...core.solving.result import StageRecord
 from ...methods.interior.interior_point import InteriorPoint, points
 from .compiled_call import ProgramResult
@@ -55,13 +53,8 @@ def solved_by_interior_points(program: QuadraticProgram, tolerance: float) -> In
     origin, goal = problem.origin, program_goal(tolerance)
     if origin.form != "kkt":
         return None
-    judged = np.inf
-    for z, residual, steps, work in points(problem):
-        if residual <= tolerance and residual < 0.5 * judged:
-            judged, z = residual, InteriorPoint().finish(problem, z)
-            solution = origin.recover(z)
-            if solution.is_stationary(goal):
-                return InteriorAnswer(solution, steps, clock.read(), origin, z, work)
-        if is_over():
-            break
+    for z, steps, work in points(problem, tolerance):
+        solution = origin.recover(z)
+        if solution.is_stationary(goal):
+            return InteriorAnswer(solution, steps, clock.read(), origin, z, work)
     return None

@@ -213,7 +213,8 @@ class DualForm(QPOrigin):
 
         Not so of a ring: its factor does not fill, and on a long one errors are as slow as its number of rows.
         """
-        if not is_diagonal(self.rows.program.P):
+        stands_in = np.bincount(self.rows.folded.matrices.rows.indices, minlength=1)
+        if stands_in.max() > 2 or not is_diagonal(self.rows.program.P):
             return False
         C = sp.csc_array(self._constraints[0])
         counts, columns = np.diff(C.indptr), np.repeat(np.arange(C.shape[1]), np.diff(C.indptr))

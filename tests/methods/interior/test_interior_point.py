@@ -13,7 +13,7 @@ from lcp_plugin import LCP, solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.matrix.units import scaled
 from lcp_plugin.core.settings import Status
-from lcp_plugin.methods.interior.interior_point import InteriorPoint, _Search
+from lcp_plugin.methods.interior.interior_point import InteriorPoint, Search
 from lcp_plugin.methods.interior.kernels import triangles
 from lcp_plugin.methods.interior.newton_matrix import DenseNewtonMatrix, SparseNewtonMatrix
 from lcp_plugin.methods.interior.primal_active_set import NotConvex, PrimalActiveSet, UpdatedFactor
@@ -328,7 +328,7 @@ def test_pinned_rows_stay_and_free_ones_are_solved_for() -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
         M, _ = random_program(15, rng)
-        search = _Search(LCP(M, rng.standard_normal(30), lower=-1.0, upper=1.0))
+        search = Search(LCP(M, rng.standard_normal(30), lower=-1.0, upper=1.0))
         n = search.q.size  # but for an unknown that meets no other
         free = np.flatnonzero((rng.random(n) < 0.5) | (search.signs > 0.0))
         before = rng.standard_normal(n)

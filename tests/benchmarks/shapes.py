@@ -245,14 +245,14 @@ def measured(case: Case, present: Sequence[str], *, quick: bool) -> tuple[dict[s
 
 
 def infeasibility(program: QuadraticProgram, x: FloatVector) -> float:
-    """Return the largest violation of a constraint, beside 1 + the largest limit."""
+    """Return the largest violation of a constraint, beside the largest limit, or 1 where all are 0."""
     parts = [
         (program.G @ x - program.h, program.h), (abs(program.A @ x - program.b), program.b),
         (program.lower - x, program.lower), (x - program.upper, program.upper),
     ]
     largest = max(float(np.abs(limit[np.isfinite(limit)]).max(initial=0.0)) for _, limit in parts)
     worst = max(float(left.max(initial=0.0)) for left, _ in parts)
-    return worst / (1.0 + largest) if np.isfinite(x).all() else np.inf
+    return worst / (largest or 1.0) if np.isfinite(x).all() else np.inf
 
 
 def _osqp(program: QuadraticProgram, is_dense: bool) -> Callable[[], Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -53,7 +52,8 @@ def assembled(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -> s
 
     scipy's own constructor would search the arrays for what is known here, which takes longer than a product.
     """
-    matrix = copy.copy(_EMPTY)
+    matrix = object.__new__(sp.csr_array)
+    matrix.__dict__.update(_EMPTY.__dict__)
     matrix._shape, matrix.data, matrix.indices, matrix.indptr = shape, data, indices, indptr
     return frozen(matrix)
 
@@ -128,11 +128,14 @@ def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array
             f"{name} must be finite, but {name}[{row}, {matrix.indices[where]}] = {matrix.data[where]}; repair that "
             "entry"
         )
-    return frozen(matrix)
+    return matrix
 
 
 def _repaired(M: Any, is_copied: bool) -> sp.csr_array:
-    """Return M as CSR in doubles, sorted, without duplicates and zeros; always another object on its arrays."""
+    """Return M as read-only CSR in doubles, sorted, without duplicates and zeros; another object on its arrays."""
+    if M.format == "csr" and _is_canonical(M):
+        parts = (np.array(part) if is_copied else part for part in (M.data, M.indices, M.indptr))
+        return assembled(*parts, M.shape)
     if M.format == "csr":
         # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
         matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=is_copied)
@@ -149,7 +152,24 @@ def _repaired(M: Any, is_copied: bool) -> sp.csr_array:
     if np.count_nonzero(matrix.data) != matrix.nnz:
         matrix = matrix.copy()
         matrix.eliminate_zeros()
-    return matrix
+    return frozen(matrix)
+
+
+def _is_canonical(M: Any) -> bool:
+    """Return whether a CSR array holds doubles, none of them 0, its arrays fit together, and its rows are sorted."""
+    starts, columns, data = M.indptr, M.indices, M.data
+    if not (starts.ndim == columns.ndim == data.ndim == 1 and data.dtype == np.float64):
+        return False
+    if not (starts.dtype == columns.dtype and starts.dtype.kind == "i"):
+        return False
+    if starts.size != M.shape[0] + 1 or data.size != columns.size:
+        return False
+    if starts[0] != 0 or starts[-1] != data.size or not (starts[1:] >= starts[:-1]).all():
+        return False
+    rises, begin = columns[1:] > columns[:-1], starts[1:-1]
+    rises[begin[(begin > 0) & (begin < data.size)] - 1] = True  # another row
+    is_inside = not data.size or 0 <= columns.min() <= columns.max() < M.shape[1]
+    return bool(is_inside and rises.all() and np.count_nonzero(data) == data.size)
 
 
 def _check_compressed(M: Any) -> None:

@@ -134,8 +134,8 @@ def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array
 def _repaired(M: Any, is_copied: bool) -> sp.csr_array:
     """Return M as read-only CSR in doubles, sorted, without duplicates and zeros; another object on its arrays."""
     if M.format == "csr" and _is_canonical(M):
-        parts = (np.array(part) if is_copied else part for part in (M.data, M.indices, M.indptr))
-        return assembled(*parts, M.shape)
+        data, indices, indptr = (np.array(part) if is_copied else part for part in (M.data, M.indices, M.indptr))
+        return assembled(data, indices, indptr, M.shape)
     if M.format == "csr":
         # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
         matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=is_copied)

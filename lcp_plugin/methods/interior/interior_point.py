@@ -19,7 +19,7 @@ from ...core.deadline import is_over
 from ...core.lcp import LCP
 from .dense_ends import newton_matrix
 from .newton_matrix import NewtonMatrix
-from .predictor_corrector import PredictorCorrector
+from .predictor_corrector import PredictorCorrector, Standstill, Starts
 from .primal_active_set import PrimalActiveSet
 from .suited_matrix import known_before, sizes_of_parts, suited
 
@@ -41,9 +41,6 @@ NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
 FINISHED = 1e-12  # of the residual of z°: what an active set that is solved for leaves
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
-MOST_STARTS, LIGHTER = 4, 0.01  # the weight of a start is taken so often, each time a hundredth
-SHORT = 0.15  # of the whole second step: the start is not as large as the answer
-PATIENCE, LONG_PATIENCE = 12, 25  # steps
 PINNED = 1e30  # a diagonal that leaves nothing of a row's unknown, beside entries of about 1
 
 
@@ -126,46 +123,6 @@ def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, f
             allowed = min(allowed, 0.5 * search.best)
 
 
-class Standstill:
-    """The smallest residual so far; of a convex program, gap and infeasibility too: where none falls, nothing improves.
-
-    That is where M is symmetric, or has the signs of a program: elsewhere there may be no solution.
-    """
-
-    def __init__(self, is_convex: bool) -> None:
-        self._count, self._patience = (3, LONG_PATIENCE) if is_convex else (1, PATIENCE)
-        self._least = [np.inf] * self._count
-        self._since = 0
-
-    def is_reached(self, steps: int, *measures: float) -> bool:
-        """Return whether for a while none of residual, gap, infeasibility fell below nine tenths of its smallest."""
-        self._since += steps
-        for k, present in enumerate(measures[: self._count]):
-            if present < 0.9 * self._least[k]:
-                self._least[k], self._since = present, 0
-        return self._since >= self._patience
-
-
-class Starts:
-    """The weight of the start: smaller ones as long as the second step is short, and gets longer by that."""
-
-    def __init__(self, weight: float) -> None:
-        self.weight = self._best = weight
-        self._longest, self._left = 0.0, MOST_STARTS
-
-    def has_better(self, length: float) -> bool:
-        """Return whether to start again, with the present weight, after a second step of that length."""
-        self._left -= 1
-        if length >= SHORT or self._left <= 0:
-            return False
-        if length > self._longest:
-            self._longest, self._best = length, self.weight
-            self.weight *= LIGHTER
-        else:  # the one before was better
-            self.weight, self._left = self._best, 0
-        return True
-
-
 class Search:
     """The run on the rows that are not fixed, in equilibrated unknowns z = unit · y; so many interior steps `at_once`.
 
@@ -240,6 +197,7 @@ class Search:
     # --- the stages -------------------------------------------------------------------------------------
 
     def steps(self, z0: FloatVector) -> Iterator[Step]:
+        """Yield what the driver sees: a guess of the active set where that is cheap, then interior steps."""
         y = (z0 if self.kept is None else z0[self.kept]) / self.unit
         if not y.size:
             yield self.step(y, 0.0)
@@ -276,6 +234,7 @@ class Search:
         yield from self.corrected(primal, self._limit(FIRST_GUESS))
 
     def corrected(self, primal: PrimalActiveSet, limit: int) -> Iterator[Step]:
+        """Yield the steps of the primal active set method, so many changes at the most."""
         for _ in primal.steps(limit):
             yield self.step(primal.z, primal.work - self.counted)
             self.counted = primal.work

@@ -13,6 +13,49 @@ from .newton_matrix import NewtonMatrix
 
 INSIDE = 1.5  # times the worst violation is what the start is shifted by
 FAR = 10.0  # times as large as usual, a number says nothing of where to start
+MOST_STARTS, LIGHTER = 4, 0.01  # the weight of a start is taken so often, each time a hundredth
+SHORT = 0.15  # of the whole second step: the start is not as large as the answer
+PATIENCE, LONG_PATIENCE = 12, 25  # steps
+
+
+class Standstill:
+    """The smallest residual so far; of a convex program, gap and infeasibility too: where none falls, nothing improves.
+
+    That is where M is symmetric, or has the signs of a program: elsewhere there may be no solution.
+    """
+
+    def __init__(self, is_convex: bool) -> None:
+        self._count, self._patience = (3, LONG_PATIENCE) if is_convex else (1, PATIENCE)
+        self._least = [np.inf] * self._count
+        self._since = 0
+
+    def is_reached(self, steps: int, *measures: float) -> bool:
+        """Return whether for a while none of residual, gap, infeasibility fell below nine tenths of its smallest."""
+        self._since += steps
+        for k, present in enumerate(measures[: self._count]):
+            if present < 0.9 * self._least[k]:
+                self._least[k], self._since = present, 0
+        return self._since >= self._patience
+
+
+class Starts:
+    """The weight of the start: smaller ones as long as the second step is short, and gets longer by that."""
+
+    def __init__(self, weight: float) -> None:
+        self.weight = self._best = weight
+        self._longest, self._left = 0.0, MOST_STARTS
+
+    def has_better(self, length: float) -> bool:
+        """Return whether to start again, with the present weight, after a second step of that length."""
+        self._left -= 1
+        if length >= SHORT or self._left <= 0:
+            return False
+        if length > self._longest:
+            self._longest, self._best = length, self.weight
+            self.weight *= LIGHTER
+        else:  # the one before was better
+            self.weight, self._left = self._best, 0
+        return True
 
 
 class PredictorCorrector:
@@ -160,9 +203,9 @@ class PredictorCorrector:
 
         Fewer where the gap is small and the active set may have settled.
         """
-        made = self.matrix.steps(self._vectors, self._facts, self._was_active, small_gap, most, self.settled)
-        if made is not None:
-            self.changes, (made, self.settled) = 0, made
+        at_once = self.matrix.steps(self._vectors, self._facts, self._was_active, small_gap, most, self.settled)
+        if at_once is not None:
+            self.changes, (made, self.settled) = 0, at_once
             return made
         for made in range(most):
             if not self.step():

@@ -133,7 +133,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
     def steps(
         self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, small_gap: float, most: int, settled: int
     ) -> tuple[int, int] | None:
-        """Make steps as :mod:`lcp_plugin.methods.interior.kernels.steps_at_once` has them; None where each takes long."""
+        """Make steps as :mod:`lcp_plugin.methods.interior.kernels.steps_at_once` does; None where each takes long."""
         if self.symbolic.work > LONG:
             return None
         from .kernels import steps_at_once as kernels

@@ -11,10 +11,7 @@ import numpy as np
 from ....core.kernels.compilation import compiled, compiled_in_place
 from ....systems.refinement import REFINEMENTS, STABLE, USEFUL
 from ..newton_matrix import LARGEST_REGULARISATION, REGULARISATION, SMALLEST, SMALLEST_REGULARISATION, WORSE
-from .interior_steps import (
-    ABOVE, BEGUN, BELOW, DIAGONAL, DONE, ENOUGH, FOUND, GAP, INFEASIBILITY, IS_PROGRAM, LEFT, LOOKS, RIGHT, SHARP,
-    W_LOWER, W_UPPER, Z, advance, begin, move,
-)
+from . import interior_steps as step
 from .symmetric_factors import factorise, solve
 
 # Entries of `state`: the regularisation, now and at least; whether it may become smaller, and whether the last factor
@@ -37,39 +34,39 @@ def steps(  # type: ignore[no-untyped-def]
     order, starts, below = pattern[0], pattern[1], pattern[2]
     indptr, indices, data = M
     values, pivots = factor
-    diagonal = vectors[DIAGONAL]
+    diagonal = vectors[step.DIAGONAL]
     for made in range(most):
         for i in range(own.size):
             total = 0.0
             for p in range(indptr[i], indptr[i + 1]):
-                total += data[p] * vectors[Z, indices[p]]
-            vectors[LEFT, i] = total
-        if not begin(vectors, facts):
+                total += data[p] * vectors[step.Z, indices[p]]
+            vectors[step.LEFT, i] = total
+        if not step.begin(vectors, facts):
             return made, settled
         if not _factorised(state, pattern, entries, own, signs, indptr, indices, data, values, pivots, spare, diagonal):
             return made, settled
-        enough, phase = ENOUGH * facts[INFEASIBILITY], advance(vectors, facts, BEGUN)
-        while phase != DONE:
+        enough, phase = step.ENOUGH * facts[step.INFEASIBILITY], step.advance(vectors, facts, step.BEGUN)
+        while phase != step.DONE:
             error, size, passes = solve(
-                order, starts, below, values, pivots, signs, indptr, indices, data, diagonal, vectors[RIGHT],
-                vectors[FOUND], spare, REFINEMENTS, enough,
+                order, starts, below, values, pivots, signs, indptr, indices, data, diagonal, vectors[step.RIGHT],
+                vectors[step.FOUND], spare, REFINEMENTS, enough,
             )
             state[SOLVES] += passes
             state[MISSED] = error if error > state[MISSED] else state[MISSED]
             share = error / max(size, SMALLEST)
             state[SHARE] = share if share > state[SHARE] else state[SHARE]
-            phase = advance(vectors, facts, phase)
-        is_blunt = facts[IS_PROGRAM] > 0.0 and state[MISSED] > SHARP * facts[INFEASIBILITY]
+            phase = step.advance(vectors, facts, phase)
+        is_blunt = facts[step.IS_PROGRAM] > 0.0 and state[MISSED] > step.SHARP * facts[step.INFEASIBILITY]
         if is_blunt and state[MAY_SHARPEN] > 0.0:
             _sharpen(state)
-        if not move(vectors, facts):
+        if not step.move(vectors, facts):
             return made, settled
         settled += 1
         for i in range(own.size):
-            now = vectors[BELOW, i] < vectors[W_LOWER, i] or vectors[ABOVE, i] < vectors[W_UPPER, i]
+            now = vectors[step.BELOW, i] < vectors[step.W_LOWER, i] or vectors[step.ABOVE, i] < vectors[step.W_UPPER, i]
             if now != is_active[i]:
                 is_active[i], settled = now, 0
-        if facts[GAP] <= small_gap and settled in LOOKS:
+        if facts[step.GAP] <= small_gap and settled in step.LOOKS:
             return made + 1, settled
     return most, settled
 

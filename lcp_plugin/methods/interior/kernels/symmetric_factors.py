@@ -24,7 +24,8 @@ def pattern_in(order, indptr, indices):  # type: ignore[no-untyped-def]
     position, parent, seen = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     for k in range(n):
         position[order[k]], parent[k], seen[k] = k, -1, -1
-    above_starts, starts, row_starts = np.zeros(n + 1, np.uint64), np.zeros(n + 1, np.uint64), np.zeros(n + 1, np.uint64)
+    above_starts, starts = np.zeros(n + 1, np.uint64), np.zeros(n + 1, np.uint64)
+    row_starts = np.zeros(n + 1, np.uint64)
     for i in range(n):
         for p in range(indptr[i], indptr[i + 1]):
             if indices[p] < i:

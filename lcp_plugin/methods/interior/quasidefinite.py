@@ -14,7 +14,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.matrix.structure import row_numbers
 from ...systems.factors import LONG, made, most_operations
 from ...systems.graph import compressed_rows
 from ...systems.refinement import REFINEMENTS, STABLE, USEFUL
@@ -57,38 +56,38 @@ class Symbolic:
 
     @classmethod
     def of(cls, M: sp.csr_array) -> Symbolic:
-        """Return that of M, canonical, with the pattern of its transpose, in qdldl's order: by minimum degree."""
+        """Return that of M, canonical, with the pattern of its transpose: qdldl's order, by minimum degree."""
         import qdldl
 
-        n, rows = M.shape[0], row_numbers(M)
-        is_below = M.indices < rows
+        n = M.shape[0]
+        rows = np.repeat(np.arange(n), np.diff(M.indptr))
+        at = np.flatnonzero(M.indices < rows)
+        rows, columns = rows[at], M.indices[at]
         # Row by row the lower triangle, its diagonal last: column by column the upper one.
-        starts = np.append(0, np.cumsum(np.bincount(rows[is_below], minlength=n) + 1))
+        starts = np.append(0, np.cumsum(np.bincount(rows, minlength=n) + 1))
         numbers = np.zeros(starts[-1])  # none is looked at, and no pivot of these is 0
         numbers[starts[1:] - 1] = 1.0
         indices = np.empty(numbers.size, dtype=np.int64)
-        indices[numbers > 0.0], indices[numbers == 0.0] = np.arange(n), M.indices[is_below]
+        indices[numbers > 0.0], indices[numbers == 0.0] = np.arange(n), columns
         upper = sp.csc_array((numbers, indices, starts), shape=(n, n))
         try:
             solver = made(lambda: qdldl.Solver(upper, upper=True), most_operations(upper))
         except RuntimeError as error:  # no pivot is 0: it found no memory
             raise MemoryError(str(error)) from error
-        return cls.in_order(M, solver.factors()[2])
-
-    @classmethod
-    def in_order(cls, M: sp.csr_array, order: Any) -> Symbolic:
-        """Return the pattern of L in that order."""
-        from .kernels import symmetric_factors
-
-        return cls.with_pattern(M, symmetric_factors.pattern_in(np.asarray(order, dtype=np.int64), M.indptr, M.indices))
-
-    @classmethod
-    def with_pattern(cls, M: Any, pattern: tuple[Any, ...]) -> Symbolic:
-        """Return that of a matrix, or of another Symbolic of it, with these arrays."""
-        counts = np.diff(pattern[1]).astype(np.float64)
-        entries = pattern[2].size
-        kept = tuple(read_only(part) for part in pattern)
-        return cls(M.indptr, M.indices, kept, entries, 0.5 * float(counts @ counts), 2.0 * entries)
+        lower, _, order = solver.factors()
+        position = np.empty(n, dtype=np.int64)
+        position[order] = np.arange(n)
+        first, second = position[rows], position[columns]
+        above = sp.csc_array((at, (np.minimum(first, second), np.maximum(first, second))), shape=(n, n))
+        by_rows = sp.csc_array((np.ones(lower.nnz), lower.indices, lower.indptr), shape=(n, n)).tocsr()
+        parts = (
+            (order, np.uint32), (lower.indptr, np.uint64), (lower.indices, np.uint32), (by_rows.indptr, np.uint64),
+            (by_rows.indices, np.uint32), (above.indptr, np.uint64), (above.indices, np.uint32),
+            (above.data, np.uint32),
+        )
+        pattern = tuple(read_only(part.astype(kind)) for part, kind in parts)
+        counts = np.diff(lower.indptr).astype(np.float64)
+        return cls(M.indptr, M.indices, pattern, lower.nnz, float(counts @ counts) / 2.0, 2.0 * lower.nnz)
 
     def fits(self, M: sp.csr_array) -> bool:
         """Return whether M has this pattern."""

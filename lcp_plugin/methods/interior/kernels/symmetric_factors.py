@@ -14,65 +14,6 @@ from ....systems.refinement import REFINED, ROUGH
 
 
 @compiled
-def pattern_in(order, indptr, indices):  # type: ignore[no-untyped-def]
-    """Return order … at of a Symbolic for that order, of a matrix with the pattern of its transpose, sorted.
-
-    Row k of L has the columns above its diagonal, and those on the way from them to k in the elimination tree (Liu
-    1986, doi:10.1145/6497.6499).
-    """
-    n = order.size
-    position, parent, seen = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    for k in range(n):
-        position[order[k]], parent[k], seen[k] = k, -1, -1
-    above_starts, starts = np.zeros(n + 1, np.uint64), np.zeros(n + 1, np.uint64)
-    row_starts = np.zeros(n + 1, np.uint64)
-    for i in range(n):
-        for p in range(indptr[i], indptr[i + 1]):
-            if indices[p] < i:
-                above_starts[max(position[i], position[indices[p]]) + 1] += np.uint64(1)
-    for k in range(n):
-        above_starts[k + 1] += above_starts[k]
-    place = above_starts[:-1].copy()
-    above, at = np.empty(above_starts[n], np.uint32), np.empty(above_starts[n], np.uint32)
-    for i in range(n):
-        for p in range(indptr[i], indptr[i + 1]):
-            if indices[p] < i:
-                first, second = position[i], position[indices[p]]
-                k = max(first, second)
-                above[place[k]], at[place[k]] = min(first, second), p
-                place[k] += np.uint64(1)
-    below, columns = np.empty(0, np.uint32), np.empty(0, np.uint32)
-    for is_filled in (False, True):  # counted first
-        for k in range(n):
-            seen[k] = k
-            for p in range(above_starts[k], above_starts[k + 1]):
-                j = int(above[p])
-                while seen[j] != k:
-                    seen[j] = k
-                    if is_filled:
-                        below[place[j]] = k
-                        place[j] += np.uint64(1)
-                    else:
-                        parent[j] = k if parent[j] < 0 else parent[j]
-                        starts[j + 1] += np.uint64(1)
-                        row_starts[k + 1] += np.uint64(1)
-                    j = parent[j]
-        if not is_filled:
-            for k in range(n):
-                starts[k + 1] += starts[k]
-                row_starts[k + 1] += row_starts[k]
-                place[k], seen[k] = starts[k], -1
-            below, columns = np.empty(starts[n], np.uint32), np.empty(starts[n], np.uint32)
-    place[:] = row_starts[:-1]
-    for j in range(n):
-        for q in range(starts[j], starts[j + 1]):
-            k = below[q]
-            columns[place[k]] = j
-            place[k] += np.uint64(1)
-    return order.astype(np.uint32), starts, below, row_starts, columns, above_starts, above, at
-
-
-@compiled
 def factorise(order, starts, below, row_starts, columns, above_starts, above, at, entries, values, pivots, y):  # type: ignore[no-untyped-def]
     """Fill L; pivots, the diagonal in the order of the rows, become D in that of the pattern. Return whether D ≠ 0.
 

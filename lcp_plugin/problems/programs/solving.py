@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ import numpy as np
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, restored
 from ...core.communicator import ALONE
-from ...core.deadline import Clock, is_over, seconds_left
+from ...core.deadline import Clock, OutOfTimeError, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
@@ -32,7 +33,7 @@ from .small_programs import MOST_STEPS
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
-LIMITS = {"max_seconds", "max_iterations"}
+SHARE = 0.5  # of a limit that interior points may take before there is a run
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
@@ -281,13 +282,19 @@ def _at_once(
 ) -> CompiledAnswer | InteriorAnswer | None:
     """Return the answer by one compiled call, or by interior points; None where these find none."""
     try:
-        found = solved_at_once(program, tolerance)
-        if found is None and not (options.keys() & LIMITS) and "proof_of_no_minimum" not in program.__dict__:
+        found: CompiledAnswer | InteriorAnswer | None = solved_at_once(program, tolerance)
+        if found is not None or "max_iterations" in options or known_contradiction(program) is not None:
+            return found
+        if (limit := options.get("max_seconds", math.inf)) == math.inf:
             return solved_by_interior_points(program, tolerance)
-        return found
+        clock = Clock(ALONE)
+        with suppress(OutOfTimeError), time_limit(min(SHARE * limit, seconds_left()), is_enforced=True):
+            found = solved_by_interior_points(program, tolerance)
+        options["max_seconds"] = max(limit - clock.read(), SHORTEST)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
         return None
+    return found
 
 
 def _by_forms(

@@ -31,6 +31,36 @@ def dpotrf(matrix: FloatVector, *, overwrite: bool = False) -> tuple[FloatVector
     return factor, info.value
 
 
+def signed_cholesky(matrix: FloatVector, positive: int) -> FloatVector | None:
+    """Return lower C with C diag(±1) Cᵀ = A, +1 in the first rows and −1 in the others; None where there is none.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n), by columns
+        Its lower triangle is read; it may be overwritten.
+    positive : int
+        How many of the signs are +1.
+
+    Examples
+    --------
+    >>> np.tril(signed_cholesky(np.array([[4.0, 2.0], [2.0, -8.0]], order="F"), 1))
+    array([[2., 0.],
+           [1., 3.]])
+    """
+    from scipy.linalg import blas
+
+    rest, info = -matrix[positive:, positive:], 0
+    if positive:
+        above, info = dpotrf(matrix[:positive, :positive], overwrite=True)
+    if positive and rest.size and not info:
+        across = blas.dtrsm(1.0, above, matrix[positive:, :positive], side=1, lower=1, trans_a=1)
+        matrix[positive:, :positive] = across
+        rest = blas.dsyrk(1.0, across, 1.0, rest, lower=1)
+    if rest.size and not info:
+        matrix[positive:, positive:], info = dpotrf(rest)
+    return None if info else matrix
+
+
 def dgbtrf(band: FloatVector, below: int, above: int) -> tuple[FloatVector, Any, int]:
     """Return (LU, pivots from 0, info) of a band matrix; LU takes the place of the band.
 
@@ -53,11 +83,15 @@ def dgbtrf(band: FloatVector, below: int, above: int) -> tuple[FloatVector, Any,
 
 
 def _by_columns(matrix: FloatVector, overwrite: bool) -> FloatVector:
-    return np.require(matrix if overwrite else matrix.copy(order="F"), np.float64, ["F", "A", "W"])
+    if not overwrite:
+        return np.require(matrix.copy(order="F"), np.float64, ["F", "A", "W"])
+    is_block = matrix.strides[0] == matrix.itemsize < matrix.strides[1]  # of a larger array by columns
+    needs = ["A", "W"] if is_block else ["F", "A", "W"]
+    return np.require(matrix, np.float64, needs)
 
 
 def _rows(matrix: FloatVector) -> ctypes.c_int:
-    return ctypes.c_int(max(matrix.shape[0], 1))
+    return ctypes.c_int(max(matrix.strides[1] // matrix.itemsize, 1))
 
 
 @cache

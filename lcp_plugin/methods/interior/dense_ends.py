@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, read_only
 from ...core.crossovers import BLOCKED_ENTRY, BLOCKED_FROM, BLOCKED_RATE
 from ...core.matrix.structure import row_numbers
-from ...systems.lapack import dpotrf
+from ...systems.lapack import signed_cholesky
 from .newton_matrix import DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix
 from .quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
 
@@ -218,7 +218,8 @@ class DenseEndNewtonMatrix(QuasidefiniteNewtonMatrix):
         arrays = *known.pattern, self._signed, self._values, self._pivots, self._spare[0]
         if not dense_ends.eliminate(*arrays, known.slot, self._block, self._rest):
             return False
-        factor = _two_factors(self._rest, self._block, np.sign(self._pivots[known.slot >= 0]), known.positive)
+        rest = _without(self._rest, self._block, np.sign(self._pivots[known.slot >= 0]))
+        factor = signed_cholesky(rest, known.positive)
         if factor is None:
             return False
         dense_ends.store(
@@ -227,31 +228,16 @@ class DenseEndNewtonMatrix(QuasidefiniteNewtonMatrix):
         return True
 
 
-def _two_factors(left: FloatVector, block: FloatVector, signs: FloatVector, positive: int) -> FloatVector | None:
-    """Return lower C with C diag(±1) Cᵀ = left − blockᵀ diag(signs) block, +1 in the first rows; None without one.
-
-    Of `left` the lower triangle is read.
-    """
+def _without(left: FloatVector, block: FloatVector, signs: FloatVector) -> FloatVector:
+    """Return left − blockᵀ diag(signs) block, by columns, in the lower triangle."""
     from scipy.linalg import blas
 
-    C = np.asfortranarray(left)
+    rest = np.asfortranarray(left)
     for sign in (1.0, -1.0):
         part = block.T if (signs == sign).all() else block[signs == sign].T
         if part.shape[1]:
-            C = blas.dsyrk(-sign, part, 1.0, C, lower=1, overwrite_c=1)
-    rest = -C[positive:, positive:]
-    if positive:
-        above, info = dpotrf(C[:positive, :positive])
-        if info:
-            return None
-        C[:positive, :positive] = above
-    if 0 < positive < C.shape[0]:
-        across = blas.dtrsm(1.0, above, C[positive:, :positive], side=1, lower=1, trans_a=1)
-        C[positive:, :positive] = across
-        rest = blas.dsyrk(1.0, across, 1.0, rest, lower=1)
-    if positive < C.shape[0]:
-        C[positive:, positive:], info = dpotrf(rest)
-    return None if info else C
+            rest = blas.dsyrk(-sign, part, 1.0, rest, lower=1, overwrite_c=1)
+    return rest
 
 
 def newton_matrix(

@@ -1,11 +1,12 @@
 """Newton matrices of interior points, M + diag: regularised, factorised, and the regularisation refined away.
 
-M is given, equilibrated, and not modified. Dense: Cholesky or LU. Sparse: LU by SuperLU; LDLᵀ of quadratic programs is
-in :mod:`.quasidefinite`.
+M is given, equilibrated, and not modified. Dense: Cholesky, twice of quadratic programs, or LU. Sparse: LU by SuperLU;
+LDLᵀ of quadratic programs is in :mod:`.quasidefinite`.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.matrix.structure import row_numbers
-from ...systems.factors import cholesky, dense_lu, sparse_lu, sparse_work
+from ...systems.factors import Factor, cholesky, dense_lu, made, sparse_lu, sparse_work
+from ...systems.lapack import signed_cholesky
 from ...systems.refinement import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
 
 REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
@@ -133,12 +135,16 @@ class NewtonMatrix:
 
 
 class DenseNewtonMatrix(NewtonMatrix):
-    """Cholesky where M is symmetric, else LU with partial pivoting, in one array that is used again."""
+    """Cholesky where M is symmetric, two of them where signs make it so, else LU; in one array that is used again."""
 
     def __init__(self, M: FloatVector, is_symmetric: bool, signs: FloatVector | None = None) -> None:
         super().__init__(M.shape[0], M)
-        self.signs = self.signs if signs is None else read_only(signs)
-        self._factorise = cholesky if is_symmetric else dense_lu
+        self._factorise, self._share = (cholesky, 6.0) if is_symmetric else (dense_lu, 3.0)
+        if signs is not None:
+            self.signs = read_only(signs)
+            positive = int(np.count_nonzero(signs > 0.0))
+            if (signs[:positive] > 0.0).all():
+                self._factorise, self._share = partial(quasidefinite, positive=positive), 6.0
         self._buffer = np.empty_like(M)
         self._factor: Any = None
 
@@ -146,13 +152,46 @@ class DenseNewtonMatrix(NewtonMatrix):
         np.copyto(self._buffer, self.M)
         self._buffer.flat[:: self.n + 1] += diagonal
         self._factor = self._factorise(self._buffer, overwrite=True)
-        self.work += self.n**3 / (6.0 if self._factorise is cholesky else 3.0)
+        self.work += self.n**3 / self._share
         return self._factor is not None
 
     def _apply(self, right: FloatVector) -> FloatVector:
         self.work += self._factor.solve_work
         x: FloatVector = self._factor.solve(right)
         return x
+
+
+def quasidefinite(matrix: FloatVector, positive: int, *, overwrite: bool = False) -> Factor | None:
+    """Return a factor of [[P, Aᵀ], [−A, Q]], P and Q positive definite and P of so many rows; None where one is not.
+
+    Of P and Q the upper triangle is read, and Aᵀ.
+
+    Examples
+    --------
+    >>> quasidefinite(np.array([[2.0, 1.0], [-1.0, 1.0]]), 1).solve(np.array([3.0, 0.0]))
+    array([1., 1.])
+    """
+    from scipy.linalg import lapack
+
+    n = matrix.shape[0]
+    mirrored = matrix.T if overwrite else matrix.T.copy(order="F")
+    mirrored[positive:, positive:] *= -1.0
+    C = made(lambda: signed_cholesky(mirrored, positive), n**3 / 3.0)
+    if C is None:
+        return None
+
+    def solve(right: Any) -> Any:
+        y = np.array(right)
+        y[positive:] *= -1.0
+        y = lapack.dtrtrs(C, y, lower=1, overwrite_b=1)[0]
+        y[positive:] *= -1.0
+        return lapack.dtrtrs(C, y, lower=1, trans=1, overwrite_b=1)[0]
+
+    def solve_transposed(right: Any) -> Any:
+        signs = np.where(np.arange(n) < positive, 1.0, -1.0)
+        return signs * solve(signs * right)
+
+    return Factor("Cholesky", solve, solve_transposed, n**3 / 6.0, float(n * n))
 
 
 class SparseNewtonMatrix(NewtonMatrix):

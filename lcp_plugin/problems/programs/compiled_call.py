@@ -26,7 +26,7 @@ from .small_programs import ROWS_UP_TO, UP_TO, SmallAnswers, SmallPrograms, may_
 
 ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
-BOXED_UP_TO, BOXED = 200, 1.5  # unknowns and their bounds; where few rows hold x, the path from far outside is long
+BOXED_UP_TO, BOXED = 160, 1.5  # unknowns and their bounds; where few rows hold x, the path from far outside is long
 FOLDED_FROM = 5e5  # multiplications by rows that may be bounds: to look for these takes as long
 MANY = UP_TO**2 * ROWS_UP_TO  # entries: those that are left are not counted yet
 REACHED = 1e-9  # the smallest tolerance that the compiled call is asked for

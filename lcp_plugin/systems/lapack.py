@@ -86,8 +86,7 @@ def _by_columns(matrix: FloatVector, overwrite: bool) -> FloatVector:
     if not overwrite:
         return np.require(matrix.copy(order="F"), np.float64, ["F", "A", "W"])
     is_block = matrix.strides[0] == matrix.itemsize < matrix.strides[1]  # of a larger array by columns
-    needs = ["A", "W"] if is_block else ["F", "A", "W"]
-    return np.require(matrix, np.float64, needs)
+    return np.require(matrix, np.float64, ["A", "W"] if is_block else ["F", "A", "W"])
 
 
 def _rows(matrix: FloatVector) -> ctypes.c_int:

@@ -17,6 +17,7 @@ BENCHMARKS = {
     "rivals": "dense, contact and sparse problems against convex QP solvers, each at its cheapest setting",
     "shapes": "lasso, support vectors, portfolios, transport … at every shape, against OSQP and Clarabel",
     "programs": "quadratic programs against PIQP and Clarabel, to 2000 rows and above; control again against OSQP",
+    "cvxpy-models": "27 models of cvxpy's users, each stated anew, against Clarabel and OSQP",
     "certificates": "what an H₊ proof and an error bound cost, against one multigrid solution of the linear system",
     "least-squares": "bounded least squares beside scipy on every kind of A, and what a factor costs in steps",
     "derivatives": "a gradient by all data against its solve, up to n = 10⁶, and against cvxpy's own backward",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,7 +28,9 @@ MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
 FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost less than a dozen interior steps
 LATER_GUESS = (10, 0.02)
-HEAVIER = 1e4  # multipliers of a program that are as much larger beside its distances, where a first start fails
+# Of a program: how much larger its multipliers are beside its distances at the start, and what is added to the diagonal
+# of its unknowns, in the units of the steps. Where the minimisers reach to infinity, the ridge chooses those near 0.
+ATTEMPTS = (1.0, 0.0), (1.0, 1e-10), (1e4, 0.0)
 EARLIEST_GUESS = 3
 MOST_ITERATIONS = 150
 AT_ONCE = 8  # steps between two looks at where they have come to
@@ -240,12 +242,17 @@ class Search:
             self.counted = primal.work
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
-        """Make interior steps and solve for the active sets they lead to; once more where a first start fails."""
-        matrix = newton_matrix(self.M, primal is not None, self.signs, self.suited.symbolic)
-        point = PredictorCorrector(matrix, self.q, self.lower, self.upper)
-        weight = _weight_of(primal)
-        for heavier in (1.0, HEAVIER) if self.suited.is_program else (1.0,):
-            if not (yield from self._from(point, Starts(heavier * weight), primal)):
+        """Make interior steps and solve for the active sets they lead to; again, otherwise, where a program asks on."""
+        weight, M, symbolic = _weight_of(primal), self.M, self.suited.symbolic
+        for heavier, ridge in ATTEMPTS if self.suited.is_program else ATTEMPTS[:1]:
+            if ridge:
+                self.M = _ridged(M, ridge * (np.asarray(self.signs) > 0.0))
+                self.best = self.least = self.product = np.inf
+            matrix = newton_matrix(self.M, primal is not None, self.signs, symbolic)
+            point = PredictorCorrector(matrix, self.q, self.lower, self.upper)
+            has_begun = yield from self._from(point, Starts(heavier * weight), primal)
+            self.M = M
+            if not has_begun:
                 return
 
     def _from(
@@ -349,6 +356,11 @@ class Search:
             step[kept] = system.solve(left[kept])
             y[free] -= step[free]
         return system.work
+
+
+def _ridged(M: Any, ridge: FloatVector) -> Any:
+    """Return M + diag(ridge), sparse or not as M is."""
+    return sp.csr_array(M + sp.diags_array(ridge)) if sp.issparse(M) else M + np.diag(ridge)
 
 
 def _weight_of(primal: PrimalActiveSet | None) -> float:

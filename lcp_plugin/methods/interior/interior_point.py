@@ -246,7 +246,7 @@ class Search:
         weight, M, symbolic = _weight_of(primal), self.M, self.suited.symbolic
         for heavier, ridge in ATTEMPTS if self.suited.is_program else ATTEMPTS[:1]:
             if ridge:
-                self.M = _ridged(M, ridge * (np.asarray(self.signs) > 0.0))
+                self.M = _ridged(M, np.where(np.asarray(self.signs) > 0.0, ridge, 0.0))
                 self.best = self.least = self.product = np.inf
             matrix = newton_matrix(self.M, primal is not None, self.signs, symbolic)
             point = PredictorCorrector(matrix, self.q, self.lower, self.upper)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from .communicator import Communicator
+from .deadline import Lock
 from .matrix.matrix import Matrix
 from .registry import ask
 from .written import described_lcp, written_lcp
@@ -139,6 +140,14 @@ class LCP:
     def residual_scale(self) -> FloatVector:
         """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.matrix.Matrix.residual_scale`."""
         return self.matrix.residual_scale
+
+    @cached_property
+    def _facts(self) -> dict[Any, Any]:
+        return {}
+
+    @property
+    def _lock(self) -> Lock:
+        return self.matrix._lock
 
     @cached_property
     def nearest_to_zero(self) -> FloatVector:
@@ -395,6 +404,6 @@ class LCP:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""
-        return {name: value for name, value in self.__dict__.items() if name != "nearest_to_zero"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("nearest_to_zero", "_facts")}
 
     __setstate__ = restored

@@ -23,8 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,7 +31,7 @@ import scipy.sparse as sp
 from ..checks import BoolVector, FloatVector, read_only
 from ..kernels.floats import DATA_ROUNDING, TINY
 from ..lcp import LCP
-from ..matrix.matrix import Matrix
+from ..matrix.matrix import Matrix, fact
 from ..matrix.structure import IntVector, Parts, parts
 from ..matrix.units import Units, is_representable, units_of
 from .row_residuals import (
@@ -46,9 +45,6 @@ from .row_residuals import (
 )
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
-_references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
-_own_references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
-_row_units: WeakKeyDictionary[LCP, RowUnits] = WeakKeyDictionary()
 SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)
 LARGEST_EXPONENT = 1000  # of two, that other units may give a number
 
@@ -62,21 +58,19 @@ class RowUnits(NamedTuple):
         ŵ_i = 2^row_i w_i and ẑ_i = 2^−column_i z_i.
     scale : array, shape (own,)
         What w_i is divided by in r_i.
+    matrix : Matrix
+        M̂.
     """
 
     row: IntVector
     column: IntVector
     scale: FloatVector
+    matrix: Matrix
 
     @classmethod
     def of(cls, problem: LCP) -> RowUnits | None:
         """Return those of a problem; None where its own units are those of the criterion, or its origin has one."""
-        units = None if problem.criterion is not None else units_of(problem.matrix)
-        if units is None:
-            return None
-        if problem not in _row_units:
-            _row_units[problem] = cls(*_with_offset(problem, units))
-        return _row_units[problem]
+        return None if problem.criterion is not None or units_of(problem.matrix) is None else _row_units(problem)
 
     def upwards(self, residuals: FloatVector) -> FloatVector:
         """Return residuals ≥ 0 in the units of the criterion, no smaller, shape (own,)."""
@@ -91,11 +85,13 @@ class RowUnits(NamedTuple):
             return np.where(weighted < SMALLEST_NORMAL, np.maximum(weighted - TINY, 0.0), weighted)
 
 
-def _with_offset(problem: LCP, units: Units) -> tuple[IntVector, IntVector, FloatVector]:
-    """Return exponents and scale with the unit that q gives to components of which a part has several."""
+@fact
+def _row_units(problem: LCP) -> RowUnits:
+    """Return the units of M with the unit that q gives to components of which a part has several."""
+    units = cast(Units, units_of(problem.matrix))
     row, column, scale = units.row, units.column, units.scale
     if np.array_equal(units.of_row, units.of_column):
-        return row, column, scale
+        return RowUnits(row, column, scale, units.matrix)
     with np.errstate(all="ignore"):
         slack = np.ldexp(np.abs(problem.slack(problem.nearest_to_zero)), row)
     largest = np.zeros(2 * problem.n)
@@ -106,9 +102,9 @@ def _with_offset(problem: LCP, units: Units) -> tuple[IntVector, IntVector, Floa
     of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
     with np.errstate(all="ignore"):
         shifted = np.ldexp(scale, of_column - of_row)
-    if not is_representable(shifted):
-        return row, column, scale
-    return row + of_row, column - of_column, read_only(shifted)
+    if is_representable(shifted):
+        row, column, scale = row + of_row, column - of_column, read_only(shifted)
+    return RowUnits(row, column, scale, units.matrix)
 
 
 def residual_scale_of_criterion(problem: LCP) -> FloatVector:
@@ -137,22 +133,18 @@ def for_each_row(problem: LCP, values: Any) -> Any:
 
 
 def references_of_parts(problem: LCP) -> VectorEnds:
-    """Return bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each; computed once a problem."""
-    if RowUnits.of(problem) is None:
-        return own_references(problem)
-    if problem not in _references:
-        _references[problem] = _references_in(problem, RowUnits.of(problem))
-    return _references[problem]
+    """Return bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each."""
+    return _references(problem, RowUnits.of(problem) is not None)
 
 
 def own_references(problem: LCP) -> VectorEnds:
-    """Return bounds of ‖r_P(z°)‖∞ in the problem's own units, as a run on it has them; computed once a problem."""
-    if problem not in _own_references:
-        _own_references[problem] = _references_in(problem, None)
-    return _own_references[problem]
+    """Return bounds of ‖r_P(z°)‖∞ in the problem's own units, as a run on it has them."""
+    return _references(problem, False)
 
 
-def _references_in(problem: LCP, units: RowUnits | None) -> VectorEnds:
+@fact
+def _references(problem: LCP, in_units: bool) -> VectorEnds:
+    units = RowUnits.of(problem) if in_units else None
     z, matrix, scale = problem.nearest_to_zero, problem.matrix, problem.residual_scale if units is None else units.scale
 
     def of_parts(ends: VectorEnds) -> tuple[FloatVector, ...]:
@@ -236,24 +228,20 @@ class CommonUnits:
     def of(cls, problem: LCP, least: float = 0.0) -> CommonUnits:
         """Return those of a problem; where a number would overflow in them, the problem's own."""
         units, several = RowUnits.of(problem), parts(problem.matrix)
-        balanced = None if units is None else _scaled(problem, units.row, -units.column, _matrix_in_units(problem))
+        run, columns, rows = problem, None, None
+        if units is not None and (balanced := _scaled(problem, units.row, -units.column, units.matrix)) is not None:
+            run, columns, rows = balanced, -units.column, units.row
         if several is None:
-            if balanced is None or units is None:
-                return cls(problem, problem, least=least)
-            return cls(problem, balanced, -units.column, units.row, None, least)
-        inner = balanced or problem
-        most = own_references(inner)[1]
+            return cls(problem, run, columns, rows, None, least)
+        most = own_references(run)[1]
         is_answered = (most == 0.0) | hold_at_zero(problem)
-        if balanced is None:
+        if run is problem:
             most = np.maximum(most, least)
-        exponents = _exponents(inner, several, np.where(is_answered, 0.0, most))
+        exponents = _exponents(run, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
-        has_units, has_answers = (not problem.communicator.everywhere(not rows.any()) for rows in (exponents, answered))
-        run = (_scaled(inner, exponents, exponents, inner.matrix) if has_units else None) or inner
-        rows, columns = (exponents, exponents) if has_units and run is not inner else (None, None)
-        if balanced is not None and units is not None:
-            rows = units.row if rows is None else units.row + rows
-            columns = -units.column if columns is None else columns - units.column
+        has_units, has_answers = (not problem.communicator.everywhere(not side.any()) for side in (exponents, answered))
+        if has_units and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
+            run, columns, rows = alike, *(exponents if side is None else side + exponents for side in (columns, rows))
         return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least)
 
     @cached_property
@@ -329,11 +317,6 @@ def hold_at_zero(problem: LCP) -> BoolVector:
         is_rounding = at_rounding_level(np.abs(problem.slack(z)) / problem.residual_scale, floor)
     is_above = largest_of_parts(problem, ((residual > 0.0) & ~is_rounding).astype(np.float64))
     return np.asarray(is_above == 0.0)
-
-
-def _matrix_in_units(problem: LCP) -> Matrix:
-    units = units_of(problem.matrix)
-    return problem.matrix if units is None else units.matrix
 
 
 def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LCP | None:

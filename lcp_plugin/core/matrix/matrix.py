@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class fact(Generic[P, T]):  # noqa: N801 - a decorator
-    """A function of a matrix (and of hashable arguments) whose value is kept with the matrix.
+    """A function of a matrix (and of hashable arguments) whose value is kept with the matrix; of a problem as well.
 
     A fact about M is one such function, in whichever room knows it: the function is its key, its annotation the type.
 
@@ -40,7 +40,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         self._compute = compute
         update_wrapper(self, compute)
 
-    def __call__(self, matrix: Matrix, *args: P.args, **kwargs: P.kwargs) -> T:
+    def __call__(self, matrix: Any, *args: P.args, **kwargs: P.kwargs) -> T:
         """Return the value, computed where nobody has asked before."""
         key = (self, *args)
         try:

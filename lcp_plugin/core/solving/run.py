@@ -160,6 +160,7 @@ class Run:
         is_monotone = algorithm.is_monotone
         if residual is not None:
             if self.judge.passes(step.z, residual, iteration):
+                self.incumbent.take(step.z, residual)
                 return Status.SOLVED
             is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
             is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
@@ -215,6 +216,7 @@ class Run:
             incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
         last = state.stages[-1].algorithm if state.stages else None
         is_excluded = bool(state.stages) and state.stages[-1].least_residual > self.settings.goal
+        is_excluded = is_excluded and reason is not Status.SOLVED
         best = start if incumbent.z is None or is_excluded else incumbent.z  # no z is near a solution: as in a batch
         certificate = self.judge.final(best, reason, last)
         return certificate, self.judge.verdict(certificate, reason, is_chain=len(state.stages) > 1)
@@ -258,12 +260,15 @@ class Incumbent:
     def offer(self, z: FloatVector, residual: float) -> None:
         """Keep a copy of z where its residual is smaller than the best; NaN counts as ∞."""
         self.unmeasured = None
+        if self.z is None or residual < self.residual:
+            self.take(z, math.inf if math.isnan(residual) else residual)
+
+    def take(self, z: FloatVector, residual: float) -> None:
+        """Keep a copy of z, whatever was there."""
         if self.z is None:
             self.z = z.copy()
-            self.residual = math.inf if math.isnan(residual) else residual
-        elif residual < self.residual:
-            np.copyto(self.z, z)
-            self.residual = residual
+        np.copyto(self.z, z)
+        self.residual = residual
 
 
 class RunState:

@@ -21,7 +21,6 @@ from functools import lru_cache, partial
 from hashlib import sha256
 from pathlib import Path
 from pickle import PickleError
-from threading import local
 from typing import Any, cast
 
 import numpy as np
@@ -42,18 +41,14 @@ _lock = Lock()
 
 
 class _StoppedClocks(event.Listener):
-    """Stops the clocks of all runs around while numba compiles, whatever the kernel."""
-
-    def __init__(self) -> None:
-        self._under_way = local()
+    """Stops the clocks of all runs around while numba compiles, whatever the kernel; both events have the same data."""
 
     def on_start(self, event: Any) -> None:
-        stack = self._under_way.__dict__.setdefault("stack", [])
-        stack.append(NEW_KERNELS.compiling())
-        stack[-1].__enter__()
+        event.data["clocks"] = NEW_KERNELS.compiling()
+        event.data["clocks"].__enter__()
 
     def on_end(self, event: Any) -> None:
-        self._under_way.stack.pop().__exit__(None, None, None)
+        event.data["clocks"].__exit__(None, None, None)
 
 
 event.register("numba:compile", _StoppedClocks())  # type: ignore[no-untyped-call]
@@ -65,17 +60,12 @@ def cache_folder() -> Path:
     return Path(named) if named else user_cache_path("lcp_plugin", appauthor=False)
 
 
-def compiled(function: Any) -> Any:
-    """Compile on first use: no lock of the interpreter held, divisions by zero as in numpy."""
-    return _compiled(function)
-
-
 def compiled_in_any_order(function: Any) -> Any:
     """Compile a part of kernels whose sums may be taken in another order, and whose numbers are never NaN.
 
     The order is fixed when it is compiled: the same call gives the same bits.
     """
-    return _part(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
+    return compiled_part(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
 
 
 def interpreted_while_small(function: Any, *, longest: float = np.inf, numbers: int = FEW) -> Any:
@@ -85,17 +75,12 @@ def interpreted_while_small(function: Any, *, longest: float = np.inf, numbers: 
     be taken in another order, or where work grows faster than the numbers in the arrays. Those with more than `numbers`
     numbers in their arrays are compiled, too.
     """
-    return _compiled(function, longest, numbers)
-
-
-def compiled_part(function: Any) -> Any:
-    """Compile a part of kernels."""
-    return _part(function)
+    return compiled(function, longest, numbers)
 
 
 def compiled_into_others(function: Any) -> Any:
     """Compile a short part of kernels: on a few unknowns a call costs more than what it does."""
-    return _part(function, forceinline=True)
+    return compiled_part(function, forceinline=True)
 
 
 def compiled_for_rows(by_arrays: Callable[..., Any]) -> Callable[[Any], Any]:
@@ -105,7 +90,7 @@ def compiled_for_rows(by_arrays: Callable[..., Any]) -> Callable[[Any], Any]:
     """
 
     def decorate(function: Any) -> Any:
-        part = _part(function, forceinline=True)
+        part = compiled_part(function, forceinline=True)
         if not hasattr(part, "compile"):
             return by_arrays
         part._compile_for_args = lambda *_, **__: by_arrays
@@ -116,7 +101,7 @@ def compiled_for_rows(by_arrays: Callable[..., Any]) -> Callable[[Any], Any]:
 
 def compiled_in_place(function: Any) -> Any:
     """Compile a part of one kernel or two, line by line as if it stood there."""
-    return _part(function, inline="always")
+    return compiled_part(function, inline="always")
 
 
 class _PartLibrary(JITCodeLibrary):
@@ -148,7 +133,8 @@ class _PartCompiler(Compiler):
 
 
 @compiling()
-def _part(function: Any, **options: Any) -> Any:
+def compiled_part(function: Any, **options: Any) -> Any:
+    """Compile a part of kernels."""
     options |= {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
     dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
     if hasattr(dispatcher, "compile"):  # it has none where numba is told not to compile
@@ -158,7 +144,8 @@ def _part(function: Any, **options: Any) -> Any:
 
 
 @compiling()
-def _compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
+def compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
+    """Compile on first use: no lock of the interpreter held, divisions by zero as in numpy."""
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher = _kept(lambda cache: njit(cache=cache, **options)(function))
     if hasattr(dispatcher, "compile"):
@@ -181,12 +168,10 @@ _interpreted = [0.0]
 
 
 def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...], longest: float, numbers: int) -> bool:
-    if _interpreted[0] >= PATIENCE:
-        return False
     arrays = [argument for argument in arguments if isinstance(argument, np.ndarray)]
     is_small = sum(array.size for array in arrays) <= numbers
-    is_small = is_small and all(max(array.shape, default=0) <= longest for array in arrays)
-    return is_small and not dispatcher._cache.has(dispatcher, arguments)
+    is_short = all(max(array.shape, default=0) <= longest for array in arrays)
+    return is_small and is_short and _interpreted[0] < PATIENCE and not dispatcher._cache.has(dispatcher, arguments)
 
 
 def _interpret(function: Any, *arguments: Any) -> Any:

@@ -15,7 +15,7 @@ from ..algorithms import Step
 from ..certificates.criterion import CommonUnits
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, read_only
-from ..deadline import Clock, OutOfTimeError, time_limit
+from ..deadline import NEW_KERNELS, Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
 from ..policy.choice import Policy, name_of
@@ -64,14 +64,13 @@ class Run:
         """Run the chain of algorithms within the time that is left; return why it ended."""
         self.judge.require_rigorous_bounds()
         following: Choice | None = first
-        left = self.settings.max_seconds
-        left -= 0.0 if left == math.inf else self.clock.read()
+        left = self.settings.max_seconds - self.clock.read()
         if self.judge.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         try:
             with (
                 nullcontext() if left == math.inf else time_limit(left, is_enforced=self.problem.communicator.is_alone),
-                nullcontext() if self.log is None else self.log.telling_of_compilation(),
+                nullcontext() if self.log is None else NEW_KERNELS.watched_by(self.log.hear_of_compilation),
             ):
                 while following is not None:
                     if self.log is not None:
@@ -214,11 +213,11 @@ class Run:
         incumbent, state = self.incumbent, self.state
         if incumbent.unmeasured is not None:
             incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
-        last = state.stages[-1].algorithm if state.stages else None
-        is_excluded = bool(state.stages) and state.stages[-1].least_residual > self.settings.goal
-        is_excluded = is_excluded and reason is not Status.SOLVED
-        best = start if incumbent.z is None or is_excluded else incumbent.z  # no z is near a solution: as in a batch
-        certificate = self.judge.final(best, reason, last)
+        last = state.stages[-1] if state.stages else None
+        # Where no z is near a solution, what is given back is the start, as in a batch.
+        is_excluded = last is not None and last.least_residual > self.settings.goal and reason is not Status.SOLVED
+        best = start if incumbent.z is None or is_excluded else incumbent.z
+        certificate = self.judge.final(best, reason, last and last.algorithm)
         return certificate, self.judge.verdict(certificate, reason, is_chain=len(state.stages) > 1)
 
     def judged(self, start: FloatVector, reason: Status) -> Result:
@@ -279,18 +278,17 @@ class RunState:
         self.samples: list[Sample] = []
         self.iteration, self.work = -1, 0.0
         self.seconds = self.setup_seconds = 0.0
-        self._is_first = True  # step of its stage
 
     def open(self, stage: Stage) -> None:
         """Begin a stage."""
         if self.stages:
             self.stages[-1].z = None
         self.stages.append(stage)
-        self._is_first = True
 
     def enter(self, step: Step, seconds: float) -> bool:
         """Count a step; return whether it is its stage's first, which a later stage begins where the last one ended."""
-        stage, is_first = self.stages[-1], self._is_first
+        stage = self.stages[-1]
+        is_first = stage.z is None
         self.seconds, stage.z = seconds, step.z
         self.work += step.work
         stage.take(step.label, 0 if is_first else 1, step.work)
@@ -298,13 +296,9 @@ class RunState:
         stage.successor = step.successor or stage.successor
         stage.least_residual = max(stage.least_residual, step.least_residual)
         stage.settles = stage.settles or step.is_settling
-        if not is_first:
-            self.iteration += 1
-        else:
-            self._is_first = False
-            self.iteration = max(self.iteration, 0)
-            if self.iteration == 0:
-                self.setup_seconds = seconds
+        self.iteration = max(self.iteration + (not is_first), 0)
+        if is_first and self.iteration == 0:
+            self.setup_seconds = seconds
         return is_first
 
     def records(self) -> tuple[StageRecord, ...]:

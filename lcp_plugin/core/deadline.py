@@ -182,11 +182,8 @@ class NewKernels:
     def _count(self, change: int) -> None:
         with self._lock.held():
             now = time.perf_counter()
-            if self._under_way == 0:
-                self._began = now
-            self._under_way += change
-            if self._under_way == 0:
-                self._before += now - self._began
+            self._before += now - self._began if self._under_way else 0.0
+            self._began, self._under_way = now, self._under_way + change
         for watcher in list(self.watchers):
             watcher()
 

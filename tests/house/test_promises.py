@@ -81,7 +81,7 @@ class Claiming(Algorithm):
 
     def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
         for _ in range(5):
-            yield Step(np.full(problem.n, 0.25), residual=0.0, euclidean=0.0, increment=0.0)
+            yield Step(np.full(problem.n, 0.25), residual=0.0, increment=0.0)
 
 
 def test_solved_is_measured() -> None:

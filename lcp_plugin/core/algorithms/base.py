@@ -31,8 +31,6 @@ class Step:
         Borrowed: the algorithm may overwrite it after the driver has asked for the next step.
     residual : float or None
         Exactly the numerator of the relative residual of this z, where the algorithm has it for free.
-    euclidean : float or None
-        ‖z − mid(lower, upper, z − w)‖₂ of this z, where the algorithm has it for free.
     increment : float or None
         ‖z − previous z‖∞; tells the driver when a residual is worth measuring.
     work : float
@@ -55,7 +53,6 @@ class Step:
 
     z: FloatVector
     residual: float | None = None
-    euclidean: float | None = None
     increment: float | None = None
     work: float = 1.0
     is_settling: bool = False

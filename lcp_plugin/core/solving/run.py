@@ -217,7 +217,7 @@ class Run:
         # Where no z is near a solution, what is given back is the start, as in a batch.
         is_excluded = last is not None and last.least_residual > self.settings.goal and reason is not Status.SOLVED
         best = start if incumbent.z is None or is_excluded else incumbent.z
-        certificate = self.judge.final(best, reason, last and last.algorithm)
+        certificate = self.judge.final(best, reason, None if last is None else last.algorithm)
         return certificate, self.judge.verdict(certificate, reason, is_chain=len(state.stages) > 1)
 
     def judged(self, start: FloatVector, reason: Status) -> Result:

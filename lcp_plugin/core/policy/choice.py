@@ -92,7 +92,7 @@ class Policy:
         """Return the algorithm to begin with."""
         raise NotImplementedError
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
         return None
 
@@ -115,7 +115,7 @@ class Single(Policy):
         """Return the caller's algorithm."""
         return Choice(self.algorithm)
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return None, or the feasibility check after a method that ended without a solution."""
         is_unfit = not self._refutes or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
         if not failed or len(stages) > 1 or is_unfit:
@@ -160,16 +160,16 @@ class Auto(Policy):
             return Choice(PSOR(), f"every row is dominated: a sweep gains a factor {CLEARLY_DOMINANT} at least")
         return narrow if passes <= BANDED_PASSES else PROJECTED_TYPE
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return what needs the least work from here, or None to go on."""
         now = stages[-1]
         if self._direct is not None:
-            return self._direct.after(stages, target, failed=failed)
+            return self._direct.after(stages, goal, failed=failed)
         if (order := _exact_order(problem, now)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if now.algorithm.name == "banded":
             return replace(PROJECTED_TYPE, because="banded came to an end") if failed else None
-        left = Remaining.of(problem, now, target, failed=failed)
+        left = Remaining.of(problem, now, goal, failed=failed)
         if left is None:
             return None
         if left.name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:

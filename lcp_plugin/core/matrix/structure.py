@@ -42,9 +42,6 @@ def triangular_form(matrix: Matrix) -> str | None:
     return "upper" if (rows <= M.indices).all() else None
 
 
-BLOCK = 2**14  # rows
-
-
 @dataclass(frozen=True, eq=False)
 class Parts:
     """Which part each of the own rows belongs to, where a matrix has several.
@@ -106,14 +103,8 @@ def _is_seen_connected(matrix: Matrix) -> bool:
         nonzero = matrix.rows != 0.0
         return bool(np.tril(nonzero | nonzero.T, -1).any(axis=1)[1:].all())
     starts, indices = matrix.csr_rows.indptr, matrix.csr_rows.indices
-    if starts[-1] == 0:
-        return False
-    for first in range(1, matrix.n, BLOCK):
-        last = min(first + BLOCK, matrix.n)
-        begin, end = starts[first:last], starts[first + 1 : last + 1]
-        if not (end > begin).all() or not (indices[begin] < np.arange(first, last, dtype=indices.dtype)).all():
-            return False
-    return True
+    is_filled = bool((starts[2:] > starts[1:-1]).all())
+    return is_filled and bool((indices[starts[1:-1]] < np.arange(1, matrix.n, dtype=indices.dtype)).all())
 
 
 def local_parts(matrix: Matrix) -> tuple[IntVector, int]:

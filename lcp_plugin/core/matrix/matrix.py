@@ -205,12 +205,6 @@ class Matrix:
         """The matrix by columns, shape (n, n)."""
         return sp.csc_array(self.csr)
 
-    @property
-    @fact
-    def transpose(self) -> sp.csr_array:
-        """Mᵀ as CSR, shape (n, n)."""
-        return sp.csr_array(self.csr.T)
-
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again, and the lock."""
         csr = None if self.is_dense else self.csr

@@ -24,13 +24,6 @@ def row_numbers(M: Any) -> IntVector:
 
 
 @fact
-def components(matrix: Matrix) -> int:
-    """Return the number of connected components of the graph of M."""
-    found = parts(matrix)
-    return min(matrix.n, 1) if found is None else found.total
-
-
-@fact
 def triangular_form(matrix: Matrix) -> str | None:
     """"diagonal", "lower", "upper", or None."""
     M = matrix.csr

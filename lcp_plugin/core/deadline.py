@@ -11,7 +11,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 from weakref import WeakSet
@@ -43,11 +43,9 @@ class Lock:
         """Become free; for a process in which no other thread is left."""
         self._lock = threading.RLock()
 
-    @contextmanager
-    def held(self) -> Iterator[None]:
+    def held(self) -> AbstractContextManager[bool]:
         """Hold it, in a ``with`` statement."""
-        with self._lock:
-            yield
+        return self._lock
 
 
 _all: WeakSet[Lock] = WeakSet()

@@ -13,9 +13,8 @@ from ..checks import checked_start
 from ..deadline import Clock
 from ..errors import InvalidOption
 from ..kernels.threads import threads_for
-from ..kinds import solve_any
+from ..kinds import LINEAR_COMPLEMENTARITY_PROBLEM, solve_any
 from ..lcp import LCP
-from ..lcp_kind import LINEAR_COMPLEMENTARITY_PROBLEM
 from ..policy.choice import Policy, policy_for
 from ..registry import ask_or_none
 from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback

@@ -76,11 +76,6 @@ class Judge:
             self._certificate = latest = Certificate.of(self.problem, answer)
         return latest
 
-    @property
-    def per_increment(self) -> float:
-        """How large a residual is beside the increment that goes with it near the answer, about."""
-        return ratio(1.0, self.reference)
-
     def residual_of(self, step: Step) -> float | None:
         """Return the relative residual of a step where the algorithm knows it."""
         return None if step.residual is None else self._relative(step.residual)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from ..algorithms import Step
 from ..certificates.criterion import CommonUnits
 from ..certificates.residuals import Certificate
+from ..certificates.row_residuals import ratio
 from ..checks import FloatVector, read_only
 from ..deadline import NEW_KERNELS, Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
@@ -49,16 +49,12 @@ class Run:
         self.judge, self.incumbent, self.state = judge or judge_of(units, settings), Incumbent(), RunState()
         self.problem = problem = units.problem
         self.progress = Progress(problem.n, settings.max_iterations)
+        self.checks = CheckSchedule(ratio(1.0, self.judge.reference), settings.goal)
         self.start_residual = math.inf
         with clock.paused():
             self.log = RunLog(self.judge.asked, settings) if settings.verbose else None
         self._is_watched = settings.record or settings.verbose or not problem.communicator.everywhere(callback is None)
         self._next_sample = 0
-
-    @cached_property
-    def checks(self) -> CheckSchedule:
-        """When to measure what the algorithm does not tell."""
-        return CheckSchedule(self.judge.per_increment, self.settings.goal)
 
     def drive(self, start: FloatVector, first: Choice) -> Status:
         """Run the chain of algorithms within the time that is left; return why it ended."""

@@ -66,15 +66,12 @@ class LCP:
 
     def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
-        self._set_vectors(q, lower, upper)
-        self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
-        self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual
-
-    def _set_vectors(self, q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
         self.q: FloatVector = finite_vector(q, "q", self.own)
         self.lower: FloatVector = checked_bound(lower, "lower", self.own)
         self.upper: FloatVector = checked_bound(upper, "upper", self.own)
         check_order(self.lower, self.upper)
+        self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
+        self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual
 
     @property
     def n(self) -> int:
@@ -210,14 +207,13 @@ class LCP:
         InvalidProblem
             As the constructor.
         """
+        if lower is not None or upper is not None:
+            bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
+            return self.communicator.together(lambda: LCP(self.matrix, q, lower=bounds[0], upper=bounds[1]))
         other = object.__new__(LCP)
         other.origin, other.criterion, other.matrix = None, None, self.matrix
-        if lower is None and upper is None:  # they have been checked, and cannot be written to
-            other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero
-            other.q = self.communicator.together(lambda: finite_vector(q, "q", self.own))
-            return other
-        bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
-        self.communicator.together(lambda: other._set_vectors(q, *bounds))
+        other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero  # checked, kept
+        other.q = self.communicator.together(lambda: finite_vector(q, "q", self.own))
         return other
 
     # --- rows over the ranks of an MPI job ----------------------------------------------------------------
@@ -249,9 +245,7 @@ class LCP:
             On every rank, where any part is damaged or the parts do not fit together.
         """
         matrix = ask("ranks", "matrix")(comm, rows, first_row)
-        problem = object.__new__(LCP)
-        problem.origin, problem.criterion, problem.matrix = None, None, matrix
-        matrix.communicator.together(lambda: problem._set_vectors(q, lower, upper))
+        problem: LCP = matrix.communicator.together(lambda: LCP(matrix, q, lower=lower, upper=upper))
         ask("ranks", "require_same_numbers")(matrix.communicator, lower=lower, upper=upper)
         return problem
 

@@ -33,7 +33,7 @@ from ..kernels.floats import DATA_ROUNDING, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact
 from ..matrix.structure import IntVector, Parts, parts
-from ..matrix.units import Units, is_representable, units_of
+from ..matrix.units import Units, is_representable, times_power, units_of
 from .row_residuals import (
     at_rounding_level,
     magnitude,
@@ -74,15 +74,13 @@ class RowUnits(NamedTuple):
 
     def upwards(self, residuals: FloatVector) -> FloatVector:
         """Return residuals ≥ 0 in the units of the criterion, no smaller, shape (own,)."""
-        with np.errstate(all="ignore"):
-            weighted = np.ldexp(residuals, -self.column)
-            return np.where((weighted < SMALLEST_NORMAL) & (residuals > 0.0), weighted + TINY, weighted)
+        weighted = times_power(residuals, -self.column)
+        return np.where((weighted < SMALLEST_NORMAL) & (residuals > 0.0), weighted + TINY, weighted)
 
     def downwards(self, residuals: FloatVector) -> FloatVector:
         """Return the same, no larger."""
-        with np.errstate(all="ignore"):
-            weighted = np.ldexp(residuals, -self.column)
-            return np.where(weighted < SMALLEST_NORMAL, np.maximum(weighted - TINY, 0.0), weighted)
+        weighted = times_power(residuals, -self.column)
+        return np.where(weighted < SMALLEST_NORMAL, np.maximum(weighted - TINY, 0.0), weighted)
 
 
 @fact
@@ -100,8 +98,7 @@ def _row_units(problem: LCP) -> RowUnits:
     has_units = np.maximum(np.abs(units.row), np.abs(units.column)).astype(np.float64)
     is_open = for_each_row(problem, largest_of_parts(problem, has_units)) > 0.0
     of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
-    with np.errstate(all="ignore"):
-        shifted = np.ldexp(scale, of_column - of_row)
+    shifted = times_power(scale, of_column - of_row)
     if is_representable(shifted):
         row, column, scale = row + of_row, column - of_column, read_only(shifted)
     return RowUnits(row, column, scale, units.matrix)
@@ -186,9 +183,8 @@ def rounding_of_data(problem: LCP) -> float:
     units = RowUnits.of(problem)
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
-        sizes = sizes if units is None else np.ldexp(sizes, -units.column)
-        largest = float(sizes.max(initial=0.0))
-    return DATA_ROUNDING * problem.communicator.largest(largest)
+    sizes = times_power(sizes, None if units is None else -units.column)
+    return DATA_ROUNDING * problem.communicator.largest(float(sizes.max(initial=0.0)))
 
 
 def _no_entries(rows: int, columns: int) -> sp.csr_array:
@@ -249,9 +245,7 @@ class CommonUnits:
         """Bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each, raised to `least`; 0 where z° is the answer."""
         least, most = own_references(self.problem)
         if self.least:
-            with np.errstate(over="ignore"):
-                of_rows = np.full(self.stated.own, self.least)
-                of_rows = of_rows if self.exponents is None else np.ldexp(of_rows, self.exponents)
+            of_rows = times_power(np.full(self.stated.own, self.least), self.exponents)
             raised = np.where(most > 0.0, largest_of_parts(self.problem, of_rows), 0.0)
             least, most = np.maximum(least, raised), np.maximum(most, raised)
         return self.in_open_parts(least), self.in_open_parts(most)
@@ -287,8 +281,7 @@ class CommonUnits:
         origin = self.problem.nearest_to_zero
         if z is self.stated.nearest_to_zero:
             return origin
-        with np.errstate(all="ignore"):
-            scaled = z if self.exponents is None else np.ldexp(z, self.exponents)
+        scaled = times_power(z, self.exponents)
         scaled = np.where(np.isinf(scaled) & np.isfinite(z), origin, scaled)
         scaled = np.clip(scaled, self.problem.lower, self.problem.upper)
         return scaled if self.answered is None else np.where(self.answered, origin, scaled)
@@ -297,8 +290,7 @@ class CommonUnits:
         """Return a point in the common units in the caller's, shape (own,); z° where that is the answer."""
         if self.is_identity:
             return z
-        with np.errstate(all="ignore"):
-            back = z if self.exponents is None else np.ldexp(z, -self.exponents)
+        back = times_power(z, None if self.exponents is None else -self.exponents)
         return back if self.answered is None else np.where(self.answered, self.stated.nearest_to_zero, back)
 
 
@@ -321,8 +313,7 @@ def hold_at_zero(problem: LCP) -> BoolVector:
 
 def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LCP | None:
     """Return the problem with 2^row q and bounds 2^of_z times theirs; None where one of them overflows."""
-    with np.errstate(all="ignore"):
-        q, lower, upper = np.ldexp(problem.q, row), np.ldexp(problem.lower, of_z), np.ldexp(problem.upper, of_z)
+    q, lower, upper = times_power(problem.q, row), times_power(problem.lower, of_z), times_power(problem.upper, of_z)
     is_whole = bool(np.isfinite(q).all())
     for new, old in ((lower, problem.lower), (upper, problem.upper)):
         is_whole &= bool(np.array_equal(np.isinf(new), np.isinf(old)))

@@ -14,6 +14,7 @@ from ..errors import InvalidProblem
 from ..kinds import refusal
 from ..lcp import LCP
 from ..matrix.structure import parts
+from ..matrix.units import times_power
 from ..rounding import gamma
 from .criterion import RowUnits, VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
 from .row_residuals import (
@@ -304,10 +305,8 @@ class Certificate:
         reference = self._row_references
         with np.errstate(all="ignore"):
             products = self._products / self._scale
-            if self._units is not None:
-                products = np.ldexp(products, -2 * self._units.column)
-            products = over(over(products, reference), reference)
-        return self._largest(products)
+        products = times_power(products, None if self._units is None else -2 * self._units.column)
+        return self._largest(over(over(products, reference), reference))
 
     @property
     def large_product(self) -> str:
@@ -354,8 +353,7 @@ class Certificate:
         if not self.is_at_rounding_level:
             return False
         largest, least = self.residuals_of_parts
-        with np.errstate(all="ignore"):
-            is_large = ~(over(largest, least) <= GAINED)
+        is_large = ~(over(largest, least) <= GAINED)
         if self.problem.communicator.everywhere(not is_large.any()):
             return True
         return self.problem.communicator.everywhere(not (is_large & ~hold_at_zero(self.problem)).any())

@@ -166,8 +166,7 @@ def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
     """
     if numerators.size == 1:
         return ratio_upwards(float(numerators[0]), float(denominators[0]))
-    with np.errstate(all="ignore"):
-        quotients = over(numerators, denominators)
+    quotients = over(numerators, denominators)
     largest = float(quotients.max(initial=0.0))
     if not 0.0 < largest < np.inf:
         return largest
@@ -177,7 +176,8 @@ def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
 
 def over(numerators: FloatVector, denominators: FloatVector) -> FloatVector:
     """Return the quotients of numbers that are ≥ 0, with 0/0 = 0; NaN stays NaN."""
-    quotients: FloatVector = np.where(numerators == 0.0, 0.0, numerators / denominators)
+    with np.errstate(all="ignore"):
+        quotients: FloatVector = np.where(numerators == 0.0, 0.0, numerators / denominators)
     return quotients
 
 

@@ -154,8 +154,7 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
         return None
     balanced = Matrix(M)
     units_of.keep(balanced, None)
-    with np.errstate(all="ignore"):
-        scale = np.ldexp(balanced.residual_scale, -(row + column))
+    scale = times_power(balanced.residual_scale, -(row + column))
     if not is_representable(scale):
         return None
     row, column, of_row, of_column = (read_only(side) for side in (row, column, of_row, of_column))

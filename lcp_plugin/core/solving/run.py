@@ -303,7 +303,6 @@ class RunState:
 
 
 def _records(stage: Stage) -> list[StageRecord]:
-    parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
-    reasons, remarks = [stage.because] + [""] * (len(parts) - 1), [""] * (len(parts) - 1) + [stage.remark]
-    return [StageRecord(name, because, iterations, work, remark)
-            for (name, iterations, work), because, remark in zip(parts, reasons, remarks, strict=True)]
+    first, *others = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
+    records = [StageRecord(first[0], stage.because, *first[1:]), *(StageRecord(one[0], "", *one[1:]) for one in others)]
+    return [*records[:-1], records[-1]._replace(remark=stage.remark)]

@@ -60,8 +60,8 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_renew_all)
 
 
-_until: ContextVar[float] = ContextVar("until", default=math.inf)  # on the clock that compilation stops
-_is_enforced: ContextVar[bool] = ContextVar("is_enforced", default=False)
+# Until when, on the clock that compilation stops, and whether that is enforced.
+_limit: ContextVar[tuple[float, bool]] = ContextVar("limit", default=(math.inf, False))
 
 
 class OutOfTimeError(Exception):
@@ -199,12 +199,11 @@ def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
 
     Where the limit is enforced, work that cannot be divided raises OutOfTimeError, which the caller expects.
     """
-    tokens = _until.set(_now() + seconds), _is_enforced.set(is_enforced)
+    token = _limit.set((_now() + seconds, is_enforced))
     try:
         yield
     finally:
-        _until.reset(tokens[0])
-        _is_enforced.reset(tokens[1])
+        _limit.reset(token)
 
 
 def seconds_left() -> float:
@@ -218,14 +217,15 @@ def seconds_left() -> float:
     ...     seconds_left()
     0.1
     """
-    return max(_until.get() - _now(), AT_LEAST)
+    return max(_limit.get()[0] - _now(), AT_LEAST)
 
 
 def enforced_seconds_left() -> float:
     """Return the seconds until the limit, less than 0 beyond it; ∞ where none is enforced."""
-    return _until.get() - _now() if _is_enforced.get() else math.inf
+    until, is_enforced = _limit.get()
+    return until - _now() if is_enforced else math.inf
 
 
 def is_over() -> bool:
     """Return whether the limit has passed: what comes out of long work now comes too late."""
-    return _now() > _until.get()
+    return _now() > _limit.get()[0]

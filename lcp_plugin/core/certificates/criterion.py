@@ -26,7 +26,6 @@ from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
 from ..kernels.floats import DATA_ROUNDING, TINY
@@ -149,10 +148,9 @@ def _references(problem: LCP, in_units: bool) -> VectorEnds:
         return tuple(largest_of_parts(problem, end) for end in weighted)
 
     whole = matrix.whole(z)
-    rows = matrix.rows if whole.any() else _no_entries(matrix.own, matrix.width)
-    least, most = of_parts(residual_ends_of(rows, whole, problem, z, scale))
+    least, most = of_parts(residual_ends_of(matrix.rows, whole, problem, z, scale))
     is_open = (least == 0.0) & (most > 0.0)  # is z° the answer?
-    if not problem.communicator.everywhere(not is_open.any()):
+    if problem.communicator.anywhere(is_open.any()):
         sharp = of_parts(sharp_residual_ends(problem, z, scale))
         least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
     return least, most
@@ -185,12 +183,6 @@ def rounding_of_data(problem: LCP) -> float:
         sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
     sizes = times_power(sizes, None if units is None else -units.column)
     return DATA_ROUNDING * problem.communicator.largest(float(sizes.max(initial=0.0)))
-
-
-def _no_entries(rows: int, columns: int) -> sp.csr_array:
-    """Return zeros; scipy takes as long for them as a kernel for a small matrix."""
-    empty = np.empty(0), np.empty(0, dtype=np.int32), np.zeros(rows + 1, dtype=np.int32)
-    return sp.csr_array(empty, shape=(rows, columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +227,7 @@ class CommonUnits:
             most = np.maximum(most, least)
         exponents = _exponents(run, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
-        has_units, has_answers = (not problem.communicator.everywhere(not side.any()) for side in (exponents, answered))
+        has_units, has_answers = (problem.communicator.anywhere(side.any()) for side in (exponents, answered))
         if has_units and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
             run, columns, rows = alike, *(exponents if side is None else side + exponents for side in (columns, rows))
         return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least)
@@ -300,7 +292,7 @@ def hold_at_zero(problem: LCP) -> BoolVector:
     In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
     """
     z, matrix = problem.nearest_to_zero, problem.matrix
-    if problem.communicator.everywhere(not z.any()):  # what r(0) is made of is not rounded
+    if not problem.communicator.anywhere(z.any()):  # what r(0) is made of is not rounded
         return np.asarray(references_of_parts(problem)[1] == 0.0)
     whole = matrix.whole(z)
     residual = residual_ends_of(matrix.rows, whole, problem, z, problem.residual_scale)[1]

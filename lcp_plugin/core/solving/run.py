@@ -202,7 +202,7 @@ class Run:
         callback, communicator = self.callback, self.problem.communicator
         shown = z if callback is None else self.units.outward(z)
         wants_to_stop = communicator.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
-        return not communicator.everywhere(not wants_to_stop)
+        return communicator.anywhere(wants_to_stop)
 
     def ended(self, start: FloatVector, reason: Status) -> tuple[Certificate, Status]:
         """Return what the judge makes of the best iterate, cleaned up, and of the reason why the run ended."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from os import PathLike
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -311,8 +311,7 @@ class LCP:
             Which optimality conditions become the problem.
         """
         program = ask("kind", "QuadraticProgram").type(P, c, G, h, A, b, lower, upper)
-        problem: LCP = ask("conversion", "from_qp")(program, form)
-        return problem
+        return cast(LCP, ask("conversion", "from_qp")(program, form))
 
     @classmethod
     def from_game(cls, A: Any, B: Any = None) -> LCP:
@@ -324,8 +323,7 @@ class LCP:
             Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
             ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
         """
-        problem: LCP = ask("conversion", "from_game")(A, B)
-        return problem
+        return cast(LCP, ask("conversion", "from_game")(A, B))
 
     @classmethod
     def from_contacts(cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4) -> LCP:
@@ -342,8 +340,7 @@ class LCP:
         directions : int
             Edges of each friction pyramid.
         """
-        problem: LCP = ask("conversion", "from_contacts")(contacts, friction, velocities, directions)
-        return problem
+        return cast(LCP, ask("conversion", "from_contacts")(contacts, friction, velocities, directions))
 
     def to_qp(self) -> Any:
         """Return a quadratic program that this problem is; see ``problems.programs.conversion.qp_from_lcp``."""
@@ -358,8 +355,7 @@ class LCP:
         problem : cvxpy.Problem
             Of :func:`lcp_plugin.complements` and equalities.
         """
-        stated: LCP = ask("conversion", "from_cvxpy")(problem)
-        return stated
+        return cast(LCP, ask("conversion", "from_cvxpy")(problem))
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""
@@ -390,8 +386,8 @@ class LCP:
         UnsupportedModel
             Where a ``.nl`` file states something else.
         """
-        problem: LCP = ask("file format", "load")(LCP, path) if comm is None else ask("ranks", "load")(LCP, path, comm)
-        return problem
+        loaded = ask("file format", "load")(LCP, path) if comm is None else ask("ranks", "load")(LCP, path, comm)
+        return cast(LCP, loaded)
 
     __repr__ = written_lcp
     __str__ = described_lcp

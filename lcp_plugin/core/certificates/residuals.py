@@ -198,8 +198,10 @@ class Certificate:
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
         if not self.problem.communicator.anywhere(is_exact.any()):
             return ends
-        sharp = sharp_residual_ends(self.problem, self.z, self._scale)[1]
-        return np.where(is_exact, self._in_units(sharp), ends)
+        return np.where(is_exact, self._in_units(self._sharp_ends()), ends)
+
+    def _sharp_ends(self) -> FloatVector:
+        return sharp_residual_ends(self.problem, self.z, self._scale)[1]
 
     @cached_property
     def _units(self) -> RowUnits | None:

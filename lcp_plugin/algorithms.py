@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .core import algorithms as _algorithms
 from .core.algorithms import REGISTRY, Algorithm, FusedSolve, Step, algorithm_class, create, module_of
 from .core.registry import ask
 
@@ -28,4 +27,7 @@ _OF_OTHER_PACKAGES = {"ENTRY_POINT_GROUP": "group", "from_other_packages": "all"
 def __getattr__(name: str) -> Any:
     if name in _OF_OTHER_PACKAGES:
         return ask("algorithm of another package", _OF_OTHER_PACKAGES[name])
-    return getattr(_algorithms, name)
+    for word, place in REGISTRY.items():
+        if place.endswith(f":{name}"):
+            return algorithm_class(word)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -16,7 +16,7 @@ OFFERS = {
         "multigrid": "methods.multigrid.multigrid:Multigrid",
     },
     "kind": {
-        "LCP": "core.lcp_kind:LINEAR_COMPLEMENTARITY_PROBLEM",
+        "LCP": "core.kinds:LINEAR_COMPLEMENTARITY_PROBLEM",
         "NonlinearProblem": "problems.nonlinear.kind:NONLINEAR_PROBLEM",
         "QuadraticProgram": "problems.programs.kind:QUADRATIC_PROGRAM",
         "EquilibriumProgram": "problems.equilibria.kind:EQUILIBRIUM_PROGRAM",

@@ -13,5 +13,5 @@ Read it in this order:
 6. ``policy``: what ``auto`` does next. ``registry`` and ``kinds``: what the rooms offer that are here. ``deadline``:
    the clock of a run. ``crossovers``: up to where each way is the cheaper one.
 
-To be looked up: ``lcp_kind``, the row of the LCP in the table of kinds; ``written``, reprs that can be pasted.
+To be looked up: ``written``, reprs that can be pasted.
 """

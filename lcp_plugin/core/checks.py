@@ -15,7 +15,6 @@ BoolVector = NDArray[np.bool_]
 
 DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000
-FEW = 1000  # numbers, of which a temporary costs less than a change of numpy's error state
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
@@ -108,11 +107,14 @@ def rectangular_matrix(
 
 
 def _check_finite(dense: NDArray[np.float64], name: str) -> None:
-    if not all_finite(dense):
-        row, column = np.argwhere(~np.isfinite(dense))[0]
-        raise InvalidProblem(
-            f"{name} must be finite, but {name}[{row}, {column}] = {dense[row, column]}; repair that entry"
-        )
+    is_finite = np.isfinite(dense)
+    if not is_finite.all():
+        row, column = np.argwhere(~is_finite)[0]
+        raise _not_finite(name, f"{row}, {column}", dense[row, column])
+
+
+def _not_finite(name: str, place: Any, value: Any, need: str = "finite") -> InvalidProblem:
+    return InvalidProblem(f"{name} must be {need}, but {name}[{place}] = {value}; repair that entry")
 
 
 def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array:
@@ -121,13 +123,11 @@ def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array
         matrix = _repaired(M, is_copied)
     except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
         raise InvalidProblem(f"{name} is a damaged sparse array: {error}; build it again") from error
-    if not all_finite(matrix.data):
-        where = int(np.flatnonzero(~np.isfinite(matrix.data))[0])
+    is_finite = np.isfinite(matrix.data)
+    if not is_finite.all():
+        where = int(np.argmin(is_finite))
         row = int(np.searchsorted(matrix.indptr, where, side="right")) - 1
-        raise InvalidProblem(
-            f"{name} must be finite, but {name}[{row}, {matrix.indices[where]}] = {matrix.data[where]}; repair that "
-            "entry"
-        )
+        raise _not_finite(name, f"{row}, {matrix.indices[where]}", matrix.data[where])
     return matrix
 
 
@@ -199,14 +199,6 @@ def _check_before_conversion(M: Any) -> None:
         raise ValueError("each row must have as many values as columns")
 
 
-def all_finite(values: FloatVector) -> bool:
-    """Return whether all are finite; one pass and no temporary in the usual case."""
-    if values.size <= FEW:
-        return bool(np.isfinite(values).all())
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(values.sum())) or bool(np.isfinite(values).all())
-
-
 def check_kind(dtype: np.dtype[Any], need: str) -> None:
     """Raise unless the dtype is one of real numbers, saying what is needed."""
     if dtype.kind not in "fiub":
@@ -238,63 +230,58 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)
-    if array.dtype == np.float64:
-        return array
     with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
         return array.astype(np.float64)
 
 
-def real_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
-    """Return a read-only copy of a real vector of length n; NaN and infinities pass, and a number for n = 1 may.
+def real_vector(
+    values: Any, name: str, length: int | None, *, may_be_number: bool = False, need: str = ""
+) -> FloatVector:
+    """Return a read-only copy of a real vector of that length (any length for None); NaN and infinities pass.
+
+    Parameters
+    ----------
+    values : array, shape (length,), or a number for a length of 1 where that may be
+    name, need : str
+        For the messages: what it is called, and what is needed, where that is more than a vector of that length.
 
     Raises
     ------
     InvalidProblem
         Where it is no array of real numbers, or has another shape.
     """
+    need = need or f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"
+    vector = real_array(values, need)
+    if may_be_number and vector.ndim == 0 and length in (None, 1):
+        vector = vector.reshape(1)
+    if vector.ndim != 1 or length not in (None, vector.size):
+        raise InvalidProblem(f"{need}, got shape {vector.shape}")
+    return read_only(vector.copy())
+
+
+def finite_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
+    """Return a read-only copy of a finite real vector of length n, that of M, or raise naming the entry."""
     need = f"{name} must be a finite vector of length {n} (M is {n}×{n})"
-    array = real_array(values, need)
-    if may_be_number and array.ndim == 0 and n == 1:
-        array = array.reshape(1)
-    if array.shape != (n,):
-        raise InvalidProblem(f"{need}, got shape {array.shape}")
-    return read_only(array.copy())
-
-
-def finite_vector(values: Any, name: str, n: int) -> FloatVector:
-    """Return a read-only copy of a finite real vector of length n, or raise naming the entry."""
-    array = real_vector(values, name, n)
-    if not all_finite(array):
-        where = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise InvalidProblem(f"{name} must be a finite vector of length {n}, but {name}[{where}] = {array[where]}")
-    return array
+    return checked_vector(values, name, n, may_be_number=may_be_number, need=need)
 
 
 def checked_vector(
     values: Any, name: str, length: int | None, *, allow_plus_infinity: bool = False, allow_nan: bool = False,
-    may_be_number: bool = False,
+    may_be_number: bool = False, need: str = "",
 ) -> FloatVector:
-    """Return a read-only copy of a real, finite vector of that length (any length for None); a number may be one of 1.
+    """Return a read-only copy of a real, finite vector, as `real_vector` does.
 
     Raises
     ------
     InvalidProblem
         For another shape, for numbers that are not real or not finite (+∞ and NaN pass where allowed).
     """
-    need = f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"
-    vector = real_array(values, need)
-    if may_be_number and vector.ndim == 0 and length in (None, 1):
-        vector = vector.reshape(1)
-    if vector.ndim != 1 or (length is not None and vector.size != length):
-        raise InvalidProblem(f"{need}, got shape {vector.shape}")
-    if all_finite(vector):
-        return read_only(vector.copy())
-    refused = ~np.isfinite(vector) & ~(allow_plus_infinity & (vector == np.inf)) & ~(allow_nan & np.isnan(vector))
-    if refused.any():
-        at = int(np.flatnonzero(refused)[0])
-        finite = "finite or inf" if allow_plus_infinity else "finite"
-        raise InvalidProblem(f"{name} must be {finite}, but {name}[{at}] = {vector[at]}; repair that entry")
-    return read_only(vector.copy())
+    vector = real_vector(values, name, length, may_be_number=may_be_number, need=need)
+    passes = np.isfinite(vector) | (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
+    if not passes.all():
+        at = int(np.argmin(passes))
+        raise _not_finite(name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite")
+    return vector
 
 
 def checked_answer(answer: Any, n: int) -> FloatVector:
@@ -314,8 +301,9 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
     array = real_array(values, need)
     if array.shape not in ((), (n,)):
         raise InvalidProblem(f"{need}, got shape {array.shape}")
-    if np.isnan(array).any():
-        where = int(np.flatnonzero(np.isnan(array))[0])
+    is_nan = np.isnan(array)
+    if is_nan.any():
+        where = int(np.argmax(is_nan))
         raise InvalidProblem(f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound")
     return read_only(np.full(n, array))
 
@@ -324,7 +312,7 @@ def check_order(lower: FloatVector, upper: FloatVector) -> None:
     """Raise where lower ≤ upper fails or leaves no room for a number."""
     wrong = (lower > upper) | (lower == np.inf) | (upper == -np.inf)
     if wrong.any():
-        i = int(np.flatnonzero(wrong)[0])
+        i = int(np.argmax(wrong))
         raise InvalidProblem(
             f"bounds must satisfy lower ≤ upper and leave room for a number, "
             f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}"
@@ -348,9 +336,7 @@ def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
         nearest: FloatVector = problem.nearest_to_zero
         return nearest
     try:
-        start = real_vector(z0, "z0", problem.own, may_be_number=problem.n == 1)
+        start = finite_vector(z0, "z0", problem.own, may_be_number=problem.n == 1)
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
-    if not np.isfinite(start).all():
-        raise InvalidOption(f"z0 must be a finite vector of length {problem.own}, got NaN or infinite entries")
     return np.clip(start, problem.lower, problem.upper)

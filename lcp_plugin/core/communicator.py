@@ -88,6 +88,10 @@ class Communicator:
         """Return whether it is so on every process."""
         return is_so
 
+    def anywhere(self, is_so: bool | np.bool_) -> bool:
+        """Return whether it is so on one process or more."""
+        return not self.everywhere(not is_so)
+
     def worst(self, value: float, row: int) -> tuple[float, int]:
         """Return the largest value ≥ 0, NaN before any other, and its row of the whole matrix; 0 and −1 of no row.
 

@@ -11,7 +11,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 from weakref import WeakSet
@@ -43,11 +43,9 @@ class Lock:
         """Become free; for a process in which no other thread is left."""
         self._lock = threading.RLock()
 
-    @contextmanager
-    def held(self) -> Iterator[None]:
+    def held(self) -> AbstractContextManager[bool]:
         """Hold it, in a ``with`` statement."""
-        with self._lock:
-            yield
+        return self._lock
 
 
 _all: WeakSet[Lock] = WeakSet()
@@ -62,8 +60,8 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_renew_all)
 
 
-_until: ContextVar[float] = ContextVar("until", default=math.inf)  # on the clock that compilation stops
-_is_enforced: ContextVar[bool] = ContextVar("is_enforced", default=False)
+# Until when, on the clock that compilation stops, and whether that is enforced.
+_limit: ContextVar[tuple[float, bool]] = ContextVar("limit", default=(math.inf, False))
 
 
 class OutOfTimeError(Exception):
@@ -182,11 +180,8 @@ class NewKernels:
     def _count(self, change: int) -> None:
         with self._lock.held():
             now = time.perf_counter()
-            if self._under_way == 0:
-                self._began = now
-            self._under_way += change
-            if self._under_way == 0:
-                self._before += now - self._began
+            self._before += now - self._began if self._under_way else 0.0
+            self._began, self._under_way = now, self._under_way + change
         for watcher in list(self.watchers):
             watcher()
 
@@ -204,12 +199,11 @@ def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
 
     Where the limit is enforced, work that cannot be divided raises OutOfTimeError, which the caller expects.
     """
-    tokens = _until.set(_now() + seconds), _is_enforced.set(is_enforced)
+    token = _limit.set((_now() + seconds, is_enforced))
     try:
         yield
     finally:
-        _until.reset(tokens[0])
-        _is_enforced.reset(tokens[1])
+        _limit.reset(token)
 
 
 def seconds_left() -> float:
@@ -223,14 +217,15 @@ def seconds_left() -> float:
     ...     seconds_left()
     0.1
     """
-    return max(_until.get() - _now(), AT_LEAST)
+    return max(_limit.get()[0] - _now(), AT_LEAST)
 
 
 def enforced_seconds_left() -> float:
     """Return the seconds until the limit, less than 0 beyond it; ∞ where none is enforced."""
-    return _until.get() - _now() if _is_enforced.get() else math.inf
+    until, is_enforced = _limit.get()
+    return until - _now() if is_enforced else math.inf
 
 
 def is_over() -> bool:
     """Return whether the limit has passed: what comes out of long work now comes too late."""
-    return _now() > _until.get()
+    return _now() > _limit.get()[0]

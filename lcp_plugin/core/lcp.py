@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from os import PathLike
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from .communicator import Communicator
+from .deadline import Lock
 from .matrix.matrix import Matrix
 from .registry import ask
 from .written import described_lcp, written_lcp
@@ -65,15 +66,12 @@ class LCP:
 
     def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
-        self._set_vectors(q, lower, upper)
-        self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
-        self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual
-
-    def _set_vectors(self, q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> None:
         self.q: FloatVector = finite_vector(q, "q", self.own)
         self.lower: FloatVector = checked_bound(lower, "lower", self.own)
         self.upper: FloatVector = checked_bound(upper, "upper", self.own)
         check_order(self.lower, self.upper)
+        self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
+        self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual
 
     @property
     def n(self) -> int:
@@ -141,6 +139,14 @@ class LCP:
         return self.matrix.residual_scale
 
     @cached_property
+    def _facts(self) -> dict[Any, Any]:
+        return {}
+
+    @property
+    def _lock(self) -> Lock:
+        return self.matrix._lock
+
+    @cached_property
     def nearest_to_zero(self) -> FloatVector:
         """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
         return read_only(np.clip(0.0, self.lower, self.upper))
@@ -201,14 +207,13 @@ class LCP:
         InvalidProblem
             As the constructor.
         """
+        if lower is not None or upper is not None:
+            bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
+            return self.communicator.together(lambda: LCP(self.matrix, q, lower=bounds[0], upper=bounds[1]))
         other = object.__new__(LCP)
         other.origin, other.criterion, other.matrix = None, None, self.matrix
-        if lower is None and upper is None:  # they have been checked, and cannot be written to
-            other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero
-            other.q = self.communicator.together(lambda: finite_vector(q, "q", self.own))
-            return other
-        bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
-        self.communicator.together(lambda: other._set_vectors(q, *bounds))
+        other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero  # checked, kept
+        other.q = self.communicator.together(lambda: finite_vector(q, "q", self.own))
         return other
 
     # --- rows over the ranks of an MPI job ----------------------------------------------------------------
@@ -240,9 +245,7 @@ class LCP:
             On every rank, where any part is damaged or the parts do not fit together.
         """
         matrix = ask("ranks", "matrix")(comm, rows, first_row)
-        problem = object.__new__(LCP)
-        problem.origin, problem.criterion, problem.matrix = None, None, matrix
-        matrix.communicator.together(lambda: problem._set_vectors(q, lower, upper))
+        problem: LCP = matrix.communicator.together(lambda: LCP(matrix, q, lower=lower, upper=upper))
         ask("ranks", "require_same_numbers")(matrix.communicator, lower=lower, upper=upper)
         return problem
 
@@ -308,8 +311,7 @@ class LCP:
             Which optimality conditions become the problem.
         """
         program = ask("kind", "QuadraticProgram").type(P, c, G, h, A, b, lower, upper)
-        problem: LCP = ask("conversion", "from_qp")(program, form)
-        return problem
+        return cast(LCP, ask("conversion", "from_qp")(program, form))
 
     @classmethod
     def from_game(cls, A: Any, B: Any = None) -> LCP:
@@ -321,8 +323,7 @@ class LCP:
             Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
             ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
         """
-        problem: LCP = ask("conversion", "from_game")(A, B)
-        return problem
+        return cast(LCP, ask("conversion", "from_game")(A, B))
 
     @classmethod
     def from_contacts(cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4) -> LCP:
@@ -339,8 +340,7 @@ class LCP:
         directions : int
             Edges of each friction pyramid.
         """
-        problem: LCP = ask("conversion", "from_contacts")(contacts, friction, velocities, directions)
-        return problem
+        return cast(LCP, ask("conversion", "from_contacts")(contacts, friction, velocities, directions))
 
     def to_qp(self) -> Any:
         """Return a quadratic program that this problem is; see ``problems.programs.conversion.qp_from_lcp``."""
@@ -355,8 +355,7 @@ class LCP:
         problem : cvxpy.Problem
             Of :func:`lcp_plugin.complements` and equalities.
         """
-        stated: LCP = ask("conversion", "from_cvxpy")(problem)
-        return stated
+        return cast(LCP, ask("conversion", "from_cvxpy")(problem))
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""
@@ -387,14 +386,14 @@ class LCP:
         UnsupportedModel
             Where a ``.nl`` file states something else.
         """
-        problem: LCP = ask("file format", "load")(LCP, path) if comm is None else ask("ranks", "load")(LCP, path, comm)
-        return problem
+        loaded = ask("file format", "load")(LCP, path) if comm is None else ask("ranks", "load")(LCP, path, comm)
+        return cast(LCP, loaded)
 
     __repr__ = written_lcp
     __str__ = described_lcp
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""
-        return {name: value for name, value in self.__dict__.items() if name != "nearest_to_zero"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("nearest_to_zero", "_facts")}
 
     __setstate__ = restored

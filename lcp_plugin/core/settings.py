@@ -145,10 +145,12 @@ def _seconds(value: Any, name: str) -> float:
 
 
 def _count(value: Any, name: str) -> int:
-    if value is None:
-        return DEFAULT_MAX_ITERATIONS
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-        raise InvalidOption(f"{name} must be a whole number ≥ 0, got {value!r}")
+    return DEFAULT_MAX_ITERATIONS if value is None else _whole_number(value, name, 0)
+
+
+def _whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise InvalidOption(f"{name} must be a whole number ≥ {least}{otherwise}, got {value!r}")
     return int(value)
 
 
@@ -181,11 +183,8 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
     InvalidOption
         Where it is no whole number ≥ 1.
     """
-    if threads is None:
-        return _usable_threads()
-    if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
-        raise InvalidOption(f"{name} must be a whole number ≥ 1, or None for all that may be used, got {threads!r}")
-    return int(threads)
+    otherwise = ", or None for all that may be used"
+    return _usable_threads() if threads is None else _whole_number(threads, name, 1, otherwise)
 
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {

@@ -80,12 +80,12 @@ class Turns:
         self._now = next(self._coming, None) or next(self._last, None)
         return self._now
 
-    def after(self, stages: Sequence[Stage], target: float, *, failed: bool) -> Choice | None:
+    def after(self, stages: Sequence[Stage], goal: float, *, failed: bool) -> Choice | None:
         """Return what takes over from the last stage, or None to go on (where that failed: to end)."""
         stage = stages[-1]
-        if failed and stage.least_residual > target:  # all cases were looked at
+        if failed and stage.least_residual > goal:  # all cases were looked at
             return None
-        is_overdue = self._now is not None and self._now.may_wait and has_had_its_turn(stage, self._problem, target)
+        is_overdue = self._now is not None and self._now.may_wait and has_had_its_turn(stage, self._problem, goal)
         if not (failed or is_overdue):
             return None
         following = next(self._coming, None)
@@ -116,7 +116,7 @@ class Retries:
         return None
 
 
-def has_had_its_turn(stage: Stage, problem: LCP, target: float) -> bool:
+def has_had_its_turn(stage: Stage, problem: LCP, goal: float) -> bool:
     """Return whether a method has cost what the one after it is predicted to cost, and shows no end.
 
     Newton's steps are factorisations, as those of interior_point; a path of n pivots touches 2 n² entries with each,
@@ -124,7 +124,7 @@ def has_had_its_turn(stage: Stage, problem: LCP, target: float) -> bool:
     """
     if stage.algorithm.name == "lemke":
         return stage.work * problem.nonzeros > 4.0 * problem.n**3
-    return stage.iterations >= INTERIOR_STEPS and stage.steps_to_go(target) > INTERIOR_STEPS
+    return stage.iterations >= INTERIOR_STEPS and stage.steps_to_go(goal) > INTERIOR_STEPS
 
 
 def may_be_searched(problem: LCP) -> bool:

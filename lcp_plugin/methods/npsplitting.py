@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithms.base import Step, check_choice
-from ..core.certificates.row_residuals import euclidean_norm, scaled_residual
+from ..core.certificates.row_residuals import scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.lcp import LCP
@@ -56,7 +56,7 @@ class NPSplitting(ScaledByRows):
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
         while not problem.n:  # SuperLU refuses a matrix without rows
-            yield Step(z0, 0.0, 0.0, work=0.0)
+            yield Step(z0, 0.0, work=0.0)
         splitting = self._matrix(problem)
         step = self._scaling(problem)
         scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
@@ -69,8 +69,7 @@ class NPSplitting(ScaledByRows):
                 w = problem.slack(z)
                 residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
                 natural = np.clip(step * w, z - problem.upper, z - problem.lower)
-                euclidean = euclidean_norm(natural) if self.scaling is None else None
-            yield Step(z, residual, euclidean, None, work)
+            yield Step(z, residual, work=work)
             with np.errstate(all="ignore"):
                 z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
             work = (factor.nnz + problem.nonzeros) / entries

@@ -79,7 +79,7 @@ class Presolved:
         share = smaller.nonzeros / max(problem.nonzeros, 1)
         for step in algorithm.iterates(smaller, start):
             z = np.clip(self.restore(step.z), problem.lower, problem.upper)
-            yield replace(step, z=z, residual=None, euclidean=None, increment=None, work=share * step.work, proof=None)
+            yield replace(step, z=z, residual=None, increment=None, work=share * step.work, proof=None)
 
     def reduce(self, z: FloatVector) -> FloatVector:
         """Return the part of a z of the original that the smaller problem has, as a start for it."""

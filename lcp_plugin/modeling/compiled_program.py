@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector, all_finite, assembled
+from ..core.checks import FloatVector, assembled
 from ..problems.programs.program_matrices import ProgramMatrices
 from ..systems.symmetry import is_its_mirror
 
@@ -150,7 +150,7 @@ class CompiledProgram:
         of_P, entries = numbers = self._P.at(parameters), self._entries.at(parameters)
         if self._latest is None or not all(map(np.array_equal, numbers, self._latest[0])):
             P, F, A = (rows.matrix(values) for rows, values in zip(self._rows, (of_P, entries, entries), strict=True))
-            is_checked = all(all_finite(part.data) and np.count_nonzero(part.data) == part.nnz for part in (P, F, A))
+            is_checked = all((np.isfinite(part.data) & (part.data != 0.0)).all() for part in (P, F, A))
             self._latest = numbers, (P, F, A, ProgramMatrices(P, F, A) if is_checked and is_its_mirror(P) else None)
         return self._latest[1]
 

@@ -19,6 +19,7 @@ Solver = Callable[[FloatArray], FloatArray]
 
 LARGEST_SHIFT = 1e-6  # a semidefiniteness up to more than this would say nothing
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
+POWER_STEPS = 8  # usually right within a factor of 2
 
 
 def positive_definite_solver(P: Any) -> Solver | None:
@@ -170,7 +171,7 @@ def semidefinite_margin(P: Any) -> float:
     return 2.0 * _margin(diagonal.size, diagonal.size) * float(diagonal.max(initial=0.0))
 
 
-def condition_estimate(P: Any, solver: Solver, steps: int = 8) -> float:
+def condition_estimate(P: Any, solver: Solver) -> float:
     """Return a lower estimate of the condition number of P scaled to a unit diagonal, by power iteration.
 
     Parameters
@@ -179,13 +180,11 @@ def condition_estimate(P: Any, solver: Solver, steps: int = 8) -> float:
         Positive definite.
     solver : callable
         rhs ↦ P⁻¹ rhs.
-    steps : int
-        Products with P, and as many solves: usually right within a factor of 2.
     """
     root: FloatVector = np.sqrt(np.array(P.diagonal()))
     largest = smallest = 1.0
     forward = backward = np.random.default_rng(0).standard_normal(root.size)
-    for _ in range(steps):
+    for _ in range(POWER_STEPS):
         forward = (P @ (forward / root)) / root
         backward = root * solver(root * backward)
         largest, smallest = float(np.linalg.norm(forward)), float(np.linalg.norm(backward))

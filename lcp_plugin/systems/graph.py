@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ..core.checks import FloatVector, read_only
 from ..core.matrix.matrix import Matrix, fact, largest_in_rows
-from ..core.matrix.structure import IntVector, row_numbers
+from ..core.matrix.structure import IntVector, parts, row_numbers
 from ..core.rounding import lower_end, upper_end
 from .comparison_sums import comparison_product, exact_comparison_row
 
@@ -57,6 +57,13 @@ def strong_blocks(M: Any) -> tuple[int, IntVector]:
     pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
     count, labels = connected_components(pattern, directed=True, connection="strong")
     return int(count), labels.astype(np.int64)
+
+
+@fact
+def components(matrix: Matrix) -> int:
+    """Return the number of connected components of the graph of M."""
+    found = parts(matrix)
+    return min(matrix.n, 1) if found is None else found.total
 
 
 @fact

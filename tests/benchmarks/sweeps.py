@@ -40,7 +40,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
 
 
 def npgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], object]:
-    """Return a call that does one NPGS sweep with both residual norms."""
+    """Return a call that does one NPGS sweep with its residual norm."""
     M, split, new = problem.csr, row_splits(problem.matrix, backward), np.empty(problem.n)
     rows = kernels.packed(
         problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), np.ones(problem.n),
@@ -57,7 +57,7 @@ def pgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], o
 
 
 def mgs_sweep(problem: LCP, z: FloatVector) -> Callable[[], object]:
-    """Return a call that does one modulus Gauss–Seidel sweep with both residual norms."""
+    """Return a call that does one modulus Gauss–Seidel sweep with its residual norm."""
     M, split = problem.csr, row_splits(problem.matrix, False)
     new, answer = np.empty(problem.n), np.empty(problem.n)
     rows = kernels.packed(

@@ -96,7 +96,7 @@ def test_a_fork_inside_what_is_computed_goes_on_there() -> None:
 
     @fact
     def outer(matrix: Matrix) -> str:
-        codes.append(exit_code_of_a_child(lambda: matrix.transpose.nnz == 2))
+        codes.append(exit_code_of_a_child(lambda: matrix.csc.nnz == 2))
         return "done"
 
     assert outer(problem.matrix) == "done"

@@ -409,7 +409,7 @@ def test_a_nan_that_comes_first_is_divergence() -> None:
 @pytest.mark.parametrize("count", [1, 5, 400])
 def test_a_liar_is_never_solved(count: int) -> None:
     """An algorithm that claims residual 0 at a wrong z gets any status but SOLVED."""
-    lies = steps(*[[1.0, 1.0]] * count, residual=0.0, euclidean=0.0)
+    lies = steps(*[[1.0, 1.0]] * count, residual=0.0)
     result = solve(PROBLEM, Scripted(steps=lies), max_iterations=300)
     assert result.status in (Status.STALLED, Status.MAX_ITERATIONS)
     assert result.residual > 0.1

@@ -81,7 +81,7 @@ class Claiming(Algorithm):
 
     def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
         for _ in range(5):
-            yield Step(np.full(problem.n, 0.25), residual=0.0, euclidean=0.0, increment=0.0)
+            yield Step(np.full(problem.n, 0.25), residual=0.0, increment=0.0)
 
 
 def test_solved_is_measured() -> None:
@@ -427,7 +427,7 @@ def test_caches_are_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
             raise error
 
         dispatcher = compiled(lambda x: x + 1.0)
-        monkeypatch.setattr(dispatcher._cache._cache, "load_overload", fails)
+        monkeypatch.setattr(dispatcher._cache, "_load_overload", fails)
         if isinstance(error, OSError):
-            monkeypatch.setattr(dispatcher._cache._cache, "save_overload", fails)
+            monkeypatch.setattr(dispatcher._cache, "_save_overload", fails)
         assert dispatcher(1.0) == 2.0

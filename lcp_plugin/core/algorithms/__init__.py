@@ -38,13 +38,6 @@ REGISTRY = {
 }
 
 
-def __getattr__(class_name: str) -> type[Algorithm]:
-    for name, place in REGISTRY.items():
-        if place.endswith(f":{class_name}"):
-            return algorithm_class(name)
-    raise AttributeError(f"module {__name__!r} has no attribute {class_name!r}")
-
-
 def algorithm_class(name: str) -> type[Algorithm]:
     """Return the class registered under the name, here or by an installed package.
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,8 +31,6 @@ class Step:
         Borrowed: the algorithm may overwrite it after the driver has asked for the next step.
     residual : float or None
         Exactly the numerator of the relative residual of this z, where the algorithm has it for free.
-    euclidean : float or None
-        ‖z − mid(lower, upper, z − w)‖₂ of this z, where the algorithm has it for free.
     increment : float or None
         ‖z − previous z‖∞; tells the driver when a residual is worth measuring.
     work : float
@@ -55,7 +53,6 @@ class Step:
 
     z: FloatVector
     residual: float | None = None
-    euclidean: float | None = None
     increment: float | None = None
     work: float = 1.0
     is_settling: bool = False
@@ -190,15 +187,6 @@ class Algorithm(ABC):
 
     def __str__(self) -> str:
         return self.name
-
-
-def identity(algorithm: Algorithm) -> tuple[Hashable, ...] | None:
-    """Return its class, not the name of that, and all it holds; None where that is more than numbers and words."""
-    held = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
-    held |= getattr(algorithm, "__dict__", {})
-    if not all(value is None or isinstance(value, (str, int, float)) for value in held.values()):
-        return None
-    return type(algorithm), *sorted(held.items(), key=lambda item: item[0])
 
 
 def without_warnings(steps: Iterator[Step]) -> Iterator[Step]:

@@ -23,18 +23,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
+from typing import Any, NamedTuple, cast
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
 from ..kernels.floats import DATA_ROUNDING, TINY
 from ..lcp import LCP
-from ..matrix.matrix import Matrix
+from ..matrix.matrix import Matrix, fact
 from ..matrix.structure import IntVector, Parts, parts
-from ..matrix.units import Units, is_representable, units_of
+from ..matrix.units import Units, is_representable, times_power, units_of
 from .row_residuals import (
     at_rounding_level,
     magnitude,
@@ -46,9 +44,6 @@ from .row_residuals import (
 )
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
-_references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
-_own_references: WeakKeyDictionary[LCP, VectorEnds] = WeakKeyDictionary()
-_row_units: WeakKeyDictionary[LCP, RowUnits] = WeakKeyDictionary()
 SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)
 LARGEST_EXPONENT = 1000  # of two, that other units may give a number
 
@@ -62,40 +57,38 @@ class RowUnits(NamedTuple):
         ŵ_i = 2^row_i w_i and ẑ_i = 2^−column_i z_i.
     scale : array, shape (own,)
         What w_i is divided by in r_i.
+    matrix : Matrix
+        M̂.
     """
 
     row: IntVector
     column: IntVector
     scale: FloatVector
+    matrix: Matrix
 
     @classmethod
     def of(cls, problem: LCP) -> RowUnits | None:
         """Return those of a problem; None where its own units are those of the criterion, or its origin has one."""
-        units = None if problem.criterion is not None else units_of(problem.matrix)
-        if units is None:
-            return None
-        if problem not in _row_units:
-            _row_units[problem] = cls(*_with_offset(problem, units))
-        return _row_units[problem]
+        return None if problem.criterion is not None or units_of(problem.matrix) is None else _row_units(problem)
 
     def upwards(self, residuals: FloatVector) -> FloatVector:
         """Return residuals ≥ 0 in the units of the criterion, no smaller, shape (own,)."""
-        with np.errstate(all="ignore"):
-            weighted = np.ldexp(residuals, -self.column)
-            return np.where((weighted < SMALLEST_NORMAL) & (residuals > 0.0), weighted + TINY, weighted)
+        weighted = times_power(residuals, -self.column)
+        return np.where((weighted < SMALLEST_NORMAL) & (residuals > 0.0), weighted + TINY, weighted)
 
     def downwards(self, residuals: FloatVector) -> FloatVector:
         """Return the same, no larger."""
-        with np.errstate(all="ignore"):
-            weighted = np.ldexp(residuals, -self.column)
-            return np.where(weighted < SMALLEST_NORMAL, np.maximum(weighted - TINY, 0.0), weighted)
+        weighted = times_power(residuals, -self.column)
+        return np.where(weighted < SMALLEST_NORMAL, np.maximum(weighted - TINY, 0.0), weighted)
 
 
-def _with_offset(problem: LCP, units: Units) -> tuple[IntVector, IntVector, FloatVector]:
-    """Return exponents and scale with the unit that q gives to components of which a part has several."""
+@fact
+def _row_units(problem: LCP) -> RowUnits:
+    """Return the units of M with the unit that q gives to components of which a part has several."""
+    units = cast(Units, units_of(problem.matrix))
     row, column, scale = units.row, units.column, units.scale
     if np.array_equal(units.of_row, units.of_column):
-        return row, column, scale
+        return RowUnits(row, column, scale, units.matrix)
     with np.errstate(all="ignore"):
         slack = np.ldexp(np.abs(problem.slack(problem.nearest_to_zero)), row)
     largest = np.zeros(2 * problem.n)
@@ -104,11 +97,10 @@ def _with_offset(problem: LCP, units: Units) -> tuple[IntVector, IntVector, Floa
     has_units = np.maximum(np.abs(units.row), np.abs(units.column)).astype(np.float64)
     is_open = for_each_row(problem, largest_of_parts(problem, has_units)) > 0.0
     of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
-    with np.errstate(all="ignore"):
-        shifted = np.ldexp(scale, of_column - of_row)
-    if not is_representable(shifted):
-        return row, column, scale
-    return row + of_row, column - of_column, read_only(shifted)
+    shifted = times_power(scale, of_column - of_row)
+    if is_representable(shifted):
+        row, column, scale = row + of_row, column - of_column, read_only(shifted)
+    return RowUnits(row, column, scale, units.matrix)
 
 
 def residual_scale_of_criterion(problem: LCP) -> FloatVector:
@@ -137,22 +129,18 @@ def for_each_row(problem: LCP, values: Any) -> Any:
 
 
 def references_of_parts(problem: LCP) -> VectorEnds:
-    """Return bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each; computed once a problem."""
-    if RowUnits.of(problem) is None:
-        return own_references(problem)
-    if problem not in _references:
-        _references[problem] = _references_in(problem, RowUnits.of(problem))
-    return _references[problem]
+    """Return bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each."""
+    return _references(problem, RowUnits.of(problem) is not None)
 
 
 def own_references(problem: LCP) -> VectorEnds:
-    """Return bounds of ‖r_P(z°)‖∞ in the problem's own units, as a run on it has them; computed once a problem."""
-    if problem not in _own_references:
-        _own_references[problem] = _references_in(problem, None)
-    return _own_references[problem]
+    """Return bounds of ‖r_P(z°)‖∞ in the problem's own units, as a run on it has them."""
+    return _references(problem, False)
 
 
-def _references_in(problem: LCP, units: RowUnits | None) -> VectorEnds:
+@fact
+def _references(problem: LCP, in_units: bool) -> VectorEnds:
+    units = RowUnits.of(problem) if in_units else None
     z, matrix, scale = problem.nearest_to_zero, problem.matrix, problem.residual_scale if units is None else units.scale
 
     def of_parts(ends: VectorEnds) -> tuple[FloatVector, ...]:
@@ -160,10 +148,9 @@ def _references_in(problem: LCP, units: RowUnits | None) -> VectorEnds:
         return tuple(largest_of_parts(problem, end) for end in weighted)
 
     whole = matrix.whole(z)
-    rows = matrix.rows if whole.any() else _no_entries(matrix.own, matrix.width)
-    least, most = of_parts(residual_ends_of(rows, whole, problem, z, scale))
+    least, most = of_parts(residual_ends_of(matrix.rows, whole, problem, z, scale))
     is_open = (least == 0.0) & (most > 0.0)  # is z° the answer?
-    if not problem.communicator.everywhere(not is_open.any()):
+    if problem.communicator.anywhere(is_open.any()):
         sharp = of_parts(sharp_residual_ends(problem, z, scale))
         least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
     return least, most
@@ -194,15 +181,8 @@ def rounding_of_data(problem: LCP) -> float:
     units = RowUnits.of(problem)
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
-        sizes = sizes if units is None else np.ldexp(sizes, -units.column)
-        largest = float(sizes.max(initial=0.0))
-    return DATA_ROUNDING * problem.communicator.largest(largest)
-
-
-def _no_entries(rows: int, columns: int) -> sp.csr_array:
-    """Return zeros; scipy takes as long for them as a kernel for a small matrix."""
-    empty = np.empty(0), np.empty(0, dtype=np.int32), np.zeros(rows + 1, dtype=np.int32)
-    return sp.csr_array(empty, shape=(rows, columns))
+    sizes = times_power(sizes, None if units is None else -units.column)
+    return DATA_ROUNDING * problem.communicator.largest(float(sizes.max(initial=0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,24 +216,20 @@ class CommonUnits:
     def of(cls, problem: LCP, least: float = 0.0) -> CommonUnits:
         """Return those of a problem; where a number would overflow in them, the problem's own."""
         units, several = RowUnits.of(problem), parts(problem.matrix)
-        balanced = None if units is None else _scaled(problem, units.row, -units.column, _matrix_in_units(problem))
+        run, columns, rows = problem, None, None
+        if units is not None and (balanced := _scaled(problem, units.row, -units.column, units.matrix)) is not None:
+            run, columns, rows = balanced, -units.column, units.row
         if several is None:
-            if balanced is None or units is None:
-                return cls(problem, problem, least=least)
-            return cls(problem, balanced, -units.column, units.row, None, least)
-        inner = balanced or problem
-        most = own_references(inner)[1]
+            return cls(problem, run, columns, rows, None, least)
+        most = own_references(run)[1]
         is_answered = (most == 0.0) | hold_at_zero(problem)
-        if balanced is None:
+        if run is problem:
             most = np.maximum(most, least)
-        exponents = _exponents(inner, several, np.where(is_answered, 0.0, most))
+        exponents = _exponents(run, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
-        has_units, has_answers = (not problem.communicator.everywhere(not rows.any()) for rows in (exponents, answered))
-        run = (_scaled(inner, exponents, exponents, inner.matrix) if has_units else None) or inner
-        rows, columns = (exponents, exponents) if has_units and run is not inner else (None, None)
-        if balanced is not None and units is not None:
-            rows = units.row if rows is None else units.row + rows
-            columns = -units.column if columns is None else columns - units.column
+        has_units, has_answers = (problem.communicator.anywhere(side.any()) for side in (exponents, answered))
+        if has_units and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
+            run, columns, rows = alike, *(exponents if side is None else side + exponents for side in (columns, rows))
         return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least)
 
     @cached_property
@@ -261,9 +237,7 @@ class CommonUnits:
         """Bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each, raised to `least`; 0 where z° is the answer."""
         least, most = own_references(self.problem)
         if self.least:
-            with np.errstate(over="ignore"):
-                of_rows = np.full(self.stated.own, self.least)
-                of_rows = of_rows if self.exponents is None else np.ldexp(of_rows, self.exponents)
+            of_rows = times_power(np.full(self.stated.own, self.least), self.exponents)
             raised = np.where(most > 0.0, largest_of_parts(self.problem, of_rows), 0.0)
             least, most = np.maximum(least, raised), np.maximum(most, raised)
         return self.in_open_parts(least), self.in_open_parts(most)
@@ -299,8 +273,7 @@ class CommonUnits:
         origin = self.problem.nearest_to_zero
         if z is self.stated.nearest_to_zero:
             return origin
-        with np.errstate(all="ignore"):
-            scaled = z if self.exponents is None else np.ldexp(z, self.exponents)
+        scaled = times_power(z, self.exponents)
         scaled = np.where(np.isinf(scaled) & np.isfinite(z), origin, scaled)
         scaled = np.clip(scaled, self.problem.lower, self.problem.upper)
         return scaled if self.answered is None else np.where(self.answered, origin, scaled)
@@ -309,8 +282,7 @@ class CommonUnits:
         """Return a point in the common units in the caller's, shape (own,); z° where that is the answer."""
         if self.is_identity:
             return z
-        with np.errstate(all="ignore"):
-            back = z if self.exponents is None else np.ldexp(z, -self.exponents)
+        back = times_power(z, None if self.exponents is None else -self.exponents)
         return back if self.answered is None else np.where(self.answered, self.stated.nearest_to_zero, back)
 
 
@@ -320,7 +292,7 @@ def hold_at_zero(problem: LCP) -> BoolVector:
     In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
     """
     z, matrix = problem.nearest_to_zero, problem.matrix
-    if problem.communicator.everywhere(not z.any()):  # what r(0) is made of is not rounded
+    if not problem.communicator.anywhere(z.any()):  # what r(0) is made of is not rounded
         return np.asarray(references_of_parts(problem)[1] == 0.0)
     whole = matrix.whole(z)
     residual = residual_ends_of(matrix.rows, whole, problem, z, problem.residual_scale)[1]
@@ -331,15 +303,9 @@ def hold_at_zero(problem: LCP) -> BoolVector:
     return np.asarray(is_above == 0.0)
 
 
-def _matrix_in_units(problem: LCP) -> Matrix:
-    units = units_of(problem.matrix)
-    return problem.matrix if units is None else units.matrix
-
-
 def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LCP | None:
     """Return the problem with 2^row q and bounds 2^of_z times theirs; None where one of them overflows."""
-    with np.errstate(all="ignore"):
-        q, lower, upper = np.ldexp(problem.q, row), np.ldexp(problem.lower, of_z), np.ldexp(problem.upper, of_z)
+    q, lower, upper = times_power(problem.q, row), times_power(problem.lower, of_z), times_power(problem.upper, of_z)
     is_whole = bool(np.isfinite(q).all())
     for new, old in ((lower, problem.lower), (upper, problem.upper)):
         is_whole &= bool(np.array_equal(np.isinf(new), np.isinf(old)))

@@ -14,6 +14,7 @@ from ..errors import InvalidProblem
 from ..kinds import refusal
 from ..lcp import LCP
 from ..matrix.structure import parts
+from ..matrix.units import times_power
 from ..rounding import gamma
 from .criterion import RowUnits, VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
 from .row_residuals import (
@@ -144,14 +145,8 @@ class Certificate:
         return self.problem.communicator.largest(_largest(values))
 
     @cached_property
-    def _row_references(self) -> FloatVector:
-        """An upper bound of the reference of each row's part, shape (own,) or, where there is one part, (1,)."""
-        references: FloatVector = for_each_row(self.problem, self.references[1])
-        return references
-
-    @cached_property
-    def _worst(self) -> tuple[float, float, int]:
-        """The largest residual beside the reference of its part, this residual, and its row."""
+    def _worst(self) -> tuple[float, int]:
+        """The residual that is the largest beside the reference of its part, and its row."""
         several = parts(self.problem.matrix)
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
@@ -160,20 +155,20 @@ class Certificate:
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         communicator, is_empty = self.problem.communicator, not relative.size
-        largest, row = communicator.worst(0.0 if is_empty else float(relative[worst]), worst)
+        row = communicator.worst(0.0 if is_empty else float(relative[worst]), worst)[1]
         is_here = not is_empty and row == self.problem.first + worst
         shown = float(residual[worst] if self._units is None else residual.max()) if is_here else 0.0
-        return largest, communicator.largest(shown), row
+        return communicator.largest(shown), row
 
     @property
     def worst_index(self) -> int:
         """The row of the largest residual beside the reference of its part; −1 for an empty problem."""
-        return self._worst[2]
+        return self._worst[1]
 
     @property
     def scaled_residual(self) -> float:
         """‖r(z)‖∞ of the worst part, of all in mixed units, in the unit of z, as measured in double precision."""
-        return self._worst[1]
+        return self._worst[0]
 
     @property
     def parts(self) -> int:
@@ -185,7 +180,7 @@ class Certificate:
     def relative_residual(self) -> float:
         """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts, rounded upwards; 0 for 0/0."""
         communicator = self.problem.communicator
-        if not communicator.everywhere(not np.isinf(self.references[1]).any()):
+        if communicator.anywhere(np.isinf(self.references[1]).any()):
             return np.nan
         return communicator.largest(largest_ratio(*self.residuals_of_parts))
 
@@ -201,9 +196,12 @@ class Certificate:
         several = parts(self.problem.matrix)
         of_rows = least if several is None else least[several.labels]
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
-        if self.problem.communicator.everywhere(not is_exact.any()):
+        if not self.problem.communicator.anywhere(is_exact.any()):
             return ends
         return np.where(is_exact, self._in_units(self._sharp_ends()), ends)
+
+    def _sharp_ends(self) -> FloatVector:
+        return sharp_residual_ends(self.problem, self.z, self._scale)[1]
 
     @cached_property
     def _units(self) -> RowUnits | None:
@@ -223,9 +221,6 @@ class Certificate:
     def references(self) -> VectorEnds:
         """Bounds of ‖r_P(z°)‖∞ of each part, shape (parts,) each."""
         return references_of_parts(self.problem)
-
-    def _sharp_ends(self) -> FloatVector:
-        return sharp_residual_ends(self.problem, self.z, self._scale)[1]
 
     @cached_property
     def _scaled_ends(self) -> tuple[FloatVector, FloatVector]:
@@ -258,13 +253,8 @@ class Certificate:
         """max_i |r_i| / (|z_i| + (|M||z| + |q|)_i / d_i), invariant under row and column scaling."""
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            size = np.abs(self.z) + self._magnitude / self._scale
+            size = np.abs(self.z) + magnitude(self.problem, self._whole) / self._scale
             return self._largest(np.where(residual == 0.0, 0.0, residual / size))
-
-    @property
-    def _magnitude(self) -> FloatVector:
-        """|M||z| + |q|, shape (n,)."""
-        return magnitude(self.problem, self._whole)
 
     @cached_property
     def bound_violation(self) -> float:
@@ -301,13 +291,11 @@ class Certificate:
     @cached_property
     def relative_complementarity(self) -> float:
         """max_i of those products with w_i/d_i for w_i, over ‖r(z°)‖∞²; 0 for 0/0."""
-        reference = self._row_references
+        reference = for_each_row(self.problem, self.references[1])
         with np.errstate(all="ignore"):
             products = self._products / self._scale
-            if self._units is not None:
-                products = np.ldexp(products, -2 * self._units.column)
-            products = over(over(products, reference), reference)
-        return self._largest(products)
+        products = times_power(products, None if self._units is None else -2 * self._units.column)
+        return self._largest(over(over(products, reference), reference))
 
     @property
     def large_product(self) -> str:
@@ -327,7 +315,7 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
         """
-        return rounding_floor(self.problem, self._magnitude, self._scale)
+        return rounding_floor(self.problem, magnitude(self.problem, self._whole), self._scale)
 
     @cached_property
     def scale_spread(self) -> float:
@@ -353,12 +341,10 @@ class Certificate:
         """
         if not self.is_at_rounding_level:
             return False
-        largest, least = self.residuals_of_parts
-        with np.errstate(all="ignore"):
-            is_large = ~(over(largest, least) <= GAINED)
-        if self.problem.communicator.everywhere(not is_large.any()):
+        is_large, communicator = ~(over(*self.residuals_of_parts) <= GAINED), self.problem.communicator
+        if not communicator.anywhere(is_large.any()):
             return True
-        return self.problem.communicator.everywhere(not (is_large & ~hold_at_zero(self.problem)).any())
+        return not communicator.anywhere((is_large & ~hold_at_zero(self.problem)).any())
 
     def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
         """Return the relative residual with no reference taken for less than `least`, in the caller's unit of z.

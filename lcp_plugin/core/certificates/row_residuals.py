@@ -13,9 +13,9 @@ from ..communicator import ALONE, Communicator
 from ..kernels.floats import EPSILON, TINY
 from ..kernels.threads import share
 from ..lcp import LCP
+from ..matrix.row_sums import row_blocks
 from ..rounding import compensated_product, lower_end, read_only_views, upper_end
 
-BLOCK = 2**14  # rows
 FEWEST = 2**13  # rows a thread: on five-point rows some 0.15 ms, several times what a hand-over takes
 
 
@@ -28,8 +28,7 @@ def scaled_residual(
     w that overflowed on the way could have either sign, and says nothing.
     """
     residual, scale = np.empty(z.size), problem.residual_scale if scale is None else scale
-    for first in range(0, z.size, BLOCK):  # what stands between w and the residual stays in the cache
-        rows = slice(first, first + BLOCK)
+    for rows in row_blocks(z.size):  # what stands between w and the residual stays in the cache
         step = w[rows] / scale[rows]
         block = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
         np.maximum(step, block, out=block)
@@ -54,6 +53,7 @@ def residual_ends_of(
     Parameters
     ----------
     M : array or CSR array, shape (m, n)
+        Not looked at where x is 0.
     x : array, shape (n,)
         z, and whatever else the rows need.
     rows : LCP
@@ -69,10 +69,10 @@ def residual_ends_of(
     from ..kernels.enclosures import residual_ends  # numba, which `import lcp_plugin` must not load
 
     smallest, largest = np.empty(z.size), np.empty(z.size)
-    if sp.issparse(M):
+    if not x.any():  # as z° is, most often
+        indptr, indices, data, stride = np.zeros(z.size + 1, np.int32), np.empty(0, np.int32), np.empty(0), 0
+    elif sp.issparse(M):
         indptr, indices, data, stride = M.indptr, M.indices, M.data, 0
-        if not x.any():  # as z° is, most often; no entry adds anything
-            indptr = np.zeros_like(indptr)
     else:
         m, stride = M.shape
         indptr, indices = np.arange(m + 1, dtype=np.int32) * np.int32(stride), np.arange(stride, dtype=np.int32)
@@ -94,8 +94,7 @@ def sharp_residual_ends(problem: LCP, z: FloatVector, scale: FloatVector) -> tup
     matrix = problem.matrix
     value, radius = compensated_product(matrix.csr_rows, matrix.whole(z), problem.q)
     low, high = lower_end(value, radius), upper_end(value, radius)
-    nothing = sp.csr_array((problem.own, problem.own))
-    below, above = (residual_ends_of(nothing, z, problem, z, scale, q=w) for w in (low, high))
+    below, above = (residual_ends_of(None, np.zeros(1), problem, z, scale, q=w) for w in (low, high))
     smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
     return smallest, np.maximum(below[1], above[1])
 
@@ -166,8 +165,7 @@ def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
     """
     if numerators.size == 1:
         return ratio_upwards(float(numerators[0]), float(denominators[0]))
-    with np.errstate(all="ignore"):
-        quotients = over(numerators, denominators)
+    quotients = over(numerators, denominators)
     largest = float(quotients.max(initial=0.0))
     if not 0.0 < largest < np.inf:
         return largest
@@ -177,7 +175,8 @@ def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
 
 def over(numerators: FloatVector, denominators: FloatVector) -> FloatVector:
     """Return the quotients of numbers that are ≥ 0, with 0/0 = 0; NaN stays NaN."""
-    quotients: FloatVector = np.where(numerators == 0.0, 0.0, numerators / denominators)
+    with np.errstate(all="ignore"):
+        quotients: FloatVector = np.where(numerators == 0.0, 0.0, numerators / denominators)
     return quotients
 
 

@@ -21,7 +21,6 @@ from functools import lru_cache, partial
 from hashlib import sha256
 from pathlib import Path
 from pickle import PickleError
-from threading import local
 from typing import Any, cast
 
 import numpy as np
@@ -32,6 +31,7 @@ from ..deadline import NEW_KERNELS, Lock, compiling
 with compiling():  # loading the compiler takes most of a second
     from numba import config, njit, types, vectorize
     from numba.core import event
+    from numba.core.caching import FunctionCache
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
     from numba.core.runtime.nrt import rtsys
@@ -42,18 +42,14 @@ _lock = Lock()
 
 
 class _StoppedClocks(event.Listener):
-    """Stops the clocks of all runs around while numba compiles, whatever the kernel."""
-
-    def __init__(self) -> None:
-        self._under_way = local()
+    """Stops the clocks of all runs around while numba compiles, whatever the kernel; both events have the same data."""
 
     def on_start(self, event: Any) -> None:
-        stack = self._under_way.__dict__.setdefault("stack", [])
-        stack.append(NEW_KERNELS.compiling())
-        stack[-1].__enter__()
+        event.data["clocks"] = NEW_KERNELS.compiling()
+        event.data["clocks"].__enter__()
 
     def on_end(self, event: Any) -> None:
-        self._under_way.stack.pop().__exit__(None, None, None)
+        event.data["clocks"].__exit__(None, None, None)
 
 
 event.register("numba:compile", _StoppedClocks())  # type: ignore[no-untyped-call]
@@ -65,17 +61,12 @@ def cache_folder() -> Path:
     return Path(named) if named else user_cache_path("lcp_plugin", appauthor=False)
 
 
-def compiled(function: Any) -> Any:
-    """Compile on first use: no lock of the interpreter held, divisions by zero as in numpy."""
-    return _compiled(function)
-
-
 def compiled_in_any_order(function: Any) -> Any:
     """Compile a part of kernels whose sums may be taken in another order, and whose numbers are never NaN.
 
     The order is fixed when it is compiled: the same call gives the same bits.
     """
-    return _part(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
+    return compiled_part(function, fastmath={"reassoc", "contract", "nnan", "nsz"}, forceinline=True)
 
 
 def interpreted_while_small(function: Any, *, longest: float = np.inf, numbers: int = FEW) -> Any:
@@ -85,17 +76,12 @@ def interpreted_while_small(function: Any, *, longest: float = np.inf, numbers: 
     be taken in another order, or where work grows faster than the numbers in the arrays. Those with more than `numbers`
     numbers in their arrays are compiled, too.
     """
-    return _compiled(function, longest, numbers)
-
-
-def compiled_part(function: Any) -> Any:
-    """Compile a part of kernels."""
-    return _part(function)
+    return compiled(function, longest, numbers)
 
 
 def compiled_into_others(function: Any) -> Any:
     """Compile a short part of kernels: on a few unknowns a call costs more than what it does."""
-    return _part(function, forceinline=True)
+    return compiled_part(function, forceinline=True)
 
 
 def compiled_for_rows(by_arrays: Callable[..., Any]) -> Callable[[Any], Any]:
@@ -105,7 +91,7 @@ def compiled_for_rows(by_arrays: Callable[..., Any]) -> Callable[[Any], Any]:
     """
 
     def decorate(function: Any) -> Any:
-        part = _part(function, forceinline=True)
+        part = compiled_part(function, forceinline=True)
         if not hasattr(part, "compile"):
             return by_arrays
         part._compile_for_args = lambda *_, **__: by_arrays
@@ -116,7 +102,7 @@ def compiled_for_rows(by_arrays: Callable[..., Any]) -> Callable[[Any], Any]:
 
 def compiled_in_place(function: Any) -> Any:
     """Compile a part of one kernel or two, line by line as if it stood there."""
-    return _part(function, inline="always")
+    return compiled_part(function, inline="always")
 
 
 class _PartLibrary(JITCodeLibrary):
@@ -148,7 +134,8 @@ class _PartCompiler(Compiler):
 
 
 @compiling()
-def _part(function: Any, **options: Any) -> Any:
+def compiled_part(function: Any, **options: Any) -> Any:
+    """Compile a part of kernels."""
     options |= {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
     dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
     if hasattr(dispatcher, "compile"):  # it has none where numba is told not to compile
@@ -158,11 +145,13 @@ def _part(function: Any, **options: Any) -> Any:
 
 
 @compiling()
-def _compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
+def compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
+    """Compile on first use: no lock of the interpreter held, divisions by zero as in numpy."""
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    dispatcher = _kept(lambda cache: njit(cache=cache, **options)(function))
+    dispatcher = njit(**options)(function)
     if hasattr(dispatcher, "compile"):
-        dispatcher._cache = _ForgivingCache(dispatcher._cache)
+        with suppress(Exception), _kept_in(cache_folder()):  # numba finds no place, or what lies there is damaged
+            dispatcher._cache = _KeptCode(function)
         compile_for, dispatcher.is_patient = dispatcher._compile_for_args, longest > 0.0
 
         def of_arguments(*arguments: Any) -> Any:
@@ -181,12 +170,20 @@ _interpreted = [0.0]
 
 
 def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...], longest: float, numbers: int) -> bool:
-    if _interpreted[0] >= PATIENCE:
-        return False
     arrays = [argument for argument in arguments if isinstance(argument, np.ndarray)]
     is_small = sum(array.size for array in arrays) <= numbers
-    is_small = is_small and all(max(array.shape, default=0) <= longest for array in arrays)
-    return is_small and not dispatcher._cache.has(dispatcher, arguments)
+    is_short = all(max(array.shape, default=0) <= longest for array in arrays)
+    return is_small and is_short and _interpreted[0] < PATIENCE and not _is_kept(dispatcher, arguments)
+
+
+def _is_kept(dispatcher: Any, arguments: tuple[Any, ...]) -> bool:
+    """Return whether the code for arguments like these lies on disk."""
+    try:
+        signature = tuple(_plain(dispatcher.typeof_pyval(argument)) for argument in arguments)
+        key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
+        return key in dispatcher._cache._cache_file._load_index()
+    except Exception:  # there is no disk, or what lies there is damaged
+        return False
 
 
 def _interpret(function: Any, *arguments: Any) -> Any:
@@ -257,15 +254,9 @@ def _plain(kind: Any) -> Any:
 
 def compiled_elementwise(function: Any) -> Any:
     """Compile a function of two numbers into one of two arrays, at once."""
-    return _kept(lambda cache: vectorize(["float64(float64, float64)"], cache=cache)(function))  # type: ignore[no-untyped-call]
-
-
-def _kept(decorate: Callable[[bool], Any]) -> Any:
-    try:
-        with _kept_in(cache_folder()):
-            return decorate(True)
-    except Exception:  # numba found no place for its cache, the disk is full, or what lies there is damaged
-        return decorate(False)
+    with suppress(Exception), _kept_in(cache_folder()):
+        return vectorize(["float64(float64, float64)"], cache=True)(function)  # type: ignore[no-untyped-call]
+    return vectorize(["float64(float64, float64)"])(function)  # type: ignore[no-untyped-call]
 
 
 @contextmanager
@@ -308,7 +299,7 @@ def _save(file: Any, key: Any, data: Any) -> None:
         file._save_index({**overloads, key: name})
 
 
-class _ForgivingCache:
+class _KeptCode(FunctionCache):
     """numba's cache of one function; a full disk or a damaged file costs a compilation, not the run.
 
     What is kept is used while no file of kernels has changed: numba itself looks at the function's own file only, and
@@ -316,24 +307,11 @@ class _ForgivingCache:
     for different types at the same time, each would give its code the same file, and one would run that of the other.
     """
 
-    def __init__(self, cache: Any) -> None:
-        self._cache = cache
-        with suppress(AttributeError, OSError):
-            file = cache._cache_file
-            file._source_stamp = file._source_stamp, _sources()
-            file.save = partial(_save, file)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._cache, name)
-
-    def has(self, dispatcher: Any, arguments: tuple[Any, ...]) -> bool:
-        """Return whether the code for arguments like these lies on disk."""
-        try:
-            signature = tuple(_plain(dispatcher.typeof_pyval(argument)) for argument in arguments)
-            key = self._cache._index_key(signature, dispatcher.targetctx.codegen())
-            return key in self._cache._cache_file._load_index()
-        except Exception:  # there is no disk, or what lies there is damaged
-            return False
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        file: Any = self._cache_file
+        file._source_stamp = file._source_stamp, _sources()
+        file.save = partial(_save, file)
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """Return the code that is kept, or None; no rules of compilation are loaded for it, which takes a tenth of 1 s.
@@ -342,14 +320,14 @@ class _ForgivingCache:
         """
         try:
             rtsys.initialize(target_context)  # what compiled code may call
-            return self._cache._load_overload(signature, target_context)
+            return self._load_overload(signature, target_context)  # type: ignore[no-untyped-call]
         except Exception:  # a damaged file raises whatever its decoders raise
             return None
 
     def save_overload(self, signature: Any, data: Any) -> None:
         with suppress(OSError):
             try:
-                self._cache.save_overload(signature, data)
+                super().save_overload(signature, data)  # type: ignore[no-untyped-call]
             except (EOFError, ValueError, PickleError):  # the index of what is there is damaged: begin a new one
-                self._cache.flush()
-                self._cache.save_overload(signature, data)
+                self.flush()  # type: ignore[no-untyped-call]
+                super().save_overload(signature, data)  # type: ignore[no-untyped-call]

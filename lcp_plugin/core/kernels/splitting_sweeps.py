@@ -49,7 +49,7 @@ def split_rows(indptr, indices, backward, split):  # type: ignore[no-untyped-def
 def splitting_sweep(  # type: ignore[no-untyped-def]
     indptr, split, indices, data, rows, coupling, projected, backward, z, new
 ):
-    """Write the next iterate of an AOR-type splitting into `new`; return two norms of the residual of z.
+    """Write the next iterate of an AOR-type splitting into `new`; return the norm of the residual of z.
 
     `rows` holds q, lower, upper, inverse_scale, step, inverse_pivot. With w = M z + q at the old z and
     c_i = Σ m_ij (new_j − z_j) over the columns j already updated:
@@ -59,12 +59,11 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         otherwise:  new_i = mid(l_i, u_i, z_i − step_i (w_i + coupling c_i) inverse_pivot_i)
 
     r_i is computed as mid(z_i − u_i, z_i − l_i, step_i w_i), the same number without cancelling a small w
-    against a large z. Returns max_i |mid(z_i − u_i, z_i − l_i, inverse_scale_i w_i)| and Σ_i r_i².
+    against a large z. Returns max_i |mid(z_i − u_i, z_i − l_i, inverse_scale_i w_i)|.
     """
     n = uintp(rows.shape[0])
     one = uintp(1)
     largest = 0.0
-    squares = 0.0
     near = 0.0
     i = n if backward else uintp(0) - one
     for _ in range(n):
@@ -108,13 +107,11 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         r = abs(_clamp(w * rows[i, 3], below, above))
         if r > largest or r != r or zi != zi:
             largest = r + zi if zi != zi else r
-        r = _clamp(w * s, below, above)
-        squares += r * r if zi == zi else zi
-        drive = 2.0 * r if projected else w * s
+        drive = 2.0 * _clamp(w * s, below, above) if projected else w * s
         value = _clamp((zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change, low, high)
         new[i] = value
         near = value - zi
-    return largest, squares
+    return largest
 
 
 @compiled

@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class fact(Generic[P, T]):  # noqa: N801 - a decorator
-    """A function of a matrix (and of hashable arguments) whose value is kept with the matrix.
+    """A function of a matrix (and of hashable arguments) whose value is kept with the matrix; of a problem as well.
 
     A fact about M is one such function, in whichever room knows it: the function is its key, its annotation the type.
 
@@ -40,7 +40,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         self._compute = compute
         update_wrapper(self, compute)
 
-    def __call__(self, matrix: Matrix, *args: P.args, **kwargs: P.kwargs) -> T:
+    def __call__(self, matrix: Any, *args: P.args, **kwargs: P.kwargs) -> T:
         """Return the value, computed where nobody has asked before."""
         key = (self, *args)
         try:
@@ -204,12 +204,6 @@ class Matrix:
     def csc(self) -> sp.csc_array:
         """The matrix by columns, shape (n, n)."""
         return sp.csc_array(self.csr)
-
-    @property
-    @fact
-    def transpose(self) -> sp.csr_array:
-        """Mᵀ as CSR, shape (n, n)."""
-        return sp.csr_array(self.csr.T)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again, and the lock."""

@@ -154,8 +154,7 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
         return None
     balanced = Matrix(M)
     units_of.keep(balanced, None)
-    with np.errstate(all="ignore"):
-        scale = np.ldexp(balanced.residual_scale, -(row + column))
+    scale = times_power(balanced.residual_scale, -(row + column))
     if not is_representable(scale):
         return None
     row, column, of_row, of_column = (read_only(side) for side in (row, column, of_row, of_column))
@@ -313,12 +312,7 @@ def scaled(M: Any, exponents: Exponents | None) -> Any:
     row, column = (side.astype(np.int32) for side in exponents)
     if not sp.issparse(M):
         return times_power(M, row[:, None] + column)
-    if max(abs(side).max(initial=0) for side in (row, column)) < 512:  # the factor is a normal number: rounded once
-        factor = np.repeat(np.ldexp(1.0, row), np.diff(M.indptr)) * np.ldexp(1.0, column)[M.indices]
-        with np.errstate(under="ignore", over="ignore"):
-            data = M.data * factor
-    else:
-        data = times_power(M.data, row[row_numbers(M)] + column[M.indices])
+    data = times_power(M.data, row[row_numbers(M)] + column[M.indices])
     return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
 
 

@@ -59,7 +59,7 @@ from ..algorithms.base import in_driven_sweeps
 from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, SURE_FACTOR_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..lcp import LCP
-from ..matrix.row_sums import has_positive_diagonal
+from ..matrix.row_sums import has_positive_diagonal, row_blocks
 from ..registry import ask, ask_or_none
 from ..settings import OF_SOLVE
 from ..splittings.projected_relaxation import PGS, PSOR
@@ -71,7 +71,6 @@ if TYPE_CHECKING:
     from ...methods.direct import Retries, Turns
 
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
-BLOCK = 2**14  # rows
 PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
 
 
@@ -92,7 +91,7 @@ class Policy:
         """Return the algorithm to begin with."""
         raise NotImplementedError
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
         return None
 
@@ -115,7 +114,7 @@ class Single(Policy):
         """Return the caller's algorithm."""
         return Choice(self.algorithm)
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return None, or the feasibility check after a method that ended without a solution."""
         is_unfit = not self._refutes or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
         if not failed or len(stages) > 1 or is_unfit:
@@ -160,16 +159,16 @@ class Auto(Policy):
             return Choice(PSOR(), f"every row is dominated: a sweep gains a factor {CLEARLY_DOMINANT} at least")
         return narrow if passes <= BANDED_PASSES else PROJECTED_TYPE
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return what needs the least work from here, or None to go on."""
         now = stages[-1]
         if self._direct is not None:
-            return self._direct.after(stages, target, failed=failed)
+            return self._direct.after(stages, goal, failed=failed)
         if (order := _exact_order(problem, now)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if now.algorithm.name == "banded":
             return replace(PROJECTED_TYPE, because="banded came to an end") if failed else None
-        left = Remaining.of(problem, now, target, failed=failed)
+        left = Remaining.of(problem, now, goal, failed=failed)
         if left is None:
             return None
         if left.name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
@@ -240,11 +239,10 @@ def method_or_none(name: str) -> Algorithm | None:
 def _is_clearly_dominant(problem: LCP) -> bool:
     """Return whether Σ_{j≠i} |m_ij| ≤ 0.8 m_ii on every row; the first block of rows refuses most other matrices."""
     M, diagonal = problem.csr, problem.diagonal
-    for first in range(0, problem.n, BLOCK):
-        d = diagonal[first:first + BLOCK]
+    for rows in row_blocks(problem.n):
+        d, ends = diagonal[rows], M.indptr[rows.start : rows.stop + 1]
         if not d.min() > 0.0:
             return False
-        ends = M.indptr[first:first + BLOCK + 1]
         with np.errstate(over="ignore"):
             sums = np.add.reduceat(np.abs(M.data[ends[0]:ends[-1]]), ends[:-1] - ends[0])
             if not bool(np.all(sums - d <= CLEARLY_DOMINANT * d)):

@@ -45,16 +45,16 @@ class Remaining:
     is_guess: bool
 
     @classmethod
-    def of(cls, problem: LCP, now: Stage, target: float, *, failed: bool) -> Remaining | None:
+    def of(cls, problem: LCP, now: Stage, goal: float, *, failed: bool) -> Remaining | None:
         """Return what a stage still needs, None where it is too early to ask."""
         failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
         if failed:
             return cls(now.algorithm.name, now.work, math.inf, True, False)
         is_asked, is_large = _is_asked(problem, now), problem.n > DIRECT_UP_TO and not problem.is_dense
         may_guess = isinstance(now.algorithm, NPSOR) and is_large and (is_asked or now.iterations == 1)
-        sweeps = _least_sweeps(problem, now, target) if may_guess else 0.0
+        sweeps = _least_sweeps(problem, now, goal) if may_guess else 0.0
         if is_asked:
-            return cls(now.algorithm.name, now.work, max(sweeps, now.steps_to_go(target)), False, False)
+            return cls(now.algorithm.name, now.work, max(sweeps, now.steps_to_go(goal)), False, False)
         # After one sweep multigrid has to be clearly less than psor, which takes the root.
         return cls(now.algorithm.name, now.work, sweeps / PATIENCE**2, False, True) if sweeps else None
 
@@ -84,11 +84,11 @@ def _is_asked(problem: LCP, now: Stage) -> bool:
     return is_trial_over or (SHORTEST_TRIAL <= k < TRIAL_SWEEPS and now.is_steady())
 
 
-def _least_sweeps(problem: LCP, now: Stage, target: float) -> float:
+def _least_sweeps(problem: LCP, now: Stage, goal: float) -> float:
     """Return how many sweeps errors that are constant on the free unknowns take, 0 where nobody knows."""
-    if now.z is None or not now.residuals or not target > 0.0:
+    if now.z is None or not now.residuals or not goal > 0.0:
         return 0.0
-    gain = now.residuals[-1][1] / target
+    gain = now.residuals[-1][1] / goal
     with np.errstate(all="ignore"):
         room = NEAR * max(now.z.max(), -now.z.min())  # npsor approaches a bound without reaching it
         is_free = (problem.lower + room < now.z) & (now.z < problem.upper - room)

@@ -105,29 +105,29 @@ class Stage:
             return False
         return abs(third / second - second / first) <= STEADY * second / first
 
-    def steps_to_go(self, target: float) -> float:
+    def steps_to_go(self, goal: float) -> float:
         """Return how many more steps reach that residual, at the stage's own rate."""
         if not self.residuals:
             return math.inf
         residual, rate = self.residuals[-1][1], self.rate()
-        if residual <= target:
+        if residual <= goal:
             return 0.0
-        return math.log(target / residual) / math.log(rate) if 0.0 < rate < 1.0 and target > 0.0 else math.inf
+        return math.log(goal / residual) / math.log(rate) if 0.0 < rate < 1.0 and goal > 0.0 else math.inf
 
 
 class CheckSchedule:
     """When to measure the residual of an in-place method: at geometric intervals, and when it looks small enough."""
 
-    def __init__(self, residual_per_increment: float, tolerance: float) -> None:
+    def __init__(self, residual_per_increment: float, goal: float) -> None:
         self.next_check = FIRST_CHECK
         self.residual_per_increment = residual_per_increment
-        self.tolerance = tolerance
+        self.goal = goal
 
     def is_due(self, iteration: int, increment: float | None) -> bool:
         """Return whether this step's residual is worth measuring."""
         if iteration >= self.next_check or increment is None:
             return True
-        return increment * self.residual_per_increment <= self.tolerance
+        return increment * self.residual_per_increment <= self.goal
 
     def learn(self, iteration: int, increment: float, residual: float) -> None:
         """Take note of a measured residual: the next is due half as far again."""
@@ -169,7 +169,7 @@ class Progress:
             return True
         return False
 
-    def is_stalled(self, iteration: int, best: float, tolerance: float) -> bool:
+    def is_stalled(self, iteration: int, best: float, goal: float) -> bool:
         """Return whether a window passed with less than 1 % and extrapolation misses max_iterations.
 
         A window is at least half as long as the run was before it.
@@ -183,5 +183,5 @@ class Progress:
         if best < PROGRESS * value:
             return False
         fall = math.log(value / best) / (iteration - since) if 0.0 < best < value else 0.0
-        needed = math.log(best / tolerance) if 0.0 < tolerance < best else math.inf
+        needed = math.log(best / goal) if 0.0 < goal < best else math.inf
         return needed > fall * (self.max_iterations - iteration)

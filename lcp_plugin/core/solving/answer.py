@@ -133,8 +133,7 @@ class Answer:
     def __repr__(self) -> str:
         size = "" if self.x is None else f"n={len(self.x)}, "
         value = "" if self.objective is None else f"objective {self.objective:.9g}, "
-        effort = f"{self.algorithm}: {self.iterations} iterations, {self.seconds:.3g} s"
-        return f"{type(self).__name__}({self.status.name}, {size}{value}{effort})"
+        return f"{type(self).__name__}({self.status.name}, {size}{value}{Answer._effort(self)})"
 
     def __str__(self) -> str:
         return self.explain()

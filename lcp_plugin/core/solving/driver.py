@@ -13,9 +13,8 @@ from ..checks import checked_start
 from ..deadline import Clock
 from ..errors import InvalidOption
 from ..kernels.threads import threads_for
-from ..kinds import solve_any
+from ..kinds import LINEAR_COMPLEMENTARITY_PROBLEM, solve_any
 from ..lcp import LCP
-from ..lcp_kind import LINEAR_COMPLEMENTARITY_PROBLEM
 from ..policy.choice import Policy, policy_for
 from ..registry import ask_or_none
 from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
@@ -158,12 +157,8 @@ def solve(
     ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
     """
     if not isinstance(problem, LCP):
-        given = dict(
-            z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, max_iterations=max_iterations,
-            max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, record=record, callback=callback,
-            error_bound=error_bound, refute=refute, threads=threads, verbose=verbose,
-        )
-        wishes = {name: value for name, value in given.items() if value is not (solve.__kwdefaults__ or {})[name]}
+        given, defaults = locals(), solve.__kwdefaults__ or {}
+        wishes = {name: given[name] for name in defaults if given[name] is not defaults[name]}
         return solve_any(problem, algorithm, {**wishes, **options})
     if options:
         LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)

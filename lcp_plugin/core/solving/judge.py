@@ -60,7 +60,6 @@ class Judge:
 
     words: Mapping[Status, str] = MappingProxyType({})
     advice: Mapping[Status, str] = MappingProxyType({})
-    _answer: FloatVector | None = None  # as the caller has it, where it need not be the z of the smallest residual
     _asked_at, _ask_again = math.inf, 0  # residual and iteration
 
     def __init__(self, units: CommonUnits, settings: Settings) -> None:
@@ -71,13 +70,11 @@ class Judge:
         self._certificate: Certificate | None = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
-        """Return the certificate of z on the caller's own data."""
-        return Certificate.of(self.problem, self.units.outward(z))
-
-    @property
-    def per_increment(self) -> float:
-        """How large a residual is beside the increment that goes with it near the answer, about."""
-        return ratio(1.0, self.reference)
+        """Return the certificate of z on the caller's own data; the latest one is kept."""
+        answer, latest = self.units.outward(z), self._certificate
+        if latest is None or not self.problem.communicator.everywhere(np.array_equal(latest.z, answer)):
+            self._certificate = latest = Certificate.of(self.problem, answer)
+        return latest
 
     def residual_of(self, step: Step) -> float | None:
         """Return the relative residual of a step where the algorithm knows it."""
@@ -95,33 +92,23 @@ class Judge:
 
     def certified(self, z: FloatVector) -> float:
         """Return an upper bound of the relative residual of z; no step changes what z° answers."""
-        self._certificate = self.certificate_of(z)
-        return self._relative_in_open_parts(self._certificate)
+        return self._relative_in_open_parts(self.certificate_of(z))
 
     def _relative_in_open_parts(self, certificate: Certificate) -> float:
         return certificate.relative_above(self.settings.least_reference, self.units.answered)
 
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
-        """Return whether z, of that certified residual, is what was asked for."""
-        return bool(residual <= self.settings.goal) and self._answers(self.units.outward(z), residual, iteration)
+        """Return whether z, of that certified residual, is what was asked for.
 
-    def _answers(self, z: FloatVector, residual: float, iteration: int) -> bool:
-        """Return whether z answers the program, if there is one; that takes long, and is not asked at every step."""
-        if not residual <= 0.5 * self._asked_at and iteration < self._ask_again:
-            return False
-        answers = self.is_answered(z)
-        if answers is None:
-            return True
-        self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
-        self._answer = z.copy() if answers else None
-        return answers
-
-    def is_answered(self, z: FloatVector) -> bool | None:
-        """Return whether z, the caller's, answers the program that the problem was made from; None where there is none.
-
-        Another tolerance than a relative one is asked of the complementarity problem alone.
+        Whether it answers the program, if there is one, takes long to tell, and is not asked at every step.
         """
-        return answers_program(self.problem, self.settings, z)
+        is_asked_in_vain = residual > 0.5 * self._asked_at and iteration < self._ask_again
+        if not residual <= self.settings.goal or is_asked_in_vain:
+            return False
+        answers = answers_program(self.problem, self.settings, self.units.outward(z))
+        if answers is False:
+            self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
+        return answers is not False
 
     def require_rigorous_bounds(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
@@ -174,31 +161,22 @@ class Judge:
 
     def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
-        everywhere, passed = self.problem.communicator.everywhere, self.passed()
-        answer = self.units.outward(z) if passed is None else passed
-        z = z if passed is None else self.units.inward(passed)
-        certificate = self._certificate
-        if certificate is None or not everywhere(np.array_equal(certificate.z, answer)):
-            certificate = self.certificate_of(z)
+        certificate = self.certificate_of(z)
         is_cut_short = reason in (Status.INTERRUPTED, Status.MAX_SECONDS)
-        if last is None or is_cut_short or not everywhere(bool(np.isfinite(z).all())):
+        if last is None or is_cut_short or not self.problem.communicator.everywhere(bool(np.isfinite(z).all())):
             return certificate
         finished = last.finish(self.units.problem, z)
         return certificate if finished is z else self._better_of(certificate, self.certificate_of(finished))
 
-    def passed(self) -> FloatVector | None:
-        """Return the z, the caller's, that passed by another criterion than the residual; it need not be the best."""
-        return self._answer
-
     def _better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
         """Return the cleaned one unless its residual is larger, or it answers the program no more."""
-        residual = self._relative_in_open_parts(certificate)
-        is_no_worse = self._relative_in_open_parts(cleaned) <= residual < math.inf
-        return cleaned if is_no_worse and self.is_answered(cleaned.z) is not False else certificate
+        is_no_worse = self._relative_in_open_parts(cleaned) <= self._relative_in_open_parts(certificate) < math.inf
+        answers = is_no_worse and answers_program(self.problem, self.settings, cleaned.z) is not False
+        return cleaned if answers else certificate
 
     def is_solved_by(self, certificate: Certificate) -> bool:
         """Return whether the certificate shows what was asked for; a program, if there is one, is answered as well."""
-        answers = self.is_answered(certificate.z)
+        answers = answers_program(self.problem, self.settings, certificate.z)
         if answers is None or (answers and self.settings.tolerance < SMALL):
             return self.settings.accept(certificate)
         return answers

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
 from ..registry import ask, ask_or_none
@@ -175,19 +173,7 @@ class Result(Answer):
         """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
         if self.infeasibility is None or self.is_refuted:
             return []
-        what = "infeasible" if self.infeasibility.status is Status.INFEASIBLE else "without solution"
-        if self.infeasibility.is_rounding:
-            size = self.infeasibility.absolute_margin
-            return [f"{what}, but only by {size:.0e} in the unit of z: rounding beside the largest number in q; "
-                    f"absolute_tolerance={1.1 * max(self.certificate.scaled_residual, size):.1e} accepts z"]
-        if (radius := getattr(self.infeasibility, "radius", np.inf)) < np.inf:
-            return [f"{what} up to ‖z‖∞ = {radius:.0e}"]
-        margin = self.infeasibility.margin
-        if margin > self.tolerance and self.absolute_tolerance:
-            return [f"{what}, but only by {self.infeasibility.absolute_margin:.0e} in the unit of z"]
-        if margin > self.tolerance:
-            return [f"{what} beside its own data, but not beside those of the program that it was made from"]
-        return [f"{what}, but only by {margin:.0e} relative"]
+        return [self.infeasibility.how_small(self.tolerance, self.absolute_tolerance, self.certificate.scaled_residual)]
 
     def explain(self) -> str:
         """Return the story of the run in a few lines."""

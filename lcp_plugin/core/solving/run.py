@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,9 @@ import numpy as np
 from ..algorithms import Step
 from ..certificates.criterion import CommonUnits
 from ..certificates.residuals import Certificate
+from ..certificates.row_residuals import ratio
 from ..checks import FloatVector, read_only
-from ..deadline import Clock, OutOfTimeError, time_limit
+from ..deadline import NEW_KERNELS, Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
 from ..policy.choice import Policy, name_of
@@ -49,29 +49,24 @@ class Run:
         self.judge, self.incumbent, self.state = judge or judge_of(units, settings), Incumbent(), RunState()
         self.problem = problem = units.problem
         self.progress = Progress(problem.n, settings.max_iterations)
+        self.checks = CheckSchedule(ratio(1.0, self.judge.reference), settings.goal)
         self.start_residual = math.inf
         with clock.paused():
             self.log = RunLog(self.judge.asked, settings) if settings.verbose else None
         self._is_watched = settings.record or settings.verbose or not problem.communicator.everywhere(callback is None)
         self._next_sample = 0
 
-    @cached_property
-    def checks(self) -> CheckSchedule:
-        """When to measure what the algorithm does not tell."""
-        return CheckSchedule(self.judge.per_increment, self.settings.goal)
-
     def drive(self, start: FloatVector, first: Choice) -> Status:
         """Run the chain of algorithms within the time that is left; return why it ended."""
         self.judge.require_rigorous_bounds()
         following: Choice | None = first
-        left = self.settings.max_seconds
-        left -= 0.0 if left == math.inf else self.clock.read()
+        left = self.settings.max_seconds - self.clock.read()
         if self.judge.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         try:
             with (
                 nullcontext() if left == math.inf else time_limit(left, is_enforced=self.problem.communicator.is_alone),
-                nullcontext() if self.log is None else self.log.telling_of_compilation(),
+                nullcontext() if self.log is None else NEW_KERNELS.watched_by(self.log.hear_of_compilation),
             ):
                 while following is not None:
                     if self.log is not None:
@@ -160,6 +155,7 @@ class Run:
         is_monotone = algorithm.is_monotone
         if residual is not None:
             if self.judge.passes(step.z, residual, iteration):
+                self.incumbent.take(step.z, residual)
                 return Status.SOLVED
             is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
             is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
@@ -206,17 +202,18 @@ class Run:
         callback, communicator = self.callback, self.problem.communicator
         shown = z if callback is None else self.units.outward(z)
         wants_to_stop = communicator.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
-        return not communicator.everywhere(not wants_to_stop)
+        return communicator.anywhere(wants_to_stop)
 
     def ended(self, start: FloatVector, reason: Status) -> tuple[Certificate, Status]:
         """Return what the judge makes of the best iterate, cleaned up, and of the reason why the run ended."""
         incumbent, state = self.incumbent, self.state
         if incumbent.unmeasured is not None:
             incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
-        last = state.stages[-1].algorithm if state.stages else None
-        is_excluded = bool(state.stages) and state.stages[-1].least_residual > self.settings.goal
-        best = start if incumbent.z is None or is_excluded else incumbent.z  # no z is near a solution: as in a batch
-        certificate = self.judge.final(best, reason, last)
+        last = state.stages[-1] if state.stages else None
+        # Where no z is near a solution, what is given back is the start, as in a batch.
+        is_excluded = last is not None and last.least_residual > self.settings.goal and reason is not Status.SOLVED
+        best = start if incumbent.z is None or is_excluded else incumbent.z
+        certificate = self.judge.final(best, reason, None if last is None else last.algorithm)
         return certificate, self.judge.verdict(certificate, reason, is_chain=len(state.stages) > 1)
 
     def judged(self, start: FloatVector, reason: Status) -> Result:
@@ -258,12 +255,15 @@ class Incumbent:
     def offer(self, z: FloatVector, residual: float) -> None:
         """Keep a copy of z where its residual is smaller than the best; NaN counts as ∞."""
         self.unmeasured = None
+        if self.z is None or residual < self.residual:
+            self.take(z, math.inf if math.isnan(residual) else residual)
+
+    def take(self, z: FloatVector, residual: float) -> None:
+        """Keep a copy of z, whatever was there."""
         if self.z is None:
             self.z = z.copy()
-            self.residual = math.inf if math.isnan(residual) else residual
-        elif residual < self.residual:
-            np.copyto(self.z, z)
-            self.residual = residual
+        np.copyto(self.z, z)
+        self.residual = residual
 
 
 class RunState:
@@ -274,18 +274,17 @@ class RunState:
         self.samples: list[Sample] = []
         self.iteration, self.work = -1, 0.0
         self.seconds = self.setup_seconds = 0.0
-        self._is_first = True  # step of its stage
 
     def open(self, stage: Stage) -> None:
         """Begin a stage."""
         if self.stages:
             self.stages[-1].z = None
         self.stages.append(stage)
-        self._is_first = True
 
     def enter(self, step: Step, seconds: float) -> bool:
         """Count a step; return whether it is its stage's first, which a later stage begins where the last one ended."""
-        stage, is_first = self.stages[-1], self._is_first
+        stage = self.stages[-1]
+        is_first = stage.z is None
         self.seconds, stage.z = seconds, step.z
         self.work += step.work
         stage.take(step.label, 0 if is_first else 1, step.work)
@@ -293,13 +292,9 @@ class RunState:
         stage.successor = step.successor or stage.successor
         stage.least_residual = max(stage.least_residual, step.least_residual)
         stage.settles = stage.settles or step.is_settling
-        if not is_first:
-            self.iteration += 1
-        else:
-            self._is_first = False
-            self.iteration = max(self.iteration, 0)
-            if self.iteration == 0:
-                self.setup_seconds = seconds
+        self.iteration = max(self.iteration + (not is_first), 0)
+        if is_first and self.iteration == 0:
+            self.setup_seconds = seconds
         return is_first
 
     def records(self) -> tuple[StageRecord, ...]:
@@ -308,7 +303,6 @@ class RunState:
 
 
 def _records(stage: Stage) -> list[StageRecord]:
-    parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
-    reasons, remarks = [stage.because] + [""] * (len(parts) - 1), [""] * (len(parts) - 1) + [stage.remark]
-    return [StageRecord(name, because, iterations, work, remark)
-            for (name, iterations, work), because, remark in zip(parts, reasons, remarks, strict=True)]
+    first, *others = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
+    records = [StageRecord(first[0], stage.because, *first[1:]), *(StageRecord(one[0], "", *one[1:]) for one in others)]
+    return [*records[:-1], records[-1]._replace(remark=stage.remark)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from contextlib import AbstractContextManager
 from typing import Any
 
 from ..deadline import NEW_KERNELS, compilation
@@ -44,11 +43,8 @@ class RunLog:
             self._say(remark)
         self._say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 
-    def telling_of_compilation(self) -> AbstractContextManager[None]:
-        """Say it once where kernels are compiled inside a ``with`` statement, when that takes more than a second."""
-        return NEW_KERNELS.watched_by(self._compiling)
-
-    def _compiling(self) -> None:
+    def hear_of_compilation(self) -> None:
+        """Say it once where kernels are compiled for more than a second."""
         if NEW_KERNELS.is_under_way and NEW_KERNELS.seconds > self._silent_until:
             self._silent_until = math.inf
             self._write("(compiling, once an installation: some seconds more)")

@@ -59,7 +59,7 @@ class Splitting(Algorithm):
 
     def swept(
         self, problem: LCP, kernel: Callable[..., Any], rows: FloatVector, weights: tuple[Any, ...], x: FloatVector, *,
-        z: FloatVector | None = None, is_euclidean: bool = False,
+        z: FloatVector | None = None,
     ) -> Iterator[Step]:
         """Yield a step for x₀, x₁, …, with the residual that the pass to the next one measures anyway.
 
@@ -74,8 +74,6 @@ class Splitting(Algorithm):
             Overwritten.
         z : array, shape (n,), optional
             Where x is not z itself: filled with the z of x.
-        is_euclidean : bool
-            Whether the other norm that the kernel measures is the euclidean residual.
         """
         M, communicator, own = problem.matrix.csr_rows, problem.communicator, problem.own
         passes, asks_ranks = directions(self.sweep), not communicator.is_empty
@@ -88,12 +86,11 @@ class Splitting(Algorithm):
                     communicator.fetch(x)
                     new[own:] = x[own:]  # what others hold is as it was
                 others = () if z is None else (unwanted if k else z,)
-                residual, squares = kernel(
+                residual = kernel(
                     M.indptr, splits[backward], M.indices, M.data, rows, *weights, backward, x, new, *others
                 )
                 if k == 0:
                     shown = x[:own] if asks_ranks else x
-                    euclidean = communicator.total(squares)**0.5 if is_euclidean else None
-                    yield Step(shown if z is None else z, communicator.largest(residual), euclidean, None, work)
+                    yield Step(shown if z is None else z, communicator.largest(residual), work=work)
                 x, new = new, x
             work = float(len(passes))

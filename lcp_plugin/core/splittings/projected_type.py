@@ -117,10 +117,7 @@ class ProjectedType(ScaledByRows, Splitting):
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step,
             problem.communicator.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
         )
-        yield from self.swept(
-            problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0),
-            is_euclidean=self.scaling is None,
-        )
+        yield from self.swept(problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0))
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise where a pivot is not positive."""

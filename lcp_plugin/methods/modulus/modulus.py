@@ -80,9 +80,7 @@ class ModulusBased(Splitting):
             inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
             q = problem.slack(problem.lower)
         rows = packed(q, problem.lower, inverse_residual_scale(problem.matrix), omega, inverse_pivot)
-        yield from self.swept(
-            problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0, is_euclidean=True
-        )
+        yield from self.swept(problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0)
 
     def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
         if self._has_one_omega:

@@ -117,7 +117,7 @@ def steps(problem: LCP, z0: FloatVector, phases: Phases) -> Iterator[Step]:
         if np.isfinite(z).all():
             residual, work = np.ldexp(answers.residual[0], -unit), answers.work[0, kernels.TOTAL]
             yield Step(z, residual=float(residual), work=float(work), label=PARTS[phase])
-        run(arrays, phases, *limits, answers, steps=kernels.ONE_MORE, workspace=workspace)
+        run_phases(arrays, phases, *limits, answers, steps=kernels.ONE_MORE, workspace=workspace)
         if not answers.made.any():
             return
         phase = int(answers.made[0].argmax())
@@ -130,7 +130,7 @@ def solve_fused(
     start = NO_START if z0 is problem.nearest_to_zero else as_batch(z0)
     vectors, answers = map(as_batch, (problem.q, problem.lower, problem.upper)), Answers(1, problem.n)
     arrays, has_pairs = (as_dense(problem.matrix), *vectors, start), has_pyramids(problem.matrix)
-    run(arrays, phases, tolerance, max_iterations, 0, 1, answers, may_have_contacts=has_pairs)
+    run_phases(arrays, phases, tolerance, max_iterations, 0, 1, answers, may_have_contacts=has_pairs)
     return answers.solve_fused(0)
 
 
@@ -147,7 +147,7 @@ def _shapes(n: int) -> Any:
     return shapes(n)  # type: ignore[no-untyped-call]
 
 
-def run(
+def run_phases(
     arrays: tuple[Any, ...], phases: Phases, tolerance: float, max_iterations: int, first: int, end: int,
     answers: Answers, *, steps: int | None = None, workspace: tuple[Any, Any, Any] | None = None,
     may_have_contacts: bool = True,

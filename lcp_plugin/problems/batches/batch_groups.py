@@ -19,7 +19,7 @@ from ...core.settings import Settings
 from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
 from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
 from ...methods.small.fused import beside_the_largest
-from ...methods.small.small_dense import Answers, run
+from ...methods.small.small_dense import Answers, run_phases
 from ..many.chunks import in_chunks
 
 
@@ -105,7 +105,7 @@ def answers_in_common_units(group: Group, phases: Phases, settings: Settings) ->
     for k in range(count):
         own = slice(ends[k], ends[k + 1])
         tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
-        run((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
+        run_phases((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
     certificate = Certificate.of(units.stated, units.outward(answers.z.reshape(-1)))
     answers.z[:] = certificate.z.reshape(count, n)
     largest, least = certificate.residuals_of_parts

@@ -22,7 +22,7 @@ from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result
 from ...methods.direct import may_be_searched
 from ...methods.small.fused import fused_result
-from ...methods.small.small_dense import Answers, run
+from ...methods.small.small_dense import Answers, run_phases
 from ..many.answers import AnswerSequence, T
 from ..many.chunks import in_chunks
 from .batch_groups import Group, answers_in_common_units, by_parts, excluded, in_one_unit
@@ -187,7 +187,7 @@ class BatchRun(BatchLoop):
         answers = Answers(*group.shape)
 
         def solve_chunk(first: int, end: int) -> None:
-            run(group[1:], phases, self.settings.tolerance, self.settings.max_iterations, first, end, answers)
+            run_phases(group[1:], phases, self.settings.tolerance, self.settings.max_iterations, first, end, answers)
 
         try:
             self._in_chunks(solve_chunk, group.items.size)

@@ -116,7 +116,7 @@ class Stages(Policy):
         """Return the first stage."""
         return next(self._left)
 
-    def next_step(self, problem: Any, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: Any, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return the next stage where one has come to its end."""
         return next(self._left, None) if failed else None
 

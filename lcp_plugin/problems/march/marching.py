@@ -83,13 +83,13 @@ class StepPolicy(Policy):
             return self._auto.first(problem)
         return Choice(self._lesson.algorithm, self._lesson.because)
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return what `auto` chooses; None as long as what finished the step before is no slower than then."""
         self._stages = stages
         if self._lesson.algorithm is None:
-            return self._auto.next_step(problem, stages, target, failed)
+            return self._auto.next_step(problem, stages, goal, failed)
         if len(stages) > 1:
-            return self._auto.next_step(problem, stages[1:], target, failed)
+            return self._auto.next_step(problem, stages[1:], goal, failed)
         is_slow = stages[0].work > SLOW * max(self._lesson.work, LEAST_WORK)
         return self._auto.first(problem) if failed or is_slow else None
 

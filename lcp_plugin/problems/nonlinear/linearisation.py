@@ -38,11 +38,11 @@ class LinearPolicy(Policy):
         """Return what the policy begins with."""
         return self._policy.first(problem)
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], target: float, failed: bool) -> Choice | None:
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return the policy's next choice; pivots are the last, and nothing has two turns."""
         if isinstance(stages[-1].algorithm, Lemke):
             return None
-        choice = self._policy.next_step(problem, stages, target, failed)
+        choice = self._policy.next_step(problem, stages, goal, failed)
         if choice is None or any(stage.algorithm == choice.algorithm for stage in stages):
             return None
         is_pivoting = isinstance(choice.algorithm, Lemke)

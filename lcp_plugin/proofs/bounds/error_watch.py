@@ -175,10 +175,6 @@ class ErrorJudge(Judge):
             return super().passes(z, residual, iteration)
         return self.watch.proves(self.units.outward(z), residual * self.reference, iteration)
 
-    def passed(self) -> FloatVector | None:
-        """Return the z whose error is proved, or that answers the program."""
-        return super().passed() if self.watch.proof is None else self.watch.proof[0]
-
     def is_solved_by(self, certificate: Certificate) -> bool:
         """Return whether the error is proved, where that was asked for."""
         if not self.settings.is_on_error:

@@ -168,7 +168,7 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     blur = np.maximum(sum_above(residual, negative), 0.0)
     if not (residual.any() or blur.any()):
         return np.zeros(problem.n)
-    transpose = problem.matrix.transpose
+    transpose = transpose_of(problem.matrix)
     value, radius = compensated_product(transpose, residual, residual * inverse_step)
     absolute = absolute_transpose(problem.matrix)
     blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
@@ -206,9 +206,15 @@ def _norms_above(x: FloatVector, several: Parts) -> FloatVector:
 
 
 @fact
+def transpose_of(matrix: Matrix) -> sp.csr_array:
+    """Return Mᵀ as CSR, shape (n, n)."""
+    return sp.csr_array(matrix.csr.T)
+
+
+@fact
 def absolute_transpose(matrix: Matrix) -> sp.csr_array:
     """Return |Mᵀ|, shape (n, n)."""
-    return abs(matrix.transpose)
+    return abs(transpose_of(matrix))
 
 
 def _symmetric_part(M: Any, exponents: Exponents) -> tuple[Any, float]:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ...core.algorithms import Algorithm
-from ...core.algorithms.base import identity
 from ...core.checks import FloatVector
 from ...core.errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ...core.kinds import refusal
@@ -91,7 +90,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
 
 def warn_where_known_to_be_uncovered(problem: LCP, policy: Policy, *, stacklevel: int) -> None:
     """Warn, once a matrix and choice, where it is known already that nothing proves the convergence."""
-    held = identity(policy.algorithm) if isinstance(policy, Single) and _guarantees.is_known(problem.matrix) else None
+    held = _identity(policy.algorithm) if isinstance(policy, Single) and _guarantees.is_known(problem.matrix) else None
     guarantee = _guarantees(problem.matrix).get(held) if held else None
     if guarantee is None or guarantee.is_guaranteed or held in (warned := _warned_of(problem.matrix)):
         return
@@ -124,11 +123,20 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is None:
         return _of_a_direct_method(problem, algorithm)
-    known, held = _guarantees(problem.matrix), identity(algorithm)
+    known, held = _guarantees(problem.matrix), _identity(algorithm)
     if held in known:
         return known[held]
     guarantee = _full(problem, facts, {field.name for field in fields(algorithm)})
     return guarantee if held is None else known.setdefault(held, guarantee)
+
+
+def _identity(algorithm: Algorithm) -> tuple[Hashable, ...] | None:
+    """Return its class, not the name of that, and all it holds; None where that is more than numbers and words."""
+    held = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
+    held |= getattr(algorithm, "__dict__", {})
+    if not all(value is None or isinstance(value, (str, int, float)) for value in held.values()):
+        return None
+    return type(algorithm), *sorted(held.items(), key=lambda item: item[0])
 
 
 def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:

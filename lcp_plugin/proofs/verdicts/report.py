@@ -121,7 +121,7 @@ class MatrixReport:
     asymmetry = View(asymmetry)
     triangular_form = View(structure.triangular_form)
     row_excess_signs = View(graph.row_excess_signs)
-    components = View(structure.components)
+    components = View(graph.components)
     blocks = View(lambda matrix: graph.diagonal_blocks(matrix)[0])
     block_labels = View(lambda matrix: graph.diagonal_blocks(matrix)[1])
     zero_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))

@@ -233,7 +233,7 @@ def mistakes() -> dict[str, str]:
         **dict.fromkeys(damaged, "cannot read (empty|noise)"),
         "empty.qps": "HiGHS|highspy", "noise.qps": "HiGHS|highspy", "empty.nl": "empty.nl", "noise.nl": "noise.nl",
         "no_q.npz": r"lacks the keys \['q'\]|holds an LCP", "no_c.npz": r"lacks the keys \['c'\]",
-        "nan.npz": "q must be a finite vector|holds an LCP", "nan_qp.npz": "c must be",
+        "nan.npz": "q must be finite|holds an LCP", "nan_qp.npz": "c must be",
         "nan_fit.npz": "b must be|least squares", "none.npz": "pickled objects, which are never read",
         "other.npz": "lacks the keys",
     }

@@ -331,7 +331,7 @@ def test_the_gradients_of_a_step_are_those_of_its_derivative() -> None:
     ({"dforcing": np.full((4, 5), np.nan)}, r"dforcing must be .* but dforcing\[0, 0\] is not"),
     ({"dM": np.eye(4)}, "dM must be"),
     ({"dcarry": np.eye(4)}, "dcarry must be"),
-    ({"dlower": np.inf}, "dlower must be a finite"),
+    ({"dlower": np.inf}, "dlower must be finite"),
 ])
 def test_what_changes_are_refused(given: dict[str, Any], message: str) -> None:
     """Changes of another shape, or not finite; and marches that did not get to their end."""

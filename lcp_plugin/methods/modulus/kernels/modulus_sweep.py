@@ -18,12 +18,11 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
 
         new_i = x_i − (2 α (w_i − Ω_i max(−x_i, 0)) + β c_i) inverse_pivot_i
 
-    Returns max_i |min(z_i − lower_i, w_i inverse_scale_i)| and Σ_i min(z_i − lower_i, w_i)².
+    Returns max_i |min(z_i − lower_i, w_i inverse_scale_i)|.
     """
     n = uintp(rows.shape[0])
     one = uintp(1)
     largest = 0.0
-    squares = 0.0
     i = n if backward else uintp(0) - one
     for _ in range(n):
         if backward:
@@ -50,8 +49,6 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
         r = abs(slack if slack < positive else positive)
         if r > largest or r != r or slack != slack:
             largest = r if slack == slack else slack
-        r = w if w < positive else positive
-        squares += r * r
         z[i] = rows[i, 1] + positive
         new[i] = xi - (2.0 * relaxation * (w - rows[i, 3] * (positive - xi)) + acceleration * c) * rows[i, 4]
-    return largest, squares
+    return largest

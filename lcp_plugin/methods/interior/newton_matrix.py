@@ -153,6 +153,9 @@ class DenseNewtonMatrix(NewtonMatrix):
         self._buffer.flat[:: self.n + 1] += diagonal
         self._factor = self._factorise(self._buffer, overwrite=True)
         self.work += self.n**3 / self._share
+        if self._factor is None and self._factorise not in (cholesky, dense_lu):
+            self._factorise, self._share = dense_lu, 3.0  # rounding left a block indefinite, which pivots mend
+            return self._try(diagonal)
         return self._factor is not None
 
     def _apply(self, right: FloatVector) -> FloatVector:

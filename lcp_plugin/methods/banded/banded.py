@@ -80,7 +80,7 @@ class Banded(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, and then z of one active set after the other; end where no other is to be tried."""
-        from .kernels import bands as kernels
+        from . import kernels
 
         band, n = self._bands(problem), problem.n
         if n == 0:
@@ -124,7 +124,7 @@ class Banded(Algorithm):
         k, n = Q.shape
         if n == 0 or (problem.is_dense and n > 1):  # the products of an ndarray are BLAS's, summed in its own order
             return [None] * k
-        from .kernels.bands import run_all
+        from .kernels import run_all
 
         band, M = self._bands(problem), problem.csr
         rounds, ends = np.empty((k, 2), np.int64), np.empty((k, 2))
@@ -167,7 +167,7 @@ class Banded(Algorithm):
         tolerance, max_iterations
             As for `solve_fused`, of each step.
         """
-        from .kernels.marches import march_all
+        from .march_kernels import march_all
 
         band, M, (k, (n, m)) = self._bands(problem), problem.csr, (len(forcing), z.shape)
         answers, rounds, ends = np.empty((m, k, n)), np.empty((m, k), np.int64), np.empty((m, k, 2))

@@ -158,8 +158,7 @@ class Lemke(Algorithm):
 
     def _paths(self, part: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float, FloatVector | None]]:
         """Yield (z, entries touched, ray) along one path after the other until one ends in a solution."""
-        from .covering_vectors import starts
-        from .pivoting_path import Path
+        from .pivoting_path import Path, starts
 
         if not np.array_equal(guess, part.nearest_to_zero):  # its active set first: a factor and a check
             at_lower = guess <= part.lower

@@ -29,8 +29,7 @@ from ..programs.convexity import refuse_nonconvex
 from ..programs.qp_proofs import QPUnboundedness
 from .cuts import strengthened
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
-from .local_search import LocalSearch
-from .relaxations import Node, Relaxations
+from .relaxations import LocalSearch, Node, Relaxations
 from .result import EquilibriumResult
 
 MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate

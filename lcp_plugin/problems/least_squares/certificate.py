@@ -78,7 +78,7 @@ class Optimality:
 
         A y that somebody has for x is tried beside the residual; others are computed where neither reaches `tolerance`.
         """
-        from .kernels.least_squares_sums import largest_residuals
+        from .sums import largest_residuals
 
         problem, units = enclosures.problem, enclosures.problem.column_units
         with np.errstate(over="ignore", invalid="ignore"):
@@ -187,7 +187,7 @@ def _gap(
 
     What rounding may have done is added, or with rounding=−1 excused.
     """
-    from .kernels.least_squares_sums import gap_beside_cost
+    from .sums import gap_beside_cost
 
     found: tuple[float, float, float] = gap_beside_cost(
         *residual, y, *slope, x, problem.lower, problem.upper, problem.root_weights, problem.column_units,

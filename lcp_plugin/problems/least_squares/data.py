@@ -275,7 +275,7 @@ def _vector(values: Any) -> FloatVector:
 
 def _raise_to_largest(largest: FloatVector, block: Any, root: FloatVector) -> None:
     """Raise `largest` to the largest entries of the columns of √weights A."""
-    from .kernels.least_squares_sums import raise_to_largest
+    from .sums import raise_to_largest
 
     if sp.issparse(block):
         np.maximum.at(largest, block.indices, np.abs(block.data) * np.repeat(root, np.diff(block.indptr)))
@@ -285,7 +285,7 @@ def _raise_to_largest(largest: FloatVector, block: Any, root: FloatVector) -> No
 
 def _add_squares(squares: FloatVector, block: Any, root: FloatVector, unit: FloatVector) -> None:
     """Add the squares of the columns of √weights A, in units in which none overflows."""
-    from .kernels.least_squares_sums import add_squares
+    from .sums import add_squares
 
     if sp.issparse(block):
         entries = block.data * np.repeat(root, np.diff(block.indptr)) / unit[block.indices]

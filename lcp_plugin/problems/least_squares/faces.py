@@ -93,7 +93,7 @@ class FacePoint:
 
     def steepness(self, reference: tuple[float, float]) -> float:
         """Return the larger natural residual, in the caller's units and in these, beside the reference of each."""
-        from .kernels.least_squares_sums import largest_residuals
+        from .sums import largest_residuals
 
         unit, gradient = self.problem, self.gradient
         scaled, plain, _ = largest_residuals(

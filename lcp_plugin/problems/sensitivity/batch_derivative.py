@@ -114,7 +114,7 @@ class BatchDerivative:
     @cached_property
     def degenerate(self) -> Any:
         """The rows that are at a bound and have w = 0, shape (B, n) or a list, of bool."""
-        from .kernels.small_derivatives import KINK
+        from .kernels import KINK
 
         def told(one: Derivative) -> Any:
             is_degenerate = np.zeros(one.z.size, np.bool_)
@@ -163,7 +163,7 @@ class BatchDerivative:
         array([[-0.75,  0.5 ],
                [ 0.5 , -0.25]])
         """
-        from .kernels.small_derivatives import tangents
+        from .kernels import tangents
 
         h, low, high = (rows for rows, _ in map(self._given, (dq, dlower, dupper), ("dq", "dlower", "dupper")))
         if dM is not None:
@@ -203,7 +203,7 @@ class BatchDerivative:
                [ 0. , -0.5]]), array([[-1.25,  0.  ],
                [ 0.  , -1.  ]]))
         """
-        from .kernels.small_derivatives import adjoints
+        from .kernels import adjoints
 
         (rows, is_asked), (by_w, is_asked_too) = self._given(g, "g"), self._given(gw, "gw")
         tables, left = self._derived(adjoints, (rows, by_w), 3, BatchPart.by_least_norm)

@@ -26,7 +26,7 @@ class BatchPart:
     """
 
     def __init__(self, group: Group, z: Any, is_solved: Any, threads: int) -> None:
-        from .kernels.small_derivatives import settle_all
+        from .kernels import settle_all
 
         self.group, self.threads = group, threads
         self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
@@ -46,7 +46,7 @@ class BatchPart:
     def free(self) -> Any:
         """The rows between their bounds, and those at a kink that are taken for such, shape (k, n)."""
         from ...methods.small.kernels.workspace import BETWEEN
-        from .kernels.small_derivatives import KINK
+        from .kernels import KINK
 
         return self.side % KINK == BETWEEN
 
@@ -66,7 +66,7 @@ class BatchPart:
         Those of mixed units are left, as are blocks that are only nearly singular.
         """
         from ...methods.small.kernels.workspace import AT_UPPER
-        from .kernels.small_derivatives import KINK
+        from .kernels import KINK
 
         M, free = self.group.M, self.free
         missing = np.flatnonzero(self.is_plain & ~is_plain)

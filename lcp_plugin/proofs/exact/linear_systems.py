@@ -357,3 +357,16 @@ def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | No
     solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
     placed = [{place[j]: entry for j, entry in row.items()} for row in rows]
     return solution if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right else None
+
+
+def exact_weights(M: Any) -> list[Fraction] | None:
+    """Return v with ⟨M⟩v = |diag(M)| in fractions, or None where ⟨M⟩ is singular.
+
+    Examples
+    --------
+    >>> import scipy.sparse as sp
+    >>> exact_weights(sp.csr_array([[2.0, -1.0], [1.0, 1.0]]))
+    [Fraction(3, 1), Fraction(4, 1)]
+    """
+    rows = exact_comparison(M)
+    return solve_exactly(rows, [row[i] for i, row in enumerate(rows)])

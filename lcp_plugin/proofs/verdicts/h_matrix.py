@@ -26,8 +26,7 @@ from ...core.rounding import lower_end, upper_end
 from ...systems.comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of, shared_comparison
 from ...systems.comparison_sums import comparison_product, exact_comparison_row
 from ...systems.graph import block_rows, strong_blocks
-from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pivots
-from ..exact.near_singular import exact_weights
+from ..exact.linear_systems import EXACT_SIZE, exact_comparison, exact_weights, has_positive_pivots
 from ..exact.rational import enclosures, rounded_down
 
 CHEAP_SWEEPS = 5

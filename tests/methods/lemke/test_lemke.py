@@ -16,9 +16,8 @@ from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.algorithms.base import Step
 from lcp_plugin.core.errors import InvalidOption, UnsuitableProblem
 from lcp_plugin.methods.lemke.canonical_box import canonical_box, equilibrated
-from lcp_plugin.methods.lemke.covering_vectors import bimatrix_players, starts
 from lcp_plugin.methods.lemke.lemke import Lemke, connected_parts
-from lcp_plugin.methods.lemke.pivoting_path import Path
+from lcp_plugin.methods.lemke.pivoting_path import Path, bimatrix_players, starts
 from lcp_plugin.methods.small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.strategies import solved_lcps

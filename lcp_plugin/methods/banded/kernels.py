@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
-from ....core.kernels.enclosures import residual_ends
-from .marches import NEGLIGIBLE_PIVOT, find_contacts, substitute
+from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+from ...core.kernels.enclosures import residual_ends
+from .march_kernels import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
 WAY, LAST_WAY, SIDE, TURNS_LEFT, LEFT, FEWEST_WRONG, FEWEST_HELD, PATIENCE, HALVES_LEFT, IS_SETTLED, SLOTS = range(11)

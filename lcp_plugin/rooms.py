@@ -60,7 +60,7 @@ OFFERS = {
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
     "run": {"fused": "methods.small.fused:fused"},
-    "judge": {"error": "proofs.bounds.error_watch:ErrorJudge"},
+    "judge": {"error": "proofs.bounds.error_judge:ErrorJudge"},
     "remark": {
         "classes": "proofs.verdicts.report:classes_in_words",
         "sign": "proofs.verdicts.report:sign_remark",

@@ -23,7 +23,7 @@ from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import IntVector
 from ...proofs.exact.rational import integers
 from ...proofs.exact.simplex import QUANTUM
-from ...proofs.no_solution.infeasibility import Case, decide_feasibility, find_forced_contradiction
+from ...proofs.no_solution.infeasibility import Case, find_forced_contradiction, find_infeasibility
 from ...proofs.no_solution.refutation import LOWER, SLACKLESS, UPPER, Infeasibility
 from ...systems.free_systems import FreeSystem
 from ..small.small_dense import as_dense
@@ -57,7 +57,7 @@ class FeasibilityCheck(Algorithm):
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         effort = None if problem.n <= LINEAR_PROGRAM_UP_TO else 0
-        proof = decide_feasibility(problem, effort_limit=effort).proof
+        proof = find_infeasibility(problem, effort_limit=effort)
         if proof is not None:
             yield Step(z0, proof=proof)
         chain = find_forced_contradiction(problem)

@@ -114,20 +114,15 @@ class March(AnswerSequence[Result]):
 
     def explain(self) -> str:
         """Return how many steps of how many were taken, how they ended, and the story of the last one."""
-        lines = [
-            f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s",
-            f"ended by {self.error}" if self.error else "",
-            carry_remark(self.problem, self.carry),
-            f"the last step: {self[-1]}" if len(self) else "",
-        ]
-        return "\n".join(filter(None, lines))
+        last = f"the last step: {self[-1]}" if len(self) else ""
+        return "\n".join(filter(None, [*self._summary(), carry_remark(self.problem, self.carry), last]))
+
+    def _summary(self) -> list[str]:
+        steps = f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
+        return [steps, *([f"ended by {self.error}"] if self.error else [])]
 
     def __repr__(self) -> str:
-        end = f"; ended by {self.error}" if self.error else ""
-        return (
-            f"March({len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, "
-            f"{self.seconds:.3g} s{end})"
-        )
+        return f"March({'; '.join(self._summary())})"
 
     def _take(self, z: FloatVector, result: Result | Callable[[], Result], lesson: Lesson) -> None:
         last, self._count = self._count - 1, self._count + 1
@@ -218,7 +213,7 @@ def march(
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("march", problem))
     problem.matrix.require_all_rows()
-    offsets, rows = _checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
+    offsets, rows = checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
     if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:
@@ -327,14 +322,17 @@ def has_common_units(problem: LCP) -> bool:
     return parts(problem.matrix) is None and units_of(problem.matrix) is None
 
 
-def _checked_forcing(forcing: Any, n: int) -> FloatVector:
-    need = f"forcing must be a finite array of shape (k, n), n = {n}, a row a step"
+def checked_forcing(
+    forcing: Any, n: int, shape: str = "(k, n), a row a step", axes: tuple[int, ...] = (2,)
+) -> FloatVector:
+    """Return the forcing as a finite array of one of these numbers of axes."""
+    need = f"forcing must be a finite array of shape {shape}, n = {n}"
     offsets = real_array(forcing.toarray() if sp.issparse(forcing) else forcing, need)
-    if offsets.ndim != 2 or offsets.shape[1] != n:
+    if offsets.ndim not in axes or offsets.shape[-1] != n:
         raise InvalidProblem(f"{need}, got shape {offsets.shape}")
     if not np.isfinite(offsets).all():
-        k, i = np.argwhere(~np.isfinite(offsets))[0]
-        raise InvalidProblem(f"{need}, but forcing[{k}, {i}] = {offsets[k, i]}; repair that entry")
+        at = np.argwhere(~np.isfinite(offsets))[0]
+        raise InvalidProblem(f"{need}, but forcing{at.tolist()} = {offsets[tuple(at)]}; repair that entry")
     return offsets
 
 

@@ -153,8 +153,9 @@ class MarchDerivative:
                [0.15625, 0.09375]])
         """
         n, steps = self.march.problem.n, len(self)
+        rows = _rows(np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps")
         change = Change(
-            _matrix(dM, "dM", n), _rows(dforcing, "dforcing", steps, n), _matrix(dcarry, "dcarry", n),
+            _matrix(dM, "dM", n), np.atleast_2d(rows), _matrix(dcarry, "dcarry", n),
             _vector(dlower, "dlower", n), _vector(dupper, "dupper", n),
         )
         before, dz = _vector(dz0, "dz0", n, may_be_number=False).copy(), np.empty((1 if only_last else steps, n))
@@ -193,12 +194,7 @@ class MarchDerivative:
                [-0.375  , -0.125  ]])
         """
         n, steps = self.march.problem.n, len(self)
-        need = f"g must be a finite array of shape ({steps}, {n}), or ({n},) for the last answer alone"
-        rows = np.array(real_array(g, need), order="C")
-        if rows.shape not in ((steps, n), (n,)):
-            raise InvalidProblem(f"{need}, got shape {rows.shape}")
-        if not np.isfinite(rows).all():
-            raise InvalidProblem(f"{need}, but g{np.argwhere(~np.isfinite(rows))[0].tolist()} is not")
+        rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
         found = self._back(rows, np.empty((0, n)))
 
         def by_forcing() -> FloatVector:
@@ -256,13 +252,11 @@ def _vector(given: ArrayLike | None, name: str, n: int, *, may_be_number: bool =
     return finite_vector(given, name, n)
 
 
-def _rows(given: ArrayLike | None, name: str, steps: int, n: int) -> FloatVector:
-    """Return a row a step, or one for all."""
-    if given is None or np.ndim(given) == 1:
-        return _vector(given, name, n, may_be_number=False)[np.newaxis]
-    need = f"{name} must be a finite array of shape ({steps}, {n}), or ({n},) for all steps"
+def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:
+    """Return a row a step, or the vector that stands for one thing."""
+    need = f"{name} must be a finite array of shape ({steps}, {n}), or ({n},) for {one}"
     rows = real_array(given, need)
-    if rows.shape != (steps, n):
+    if rows.shape not in ((steps, n), (n,)):
         raise InvalidProblem(f"{need}, got shape {rows.shape}")
     if not np.isfinite(rows).all():
         raise InvalidProblem(f"{need}, but {name}{np.argwhere(~np.isfinite(rows))[0].tolist()} is not")

@@ -3,7 +3,7 @@
 To first order z − z* = (S M_FF)⁻¹ r_F on the rows F strictly between their bounds, S = D⁻¹: an error as large as
 ‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. The norm is estimated from a few solves with one factorisation; this
 proves nothing (see `error_bounds` for what does) and costs a factorisation, so that it is asked for, and only where
-that is cheap. `ErrorWatch` says when the error of an iterate is bounded during a run, and what the bound then proves.
+that is cheap. `ErrorJudge` says when the error of an iterate is bounded during a run, and what the bound then proves.
 
 References
 ----------

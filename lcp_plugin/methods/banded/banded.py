@@ -102,8 +102,7 @@ class Banded(Algorithm):
         return self.fused_solves(problem, problem.q[None].copy(), z0[None].copy(), tolerance, max_iterations)[0]
 
     def fused_solves(
-        self, problem: LCP, Q: FloatVector, Z: FloatVector, tolerance: float, max_iterations: int, *,
-        bounds: tuple[FloatVector, FloatVector] | None = None, carry: Any = None,
+        self, problem: LCP, Q: FloatVector, Z: FloatVector, tolerance: float, max_iterations: int, carry: Any = None
     ) -> list[FusedSolve | None]:
         """Return the fused solve of each row of Q, one after the other in one compiled loop.
 
@@ -115,8 +114,6 @@ class Banded(Algorithm):
             Offsets, and starts within the bounds; the latter are overwritten by the answers, and read-only then.
         tolerance, max_iterations
             As for `solve_fused`, of each.
-        bounds : pair of arrays, shape (k, n), optional
-            Of each row, instead of those of the problem.
         carry : CSR array, shape (n, n), optional
             The march in time: Q[k] becomes Q[k] + carry @ z of the row before, and that z its start. Where a row does
             not converge, the next ones have to wait, None.
@@ -128,16 +125,14 @@ class Banded(Algorithm):
 
         band, M = self._bands(problem), problem.csr
         rounds, ends = np.empty((k, 2), np.int64), np.empty((k, 2))
-        lower, upper, nearest = problem.lower[None], problem.upper[None], problem.nearest_to_zero[None]
-        if bounds is not None:
-            lower, upper, nearest = read_only_views(*bounds, np.clip(0.0, *bounds))
         carried = [M.indptr[:0], M.indices[:0], M.data[:0]]
         if carry is not None:
             index = M.indptr.dtype
             carried = read_only_views(carry.indptr.astype(index), carry.indices.astype(index), carry.data)
         run_all(
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
-            M.data, *carried, Q, lower, upper, nearest, tolerance, max_iterations, Z, rounds, ends,
+            M.data, *carried, Q, problem.lower, problem.upper, problem.nearest_to_zero, tolerance, max_iterations, Z,
+            rounds, ends,
         )
         costs = _costs(band, problem)
         Z.flags.writeable = False  # they are judged

@@ -41,16 +41,13 @@ class ActiveSetSolution(NamedTuple):
         return self.system.is_singular
 
 
-def classify(
-    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
-) -> tuple[BoolVector, BoolVector]:
-    """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, shape (n,) each.
+def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, BoolVector]:
+    """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, d the residual scale, shape (n,) each.
 
     Parameters
     ----------
     z, w : ndarray, shape (n,)
-    scale : ndarray, shape (n,), optional
-        d > 0; the scale of the residual by default. A row with equal bounds is at its lower one.
+        A row with equal bounds is at its lower one.
 
     Examples
     --------
@@ -59,9 +56,8 @@ def classify(
     >>> at_lower
     array([False,  True])
     """
-    d = problem.residual_scale if scale is None else scale
     with np.errstate(all="ignore"):
-        step = w / d
+        step = w / problem.residual_scale
         # z − step ≤ lower, written so that a small step is not lost beside a large z.
         at_lower = z - problem.lower <= step
         at_upper = (problem.upper - z <= -step) & ~at_lower

@@ -9,10 +9,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, in_driven_sweeps, without_warnings
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import FloatVector
 from ...core.crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal
@@ -187,14 +186,8 @@ def principal_pivots(state: NewtonState) -> Iterator[Step]:
         else:
             blocks_left -= 1
         changed = wrong if blocks_left > 0 else wrong[[np.argmin(rank[wrong])]]
-        at_lower, at_upper = _changed(at_lower, to_lower, changed), _changed(at_upper, to_upper, changed)
+        at_lower[changed], at_upper[changed] = to_lower[changed], to_upper[changed]
     yield state.step()
-
-
-def _changed(old: BoolVector, new: BoolVector, rows: NDArray[np.intp]) -> BoolVector:
-    result = old.copy()
-    result[rows] = new[rows]
-    return result
 
 
 # --- the safeguard: a line search on the Fischer–Burmeister function ---

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -96,8 +96,7 @@ class _Sides:
     """The variables of pairs in the relaxation of all cases."""
 
     def __init__(self, problem: EquilibriumProgram) -> None:
-        lower, upper = problem.bounds(problem.all_cases)
-        self.program = problem.program.with_vectors(lower=lower, upper=upper)
+        self.program = problem.relaxation
         self.box = implied_box(self.program)
         self.implied = self.box[1]
 
@@ -150,7 +149,7 @@ def strengthened(problem: EquilibriumProgram) -> Strengthened:
 
 
 def _with_cuts(problem: EquilibriumProgram, bounds: dict[int, float]) -> EquilibriumProgram:
-    program, rows, limits = problem.program, [], []
+    rows, limits = [], []
     pairs = (problem.first, problem.second, problem.lower, problem.all_cases)
     for z, w, lower, cases in zip(*(part.tolist() for part in pairs), strict=True):
         room, most = bounds.get(z, math.inf) - lower, bounds.get(w, math.inf)
@@ -167,13 +166,9 @@ def _with_cuts(problem: EquilibriumProgram, bounds: dict[int, float]) -> Equilib
     if not rows:
         return problem
     data, columns = np.array([row[0] for row in rows]).ravel(), np.array([row[1] for row in rows]).ravel()
-    cuts = sp.csr_array((data, columns, np.arange(0, data.size + 1, 2)), shape=(len(rows), program.n))
+    cuts = sp.csr_array((data, columns, np.arange(0, data.size + 1, 2)), shape=(len(rows), problem.program.n))
     cuts.sort_indices()
-    wider = QuadraticProgram(
-        program.P, program.c, sp.vstack([sp.csr_array(program.G), cuts], format="csr"),
-        np.append(program.h, limits), program.A, program.b, program.lower, program.upper,
-    )
-    return replace(problem, program=wider)
+    return problem.with_inequalities(cuts, np.array(limits))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +205,7 @@ def ellipsoid(problem: EquilibriumProgram) -> Ellipsoid | None:
     """Return what the products say of the pairs whose w is one row of equations in bounded x; None where S ⋡ 0."""
     if not 0 < problem.pairs <= MOST_PAIRS:
         return None
-    lower, upper = problem.bounds(problem.all_cases)
-    lower, upper = implied_box(problem.program.with_vectors(lower=lower, upper=upper))
+    lower, upper = implied_box(problem.relaxation)
     A, by_column = sp.csr_array(problem.program.A), sp.csc_array(problem.program.A)
     rows: dict[int, tuple[int, float]] = {}
     plain = (problem.all_cases == LOWER + BETWEEN) & (problem.lower == 0.0)
@@ -258,26 +252,19 @@ def with_points(
     """Return the problem with a cut for each point among its inequalities."""
     if within is None or not points:
         return problem
-    program, cuts = problem.program, [within.cut(at) for at in points]
-    rows, limits = np.zeros((len(points), program.n)), np.array([limit for _, limit in cuts])
+    cuts = [within.cut(at) for at in points]
+    rows, limits = np.zeros((len(points), problem.program.n)), np.array([limit for _, limit in cuts])
     rows[:, within.columns] = [slope for slope, _ in cuts]
     scale = np.abs(rows).max(axis=1)
     exponent = np.exp2(np.ceil(np.log2(np.where(scale > 0.0, scale, 1.0))))
-    scaled = sp.csr_array(rows / exponent[:, None])
-    wider = QuadraticProgram(
-        program.P, program.c, sp.vstack([sp.csr_array(program.G), scaled], format="csr"),
-        np.append(program.h, limits / exponent), program.A, program.b, program.lower, program.upper,
-    )
-    return replace(problem, program=wider)
+    return problem.with_inequalities(sp.csr_array(rows / exponent[:, None]), limits / exponent)
 
 
 def separating_points(problem: EquilibriumProgram, within: Ellipsoid) -> tuple[FloatVector, ...]:
     """Return where cuts are wanted: by rounds beyond the relaxation's solution, and where each z is largest."""
     points = _largest(within)
     for _ in range(ROUNDS):
-        cut = with_points(problem, within, points)
-        lower, upper = cut.bounds(cut.all_cases)
-        found = solved_at_once(cut.program.with_vectors(lower=lower, upper=upper), 1e-9)
+        found = solved_at_once(with_points(problem, within, points).relaxation, 1e-9)
         at = None if found is None else within.boundary(found.solution.x[within.columns])
         if at is None:
             break
@@ -289,9 +276,7 @@ def tight_points(
     problem: EquilibriumProgram, within: Ellipsoid, points: tuple[FloatVector, ...]
 ) -> tuple[FloatVector, ...]:
     """Return the points whose cuts hold with equality where the relaxation with all of them is least."""
-    cut = with_points(problem, within, points)
-    lower, upper = cut.bounds(cut.all_cases)
-    found = solved_at_once(cut.program.with_vectors(lower=lower, upper=upper), 1e-9)
+    found = solved_at_once(with_points(problem, within, points).relaxation, 1e-9)
     if found is None:
         return points
     multipliers = found.solution.inequality[problem.program.h.size :]

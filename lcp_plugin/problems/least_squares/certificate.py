@@ -171,12 +171,8 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
         if not np.nanmin(found) < np.inf:
             convexity = enclosures.convexity
             found += [] if convexity is None else [_gap_of(_gap(problem, x, exactly, residual[0], at_x, convexity))]
-    return min(gap for gap in (_cost_above(problem, x, residual), *found) if not np.isnan(gap))
-
-
-def _cost_above(problem: BoundedLeastSquares, x: FloatVector, residual: Ball) -> float:
-    largest = np.abs(residual[0]) + residual[1]
-    return float(OUTWARD**3 * (problem.cost(x, largest) + TINY))
+    cost = float(OUTWARD**3 * (problem.cost(x, np.abs(residual[0]) + residual[1]) + TINY))
+    return min(gap for gap in (cost, *found) if not np.isnan(gap))
 
 
 def _gap(

@@ -304,7 +304,7 @@ def _fused(
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])
-    found = first.algorithm.fused_solves(problem, Q, Z, settings.tolerance, settings.max_iterations, carry=carry)
+    found = first.algorithm.fused_solves(problem, Q, Z, settings.tolerance, settings.max_iterations, carry)
     seconds = clock.read() / len(found)
 
     def result_of(q: FloatVector, one: FusedSolve) -> Result:

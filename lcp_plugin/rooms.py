@@ -11,9 +11,9 @@ OFFERS = {
         "npsplitting": "methods.npsplitting:NPSplitting",
         "newton": "methods.newton.semismooth_newton:Newton",
         "interior_point": "methods.interior.interior_point:InteriorPoint",
-        "banded": "methods.banded.banded:Banded",
-        "lemke": "methods.lemke.lemke:Lemke",
-        "multigrid": "methods.multigrid.multigrid:Multigrid",
+        "banded": "methods.banded:Banded",
+        "lemke": "methods.lemke:Lemke",
+        "multigrid": "methods.multigrid:Multigrid",
     },
     "kind": {
         "LCP": "core.lcp_kind:LINEAR_COMPLEMENTARITY_PROBLEM",
@@ -65,8 +65,8 @@ OFFERS = {
         "classes": "proofs.verdicts.report:classes_in_words",
         "sign": "proofs.verdicts.report:sign_remark",
         "misleading": "proofs.misleading:what_may_mislead",
-        "guarantee": "proofs.guarantees.guarantees:convergence_guarantee",
-        "uncovered": "proofs.guarantees.guarantees:warn_where_known_to_be_uncovered",
+        "guarantee": "proofs.guarantees:convergence_guarantee",
+        "uncovered": "proofs.guarantees:warn_where_known_to_be_uncovered",
     },
     "picture": {"answer": "evidence.plots:plot_answer"},
 }

@@ -372,7 +372,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
     "auto": ("core.solving.driver.Run.__init__", "core.solving.driver.CommonUnits.of",
         "core.policy.choice.Single.first",
-             "proofs.guarantees.guarantees.warn_where_known_to_be_uncovered"),
+             "proofs.guarantees.warn_where_known_to_be_uncovered"),
     "npsor": ("core.policy.choice.Auto.first",),
     "lemke": ("core.policy.choice.Auto.first",),
 }
@@ -385,7 +385,7 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
         ("methods.small.fused.fused", {}),
         ("core.solving.driver.Run.__init__", {}),
         ("core.solving.driver.CommonUnits.of", {}),
-        ("proofs.guarantees.guarantees.warn_where_known_to_be_uncovered", {}),
+        ("proofs.guarantees.warn_where_known_to_be_uncovered", {}),
         ("proofs.bounds.error_judge.ErrorJudge._bound", {"tolerance_on": "error"}),
         ("core.policy.choice.Auto.first", {}),
         ("core.policy.choice.Single.first", {}),

@@ -20,7 +20,7 @@ from campaigns.graded_matrices import run_case
 from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.core.errors import InvalidProblem, UnsuitableMatrix
 from lcp_plugin.methods.direct import _seems_monotone
-from lcp_plugin.proofs.guarantees.guarantees import convergence_guarantee
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.verdicts import (
     MatrixReport,
     analyze,

@@ -20,7 +20,7 @@ from ...systems.hierarchy.vectors import dot, span
 from .multigrid_safeguard import GAINED, SETTLED, Advance, GridProblem, Safeguard
 
 if TYPE_CHECKING:
-    from .multigrid import Multigrid
+    from . import Multigrid
 
 COARSE_CYCLES, MOST_COARSE_CYCLES = 2, 10
 COARSE_CHANGES = 5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import FloatVector, finite_vector, is_number, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
-from .march import BLOCK, March
+from . import BLOCK, March
 from .march_steps import Band, Change, CompiledSteps, Sums
 
 if TYPE_CHECKING:

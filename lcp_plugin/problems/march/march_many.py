@@ -19,12 +19,12 @@ from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_threads
 from ...core.solving.driver import asked_of_solve
 from ...core.solving.result import Result
-from ...methods.banded.banded import Banded
+from ...methods.banded import Banded
 from ...methods.small.fused import fused_result
 from ...systems.factors import bands
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
-from .march import BLOCK, March, checked_forcing, has_common_units, march
+from . import BLOCK, March, checked_forcing, has_common_units, march
 from .marching import Lesson
 
 SIDE_BY_SIDE = 24  # marches in one compiled loop: more do not stay near the processor

@@ -14,7 +14,7 @@ from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
 from ...systems.factors import BANDED_UP_TO, Bands, bands
 from ...systems.graph import bandwidth
-from .march import March
+from . import March
 
 if TYPE_CHECKING:
     from ..sensitivity.derivative import Derivative

@@ -19,7 +19,7 @@ from ...core.policy.stages import Choice, Stage
 from ...core.settings import Settings
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
-from ...methods.lemke.lemke import Lemke
+from ...methods.lemke import Lemke
 from ...methods.small.fused import fused
 
 FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation

@@ -36,7 +36,7 @@ from ...proofs.bounds.solution_bounds import block_error_bound
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
 from ..batches.batch_run import BatchResult
-from ..march.march import March
+from ..march import March
 from ..march.march_derivative import MarchDerivative
 from .batch_derivative import BatchDerivative
 from .free_solutions import one_sided, solution, words_on_singular

@@ -15,8 +15,7 @@ from numba import njit
 
 from lcp_plugin import LCP, Status, UnsuitableMatrix, gallery, march, prepare, solve
 from lcp_plugin.algorithms import Step
-from lcp_plugin.methods.banded import kernels
-from lcp_plugin.methods.banded.banded import Banded
+from lcp_plugin.methods.banded import Banded, kernels
 from lcp_plugin.methods.banded.march_kernels import find_contacts
 from lcp_plugin.systems.factors import bands
 

@@ -239,6 +239,7 @@ class Lemke(Algorithm):
         return False
 
 
+@np.errstate(all="ignore")
 def lemke_path(problem: LCP, covering: FloatVector, max_pivots: int) -> tuple[FloatVector, str, int]:
     """Follow w = M z + q + t r from z = 0 and the least t to t = 0, and return z, where it ended, and its pivots.
 

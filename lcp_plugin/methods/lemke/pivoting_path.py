@@ -78,12 +78,10 @@ class Path:
         n, q = self.n, self.q
         if not np.all(covering[q < 0.0] > 0.0):
             return False
-        with np.errstate(all="ignore"):
-            level = np.where(covering > 0.0, -q / covering, -np.inf)
+        level = np.where(covering > 0.0, -q / covering, -np.inf)
         basis, side = n + np.arange(n), np.full(n, AT_LOWER)
         return self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max())))
 
-    @np.errstate(all="ignore")
     def start_in_cell(self, side: Any, z: FloatVector, w: FloatVector) -> bool:
         """Start at t = 1 from a complementary pair with the vector r that makes it exact; False if that is singular.
 
@@ -134,7 +132,6 @@ class Path:
         self.entries += float(made) * self.n * (self.n + 1.0)
         return int(outcome)
 
-    @np.errstate(all="ignore")
     def _is_sound(self, is_doubtful: bool) -> bool:
         """Correct the values, with a new tableau where one is due; return whether they are feasible."""
         wrong = self._correct()
@@ -147,7 +144,6 @@ class Path:
         outside = np.maximum(self.real[LOW, :self.n] - self.values, self.values - self.real[HIGH, :self.n])
         return bool(np.all(outside <= FEASIBLE * max(1.0, float(np.abs(self.values).max(initial=0.0)))))
 
-    @np.errstate(all="ignore")
     def _renew(self) -> bool:
         """Compute tableau and basic values from the data; False where the basis is singular to working precision."""
         n, basis, D = self.n, self.basis, self.columns  # w = D (z, t) + q
@@ -211,7 +207,6 @@ class Path:
             b += self.value * self.covering
         return b
 
-    @np.errstate(all="ignore")
     def _correct(self) -> float:
         """Refine the basic values by one step; return how wrong they were, relative to their terms."""
         n, z, w = self.n, self.z, np.zeros(self.n)
@@ -308,11 +303,10 @@ def _warm(path: Path, z: FloatVector, *, in_part: bool = False) -> bool:
     """Start in the cell that z and its w stand for, a little inside, if its block is regular; or in that part of it."""
     w = path.M @ z + path.q
     upper = path.upper
-    with np.errstate(all="ignore"):
-        at_lower = z <= np.minimum(w, 0.5 * upper)
-        at_upper = ~at_lower & (upper - z <= -w)
-        margin = np.minimum(INSIDE, 0.25 * upper)
-        inside = np.clip(z, margin, np.where(upper < np.inf, upper - margin, np.inf))
+    at_lower = z <= np.minimum(w, 0.5 * upper)
+    at_upper = ~at_lower & (upper - z <= -w)
+    margin = np.minimum(INSIDE, 0.25 * upper)
+    inside = np.clip(z, margin, np.where(upper < np.inf, upper - margin, np.inf))
     if in_part:
         at_lower |= ~at_upper & ~_regular_part(path.M, ~at_lower & ~at_upper)
     side = np.where(at_lower, AT_LOWER, np.where(at_upper, AT_UPPER, BETWEEN))
@@ -329,8 +323,7 @@ def _random_cell(path: Path, generator: np.random.Generator) -> Start:
     share = generator.uniform(0.1, 0.9, size=n)
     is_between = _regular_part(path.M, is_between)
     side = np.where(is_between, BETWEEN, AT_LOWER)
-    with np.errstate(invalid="ignore"):
-        inside = np.where(path.upper < np.inf, share * path.upper, size)
+    inside = np.where(path.upper < np.inf, share * path.upper, size)
     return partial(
         Path.start_in_cell, side=side, z=np.where(is_between, inside, 0.0), w=np.where(is_between, 0.0, size)
     )

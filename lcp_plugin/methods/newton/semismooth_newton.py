@@ -206,6 +206,7 @@ class Linearised(NamedTuple):
         return float(np.linalg.norm(self.value))
 
 
+@np.errstate(all="ignore")  # of bounds that are infinite
 def fischer_burmeister(
     problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
 ) -> Linearised:
@@ -218,20 +219,19 @@ def fischer_burmeister(
     ----------
     Billups 1995, *Algorithms for complementarity problems and generalized equations*, PhD thesis, Wisconsin.
     """
-    with np.errstate(all="ignore"):
-        s = w / (problem.residual_scale if scale is None else scale)
-        value, by_a, by_b = _phi(problem.upper - z, -s)
-        has_upper, has_lower = np.isfinite(problem.upper), np.isfinite(problem.lower)
-        p = np.where(has_upper, -value, s)
-        p_by_z, p_by_s = np.where(has_upper, by_a, 0.0), np.where(has_upper, by_b, 1.0)
-        value, by_a, by_b = _phi(z - problem.lower, p)
-        value = np.where(has_lower, value, p)
-        by_z = np.where(has_lower, by_a + by_b * p_by_z, p_by_z)
-        by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
-        is_fixed = problem.lower == problem.upper
-        return Linearised(
-            np.where(is_fixed, z - problem.lower, value), np.where(is_fixed, 1.0, by_z), np.where(is_fixed, 0.0, by_s)
-        )
+    s = w / (problem.residual_scale if scale is None else scale)
+    value, by_a, by_b = _phi(problem.upper - z, -s)
+    has_upper, has_lower = np.isfinite(problem.upper), np.isfinite(problem.lower)
+    p = np.where(has_upper, -value, s)
+    p_by_z, p_by_s = np.where(has_upper, by_a, 0.0), np.where(has_upper, by_b, 1.0)
+    value, by_a, by_b = _phi(z - problem.lower, p)
+    value = np.where(has_lower, value, p)
+    by_z = np.where(has_lower, by_a + by_b * p_by_z, p_by_z)
+    by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
+    is_fixed = problem.lower == problem.upper
+    return Linearised(
+        np.where(is_fixed, z - problem.lower, value), np.where(is_fixed, 1.0, by_z), np.where(is_fixed, 0.0, by_s)
+    )
 
 
 def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:

@@ -234,14 +234,13 @@ def outline(problem: LCP, most_entries: float) -> Outline:
     most = min(MOST_CASES, 3 ** (n + 1))  # more than there are
     nodes, y, z = np.empty((most, 4), np.int64), np.empty((most, n + 1)), np.empty(n)
     M = as_dense(problem.matrix)[0]
-    with np.errstate(all="ignore"):
-        found, cases, entries, least = kernels.look_at(
-            M, problem.q, problem.lower, problem.upper, float(most_entries), nodes, y, z
-        )
-        if found == kernels.FOUND and np.isfinite(z).all():
-            return Outline(z, 0.0, cases, entries, nodes[:0], y[:0])
-        if found != kernels.EXCLUDED or not np.isfinite(y[:cases][nodes[:cases, kernels.ROW] < 0]).all():
-            return Outline(None, 0.0, cases, entries, nodes[:0], y[:0])
+    found, cases, entries, least = kernels.look_at(
+        M, problem.q, problem.lower, problem.upper, float(most_entries), nodes, y, z
+    )
+    if found == kernels.FOUND and np.isfinite(z).all():
+        return Outline(z, 0.0, cases, entries, nodes[:0], y[:0])
+    if found != kernels.EXCLUDED or not np.isfinite(y[:cases][nodes[:cases, kernels.ROW] < 0]).all():
+        return Outline(None, 0.0, cases, entries, nodes[:0], y[:0])
     return Outline(None, least, cases, entries, nodes[:cases], y[:cases])
 
 

@@ -81,17 +81,16 @@ class Optimality:
         from .sums import largest_residuals
 
         problem, units = enclosures.problem, enclosures.problem.column_units
-        with np.errstate(over="ignore", invalid="ignore"):
-            residual = enclosures.residual(x)
-            gradient, slope = enclosures.gradients(x, residual)
-            *largest, is_at_floor = largest_residuals(
-                *gradient, x, problem.lower, problem.upper, units, problem.has_entries
-            )
-            steepness = max(map(_ratio, largest, enclosures.reference))
-            value, y = steepness, residual[0]
-            if problem.has_entries:
-                duals = _dual_points(enclosures, x, residual, slope, dual, is_at_floor=is_at_floor)
-                value, y = _beside_cost(problem, x, residual, duals, tolerance)
+        residual = enclosures.residual(x)
+        gradient, slope = enclosures.gradients(x, residual)
+        *largest, is_at_floor = largest_residuals(
+            *gradient, x, problem.lower, problem.upper, units, problem.has_entries
+        )
+        steepness = max(map(_ratio, largest, enclosures.reference))
+        value, y = steepness, residual[0]
+        if problem.has_entries:
+            duals = _dual_points(enclosures, x, residual, slope, dual, is_at_floor=is_at_floor)
+            value, y = _beside_cost(problem, x, residual, duals, tolerance)
         return cls(x, residual[0], value, steepness, is_at_floor, y)
 
 
@@ -157,20 +156,19 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
         Of any origin; residuals of points nearer to the answer make the bound sharper.
     """
     enclosures = Enclosures(problem)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        residual = enclosures.residual(x)
-        at_x = enclosures.gradient(x, residual)
-        exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
-        found = [_gap_of(_gap(problem, x, exactly, residual[0], at_x))]
-        duals = duals or (residual[0],)
-        found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in duals]
-        if not np.nanmin(found) < np.inf:
-            for y in duals:
-                repaired = _repaired(enclosures, x, y, enclosures.gradient_at(x, y))
-                found += [_gap_of(_gap(problem, x, residual, *repair)) for repair in repaired]
-        if not np.nanmin(found) < np.inf:
-            convexity = enclosures.convexity
-            found += [] if convexity is None else [_gap_of(_gap(problem, x, exactly, residual[0], at_x, convexity))]
+    residual = enclosures.residual(x)
+    at_x = enclosures.gradient(x, residual)
+    exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
+    found = [_gap_of(_gap(problem, x, exactly, residual[0], at_x))]
+    duals = duals or (residual[0],)
+    found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in duals]
+    if not np.nanmin(found) < np.inf:
+        for y in duals:
+            repaired = _repaired(enclosures, x, y, enclosures.gradient_at(x, y))
+            found += [_gap_of(_gap(problem, x, residual, *repair)) for repair in repaired]
+    if not np.nanmin(found) < np.inf:
+        convexity = enclosures.convexity
+        found += [] if convexity is None else [_gap_of(_gap(problem, x, exactly, residual[0], at_x, convexity))]
     cost = float(OUTWARD**3 * (problem.cost(x, np.abs(residual[0]) + residual[1]) + TINY))
     return min(gap for gap in (cost, *found) if not np.isnan(gap))
 

@@ -133,8 +133,7 @@ class BoundedLeastSquares:
         Those of a LinearOperator are estimates: the mean square of aᵀs for random signs s is ‖a‖².
         """
         lengths = self._lengths() if self.has_entries else self._estimated_lengths()
-        with np.errstate(over="ignore"):
-            return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_UNIT))
+        return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_UNIT))
 
     def _lengths(self) -> FloatVector:
         """Return the lengths of the columns of √weights A; no square overflows."""
@@ -166,8 +165,7 @@ class BoundedLeastSquares:
     @cached_property
     def unit(self) -> UnitLeastSquares:
         """The problem in the units of the methods."""
-        with np.errstate(all="ignore"):
-            return UnitLeastSquares(self)
+        return UnitLeastSquares(self)
 
     @cached_property
     def root_weights(self) -> FloatVector:

@@ -120,8 +120,7 @@ class FacePoint:
 
     def farthest(self, direction: FloatVector) -> float:
         """Return how far one may go along the direction before a bound stops it."""
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            room = np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x) / direction
+        room = np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x) / direction
         return float(np.min(room, initial=np.inf, where=direction != 0.0))
 
     def rise(self, direction: FloatVector, product: FloatVector) -> float:

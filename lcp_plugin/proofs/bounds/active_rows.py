@@ -166,6 +166,7 @@ def _with_neighbours(size: Any, floor: FloatVector, scale: FloatVector) -> Float
     return floor
 
 
+@np.errstate(all="ignore")
 def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: float) -> float | None:
     """Return an estimate of the largest ‖z − z*‖∞ that goes with a scaled residual, or None where it is too costly.
 
@@ -185,13 +186,11 @@ def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: floa
     10.737418
     """
     scale = problem.residual_scale
-    with np.errstate(all="ignore"):
-        target = z - w / scale
-        free = np.flatnonzero((target > problem.lower) & (target < problem.upper))
+    target = z - w / scale
+    free = np.flatnonzero((target > problem.lower) & (target < problem.upper))
     if not free.size or not residual > 0.0 or not np.isfinite(residual):
         return 0.0 if residual == 0.0 or not free.size else None
-    with np.errstate(all="ignore"):
-        norm = _norm_of_inverse(problem, free)
+    norm = _norm_of_inverse(problem, free)
     return None if norm is None else residual * norm
 
 

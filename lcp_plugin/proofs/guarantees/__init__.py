@@ -255,8 +255,7 @@ def _by_better_weights(problem: LCP, facts: IterationFacts) -> Contraction | Non
 def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:
     scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
     splitting: Any = facts.splitting
-    with np.errstate(all="ignore"):
-        found = theorem_4_1(scaling[:, None] * problem.csr.toarray(), scaling[:, None] * splitting.toarray())
+    found = theorem_4_1(scaling[:, None] * problem.csr.toarray(), scaling[:, None] * splitting.toarray())
     if found is None:
         return None
     return Guarantee(GUARANTEED, f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})", *found)
@@ -268,9 +267,8 @@ def _is_h_plus(problem: LCP) -> bool:
 
 def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     """Return the theorem on positive definite matrices that covers it; M is factorised only where one could."""
-    with np.errstate(all="ignore"):  # what overflows proves nothing
-        sums = np.add(*unit_triangle_sums(problem.matrix)) / (problem.diagonal * inverse_residual_scale(problem.matrix))
-        largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
+    sums = np.add(*unit_triangle_sums(problem.matrix)) / (problem.diagonal * inverse_residual_scale(problem.matrix))
+    largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
     theorem = positive_definite_theorem(facts, largest_sum)
     if theorem is None:
         return None
@@ -325,10 +323,9 @@ def _scaling_remedy(facts: IterationFacts) -> str:
 
 def _relaxation_limit(problem: LCP, facts: IterationFacts) -> str:
     """Return the range of ω, up to 2/(1 + max(ℓ + u)) rounded down, that the weights at hand prove."""
-    with np.errstate(all="ignore"):  # what overflows proves nothing
-        per_diagonal = 1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix))
-        largest = min(
-            float(np.max(np.add(*sums) * per_diagonal / v, initial=0.0)) for v, sums in _usual_weights(problem, facts)
-        )
+    per_diagonal = 1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix))
+    largest = min(
+        float(np.max(np.add(*sums) * per_diagonal / v, initial=0.0)) for v, sums in _usual_weights(problem, facts)
+    )
     limit = np.floor(1000.0 * 2.0 / (1.0 + largest) - 1e-3) / 1000.0
     return f"relaxation < {limit:g}" if limit > 1.0 else "relaxation ≤ 1"

@@ -92,9 +92,8 @@ def nonpositive_pair(M: Any) -> tuple[int, int] | None:
         With a positive diagonal.
     """
     diagonal: FloatVector = M.diagonal()
-    with np.errstate(all="ignore"):  # quotients by the diagonal: products could leave the range
-        even = sp.csr_array((M.data / diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
-        ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
+    even = sp.csr_array((M.data / diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
+    ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
     suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
     for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:EXACT_PAIRS]:
         i, j = int(ratios.coords[0][k]), int(ratios.coords[1][k])
@@ -118,19 +117,18 @@ def _breadth_first(values: FloatArray, bounds: FloatArray) -> list[int] | None:
     A node is a 1 and a digit for each row before its own: 1 where that row is eliminated, 0 where it is left out.
     """
     nodes, undecided = np.array([ROOT], dtype=np.int64), []
-    with np.errstate(all="ignore"):
-        while values.shape[1]:
-            pivot, uncertainty = values[:, 0, 0], bounds[:, 0, 0]
-            # A nonpositive pivot is a nonpositive principal minor: all pivots before it are surely positive.
-            if (upper_end(pivot, uncertainty) <= 0.0).any():
-                return None
-            sure = lower_end(pivot, uncertainty) > 0.0
-            undecided += nodes[~sure].tolist()
-            values, bounds, nodes = values[sure], bounds[sure], nodes[sure]
-            complement, complement_bounds = _schur(values, bounds)
-            values = np.concatenate([values[:, 1:, 1:], complement])
-            bounds = np.concatenate([bounds[:, 1:, 1:], complement_bounds])
-            nodes = np.concatenate([2 * nodes, 2 * nodes + 1])
+    while values.shape[1]:
+        pivot, uncertainty = values[:, 0, 0], bounds[:, 0, 0]
+        # A nonpositive pivot is a nonpositive principal minor: all pivots before it are surely positive.
+        if (upper_end(pivot, uncertainty) <= 0.0).any():
+            return None
+        sure = lower_end(pivot, uncertainty) > 0.0
+        undecided += nodes[~sure].tolist()
+        values, bounds, nodes = values[sure], bounds[sure], nodes[sure]
+        complement, complement_bounds = _schur(values, bounds)
+        values = np.concatenate([values[:, 1:, 1:], complement])
+        bounds = np.concatenate([bounds[:, 1:, 1:], complement_bounds])
+        nodes = np.concatenate([2 * nodes, 2 * nodes + 1])
     return undecided
 
 

@@ -16,7 +16,6 @@ from ...core.crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
-from ...core.rounding import read_only_views
 from ...systems.factors import Bands, bands
 from ...systems.graph import bandwidth
 
@@ -128,7 +127,7 @@ class Banded(Algorithm):
         carried = [M.indptr[:0], M.indices[:0], M.data[:0]]
         if carry is not None:
             index = M.indptr.dtype
-            carried = read_only_views(carry.indptr.astype(index), carry.indices.astype(index), carry.data)
+            carried = [carry.indptr.astype(index), carry.indices.astype(index), carry.data]
         run_all(
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
             M.data, *carried, Q, problem.lower, problem.upper, problem.nearest_to_zero, tolerance, max_iterations, Z,

@@ -86,10 +86,6 @@ class JosephyNewton(Algorithm):
     """
 
     name: ClassVar[str] = "josephy_newton"
-    assumption: ClassVar[str] = "F smooth"
-    converges_on: ClassVar[str] = "near strongly regular solutions, quadratically"
-    cost: ClassVar[str] = "1 LCP"
-    reference: ClassVar[str] = "Josephy 1979, MRC report 1965"
     is_monotone: ClassVar[bool] = False
 
     points: Linearisations = field(repr=False)

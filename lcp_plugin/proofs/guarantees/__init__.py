@@ -192,7 +192,7 @@ def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
     proofs = [contraction(facts, problem, v, sums) for v, sums in _usual_weights(problem, facts)]
     found = [proof for proof in proofs if proof is not None]
     if found:
-        return min(found, key=lambda proof: proof.sortable)
+        return min(found, key=lambda proof: 1.0 if proof.rate is None else proof.rate)
     return _by_better_weights(problem, facts)
 
 

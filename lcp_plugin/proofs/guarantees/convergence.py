@@ -152,11 +152,6 @@ class Contraction:
     v: FloatVector = field(repr=False)
     is_unified: bool
 
-    @property
-    def sortable(self) -> float:
-        """The rate, or 1."""
-        return 1.0 if self.rate is None else self.rate
-
 
 def contraction(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None) -> Contraction | None:
     """Return the proof with these weights, or None where they prove nothing.

@@ -139,10 +139,17 @@ class Lemke(Algorithm):
         yield Step(z, work=0.0)
         entries = max(problem.nonzeros, 1)
         for rows in parts:
-            part = problem if rows.size == problem.n else _part(problem, rows)
+            part = problem
+            if rows.size < problem.n:
+                M = sp.csr_array(problem.csr[rows][:, rows])
+                part = LCP(M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows])
             for found, touched, ray in self._paths(part, z[rows]):
                 z[rows] = np.clip(found, part.lower, part.upper)
-                yield PivotStep(z, work=touched / entries, is_settling=True, ray=_extended(ray, rows, problem.n))
+                step = PivotStep(z, work=touched / entries, is_settling=True)
+                if ray is not None:
+                    step.ray = np.zeros(problem.n)
+                    step.ray[rows] = ray
+                yield step
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
@@ -302,22 +309,9 @@ def has_parts_that_fit(problem: LCP) -> bool:
     return problem.n <= PIVOTED_UP_TO or max(part.size for part in connected_parts(problem)) <= PIVOTED_UP_TO
 
 
-def _part(problem: LCP, rows: NDArray[np.intp]) -> LCP:
-    M = sp.csr_array(problem.csr[rows][:, rows])
-    return LCP(M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows])
-
-
 def _is_near(problem: LCP, z: FloatVector) -> bool:
     """Return whether the residual of z is much smaller than that of the point of the bounds nearest to 0."""
     return bool(measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero))
-
-
-def _extended(ray: FloatVector | None, rows: NDArray[np.intp], n: int) -> FloatVector | None:
-    if ray is None:
-        return None
-    whole = np.zeros(n)
-    whole[rows] = ray
-    return whole
 
 
 def _is_good(problem: LCP, z: FloatVector) -> bool:

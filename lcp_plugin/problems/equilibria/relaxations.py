@@ -121,7 +121,8 @@ class Relaxations:
             node.bound = math.inf
             return node
         solution = self._solution(program)
-        if solution is None and (proof := self._refutation(program)) is not None:
+        proof = prove_infeasible(program) if solution is None else None
+        if proof is not None and proof.excludes(self.tolerance):
             node.bound, node.proof = math.inf, proof
             return node
         if solution is None:
@@ -149,10 +150,6 @@ class Relaxations:
         offset = self.problem.offset
         found = DualBounds(program, self.curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
-
-    def _refutation(self, program: QuadraticProgram) -> QPInfeasibility | None:
-        proof = prove_infeasible(program)
-        return proof if proof is not None and proof.excludes(self.tolerance) else None
 
     def _solution(self, program: QuadraticProgram) -> QPSolution | None:
         """Return the solution of a program, None where a first try finds none: it may have none."""

@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -159,16 +160,17 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
     residual = enclosures.residual(x)
     at_x = enclosures.gradient(x, residual)
     exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
-    found = [_gap_of(_gap(problem, x, exactly, residual[0], at_x))]
-    duals = duals or (residual[0],)
-    found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in duals]
+    slopes = [(y, enclosures.gradient_at(x, y)) for y in duals or (residual[0],)]
+
+    def above(*given: Any) -> float:
+        gap, _, size = _gap(problem, x, *given)
+        return OUTWARD * gap * size * size + TINY if gap < np.inf else np.inf
+
+    found = [above(exactly, residual[0], at_x), *(above(residual, *slope) for slope in slopes)]
     if not np.nanmin(found) < np.inf:
-        for y in duals:
-            repaired = _repaired(enclosures, x, y, enclosures.gradient_at(x, y))
-            found += [_gap_of(_gap(problem, x, residual, *repair)) for repair in repaired]
-    if not np.nanmin(found) < np.inf:
-        convexity = enclosures.convexity
-        found += [] if convexity is None else [_gap_of(_gap(problem, x, exactly, residual[0], at_x, convexity))]
+        found += [above(residual, *repair) for slope in slopes for repair in _repaired(enclosures, x, *slope)]
+    if not np.nanmin(found) < np.inf and (convexity := enclosures.convexity) is not None:
+        found.append(above(exactly, residual[0], at_x, convexity))
     cost = float(OUTWARD**3 * (problem.cost(x, np.abs(residual[0]) + residual[1]) + TINY))
     return min(gap for gap in (cost, *found) if not np.isnan(gap))
 
@@ -188,11 +190,6 @@ def _gap(
         problem.ridge, convexity, rounding,
     )
     return found
-
-
-def _gap_of(found: tuple[float, float, float]) -> float:
-    gap, _, size = found
-    return OUTWARD * gap * size * size + TINY if gap < np.inf else np.inf
 
 
 def _repaired(

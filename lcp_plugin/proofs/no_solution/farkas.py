@@ -199,7 +199,10 @@ class FarkasProgram:
         equations = sp.csc_array(sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place])
         equations.data *= np.repeat(signed, np.diff(equations.indptr))
         norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
-        return _StandardForm(m, place, signed, _cut_off(signed * cost, unit), equations, norm)
+        cost = signed * cost
+        with np.errstate(over="ignore"):
+            cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
+        return _StandardForm(m, place, signed, cost, equations, norm)
 
     def unit_of_violation(self, x: FloatVector) -> float | None:
         """Return the largest size, in the scale of the program, of a row that x leaves violated; None if none is."""
@@ -302,13 +305,6 @@ class _StandardForm:
         """Return y, shape (m,)."""
         y: FloatVector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(np.float64)
         return y
-
-
-def _cut_off(values: FloatVector, unit: float) -> FloatVector:
-    """Return values / unit, finite ones at most MOST in size."""
-    with np.errstate(over="ignore"):
-        cut: FloatVector = np.where(np.isinf(values), values, np.clip(values / unit, -MOST, MOST))
-    return cut
 
 
 def linear_program(

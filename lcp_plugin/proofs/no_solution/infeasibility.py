@@ -116,14 +116,6 @@ def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
     return proof if proof is not None and proof.verify() else None
 
 
-def _may_miss(problem: LCP, rows: Any) -> bool:
-    """Return whether z within the bounds miss one of the rows, to rounding; one pass."""
-    from .kernels import is_missed
-
-    M = compressed_rows(problem.M)
-    return bool(is_missed(*M, problem.q, problem.lower, problem.upper, rows))
-
-
 def contradictory_row(problem: LCP) -> Infeasibility | None:
     """Return the proof of the row that z within the bounds miss by most, or None where no single row is enough.
 
@@ -135,7 +127,11 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
     """
     rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
-    if not rows.size or not _may_miss(problem, rows):
+    if not rows.size:
+        return None
+    from .kernels import is_missed
+
+    if not is_missed(*compressed_rows(problem.M), problem.q, problem.lower, problem.upper, rows):
         return None
     for k, sign in _linear_constraints(problem, rows).contradictory_rows():
         proof = _proven(problem, {int(rows[k]): sign})
@@ -301,7 +297,8 @@ class NoSolution(Refutation):
         """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""
         for case, path in self._cases():
             if case.row >= 0:
-                if case.row in path or set(case.branches) != set(self._choices(case.row)):
+                ends = float(self.problem.lower[case.row]), float(self.problem.upper[case.row])
+                if case.row in path or set(case.branches) != set(row_choices(*ends)):
                     yield None
             elif case.y is None or case.branches:
                 yield None
@@ -319,6 +316,3 @@ class NoSolution(Refutation):
             case, path = stack.pop()
             yield case, path
             stack.extend((branch, path | {case.row: choice}) for choice, branch in case.branches.items())
-
-    def _choices(self, row: int) -> tuple[str, ...]:
-        return row_choices(float(self.problem.lower[row]), float(self.problem.upper[row]))

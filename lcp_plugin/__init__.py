@@ -74,11 +74,11 @@ if TYPE_CHECKING:
     from .problems.programs.program_proofs import Certification as Certification
     from .problems.programs.solving import QuadraticProgramResult as QuadraticProgramResult
     from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
+    from .problems.sensitivity import Derivative as Derivative
+    from .problems.sensitivity import Gradient as Gradient
+    from .problems.sensitivity import derivative as derivative
     from .problems.sensitivity.batch_derivative import BatchDerivative as BatchDerivative
     from .problems.sensitivity.batch_derivative import BatchGradient as BatchGradient
-    from .problems.sensitivity.derivative import Derivative as Derivative
-    from .problems.sensitivity.derivative import Gradient as Gradient
-    from .problems.sensitivity.derivative import derivative as derivative
     from .proofs.bounds.error_bounds import ErrorBound as ErrorBound
     from .proofs.bounds.error_bounds import error_bound as error_bound
     from .proofs.guarantees import convergence_guarantee as convergence_guarantee
@@ -104,9 +104,9 @@ _HOME = {
     "solve": "core.solving.driver",
     "certify": "problems.programs.certification",
     "Certification": "problems.programs.program_proofs",
-    "derivative": "problems.sensitivity.derivative",
-    "Derivative": "problems.sensitivity.derivative",
-    "Gradient": "problems.sensitivity.derivative",
+    "derivative": "problems.sensitivity",
+    "Derivative": "problems.sensitivity",
+    "Gradient": "problems.sensitivity",
     "BatchDerivative": "problems.sensitivity.batch_derivative",
     "BatchGradient": "problems.sensitivity.batch_derivative",
     "prepare": "problems.batches.batch",

@@ -25,7 +25,7 @@ from ...systems.graph import bandwidth
 from . import BLOCK, March
 
 if TYPE_CHECKING:
-    from ..sensitivity.derivative import Derivative
+    from ..sensitivity import Derivative
 
 
 class Sums(NamedTuple):

@@ -22,7 +22,7 @@ from ..many.chunks import in_chunks
 from ..many.data import rows_of_a_batch
 
 if TYPE_CHECKING:
-    from .derivative import Derivative
+    from . import Derivative
 
 
 class BatchPart:

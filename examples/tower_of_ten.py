@@ -22,7 +22,7 @@ from matplotlib.patches import Rectangle
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.evidence.drawing import STYLE
-from lcp_plugin.problems.contact.contacts import ContactMotion
+from lcp_plugin.problems.contact import ContactMotion
 
 BLOCKS, PULLED, FRICTION = 10, 5, 0.4  # the ground is below block 0
 MASS, WIDTH, HEIGHT, GRAVITY, STEP = 1.0, 1.0, 0.1, 9.81, 0.01  # kg, m, m, m/s², s

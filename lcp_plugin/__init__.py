@@ -62,8 +62,8 @@ if TYPE_CHECKING:
     from .problems.least_squares.data import BoundedLeastSquares as BoundedLeastSquares
     from .problems.least_squares.solving import LeastSquaresResult as LeastSquaresResult
     from .problems.least_squares.solving import bounded_least_squares as bounded_least_squares
-    from .problems.march.march import March as March
-    from .problems.march.march import march as march
+    from .problems.march import March as March
+    from .problems.march import march as march
     from .problems.march.march_derivative import MarchDerivative as MarchDerivative
     from .problems.march.march_derivative import MarchGradient as MarchGradient
     from .problems.march.march_many import march_many as march_many
@@ -74,14 +74,14 @@ if TYPE_CHECKING:
     from .problems.programs.program_proofs import Certification as Certification
     from .problems.programs.solving import QuadraticProgramResult as QuadraticProgramResult
     from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
+    from .problems.sensitivity import Derivative as Derivative
+    from .problems.sensitivity import Gradient as Gradient
+    from .problems.sensitivity import derivative as derivative
     from .problems.sensitivity.batch_derivative import BatchDerivative as BatchDerivative
     from .problems.sensitivity.batch_derivative import BatchGradient as BatchGradient
-    from .problems.sensitivity.derivative import Derivative as Derivative
-    from .problems.sensitivity.derivative import Gradient as Gradient
-    from .problems.sensitivity.derivative import derivative as derivative
     from .proofs.bounds.error_bounds import ErrorBound as ErrorBound
     from .proofs.bounds.error_bounds import error_bound as error_bound
-    from .proofs.guarantees.guarantees import convergence_guarantee as convergence_guarantee
+    from .proofs.guarantees import convergence_guarantee as convergence_guarantee
     from .proofs.guarantees.theorems import Guarantee as Guarantee
     from .proofs.verdicts import MatrixReport as MatrixReport
     from .proofs.verdicts import analyze as analyze
@@ -95,7 +95,7 @@ _HOME = {
     "ErrorBound": "proofs.bounds.error_bounds",
     "error_bound": "proofs.bounds.error_bounds",
     "Guarantee": "proofs.guarantees.theorems",
-    "convergence_guarantee": "proofs.guarantees.guarantees",
+    "convergence_guarantee": "proofs.guarantees",
     "MatrixReport": "proofs.verdicts",
     "analyze": "proofs.verdicts",
     "Result": "core.solving.result",
@@ -104,9 +104,9 @@ _HOME = {
     "solve": "core.solving.driver",
     "certify": "problems.programs.certification",
     "Certification": "problems.programs.program_proofs",
-    "derivative": "problems.sensitivity.derivative",
-    "Derivative": "problems.sensitivity.derivative",
-    "Gradient": "problems.sensitivity.derivative",
+    "derivative": "problems.sensitivity",
+    "Derivative": "problems.sensitivity",
+    "Gradient": "problems.sensitivity",
     "BatchDerivative": "problems.sensitivity.batch_derivative",
     "BatchGradient": "problems.sensitivity.batch_derivative",
     "prepare": "problems.batches.batch",
@@ -115,8 +115,8 @@ _HOME = {
     "ProgramBatchResult": "problems.batches.program_batch",
     "QuadraticProgramResult": "problems.programs.solving",
     "solve_many": "problems.batches.batch",
-    "march": "problems.march.march",
-    "March": "problems.march.march",
+    "march": "problems.march",
+    "March": "problems.march",
     "march_many": "problems.march.march_many",
     "MarchDerivative": "problems.march.march_derivative",
     "MarchGradient": "problems.march.march_derivative",

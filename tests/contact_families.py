@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lcp_plugin.problems.contact.contacts import Contacts, contact_data
+from lcp_plugin.problems.contact import Contacts, contact_data
 
 OPEN, STICKS = 0, 1  # and slips: 2, 3
 

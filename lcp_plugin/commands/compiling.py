@@ -24,10 +24,10 @@ from ..core.settings import checked_threads
 from ..core.solving.driver import solve
 from ..methods.interior.primal_active_set import UpdatedFactor
 from ..problems.batches.batch import solve_batch
-from ..problems.march.march import march
+from ..problems.march import march
 from ..problems.march.march_many import march_many
 from ..problems.programs.stacked_programs import QuadraticProgramBatch
-from ..problems.sensitivity.derivative import derivative
+from ..problems.sensitivity import derivative
 from ..proofs.bounds.error_bounds import error_bound
 
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.

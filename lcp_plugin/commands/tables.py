@@ -18,7 +18,7 @@ from ..doors.packages import from_other_packages
 from ..evidence.contestants import PAPER_MSOR, paper_options
 from ..evidence.exporting import finite_content, save_tables
 from ..evidence.paper_tables import cells, paper_table
-from ..proofs.guarantees.guarantees import convergence_guarantee
+from ..proofs.guarantees import convergence_guarantee
 from ..proofs.guarantees.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE, Guarantee
 from ..proofs.verdicts import analyze
 from .terminal import console, table

@@ -329,7 +329,7 @@ class LCP:
     def from_contacts(cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4) -> LCP:
         """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 
-        See :func:`lcp_plugin.problems.contact.contacts.contact_data` for shapes, units, errors, and for batches.
+        See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units, errors, and for batches.
 
         Parameters
         ----------

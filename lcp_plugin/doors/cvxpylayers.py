@@ -28,7 +28,7 @@ from ..core.solving.driver import asked_of_solve
 from ..modeling.program_derivative import conditions, in_words_of_programs
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import judged_program
-from ..problems.sensitivity.derivative import Derivative
+from ..problems.sensitivity import Derivative
 
 __all__ = ["LCPSolver"]
 

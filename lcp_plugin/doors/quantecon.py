@@ -11,7 +11,7 @@ from ..core.checks import FloatVector, checked_vector
 from ..core.errors import InvalidOption, InvalidProblem
 from ..core.lcp import LCP
 from ..core.solving.driver import solve
-from ..methods.lemke.lemke import lemke_path
+from ..methods.lemke import lemke_path
 
 STATUS = {"solved": 0, "limit": 1, "ray": 2, "rounding": 3}
 

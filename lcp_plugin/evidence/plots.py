@@ -19,7 +19,7 @@ from ..core.solving.answer import Answer
 from ..core.solving.result import Result
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.many.answers import AnswerSequence
-from ..problems.march.march import March
+from ..problems.march import March
 from .drawing import COLOURS, HEIGHTS, require_matplotlib, save, styled
 from .pictures import ACTIVE, FREE, MOST_DOTS, draw_line, draw_map, draw_residuals, field_of
 

@@ -47,7 +47,7 @@ from ..core.policy.choice import last_resort
 from ..core.policy.stages import Choice, Stage
 from ..proofs.no_solution.infeasibility import contradictory_row
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
-from .lemke.lemke import has_parts_that_fit
+from .lemke import has_parts_that_fit
 from .presolve import presolve
 
 CHEAP_ENTRIES = 1e7  # touched: what is always worth another try

@@ -28,7 +28,7 @@ from .model import Model
 from .reading import Reader
 
 if TYPE_CHECKING:
-    from ..problems.sensitivity.derivative import Derivative
+    from ..problems.sensitivity import Derivative
 
 Changes = dict[int, Any]
 
@@ -166,7 +166,7 @@ class ModelDerivative:
 
     @cached_property
     def _at(self) -> Derivative:
-        from ..problems.sensitivity.derivative import (
+        from ..problems.sensitivity import (
             derivative,  # with compiled kernels, which a model alone does not need
         )
 

@@ -26,7 +26,7 @@ from .model_derivative import Changes
 from .qp_solver import SAME, ProgramEntries, SolverAnswer
 
 if TYPE_CHECKING:
-    from ..problems.sensitivity.derivative import Derivative
+    from ..problems.sensitivity import Derivative
 
 
 ROUNDING = 1e-9  # of the terms of a residual that is computed in two ways
@@ -188,7 +188,7 @@ class ProgramDerivative:
 
     @cached_property
     def _at(self) -> Derivative:
-        from ..problems.sensitivity.derivative import (
+        from ..problems.sensitivity import (
             Derivative,  # with compiled kernels, which a program alone does not need
         )
 

@@ -22,7 +22,7 @@ from lcp_plugin.gallery import build
 from lcp_plugin.methods.interior.dense_ends import analysed, newton_matrix
 from lcp_plugin.methods.interior.quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
-from lcp_plugin.proofs.no_solution.infeasibility import decide_feasibility
+from lcp_plugin.proofs.no_solution.infeasibility import find_infeasibility
 from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 from lcp_plugin.systems.factors import factorise, positive_factor, solver_of
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
@@ -182,7 +182,7 @@ def _factor(repeats: int) -> str:
 
 
 def _program(repeats: int) -> str:
-    return _once("the linear program of feasibility", _grid(70), decide_feasibility)
+    return _once("the linear program of feasibility", _grid(70), find_infeasibility)
 
 
 def _pivoted(repeats: int) -> str:

@@ -14,7 +14,7 @@ from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.gallery import parse
-from lcp_plugin.problems.sensitivity.derivative import derivative
+from lcp_plugin.problems.sensitivity import derivative
 
 SCENES = ("half_active:n=10000", "paper_example_2:n=10000")
 QUICK_SCENES = ("half_active:n=2500",)

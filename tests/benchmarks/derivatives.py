@@ -20,7 +20,7 @@ from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.gallery import Scene, parse
-from lcp_plugin.problems.sensitivity.derivative import Derivative, derivative
+from lcp_plugin.problems.sensitivity import Derivative, derivative
 
 from .timing import timed
 

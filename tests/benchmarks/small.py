@@ -21,7 +21,7 @@ from lcp_plugin.gallery import build
 from lcp_plugin.problems.batches.batch import solve_batch
 from lcp_plugin.problems.batches.batch_run import BatchResult
 from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
-from lcp_plugin.problems.sensitivity.derivative import derivative
+from lcp_plugin.problems.sensitivity import derivative
 
 from .rivals import RIVALS, SEED, Case, Solver, contact, obstacle, spectrum
 from .timing import medians

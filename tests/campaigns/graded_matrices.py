@@ -38,8 +38,8 @@ from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.core.errors import ConvergenceWarning, LCPError
 from lcp_plugin.core.matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.guarantees.convergence import numbers
-from lcp_plugin.proofs.guarantees.guarantees import convergence_guarantee
 from lcp_plugin.proofs.verdicts import analyze, h_matrix, p_matrix, verdicts
 
 LARGEST_PIECES = 3  # rows up to which all linear pieces of an iteration are looked at

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import Algorithm, create
-from lcp_plugin.proofs.guarantees.guarantees import convergence_guarantee
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 STEPS = 12
 ROUNDING = 1e-11

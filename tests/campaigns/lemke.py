@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from exact import solve_fractions
 
 from lcp_plugin import LCP, Certificate
-from lcp_plugin.methods.lemke.lemke import Lemke
+from lcp_plugin.methods.lemke import Lemke
 
 CLASSES = ("P", "PSD", "copositive", "indefinite", "nonnegative", "skew", "sparse", "degenerate")
 GUARANTEED = ("P,", "PSD,", "copositive,")

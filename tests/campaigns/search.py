@@ -16,7 +16,7 @@ import numpy as np
 
 from lcp_plugin import LCP
 from lcp_plugin.methods.search import Found, NoSolution, Solution, search
-from lcp_plugin.proofs.no_solution.infeasibility import decide_feasibility, find_forced_contradiction
+from lcp_plugin.proofs.no_solution.infeasibility import find_forced_contradiction, find_infeasibility
 
 # An inequality is (coefficients, constant, strict): coefficients·z + constant ≥ 0, or > 0.
 Inequality = tuple[tuple[Fraction, ...], Fraction, bool]
@@ -176,17 +176,14 @@ def violations(M, q, lower, upper):
         listed = [s.pattern for s in every.solutions]
         bad += [f"{p} is not covered" for p in patterns if not any(truth.lies_in(p, other) for other in listed)]
         bad += [f"{p} lies in {o}" for p in listed for o in listed if p != o and truth.lies_in(p, o)]
-    feasibility = decide_feasibility(problem)
-    is_feasible = truth.is_linearly_feasible()
-    if feasibility.proof is not None and (is_feasible or not feasibility.proof.verify()):
+    refuted, is_feasible = find_infeasibility(problem), truth.is_linearly_feasible()
+    if refuted is not None and (is_feasible or not refuted.verify()):
         bad.append("false INFEASIBLE")
-    if feasibility.verdict == "feasible" and not is_feasible:
-        bad.append("infeasible, called feasible")
     chain = find_forced_contradiction(problem)
     if chain is not None and (patterns or not chain.verify()):
         bad.append("false chain of forced bounds")
     verdict = "solvable" if patterns else "unsolvable" if is_feasible else "infeasible"
-    return bad, verdict, feasibility.verdict, chain is not None
+    return bad, verdict, "not refuted" if refuted is None else "refuted", chain is not None
 
 
 def wrong_with(truth: Enumeration, s: Solution, is_listed: bool) -> list[str]:

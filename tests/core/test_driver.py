@@ -35,11 +35,11 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.deadline import time_limit
+from lcp_plugin.proofs import guarantees
 from lcp_plugin.proofs.bounds import error_bounds
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
-from lcp_plugin.proofs.bounds.error_watch import ErrorWatch
+from lcp_plugin.proofs.bounds.error_judge import ErrorJudge
 from lcp_plugin.proofs.exact.linear_systems import solve_exactly
-from lcp_plugin.proofs.guarantees import guarantees
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)
@@ -372,7 +372,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
     "auto": ("core.solving.driver.Run.__init__", "core.solving.driver.CommonUnits.of",
         "core.policy.choice.Single.first",
-             "proofs.guarantees.guarantees.warn_where_known_to_be_uncovered"),
+             "proofs.guarantees.warn_where_known_to_be_uncovered"),
     "npsor": ("core.policy.choice.Auto.first",),
     "lemke": ("core.policy.choice.Auto.first",),
 }
@@ -385,8 +385,8 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
         ("methods.small.fused.fused", {}),
         ("core.solving.driver.Run.__init__", {}),
         ("core.solving.driver.CommonUnits.of", {}),
-        ("proofs.guarantees.guarantees.warn_where_known_to_be_uncovered", {}),
-        ("proofs.bounds.error_watch.ErrorWatch._bound", {"tolerance_on": "error"}),
+        ("proofs.guarantees.warn_where_known_to_be_uncovered", {}),
+        ("proofs.bounds.error_judge.ErrorJudge._bound", {"tolerance_on": "error"}),
         ("core.policy.choice.Auto.first", {}),
         ("core.policy.choice.Single.first", {}),
     ],
@@ -581,7 +581,7 @@ def test_bounds_along_the_run_are_sharp_where_that_is_affordable(monkeypatch: py
         error = np.max(np.abs(samples[sample.iteration] - exact))
         assert error <= sample.error_bound <= 2.0 * error + 1e-9
     assert error_bound(problem, result.z, sharp=False).infinity > 100.0 * result.history[-1].error_bound
-    monkeypatch.setattr("lcp_plugin.proofs.bounds.error_watch.SHARP_SAMPLES_UP_TO", 100)
+    monkeypatch.setattr("lcp_plugin.proofs.bounds.error_judge.SHARP_SAMPLES_UP_TO", 100)
     history = solve(problem, "pgs", error_bound=True, record=True).history
     assert history[0].error_bound > 2.0 * result.history[0].error_bound
     assert history[-1].error_bound <= 2.0 * result.history[-1].error_bound
@@ -659,13 +659,13 @@ def grid(side: int, shift: float, level: float = 0.0) -> tuple[LCP, np.ndarray]:
 def bounds_asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, ErrorBound]]:
     """Whether it is sharp, and the bound, each time that a run asks for one."""
     asked: list[tuple[bool, ErrorBound]] = []
-    bound = ErrorWatch._bound
+    bound = ErrorJudge._bound
 
-    def counted(self: ErrorWatch, z: np.ndarray, *, sharp: bool) -> ErrorBound:
+    def counted(self: ErrorJudge, z: np.ndarray, *, sharp: bool) -> ErrorBound:
         asked.append((sharp, bound(self, z, sharp=sharp)))
         return asked[-1][1]
 
-    monkeypatch.setattr(ErrorWatch, "_bound", counted)
+    monkeypatch.setattr(ErrorJudge, "_bound", counted)
     return asked
 
 

@@ -29,7 +29,7 @@ from lcp_plugin.core.matrix.iteration_facts import PROJECTED_RELAXATION, Iterati
 from lcp_plugin.core.matrix.row_sums import automatic_factors, triangle_sums
 from lcp_plugin.evidence import contestants
 from lcp_plugin.methods.npsplitting import NPSplitting
-from lcp_plugin.proofs.guarantees.guarantees import convergence_guarantee
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.guarantees.theorems import theorem_4_1
 from lcp_plugin.proofs.verdicts import analyze
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps

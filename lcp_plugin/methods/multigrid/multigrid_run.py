@@ -20,7 +20,7 @@ from ...systems.hierarchy.vectors import dot, span
 from .multigrid_safeguard import GAINED, SETTLED, Advance, GridProblem, Safeguard
 
 if TYPE_CHECKING:
-    from .multigrid import Multigrid
+    from . import Multigrid
 
 COARSE_CYCLES, MOST_COARSE_CYCLES = 2, 10
 COARSE_CHANGES = 5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
@@ -358,18 +358,18 @@ class MultigridRun:
         goes_on = self.is_symmetric and not self.algorithm.hands_over
         before = np.inf
         while True:
-            for _ in range(FALL_BACK_SWEEPS):
-                change = self.problems[0].gauss_seidel(z)
-                yield Step(z, increment=change, work=1.0)
+            change = yield from self._fall_back(z)
             if not (goes_on or change < GAINED * before):
                 return
             before = change
 
-    def _fall_back(self, z: FloatVector) -> Iterator[Step]:
+    def _fall_back(self, z: FloatVector) -> Generator[Step, None, float]:
+        """Yield projected Gauss–Seidel sweeps; return the last one's change."""
         for _ in range(FALL_BACK_SWEEPS):
             change = self.problems[0].gauss_seidel(z)
-            self.work += self.entries
+            self.work += self.problems[0].entries
             yield Step(z, increment=change, work=self._spent())
+        return change
 
     def _spent(self) -> float:
         """Return the passes over M since the last step."""

@@ -162,7 +162,7 @@ class Safeguard:
 
 
 if TYPE_CHECKING:
-    from .multigrid import Multigrid
+    from . import Multigrid
 
 
 class GridProblem:

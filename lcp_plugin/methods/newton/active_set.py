@@ -41,16 +41,13 @@ class ActiveSetSolution(NamedTuple):
         return self.system.is_singular
 
 
-def classify(
-    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
-) -> tuple[BoolVector, BoolVector]:
-    """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, shape (n,) each.
+def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, BoolVector]:
+    """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, d the residual scale, shape (n,) each.
 
     Parameters
     ----------
     z, w : ndarray, shape (n,)
-    scale : ndarray, shape (n,), optional
-        d > 0; the scale of the residual by default. A row with equal bounds is at its lower one.
+        A row with equal bounds is at its lower one.
 
     Examples
     --------
@@ -59,12 +56,10 @@ def classify(
     >>> at_lower
     array([False,  True])
     """
-    d = problem.residual_scale if scale is None else scale
-    with np.errstate(all="ignore"):
-        step = w / d
-        # z − step ≤ lower, written so that a small step is not lost beside a large z.
-        at_lower = z - problem.lower <= step
-        at_upper = (problem.upper - z <= -step) & ~at_lower
+    step = w / problem.residual_scale
+    # z − step ≤ lower, written so that a small step is not lost beside a large z.
+    at_lower = z - problem.lower <= step
+    at_upper = (problem.upper - z <= -step) & ~at_lower
     is_fixed = problem.lower == problem.upper
     return at_lower | is_fixed, at_upper & ~is_fixed
 
@@ -106,10 +101,9 @@ def solve_active_set(
     if system is None or not np.array_equal(free, system.free):
         system = FreeSystem(problem.matrix, free, by_factor=True)
     before = system.work
-    with np.errstate(all="ignore"):
-        x = system.solve_near(-problem.slack(z), np.zeros(problem.n) if near is None else near)
-        if x is None or not np.isfinite(z).all():
-            return None
+    x = system.solve_near(-problem.slack(z), np.zeros(problem.n) if near is None else near)
+    if x is None or not np.isfinite(z).all():
+        return None
     return ActiveSetSolution(z + x, system, 1.0 + (system.work - before) / max(problem.nonzeros, 1))
 
 
@@ -156,15 +150,13 @@ class NewtonState:
         return self.problem.n > LARGE
 
     def _residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
-        with np.errstate(all="ignore"):
-            size: FloatVector = np.abs(scaled_residual(self.problem, z, w))
+        size: FloatVector = np.abs(scaled_residual(self.problem, z, w))
         return size
 
     def slack(self, z: FloatVector) -> FloatVector:
         """Return M z + q, counted as work."""
         self.work += 1.0
-        with np.errstate(all="ignore"):
-            return self.problem.slack(z)
+        return self.problem.slack(z)
 
     def step(self) -> Step:
         """Return the best iterate as a step, with the work since the last one."""

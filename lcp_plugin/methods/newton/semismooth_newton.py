@@ -9,10 +9,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, in_driven_sweeps, without_warnings
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import FloatVector
 from ...core.crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal
@@ -187,14 +186,8 @@ def principal_pivots(state: NewtonState) -> Iterator[Step]:
         else:
             blocks_left -= 1
         changed = wrong if blocks_left > 0 else wrong[[np.argmin(rank[wrong])]]
-        at_lower, at_upper = _changed(at_lower, to_lower, changed), _changed(at_upper, to_upper, changed)
+        at_lower[changed], at_upper[changed] = to_lower[changed], to_upper[changed]
     yield state.step()
-
-
-def _changed(old: BoolVector, new: BoolVector, rows: NDArray[np.intp]) -> BoolVector:
-    result = old.copy()
-    result[rows] = new[rows]
-    return result
 
 
 # --- the safeguard: a line search on the Fischer–Burmeister function ---
@@ -213,6 +206,7 @@ class Linearised(NamedTuple):
         return float(np.linalg.norm(self.value))
 
 
+@np.errstate(all="ignore")  # of bounds that are infinite
 def fischer_burmeister(
     problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
 ) -> Linearised:
@@ -225,20 +219,19 @@ def fischer_burmeister(
     ----------
     Billups 1995, *Algorithms for complementarity problems and generalized equations*, PhD thesis, Wisconsin.
     """
-    with np.errstate(all="ignore"):
-        s = w / (problem.residual_scale if scale is None else scale)
-        value, by_a, by_b = _phi(problem.upper - z, -s)
-        has_upper, has_lower = np.isfinite(problem.upper), np.isfinite(problem.lower)
-        p = np.where(has_upper, -value, s)
-        p_by_z, p_by_s = np.where(has_upper, by_a, 0.0), np.where(has_upper, by_b, 1.0)
-        value, by_a, by_b = _phi(z - problem.lower, p)
-        value = np.where(has_lower, value, p)
-        by_z = np.where(has_lower, by_a + by_b * p_by_z, p_by_z)
-        by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
-        is_fixed = problem.lower == problem.upper
-        return Linearised(
-            np.where(is_fixed, z - problem.lower, value), np.where(is_fixed, 1.0, by_z), np.where(is_fixed, 0.0, by_s)
-        )
+    s = w / (problem.residual_scale if scale is None else scale)
+    value, by_a, by_b = _phi(problem.upper - z, -s)
+    has_upper, has_lower = np.isfinite(problem.upper), np.isfinite(problem.lower)
+    p = np.where(has_upper, -value, s)
+    p_by_z, p_by_s = np.where(has_upper, by_a, 0.0), np.where(has_upper, by_b, 1.0)
+    value, by_a, by_b = _phi(z - problem.lower, p)
+    value = np.where(has_lower, value, p)
+    by_z = np.where(has_lower, by_a + by_b * p_by_z, p_by_z)
+    by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
+    is_fixed = problem.lower == problem.upper
+    return Linearised(
+        np.where(is_fixed, z - problem.lower, value), np.where(is_fixed, 1.0, by_z), np.where(is_fixed, 0.0, by_s)
+    )
 
 
 def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:

@@ -237,15 +237,12 @@ def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:
         try:
             rounded[i] = float(value)
         except OverflowError:
+            exponent = abs(value.numerator).bit_length() - value.denominator.bit_length()
             raise UnsuitableProblem(
-                f"{name}[{i}] of the exact solution is about 2^{_exponent(value)}, beyond the largest double; take "
+                f"{name}[{i}] of the exact solution is about 2^{exponent}, beyond the largest double; take "
                 f"exact_{name}, or state the problem in other units"
             ) from None
     return rounded
-
-
-def _exponent(value: Fraction) -> int:
-    return abs(value.numerator).bit_length() - value.denominator.bit_length()
 
 
 def is_searchable(problem: LCP) -> bool:

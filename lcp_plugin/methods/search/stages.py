@@ -23,11 +23,11 @@ from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import IntVector
 from ...proofs.exact.rational import integers
 from ...proofs.exact.simplex import QUANTUM
-from ...proofs.no_solution.infeasibility import Case, decide_feasibility, find_forced_contradiction
+from ...proofs.no_solution.infeasibility import Case, find_forced_contradiction, find_infeasibility
 from ...proofs.no_solution.refutation import LOWER, SLACKLESS, UPPER, Infeasibility
 from ...systems.free_systems import FreeSystem
 from ..small.small_dense import as_dense
-from . import LARGEST_CHOICES, LARGEST_SIZE, Effort, Found, NoSolution, explore, is_searchable
+from . import Effort, Found, NoSolution, explore, is_searchable
 
 SLIGHTLY = 1e-2  # of a contradiction, spent on the rounding of its proof
 MOST_CASES = 4096  # in doubles
@@ -44,10 +44,6 @@ class FeasibilityCheck(Algorithm):
     """Looks for a proof that no z satisfies the linear inequalities, or that complementarity contradicts itself."""
 
     name: ClassVar[str] = "feasibility"
-    assumption: ClassVar[str] = "a linear program of that size can be solved"
-    converges_on: ClassVar[str] = "–"
-    cost: ClassVar[str] = "one linear program"
-    reference: ClassVar[str] = "Farkas"
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -57,7 +53,7 @@ class FeasibilityCheck(Algorithm):
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         effort = None if problem.n <= LINEAR_PROGRAM_UP_TO else 0
-        proof = decide_feasibility(problem, effort_limit=effort).proof
+        proof = find_infeasibility(problem, effort_limit=effort)
         if proof is not None:
             yield Step(z0, proof=proof)
         chain = find_forced_contradiction(problem)
@@ -71,6 +67,7 @@ class LargestPoint(Algorithm):
 
     (−M)⁻¹ ≥ 0, so that w = M z + q ≥ 0 means z ≤ x = −M⁻¹q. Where x ≥ lower, it is a solution, with w = 0. Elsewhere
     c = max(lower − x, 0) and y = −M⁻ᵀc ≥ 0 contradict: yᵀw = cᵀ(x − z) ≤ cᵀ(x − lower) < 0 for every z ≥ lower.
+    (Least elements: Cottle, Pang, Stone, §3.11.)
 
     Parameters
     ----------
@@ -81,10 +78,6 @@ class LargestPoint(Algorithm):
     refutes: bool = True
 
     name: ClassVar[str] = "largest_point"
-    assumption: ClassVar[str] = "−M an M-matrix, no upper bounds"
-    converges_on: ClassVar[str] = "all of these that are feasible"
-    cost: ClassVar[str] = "a linear solve, and another one with Mᵀ"
-    reference: ClassVar[str] = "Cottle, Pang, Stone, §3.11 (least elements)"
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -125,6 +118,9 @@ class LargestPoint(Algorithm):
 class ExhaustiveSearch(Algorithm):
     """Branch and bound over z_i = bound, w_i = 0: in doubles, compiled; what these do not prove, in exact arithmetic.
 
+    n ≤ 60; exactly: at most 24 rows that leave a choice (Cottle, Pang, Stone, §1.3). A step is all cases in doubles,
+    then at most 50, each an exact linear program.
+
     Parameters
     ----------
     is_first : bool
@@ -137,10 +133,6 @@ class ExhaustiveSearch(Algorithm):
     refutes: bool = True
 
     name: ClassVar[str] = "search"
-    assumption: ClassVar[str] = f"n ≤ {LARGEST_SIZE}; exactly: at most {LARGEST_CHOICES} rows that leave a choice"
-    converges_on: ClassVar[str] = "every matrix"
-    cost: ClassVar[str] = "all cases in doubles; then at most 50, each an exact linear program"
-    reference: ClassVar[str] = "Cottle, Pang, Stone, §1.3"
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -234,14 +226,13 @@ def outline(problem: LCP, most_entries: float) -> Outline:
     most = min(MOST_CASES, 3 ** (n + 1))  # more than there are
     nodes, y, z = np.empty((most, 4), np.int64), np.empty((most, n + 1)), np.empty(n)
     M = as_dense(problem.matrix)[0]
-    with np.errstate(all="ignore"):
-        found, cases, entries, least = kernels.look_at(
-            M, problem.q, problem.lower, problem.upper, float(most_entries), nodes, y, z
-        )
-        if found == kernels.FOUND and np.isfinite(z).all():
-            return Outline(z, 0.0, cases, entries, nodes[:0], y[:0])
-        if found != kernels.EXCLUDED or not np.isfinite(y[:cases][nodes[:cases, kernels.ROW] < 0]).all():
-            return Outline(None, 0.0, cases, entries, nodes[:0], y[:0])
+    found, cases, entries, least = kernels.look_at(
+        M, problem.q, problem.lower, problem.upper, float(most_entries), nodes, y, z
+    )
+    if found == kernels.FOUND and np.isfinite(z).all():
+        return Outline(z, 0.0, cases, entries, nodes[:0], y[:0])
+    if found != kernels.EXCLUDED or not np.isfinite(y[:cases][nodes[:cases, kernels.ROW] < 0]).all():
+        return Outline(None, 0.0, cases, entries, nodes[:0], y[:0])
     return Outline(None, least, cases, entries, nodes[:cases], y[:cases])
 
 

@@ -20,7 +20,7 @@ from ...core.settings import Settings, Status, checked_threads
 from ...core.solving.answer import Answer
 from ...core.solving.driver import solve
 from ...core.solving.result import Result
-from ...methods.banded.banded import Banded
+from ...methods.banded import Banded
 from ...systems.factors import bands
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
@@ -67,7 +67,7 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
         return problem
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("prepare", problem))
-    from ...methods.multigrid.multigrid import Multigrid
+    from ...methods.multigrid import Multigrid
     from ...systems.hierarchy.levels import hierarchy_of
 
     allowed = problem.communicator.together(lambda: checked_threads(threads))

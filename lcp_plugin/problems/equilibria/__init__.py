@@ -1,1 +1,25 @@
-"""The best of the solutions of a complementarity problem, by branch and bound with rigorous bounds."""
+"""The best solution of a complementarity problem, by branch and bound with proofs; here, what takes the kind."""
+
+from ...core.kinds import Kind
+
+EQUILIBRIUM_PROGRAM = Kind(
+    "objective over equilibria", "problems.equilibria.equilibrium_program:EquilibriumProgram",
+    "problems.equilibria.branch_and_bound:minimize_over_solutions", "problems.equilibria.result:EquilibriumResult",
+    ("solve", "solve_batch", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
+    "solve(problem) takes it; its pairs alone are an LCP where they determine their unknowns",
+    {
+        "algorithm=": "branch and bound is the only one",
+        "max_iterations=": "max_nodes limits the search",
+        "z0=": "a search begins at its relaxation",
+        "x0=": "a search begins at its relaxation",
+        "error_bound=": "result.gap is proved",
+        "derivative": "the best of all solutions may jump from one to another",
+        "certify": "solve(problem).verify() checks its proof again",
+        "Certificate.of": "solve(problem).verify() checks its proof again",
+        "error_bound": "solve(problem).gap is proved",
+        "save": "state it in AMPL's .nl, which lcp-plugin solve reads",
+        "qpsolvers": "its program has no place for pairs: write solve(problem)",
+        **{f"lcp-plugin {name}": "lcp-plugin solve proves its bound"
+           for name in ("check", "certify", "analyze", "study")},
+    },
+)

@@ -29,8 +29,7 @@ from ..programs.convexity import refuse_nonconvex
 from ..programs.qp_proofs import QPUnboundedness
 from .cuts import strengthened
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
-from .local_search import LocalSearch
-from .relaxations import Node, Relaxations
+from .relaxations import LocalSearch, Node, Relaxations
 from .result import EquilibriumResult
 
 MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
@@ -205,16 +204,15 @@ class BranchAndBound:
         self.tree += children
         node.pair = pair  # last: Ctrl-C may come between any two lines, and the leaves have to hold all pieces
         self._current = None
+        dives = children[0].bound < self.cutoff and children[0].point is not None
         for k, child in enumerate(children):
             if child.bound >= self.cutoff:
                 self._close(child)
-            else:
+            elif k or not dives:
                 heapq.heappush(self._open, (child.bound, len(self.tree) - k, child))
-        if children[0].bound < self.cutoff and children[0].point is not None:
+        if dives:
             if self.nodes % EVERY == 0:
                 self.local.start(children[0])
-            self._open = [entry for entry in self._open if entry[2] is not children[0]]
-            heapq.heapify(self._open)
             self._current = children[0]
 
     def _pair(self, node: Node) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -157,6 +157,21 @@ class EquilibriumProgram:
         np.maximum.at(lower, w, np.where(cases & UPPER, -np.inf, 0.0))
         np.minimum.at(upper, w, np.where(cases & LOWER, np.inf, 0.0))
         return lower, upper
+
+    @property
+    def relaxation(self) -> QuadraticProgram:
+        """The program with all cases open."""
+        lower, upper = self.bounds(self.all_cases)
+        return self.program.with_vectors(lower=lower, upper=upper)
+
+    def with_inequalities(self, G: sp.csr_array, h: FloatVector) -> EquilibriumProgram:
+        """Return the problem with these rows as well, Gx ≤ h."""
+        program = self.program
+        wider = QuadraticProgram(
+            program.P, program.c, sp.vstack([sp.csr_array(program.G), G], format="csr"), np.append(program.h, h),
+            program.A, program.b, program.lower, program.upper,
+        )
+        return replace(self, program=wider)
 
     def distances(self, x: FloatVector) -> FloatVector:
         """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""

@@ -1,1 +1,21 @@
-"""Least squares within bounds: steps that find the face, and steps that solve on it."""
+"""Least squares within bounds: steps that find the face, and steps that solve on it; here, what takes the kind."""
+
+from ...core.kinds import LANGUAGES, Kind
+
+BOUNDED_LEAST_SQUARES = Kind(
+    "bounded least squares problem", "problems.least_squares.data:BoundedLeastSquares",
+    "problems.least_squares.solving:solve_least_squares", "problems.least_squares.solving:LeastSquaresResult",
+    ("solve", "solve_batch", "pickle", *LANGUAGES, "lcp-plugin solve"),
+    "LCP(AᵀA, −Aᵀb, lower=…, upper=…) states it as an LCP",
+    {
+        "z0=": "a start is called x0 here",
+        "algorithm=": "what suits A is chosen",
+        "certify": "solve(problem).gap is proved",
+        "error_bound": "solve(problem).gap is proved",
+        "error_bound=": "result.gap is proved",
+        "Certificate.of": "solve(problem, x0=x, max_iterations=0) judges x",
+        "save": "numpy.savez(path, A=A, b=b) saves it, and load_problem(path) reads it",
+        **{f"lcp-plugin {name}": "lcp-plugin solve proves a gap"
+           for name in ("check", "certify", "analyze", "study", "report")},
+    },
+)

@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -78,20 +79,19 @@ class Optimality:
 
         A y that somebody has for x is tried beside the residual; others are computed where neither reaches `tolerance`.
         """
-        from .kernels.least_squares_sums import largest_residuals
+        from .sums import largest_residuals
 
         problem, units = enclosures.problem, enclosures.problem.column_units
-        with np.errstate(over="ignore", invalid="ignore"):
-            residual = enclosures.residual(x)
-            gradient, slope = enclosures.gradients(x, residual)
-            *largest, is_at_floor = largest_residuals(
-                *gradient, x, problem.lower, problem.upper, units, problem.has_entries
-            )
-            steepness = max(map(_ratio, largest, enclosures.reference))
-            value, y = steepness, residual[0]
-            if problem.has_entries:
-                duals = _dual_points(enclosures, x, residual, slope, dual, is_at_floor=is_at_floor)
-                value, y = _beside_cost(problem, x, residual, duals, tolerance)
+        residual = enclosures.residual(x)
+        gradient, slope = enclosures.gradients(x, residual)
+        *largest, is_at_floor = largest_residuals(
+            *gradient, x, problem.lower, problem.upper, units, problem.has_entries
+        )
+        steepness = max(map(_ratio, largest, enclosures.reference))
+        value, y = steepness, residual[0]
+        if problem.has_entries:
+            duals = _dual_points(enclosures, x, residual, slope, dual, is_at_floor=is_at_floor)
+            value, y = _beside_cost(problem, x, residual, duals, tolerance)
         return cls(x, residual[0], value, steepness, is_at_floor, y)
 
 
@@ -157,26 +157,22 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
         Of any origin; residuals of points nearer to the answer make the bound sharper.
     """
     enclosures = Enclosures(problem)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        residual = enclosures.residual(x)
-        at_x = enclosures.gradient(x, residual)
-        exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
-        found = [_gap_of(_gap(problem, x, exactly, residual[0], at_x))]
-        duals = duals or (residual[0],)
-        found += [_gap_of(_gap(problem, x, residual, y, enclosures.gradient_at(x, y))) for y in duals]
-        if not np.nanmin(found) < np.inf:
-            for y in duals:
-                repaired = _repaired(enclosures, x, y, enclosures.gradient_at(x, y))
-                found += [_gap_of(_gap(problem, x, residual, *repair)) for repair in repaired]
-        if not np.nanmin(found) < np.inf:
-            convexity = enclosures.convexity
-            found += [] if convexity is None else [_gap_of(_gap(problem, x, exactly, residual[0], at_x, convexity))]
-    return min(gap for gap in (_cost_above(problem, x, residual), *found) if not np.isnan(gap))
+    residual = enclosures.residual(x)
+    at_x = enclosures.gradient(x, residual)
+    exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
+    slopes = [(y, enclosures.gradient_at(x, y)) for y in duals or (residual[0],)]
 
+    def above(*given: Any) -> float:
+        gap, _, size = _gap(problem, x, *given)
+        return OUTWARD * gap * size * size + TINY if gap < np.inf else np.inf
 
-def _cost_above(problem: BoundedLeastSquares, x: FloatVector, residual: Ball) -> float:
-    largest = np.abs(residual[0]) + residual[1]
-    return float(OUTWARD**3 * (problem.cost(x, largest) + TINY))
+    found = [above(exactly, residual[0], at_x), *(above(residual, *slope) for slope in slopes)]
+    if not np.nanmin(found) < np.inf:
+        found += [above(residual, *repair) for slope in slopes for repair in _repaired(enclosures, x, *slope)]
+    if not np.nanmin(found) < np.inf and (convexity := enclosures.convexity) is not None:
+        found.append(above(exactly, residual[0], at_x, convexity))
+    cost = float(OUTWARD**3 * (problem.cost(x, np.abs(residual[0]) + residual[1]) + TINY))
+    return min(gap for gap in (cost, *found) if not np.isnan(gap))
 
 
 def _gap(
@@ -187,18 +183,13 @@ def _gap(
 
     What rounding may have done is added, or with rounding=−1 excused.
     """
-    from .kernels.least_squares_sums import gap_beside_cost
+    from .sums import gap_beside_cost
 
     found: tuple[float, float, float] = gap_beside_cost(
         *residual, y, *slope, x, problem.lower, problem.upper, problem.root_weights, problem.column_units,
         problem.ridge, convexity, rounding,
     )
     return found
-
-
-def _gap_of(found: tuple[float, float, float]) -> float:
-    gap, _, size = found
-    return OUTWARD * gap * size * size + TINY if gap < np.inf else np.inf
 
 
 def _repaired(

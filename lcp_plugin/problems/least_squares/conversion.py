@@ -19,7 +19,7 @@ from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from .data import BoundedLeastSquares
 
-FORMS = ("normal", "mixed")
+FORMS = ("normal", "mixed", "auto")
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +124,8 @@ def lcp_from_least_squares(
     >>> solution.x, solution.cost
     (array([1.5, 0. ]), 0.75)
     """
-    if form not in (*FORMS, "auto"):
-        raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
+    if form not in FORMS:
+        raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
     stated = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge)
     if not stated.has_entries:
         raise UnsuitableProblem("an LCP has entries, a LinearOperator has none; use bounded_least_squares(A, b)")
@@ -134,7 +134,9 @@ def lcp_from_least_squares(
     scaled = sp.csr_array(sp.diags_array(root, shape=(m, m)) @ rows)
     has_squares = _has_squares(scaled)
     if form == "auto":
-        form = "normal" if has_squares and _most_entries_of_normal(rows) <= 2 * rows.nnz + m + n else "mixed"
+        per_row = np.diff(rows.indptr).astype(np.int64)
+        most = int(min(n**2, per_row @ per_row))  # entries of AᵀA
+        form = "normal" if has_squares and most <= 2 * rows.nnz + m + n else "mixed"
     if form == "normal" and not has_squares:
         raise UnsuitableProblem('squares of entries of A overflow, or vanish; use form="mixed", or rescale A and b')
     if form == "normal":
@@ -152,12 +154,6 @@ def lcp_from_least_squares(
         )
     problem.origin = LeastSquaresOrigin(stated, form)
     return problem
-
-
-def _most_entries_of_normal(rows: sp.csr_array) -> int:
-    """Return how many entries AᵀA has at the most."""
-    per_row = np.diff(rows.indptr).astype(np.int64)
-    return int(min(rows.shape[1] ** 2, per_row @ per_row))
 
 
 def _has_squares(rows: sp.csr_array) -> bool:

@@ -120,12 +120,11 @@ class BoundedLeastSquares:
             penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0  # of an x too large to be squared
             return float(0.5 * (self.weighted(residual) @ residual + penalty))
 
-    def blocks(self) -> Iterator[tuple[slice, Any]]:
-        """Yield the rows of A, where it has entries, in parts that a temporary may be made of."""
-        at_once = ROWS_AT_ONCE if self.is_dense else max(self.shape[0], 1)
-        for begin in range(0, self.shape[0], at_once):
-            rows = slice(begin, min(begin + at_once, self.shape[0]))
-            yield rows, self.A[rows] if self.is_dense else self.A
+    def _blocks(self) -> Iterator[tuple[FloatVector, FloatVector]]:
+        """Yield the rows of a dense A, some at a time, in the order in which kernels read, and their √weights."""
+        for begin in range(0, self.shape[0], ROWS_AT_ONCE):
+            rows = slice(begin, begin + ROWS_AT_ONCE)
+            yield np.ascontiguousarray(self.A[rows]), self.root_weights[rows]
 
     @cached_property
     def column_units(self) -> FloatVector:
@@ -133,30 +132,40 @@ class BoundedLeastSquares:
 
         Those of a LinearOperator are estimates: the mean square of aᵀs for random signs s is ‖a‖².
         """
-        root = self.root_weights
-        if not self.has_entries:
-            signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, root.size))
-            seen = np.array([self.transposed(root * row) for row in signs])
-            unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_UNIT)
-            lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
-            typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
-            lengths = np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
-        else:
-            largest, squares = np.zeros((2, self.shape[1]))
-            for rows, block in self.blocks():
-                _raise_to_largest(largest, block, root[rows])
+        lengths = self._lengths() if self.has_entries else self._estimated_lengths()
+        return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_UNIT))
+
+    def _lengths(self) -> FloatVector:
+        """Return the lengths of the columns of √weights A; no square overflows."""
+        from .sums import add_squares, raise_to_largest
+
+        A, (largest, squares) = self.A, np.zeros((2, self.shape[1]))
+        if self.is_sparse:
+            entries = A.data * np.repeat(self.root_weights, np.diff(A.indptr))
+            np.maximum.at(largest, A.indices, np.abs(entries))
             unit = power_of_two(largest, LARGEST_UNIT)
-            for rows, block in self.blocks():
-                _add_squares(squares, block, root[rows], unit)
-            lengths = unit * np.sqrt(squares)
-        with np.errstate(over="ignore"):
-            return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_UNIT))
+            entries /= unit[A.indices]
+            squares = np.bincount(A.indices, entries * entries, largest.size)
+            return np.asarray(unit * np.sqrt(squares))
+        for block, root in self._blocks():
+            raise_to_largest(largest, block, root)
+        unit = power_of_two(largest, LARGEST_UNIT)
+        for block, root in self._blocks():
+            add_squares(squares, block, root, unit, np.empty_like(unit))
+        return np.asarray(unit * np.sqrt(squares))
+
+    def _estimated_lengths(self) -> FloatVector:
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, self.shape[0]))
+        seen = np.array([self.transposed(self.root_weights * row) for row in signs])
+        unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_UNIT)
+        lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
+        typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
+        return np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
 
     @cached_property
     def unit(self) -> UnitLeastSquares:
         """The problem in the units of the methods."""
-        with np.errstate(all="ignore"):
-            return UnitLeastSquares(self)
+        return UnitLeastSquares(self)
 
     @cached_property
     def root_weights(self) -> FloatVector:
@@ -271,24 +280,3 @@ def _checked_operator(A: Any) -> Any:
 
 def _vector(values: Any) -> FloatVector:
     return np.asarray(values, dtype=np.float64).reshape(-1)
-
-
-def _raise_to_largest(largest: FloatVector, block: Any, root: FloatVector) -> None:
-    """Raise `largest` to the largest entries of the columns of √weights A."""
-    from .kernels.least_squares_sums import raise_to_largest
-
-    if sp.issparse(block):
-        np.maximum.at(largest, block.indices, np.abs(block.data) * np.repeat(root, np.diff(block.indptr)))
-    else:
-        raise_to_largest(largest, np.ascontiguousarray(block), root)
-
-
-def _add_squares(squares: FloatVector, block: Any, root: FloatVector, unit: FloatVector) -> None:
-    """Add the squares of the columns of √weights A, in units in which none overflows."""
-    from .kernels.least_squares_sums import add_squares
-
-    if sp.issparse(block):
-        entries = block.data * np.repeat(root, np.diff(block.indptr)) / unit[block.indices]
-        squares += np.bincount(block.indices, entries * entries, minlength=block.shape[1])
-    else:
-        add_squares(squares, np.ascontiguousarray(block), root, unit, np.empty_like(unit))

@@ -99,13 +99,13 @@ class Enclosures:
         return sums
 
     def _radius(self, sums: Any, radius: FloatVector, *, by_rows: bool) -> FloatVector:
-        from .kernels.least_squares_sums import radii
+        from .sums import radii
 
         radii(sums, self._terms[not by_rows], radius)
         return radius
 
     def _with_ridge(self, value: FloatVector, radius: FloatVector, x: FloatVector) -> Ball:
-        from .kernels.least_squares_sums import with_ridge
+        from .sums import with_ridge
 
         with_ridge(value, radius, self.problem.ridge, x)
         return value, radius
@@ -168,7 +168,7 @@ class Enclosures:
 
 def _sums_of_dense(B: Any, v: FloatVector, slip: FloatVector) -> Any:
     """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0, B by rows or by columns."""
-    from .kernels.least_squares_sums import along_rows, down_columns
+    from .sums import along_rows, down_columns
 
     sums, part = np.zeros((2, 4, B.shape[0]))
     if B.flags.c_contiguous:

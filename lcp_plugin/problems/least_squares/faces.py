@@ -93,7 +93,7 @@ class FacePoint:
 
     def steepness(self, reference: tuple[float, float]) -> float:
         """Return the larger natural residual, in the caller's units and in these, beside the reference of each."""
-        from .kernels.least_squares_sums import largest_residuals
+        from .sums import largest_residuals
 
         unit, gradient = self.problem, self.gradient
         scaled, plain, _ = largest_residuals(
@@ -120,8 +120,7 @@ class FacePoint:
 
     def farthest(self, direction: FloatVector) -> float:
         """Return how far one may go along the direction before a bound stops it."""
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            room = np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x) / direction
+        room = np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x) / direction
         return float(np.min(room, initial=np.inf, where=direction != 0.0))
 
     def rise(self, direction: FloatVector, product: FloatVector) -> float:

@@ -108,8 +108,7 @@ class RefinedFaces:
         self.A = np.vstack([A, np.eye(n)[: ridge.size]])
         self.b, self.weights = np.concatenate([problem.b, 0.0 * ridge]), np.concatenate([weights, ridge])
         self.root, self.units = np.sqrt(self.weights), problem.column_units
-        with np.errstate(over="ignore", invalid="ignore"):
-            self.scaled = self.root[:, None] * self.A / self.units
+        self.scaled = self.root[:, None] * self.A / self.units
         rows = sp.csr_array(self.A)
         self._residual_rows = sp.csr_array(sp.hstack([rows, rows, -sp.eye_array(rows.shape[0])]))
         self._columns = sp.csr_array(rows.T)
@@ -137,21 +136,20 @@ class RefinedFaces:
         """Return the minimum over these columns, which are independent, the others as in x, and its dual point."""
         factor, units = self._factor(free), self.units[free]
         high, low, y = x.copy(), np.zeros(x.size), np.zeros(self.b.size)
-        with np.errstate(all="ignore"):
-            for _ in range(REFINEMENTS):
-                off = compensated_product(self._residual_rows, np.concatenate([high, low, y]), -self.b)[0]
-                steep = self.slope(y)[0][free]
-                d, v = factor.solve(-self.root * off, -steep / units)
-                dy = np.divide(v, self.root, out=-off.copy(), where=self.root > 0.0)
-                dx = d / units
-                y = y + dy
-                moved = low[free] + dx
-                summed = high[free] + moved
-                low[free], high[free] = (high[free] - summed) + moved, summed
-                if (np.abs(dx) <= SETTLED * np.abs(high[free])).all() and (np.abs(dy) <= SETTLED * np.abs(y)).all():
-                    return high, y
-            y[np.abs(dy) > UNSETTLED * np.abs(y)] = 0.0
-            high[free] = np.where(np.abs(dx) > UNSETTLED * np.abs(high[free]), 0.0, high[free])
+        for _ in range(REFINEMENTS):
+            off = compensated_product(self._residual_rows, np.concatenate([high, low, y]), -self.b)[0]
+            steep = self.slope(y)[0][free]
+            d, v = factor.solve(-self.root * off, -steep / units)
+            dy = np.divide(v, self.root, out=-off.copy(), where=self.root > 0.0)
+            dx = d / units
+            y = y + dy
+            moved = low[free] + dx
+            summed = high[free] + moved
+            low[free], high[free] = (high[free] - summed) + moved, summed
+            if (np.abs(dx) <= SETTLED * np.abs(high[free])).all() and (np.abs(dy) <= SETTLED * np.abs(y)).all():
+                return high, y
+        y[np.abs(dy) > UNSETTLED * np.abs(y)] = 0.0
+        high[free] = np.where(np.abs(dx) > UNSETTLED * np.abs(high[free]), 0.0, high[free])
         return high, y
 
 

@@ -113,7 +113,7 @@ def solve_least_squares(
 
 def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult:
     """Take the compiled way of small problems to its end, which may be no answer."""
-    from .kernels.least_squares import solve_small
+    from .kernels import solve_small
 
     most = min(settings.max_iterations, EXCHANGES * problem.shape[1])
     weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights

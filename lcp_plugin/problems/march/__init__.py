@@ -1,1 +1,351 @@
-"""A problem a time step, each of which teaches the next: march, march_many, their derivatives."""
+"""A march in time: one matrix, and a q that the answer of each step gives to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ...core.algorithms import Algorithm, FusedSolve
+from ...core.certificates.residuals import Certificate
+from ...core.checks import FloatVector, check_kind, checked_vector, is_number, read_only, real_array
+from ...core.deadline import Clock
+from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
+from ...core.kinds import refusal
+from ...core.lcp import LCP
+from ...core.matrix.structure import parts
+from ...core.matrix.units import units_of
+from ...core.policy.choice import Policy
+from ...core.settings import OF_SOLVE, Settings, Status
+from ...core.solving.driver import asked_of_solve, solve
+from ...core.solving.result import Result
+from ...methods.banded import Banded
+from ...methods.small.fused import fused_result
+from ..many.answers import AnswerSequence, Results
+from .marching import Lesson, StepPolicy
+
+BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
+
+
+class March(AnswerSequence[Result]):
+    """The results of a march in time, in order; each is put together when it is looked at.
+
+    Parameters
+    ----------
+    problem, forcing, carry, z0 : LCP, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
+        What :func:`march` was given; they are read again where an answer was not kept.
+    keep_every : int
+        How many steps there are from one kept answer to the next. The last one is kept, too.
+    again : callable
+        Called with a part of the forcing, a z0, a lesson and how many steps come after it, marches there once more.
+
+    Attributes
+    ----------
+    all_solved : bool
+        Whether every step that was taken is SOLVED, and none was refused or interrupted.
+    error : LCPError or None
+        What was wrong with the q of the step that ended the march.
+    seconds : float
+        Wall-clock seconds of the march.
+    """
+
+    ITEM = "step"
+    all_solved = True
+
+    def __init__(
+        self, problem: LCP, forcing: FloatVector, carry: sp.csr_array, z0: FloatVector, keep_every: int,
+        again: Callable[..., March],
+    ) -> None:
+        self.problem, self.forcing, self.carry, self.z0, self.keep_every = problem, forcing, carry, z0, keep_every
+        self.seconds = 0.0
+        self.error: LCPError | None = None
+        self._again, self._count = again, 0
+        self._part: tuple[int, March] | None = None
+        self._kept: dict[int, FloatVector] = {}
+        self._lessons: dict[int, Lesson] = {}  # after the kept steps
+        self._results: dict[int, Result | Callable[[], Result]] = {}
+
+    @property
+    def z(self) -> Sequence[FloatVector]:
+        """The answer of each step, a sequence of arrays of shape (n,)."""
+        return _Answers(self)
+
+    def at(self, k: int) -> Result:
+        """Return the result of step k."""
+        found = self._results.get(k)
+        if found is None:
+            first, part = self.part(k)
+            return part.at(k - first)
+        if not isinstance(found, Result):
+            found = self._results[k] = found()
+        return found
+
+    def part(self, k: int) -> tuple[int, March]:
+        """Return the number of a step, and the march that goes from there over step k to the next answer kept.
+
+        It is taken once more where the answers between were not kept; that of the last call is remembered.
+        """
+        if self.keep_every == 1:
+            return 0, self
+        first = k - k % self.keep_every
+        if self._part is None or self._part[0] != first:
+            state, lesson = (self._kept[first - 1], self._lessons[first - 1]) if first else (self.z0, Lesson())
+            forcing = self.forcing[first : min(first + self.keep_every, len(self))]
+            after = len(self.forcing) - first - len(forcing)
+            self._part = first, self._again(forcing, z0=state, lesson=lesson, after=after)
+        return self._part
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def status(self) -> list[Status]:
+        """The status of each step that was taken; all but the last are SOLVED."""
+        return [Status.SOLVED] * (len(self) - 1) + [self[-1].status for _ in range(min(len(self), 1))]
+
+    @property
+    def algorithm(self) -> str:
+        """What ran in the last step."""
+        return self[-1].algorithm if len(self) else "no step"
+
+    def explain(self) -> str:
+        """Return how many steps of how many were taken, how they ended, and the story of the last one."""
+        last = f"the last step: {self[-1]}" if len(self) else ""
+        return "\n".join(filter(None, [*self._summary(), carry_remark(self.problem, self.carry), last]))
+
+    def _summary(self) -> list[str]:
+        steps = f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
+        return [steps, *([f"ended by {self.error}"] if self.error else [])]
+
+    def __repr__(self) -> str:
+        return f"March({'; '.join(self._summary())})"
+
+    def _take(self, z: FloatVector, result: Result | Callable[[], Result], lesson: Lesson) -> None:
+        last, self._count = self._count - 1, self._count + 1
+        if self.keep_every > 1:
+            self._results.pop(last, None)  # it would keep the vectors of all steps of its block
+            if self._count % self.keep_every != 1:
+                self._kept.pop(last, None)
+                self._lessons.pop(last, None)
+            z = read_only(z.copy())
+        self._kept[last + 1], self._results[last + 1], self._lessons[last + 1] = z, result, lesson
+
+
+class _Answers(Results[FloatVector]):
+    """The z of the steps of a march; one that was not kept is computed once more."""
+
+    def __init__(self, march: March) -> None:
+        self._march = march
+
+    def at(self, k: int) -> FloatVector:
+        kept = self._march._kept.get(k)
+        if kept is None:
+            first, part = self._march.part(k)
+            return part._kept[k - first]
+        return kept
+
+    def __len__(self) -> int:
+        return len(self._march)
+
+
+def march(
+    problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
+) -> March:
+    """Return the result of each step of a march in time, whose q is forcing[k] + carry @ z, z of the step before.
+
+    Parameters
+    ----------
+    problem : LCP
+        Gives M and the bounds; its own q is not used.
+    forcing : array, shape (k, n)
+        A row a step; ``np.broadcast_to(row, (k, n))`` where it is always the same.
+    carry : number or array or sparse array, shape (n, n)
+        What the z of one step adds to the q of the next; a number stands for a multiple of the identity. An implicit
+        Euler step (I + Δt A) z = z_before has −1.
+    z0 : array, shape (n,), optional
+        The state before the first step; by default the point of [lower, upper] nearest to 0.
+    max_seconds : float, optional
+        In seconds, for the whole march: the step under way then is the last one.
+    keep_every : int
+        Of so many answers one stays in memory, and the last. The others are computed once more when they are looked at,
+        from the kept one before, so that what is given must not change: √k of k steps take the least memory.
+    algorithm, **wishes
+        What else :func:`lcp_plugin.solve` takes, for each step.
+
+    Returns
+    -------
+    March
+        A sequence of k Results; of fewer where a step was not solved, which is the last one then, where its q
+        overflows (``error`` says so), or after Ctrl-C.
+
+    Raises
+    ------
+    InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
+        Before the first step; the last where the rows of M are spread over ranks.
+
+    Notes
+    -----
+    Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
+    `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` asks anew in the
+    first two steps; the others begin with what finished the step before, as long as that gets no slower. Where few rows
+    have a bound, as in contact, the others are eliminated by one factor, once for all steps, if that pays.
+
+    A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the carry
+    (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only where it
+    is damped: by four implicit steps at first, half as long, which have the same M, and the carry −B (Rannacher 1984).
+
+    References
+    ----------
+    R. Rannacher, *Finite element solution of diffusion problems with irregular data*, Numer. Math. 43 (1984),
+    doi:10.1007/BF01390130.
+
+    Examples
+    --------
+    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)  # cools in two steps, heated on the left
+    >>> [z.round(3) for z in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z]
+    [array([0.875, 0.625]), array([0.781, 0.469])]
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(refusal("march", problem))
+    problem.matrix.require_all_rows()
+    offsets, rows = checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
+    if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
+        raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
+    if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:
+        raise InvalidOption(f"keep_every must be an integer ≥ 1, got {keep_every!r}; 1 keeps every answer")
+    asked_of_solve(algorithm, wishes)  # what is wrong is refused before the first step
+    limit = Settings(max_seconds=max_seconds).max_seconds
+    state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
+    return _marched(problem, rows, algorithm, int(keep_every), wishes, offsets, z0=state, lesson=Lesson(), limit=limit)
+
+
+def carry_remark(problem: LCP, carry: sp.csr_array) -> str:
+    """Return a sentence where every step raises the q of the next one, as a wrong sign of the carry does; else ''.
+
+    Parameters
+    ----------
+    problem : LCP
+    carry : csr_array, shape (n, n)
+
+    Examples
+    --------
+    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0])
+    >>> print(carry_remark(rod, sp.csr_array(np.eye(2))))
+    carry[0, 0] = 1.0 and no entry of carry is negative: a larger z raises the q of the next step, which lowers z there;
+    an implicit Euler step (I + Δt A) z = z_before has carry −1
+    >>> carry_remark(rod, sp.csr_array(-np.eye(2)))
+    ''
+    """
+    diagonal = carry.diagonal()
+    rows = np.flatnonzero((diagonal > 0.0) & (problem.diagonal > 0.0))
+    if not rows.size or (carry.data < 0.0).any():
+        return ""
+    return (
+        f"carry[{rows[0]}, {rows[0]}] = {diagonal[rows[0]]} and no entry of carry is negative: a larger z raises the q "
+        "of the next step, which lowers z there; an implicit Euler step (I + Δt A) z = z_before has carry −1"
+    )
+
+
+def _marched(
+    problem: LCP, carry: sp.csr_array, algorithm: str | Algorithm, keep_every: int, wishes: dict[str, Any],
+    forcing: FloatVector, *, z0: FloatVector, lesson: Lesson, limit: float = np.inf, after: int = 0,
+) -> March:
+    """Return the march from the state z0 with what was learned before it, within so many seconds.
+
+    `after` steps come after it, for which what is dear may pay as well.
+    """
+    (policy, settings), clock = asked_of_solve(algorithm, wishes), Clock(problem.communicator)
+    is_unobserved, state = settings.is_unobserved and wishes.get("callback") is None, z0
+    quiet = {name: wish for name, wish in wishes.items() if name not in ("callback", "verbose")}
+    done = March(
+        problem, forcing, carry, z0, keep_every, partial(_marched, problem, carry, algorithm, 1, quiet)
+    )
+    while len(done) < len(forcing) and done.all_solved:
+        before = len(done)
+        try:
+            if is_unobserved and clock.read() < limit:
+                for z, result in _fused(problem, policy, settings, forcing[before : before + BLOCK], carry, state):
+                    done._take(z, result, lesson)
+            if len(done) == before:
+                with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
+                    step = problem.with_q(forcing[before] + carry @ state)
+                left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
+                of_step = StepPolicy(lesson, refutes=settings.refute) if algorithm == "auto" else None
+                found = solve(step, of_step or algorithm, z0=state, **{**wishes, **left})
+                done.all_solved = found.is_solved
+                if of_step is not None and found.is_solved:
+                    lesson = of_step.lesson(problem, after + len(forcing) - before - 1)
+                done._take(found.z, found, lesson)
+            state = done.z[-1]
+        except InvalidProblem as error:
+            if not done:
+                raise
+            done.error, done.all_solved = error, False
+        except KeyboardInterrupt:
+            if not done:
+                raise
+            done.all_solved = False
+    done.seconds = clock.read()
+    return done
+
+
+def _fused(
+    problem: LCP, policy: Policy, settings: Settings, offsets: FloatVector, carry: sp.csr_array, state: FloatVector
+) -> Iterator[tuple[FloatVector, Callable[[], Result]]]:
+    """Yield the steps that one compiled loop takes, up to the first that does not converge."""
+    first, clock = policy.first(problem), Clock(problem.communicator)
+    if not (isinstance(first.algorithm, Banded) and has_common_units(problem)):
+        return
+    Q, Z = np.array(offsets), np.empty(offsets.shape)
+    Q[0] += carry @ state
+    np.clip(state, problem.lower, problem.upper, out=Z[0])
+    found = first.algorithm.fused_solves(problem, Q, Z, settings.tolerance, settings.max_iterations, carry)
+    seconds = clock.read() / len(found)
+
+    def result_of(q: FloatVector, one: FusedSolve) -> Result:
+        certificate = Certificate.enclosed(problem.with_q(q), one.z, one.residual)
+        return fused_result(certificate, policy, first, one, settings, seconds)
+
+    for q, one in zip(Q, found, strict=True):
+        if one is None:
+            return
+        yield one.z, partial(result_of, q, one)
+
+
+def has_common_units(problem: LCP) -> bool:
+    """Return whether a compiled loop may judge all rows alike: in no units of a step's own, nor of the unknowns."""
+    return parts(problem.matrix) is None and units_of(problem.matrix) is None
+
+
+def checked_forcing(
+    forcing: Any, n: int, shape: str = "(k, n), a row a step", axes: tuple[int, ...] = (2,)
+) -> FloatVector:
+    """Return the forcing as a finite array of one of these numbers of axes."""
+    need = f"forcing must be a finite array of shape {shape}, n = {n}"
+    offsets = real_array(forcing.toarray() if sp.issparse(forcing) else forcing, need)
+    if offsets.ndim not in axes or offsets.shape[-1] != n:
+        raise InvalidProblem(f"{need}, got shape {offsets.shape}")
+    if not np.isfinite(offsets).all():
+        at = np.argwhere(~np.isfinite(offsets))[0]
+        raise InvalidProblem(f"{need}, but forcing{at.tolist()} = {offsets[tuple(at)]}; repair that entry")
+    return offsets
+
+
+def _checked_carry(carry: Any, n: int) -> sp.csr_array:
+    need = f"carry must be a number or a finite array of shape ({n}, {n})"
+    if is_number(carry):
+        carry = float(carry) * sp.eye_array(n)
+    elif not sp.issparse(carry):
+        carry = real_array(carry, need)
+    if carry.shape != (n, n):
+        raise InvalidProblem(f"{need}, got shape {carry.shape}")
+    check_kind(carry.dtype, need)
+    rows = sp.csr_array(carry, dtype=np.float64)
+    if not np.isfinite(rows.data).all():
+        raise InvalidProblem(f"{need}, got NaN or infinite entries; repair them")
+    return rows

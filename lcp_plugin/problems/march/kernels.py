@@ -14,8 +14,8 @@ import numpy as np
 from ...core.kernels.compilation import compiled_into_others, compiled_part, interpreted_while_small
 from ...core.kernels.enclosures import MAY_UNDERFLOW, fused, split_sum
 from ...core.kernels.floats import EPSILON
-from ...methods.banded.kernels.bands import add_product, eliminate
-from ...methods.banded.kernels.marches import substitute
+from ...methods.banded.kernels import add_product, eliminate
+from ...methods.banded.march_kernels import substitute
 
 STEPS = 6  # of the active-set method; from a solved problem one or two settle all rows
 SETTLED = 2.0**-26  # of z, of the last step: the next one would be rounding

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,11 +18,134 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import FloatVector, finite_vector, is_number, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
-from .march import BLOCK, March
-from .march_steps import Band, Change, CompiledSteps, Sums
+from ...core.matrix.matrix import Matrix
+from ...core.matrix.structure import row_numbers
+from ...systems.factors import BANDED_UP_TO, bands
+from ...systems.graph import bandwidth
+from . import BLOCK, March
 
 if TYPE_CHECKING:
-    from ..sensitivity.derivative import Derivative
+    from ..sensitivity import Derivative
+
+
+class Sums(NamedTuple):
+    """The gradient by the state after the steps not yet gone back, and what has been summed up over the others."""
+
+    after: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+    M: FloatVector
+    carry: FloatVector
+
+
+class Band(NamedTuple):
+    """What the compiled loops take of a narrow band: M, the carry, both transposed; where their entries are."""
+
+    band: Any
+    transposed: Any
+    rows: Any
+    carry: Any
+    transposed_carry: Any
+    of_matrix: Any
+    of_carry: Any
+
+    @classmethod
+    def of(cls, matrix: Matrix, carry: sp.csr_array) -> Band | None:
+        """Return it, None where the band is not narrow."""
+        if sum(bandwidth(matrix) or (matrix.n, matrix.n)) > BANDED_UP_TO:
+            return None
+        found = [band for band in map(bands, (matrix, Matrix(sp.csr_array(matrix.csr.T)))) if band is not None]
+        if len(found) < 2:
+            return None
+        band, back = ((band.entries, band.below, band.is_tridiagonal_z, band.weights) for band in found)
+        across = _by_rows(sp.csr_array(carry.T))
+        return cls(band, back, _by_rows(matrix.csr), _by_rows(carry), across, _places(matrix.csr), _places(carry))
+
+
+def _by_rows(A: sp.csr_array) -> Any:
+    return A.indptr.astype(np.int64), A.indices.astype(np.int64), A.data
+
+
+def _places(A: sp.csr_array) -> Any:
+    return row_numbers(A).astype(np.int64), A.indices.astype(np.int64)
+
+
+class CompiledSteps:
+    """Some steps that follow each other, by the compiled loops as far as these go.
+
+    `states`, shape (count + 1, n), are the one before the first of them, whose number is `first`, and the answers.
+    """
+
+    def __init__(self, whole: MarchDerivative, first: int, states: FloatVector) -> None:
+        self.whole, self.march, self.band, self.first, self.states = whole, whole.march, whole.band, first, states
+        march, count = whole.march, len(states) - 1
+        self.q = np.add(march.forcing[first : first + count], (march.carry @ states[:-1].T).T, order="C")
+        self.z, self.sides = states[1:].copy(), np.zeros((count, states.shape[1]), np.int8)
+        self._of_step: tuple[int, Derivative] | None = None
+        self.is_plain = np.zeros(count, np.bool_)
+        if self.band is not None:
+            from .kernels import settle
+
+            problem = march.problem
+            settle(self.band.band, *self.band.rows, problem.residual_scale, self.q, problem.lower, problem.upper,
+                   self.z, self.sides, self.is_plain)
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+    def at(self, k: int) -> Derivative:
+        """Return the derivative of a step by its own data."""
+        if self._of_step is None or self._of_step[0] != k:
+            problem, z = self.march.problem.with_q(self.q[k]), self.states[k + 1]
+            self._of_step = k, self.whole.next_at(problem, z, problem.slack(z))
+        return self._of_step[1]
+
+    def degenerate(self, k: int) -> NDArray[np.intp]:
+        """Return the degenerate rows of a step; of a side, 2 says that w = 0 there."""
+        return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain[k] else self.at(k).degenerate
+
+    def jvp(
+        self, dM: sp.csr_array, dforcing: FloatVector, dcarry: sp.csr_array, dlower: FloatVector, dupper: FloatVector,
+        before: FloatVector, dz: FloatVector,
+    ) -> None:
+        """Write the changes of the answers, and that of the state, which comes with that before the first step."""
+        k, carry = 0, self.march.carry
+        while k < len(self):
+            if self.band is not None:
+                from .kernels import tangents
+
+                k = tangents(
+                    self.band.band, self.band.carry, _by_rows(dM), _by_rows(dcarry), dforcing, dlower, dupper,
+                    self.states, self.z, self.sides, self.is_plain, k, before, dz,
+                )
+            if k < len(self):
+                dq = dforcing[min(k, len(dforcing) - 1)] + dcarry @ self.states[k] + carry @ before
+                before[:] = self.at(k).jvp(dq=dq + dM @ self.at(k).z, dlower=dlower, dupper=dupper)
+                dz[min(k, len(dz) - 1)] = before
+                k += 1
+
+    def vjp(self, g: FloatVector, sums: Sums, by_q: FloatVector) -> None:
+        """Add what these steps have to the sums, and write their gradients by q where there is room."""
+        k, march = len(self) - 1, self.march
+        while k >= 0:
+            if self.band is not None:
+                from .kernels import adjoints
+
+                k = adjoints(
+                    self.band.transposed, self.band.transposed_carry, g, self.band.of_matrix, self.band.of_carry,
+                    self.states, self.z, self.sides, self.is_plain, k, sums.after, by_q, sums.lower, sums.upper,
+                    sums.M, sums.carry,
+                )
+            if k >= 0:
+                found = self.at(k).vjp(sums.after + g[k] if len(g) else sums.after)
+                sums.lower[:] += found.lower
+                sums.upper[:] += found.upper
+                sums.M[:] += found.M.data
+                sums.carry[:] += found.q[row_numbers(march.carry)] * self.states[k][march.carry.indices]
+                sums.after[:] = march.carry.T @ found.q
+                if len(by_q):
+                    by_q[k] = found.q
+                k -= 1
 
 
 class MarchGradient:
@@ -87,7 +210,7 @@ class MarchDerivative:
         result = self.march[k]
         return self._derivative_at(result.certificate.problem, result.z, result.w)
 
-    def _after(self, problem: LCP, z: FloatVector, w: FloatVector) -> Derivative:
+    def next_at(self, problem: LCP, z: FloatVector, w: FloatVector) -> Derivative:
         """Return the derivative of the next step asked for; the factor of the last one serves again."""
         self._before = self._derivative_at(problem, z, w, before=self._before)
         return self._before
@@ -153,15 +276,14 @@ class MarchDerivative:
                [0.15625, 0.09375]])
         """
         n, steps = self.march.problem.n, len(self)
-        change = Change(
-            _matrix(dM, "dM", n), _rows(dforcing, "dforcing", steps, n), _matrix(dcarry, "dcarry", n),
-            _vector(dlower, "dlower", n), _vector(dupper, "dupper", n),
-        )
+        rows = np.atleast_2d(_rows(np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"))
+        dM, dcarry = _matrix(dM, "dM", n), _matrix(dcarry, "dcarry", n)
+        low, high = _vector(dlower, "dlower", n), _vector(dupper, "dupper", n)
         before, dz = _vector(dz0, "dz0", n, may_be_number=False).copy(), np.empty((1 if only_last else steps, n))
         for part in self._parts():
             here = slice(part.first, part.first + len(part))
-            part.jvp(change, change.dforcing[here if len(change.dforcing) > 1 else slice(None)], before,
-                     dz if only_last else dz[here])
+            own = rows[here] if len(rows) > 1 else rows
+            part.jvp(dM, own, dcarry, low, high, before, dz if only_last else dz[here])
         return dz if not only_last else dz[0] if steps else before
 
     def vjp(self, g: ArrayLike) -> MarchGradient:
@@ -193,12 +315,7 @@ class MarchDerivative:
                [-0.375  , -0.125  ]])
         """
         n, steps = self.march.problem.n, len(self)
-        need = f"g must be a finite array of shape ({steps}, {n}), or ({n},) for the last answer alone"
-        rows = np.array(real_array(g, need), order="C")
-        if rows.shape not in ((steps, n), (n,)):
-            raise InvalidProblem(f"{need}, got shape {rows.shape}")
-        if not np.isfinite(rows).all():
-            raise InvalidProblem(f"{need}, but g{np.argwhere(~np.isfinite(rows))[0].tolist()} is not")
+        rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
         found = self._back(rows, np.empty((0, n)))
 
         def by_forcing() -> FloatVector:
@@ -216,10 +333,8 @@ class MarchDerivative:
         """Return the sums over all steps, and write the gradients by q where there is room for them."""
         problem, n = self.march.problem, self.march.problem.n
         is_last_alone = g.ndim == 1
-        sums = Sums(
-            g.copy() if is_last_alone else np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(problem.matrix.csr.nnz),
-            np.zeros(self.march.carry.nnz),
-        )
+        after, of_entries = g.copy() if is_last_alone else np.zeros(n), np.zeros(problem.matrix.csr.nnz)
+        sums = Sums(after, np.zeros(n), np.zeros(n), of_entries, np.zeros(self.march.carry.nnz))
         for part in self._parts(backwards=True):
             here = slice(part.first, part.first + len(part))
             part.vjp(g[:0].reshape(0, n) if is_last_alone else g[here], sums, by_q[here])
@@ -234,10 +349,11 @@ class MarchDerivative:
             end = min(first + every, len(whole))
             states = np.array([part.z0 if first == begin else part.z[first - begin - 1],
                                *part.z[first - begin : end - begin]])
-            yield CompiledSteps(whole, first, states, self._band, self._after)
+            yield CompiledSteps(self, first, states)
 
     @cached_property
-    def _band(self) -> Band | None:
+    def band(self) -> Band | None:
+        """What the compiled loops take, where M is a narrow band."""
         return Band.of(self.march.problem.matrix, self.march.carry)
 
 
@@ -256,13 +372,11 @@ def _vector(given: ArrayLike | None, name: str, n: int, *, may_be_number: bool =
     return finite_vector(given, name, n)
 
 
-def _rows(given: ArrayLike | None, name: str, steps: int, n: int) -> FloatVector:
-    """Return a row a step, or one for all."""
-    if given is None or np.ndim(given) == 1:
-        return _vector(given, name, n, may_be_number=False)[np.newaxis]
-    need = f"{name} must be a finite array of shape ({steps}, {n}), or ({n},) for all steps"
+def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:
+    """Return a row a step, or the vector that stands for one thing."""
+    need = f"{name} must be a finite array of shape ({steps}, {n}), or ({n},) for {one}"
     rows = real_array(given, need)
-    if rows.shape != (steps, n):
+    if rows.shape not in ((steps, n), (n,)):
         raise InvalidProblem(f"{need}, got shape {rows.shape}")
     if not np.isfinite(rows).all():
         raise InvalidProblem(f"{need}, but {name}{np.argwhere(~np.isfinite(rows))[0].tolist()} is not")

@@ -7,12 +7,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.algorithms import Algorithm
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector, real_array
+from ...core.checks import FloatVector
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kinds import refusal
@@ -20,12 +19,12 @@ from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_threads
 from ...core.solving.driver import asked_of_solve
 from ...core.solving.result import Result
-from ...methods.banded.banded import Banded
+from ...methods.banded import Banded
 from ...methods.small.fused import fused_result
 from ...systems.factors import bands
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
-from .march import BLOCK, March, has_common_units, march
+from . import BLOCK, March, checked_forcing, has_common_units, march
 from .marching import Lesson
 
 SIDE_BY_SIDE = 24  # marches in one compiled loop: more do not stay near the processor
@@ -81,9 +80,10 @@ def march_many(
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("march_many", problem))
     n, clock, limit = problem.n, Clock(problem.communicator), Settings(max_seconds=max_seconds).max_seconds
-    offsets = _checked_forcing(forcing, n)
-    rows = {name: rows_of_a_batch(given, name, n)
-            for name, given in (("lower", lower), ("upper", upper), ("z0", z0)) if given is not None}
+    given = checked_forcing(forcing, n, "(m, k, n), or (k, n) for all marches", (2, 3))
+    offsets = [given] if given.ndim == 2 else list(given)
+    rows = {name: rows_of_a_batch(values, name, n)
+            for name, values in (("lower", lower), ("upper", upper), ("z0", z0)) if values is not None}
     count = length_of_all({
         **({"forcing": len(offsets)} if len(offsets) != 1 else {}),
         **{name: len(given) for name, given in rows.items() if len(given) != 1},
@@ -218,15 +218,3 @@ def _unfinished(group: list[March]) -> list[March]:
 
 def _state(one: March) -> FloatVector:
     return one.z[-1] if len(one) else one.z0
-
-
-def _checked_forcing(forcing: Any, n: int) -> list[FloatVector]:
-    """Return the forcing of each march, or the one for all."""
-    need = f"forcing must be a finite array of shape (m, k, n), or (k, n) for all marches, n = {n}"
-    given = real_array(forcing.toarray() if sp.issparse(forcing) else forcing, need)
-    if given.ndim not in (2, 3) or given.shape[-1] != n:
-        raise InvalidProblem(f"{need}, got shape {given.shape}")
-    if not np.isfinite(given).all():
-        at = np.argwhere(~np.isfinite(given))[0]
-        raise InvalidProblem(f"{need}, but forcing{at.tolist()} = {given[tuple(at)]}; repair that entry")
-    return [given] if given.ndim == 2 else list(given)

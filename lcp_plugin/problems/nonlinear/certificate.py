@@ -162,19 +162,15 @@ def term_residuals(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVec
         unit = for_each_row(problem, np.minimum(unit, largest_of_parts(problem, np.abs(x))))
         on_bound = np.abs(value) - problem.M.diagonal() * distance  # as far as the diagonal entry tells
         stays_right = ~(on_bound < 0.0)
+        rows = problem.matrix.csr_rows
+        unknowns = largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0))  # of each row
         ratios = np.stack([
             (wrong / terms) ** (4.0 / 3.0),
             np.where(stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf),
-            np.where(np.abs(problem.q) <= VANISHING * moved, _largest_unknowns(problem, x) / unit, np.inf),
+            np.where(np.abs(problem.q) <= VANISHING * moved, unknowns / unit, np.inf),
         ])
         squares: FloatVector = np.fmin.reduce(ratios)
     return np.where(wrong == 0.0, 0.0, np.where(np.isfinite(squares), squares, np.inf))
-
-
-def _largest_unknowns(problem: LCP, x: FloatVector) -> FloatVector:
-    """Return the largest |x_j| of the entries of each row, shape (n,)."""
-    rows = problem.matrix.csr_rows
-    return largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,6 +65,7 @@ class Differences:
         )
         return cls(pattern, groups)
 
+    @np.errstate(all="ignore")
     def at(
         self, F: Callable[[FloatVector], FloatVector], x: FloatVector, value: FloatVector, lower: FloatVector,
         upper: FloatVector,
@@ -103,10 +104,9 @@ class Differences:
     ) -> FloatVector:
         """Return the entries with 0 for those whose difference is no more than a few roundings of their row's terms."""
         rows, products = self.pattern.indices, derivative * x[self._columns]
-        with np.errstate(all="ignore"):
-            rest = value - np.bincount(rows, products, value.size)
-            terms = np.abs(rest) + np.bincount(rows, np.abs(products), value.size)
-            is_rounding = np.abs(derivative) * steps <= ROUNDINGS * EPSILON * terms[rows]
+        rest = value - np.bincount(rows, products, value.size)
+        terms = np.abs(rest) + np.bincount(rows, np.abs(products), value.size)
+        is_rounding = np.abs(derivative) * steps <= ROUNDINGS * EPSILON * terms[rows]
         return np.where(is_rounding, 0.0, derivative)
 
     def _groups(self) -> Iterator[tuple[NDArray[np.bool_], NDArray[Any]]]:
@@ -122,25 +122,22 @@ class Differences:
         places: NDArray[Any],
     ) -> FloatVector:
         moved = x + step
-        with np.errstate(all="ignore"):
-            difference = F(moved) - value
-            quotient: FloatVector = difference[self.pattern.indices[places]] / (moved - x)[self._columns[places]]
+        difference = F(moved) - value
+        quotient: FloatVector = difference[self.pattern.indices[places]] / (moved - x)[self._columns[places]]
         return quotient
 
 
 def _agree(one: FloatVector, other: FloatVector) -> BoolVector:
     """Return where two quotients differ by a hundredth at most; a NaN agrees with nothing."""
-    with np.errstate(all="ignore"):
-        agree: BoolVector = np.abs(one - other) <= 0.01 * np.maximum(np.abs(one), np.abs(other))
+    agree: BoolVector = np.abs(one - other) <= 0.01 * np.maximum(np.abs(one), np.abs(other))
     return agree
 
 
 def _steps(size: FloatVector, x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
     """Return how far each unknown is moved: away from 0, but towards the bound that is farther where one is near."""
     length = STEP * size
-    with np.errstate(all="ignore"):
-        above, below = upper - x, x - lower
-        sign = np.where(x < 0.0, -1.0, 1.0)
-        ahead, behind = np.where(sign > 0.0, above, below), np.where(sign > 0.0, below, above)
-        steps: FloatVector = np.where((ahead < length) & (behind > ahead), -sign, sign) * length
+    above, below = upper - x, x - lower
+    sign = np.where(x < 0.0, -1.0, 1.0)
+    ahead, behind = np.where(sign > 0.0, above, below), np.where(sign > 0.0, below, above)
+    steps: FloatVector = np.where((ahead < length) & (behind > ahead), -sign, sign) * length
     return steps

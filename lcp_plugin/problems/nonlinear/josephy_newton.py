@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -13,20 +13,25 @@ import scipy.sparse as sp
 
 from ...core.algorithms import Algorithm, Step
 from ...core.algorithms.base import without_warnings
-from ...core.certificates.criterion import largest_of_parts
+from ...core.certificates.criterion import CommonUnits, largest_of_parts
 from ...core.certificates.row_residuals import largest_ratio, scaled_residual
 from ...core.checks import FloatVector
-from ...core.deadline import is_over
+from ...core.crossovers import INTERIOR_STEPS
+from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.structure import parts
-from ...core.settings import Status
-from ...core.solving.result import Result
+from ...core.policy.choice import Policy, policy_for
+from ...core.policy.stages import Choice, Stage
+from ...core.settings import Settings, Status
+from ...core.solving.result import Result, Sample
+from ...core.solving.run import Run
+from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister, phi_jacobian
+from ...methods.small.fused import fused
 from ...systems.factors import factor_fits, factorise
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations
-from .linearisation import solved_within
 
 SUFFICIENT = 1e-4
 SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened
@@ -41,7 +46,9 @@ SMALLEST_TOLERANCE = 1e-14
 ENOUGH = 0.1  # of what the run asks for: no linearisation need be solved to less
 PATIENCE = 25  # steps without a residual clearly below those of the window before it
 WINDOW, GAIN = 12, 0.95  # after a jump a long way back may begin
-RESTARTS, SMALL = 6, 1000  # unknowns: beyond them a new start is too expensive
+RESTARTS, SMALL = 6, 1000  # unknowns: beyond them a new start, and steps without progress, are too expensive
+FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
+PATHS = 2  # of pivots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,10 +86,6 @@ class JosephyNewton(Algorithm):
     """
 
     name: ClassVar[str] = "josephy_newton"
-    assumption: ClassVar[str] = "F smooth"
-    converges_on: ClassVar[str] = "near strongly regular solutions, quadratically"
-    cost: ClassVar[str] = "1 LCP"
-    reference: ClassVar[str] = "Josephy 1979, MRC report 1965"
     is_monotone: ClassVar[bool] = False
 
     points: Linearisations = field(repr=False)
@@ -156,8 +159,7 @@ class _Newton:
             point = self._at(np.clip(x, problem.lower, problem.upper))
             if point.is_defined:
                 self.here, self.is_regularised = point, False
-                self.recent.clear()
-                self.recent.append(point)
+                self.recent = deque([point], maxlen=MEMORY)
                 self.options.points.keep(point)
                 return True
         return False
@@ -222,11 +224,9 @@ class _Newton:
         return None
 
     def _proximal(self, lcp: LCP, worst: float) -> Linearisation | None:
-        for shift in SHIFTS:
-            target = self._proximal_point(lcp, shift)
-            if target is not None and (found := self._searched(target, worst)) is not None:
-                return found
-        return None
+        targets = (self._proximal_point(lcp, shift) for shift in SHIFTS)
+        found = (self._searched(target, worst) for target in targets if target is not None)
+        return next((point for point in found if point is not None), None)
 
     def _proximal_point(self, lcp: LCP, shift: float) -> FloatVector | None:
         """Return the solution of the LCP of F′(x) + shift D, which leaves F(x) as it is."""
@@ -315,7 +315,13 @@ class _Newton:
         relative = self._relative(self.here)
         enough = max(ENOUGH * self.options.tolerance / relative, SMALLEST_TOLERANCE) if relative > 0.0 else FORCING
         tolerance = min(max(relative, enough), FORCING)
-        result = self._solved_by(self.options.linear, step, tolerance)
+        algorithm = self.options.linear
+        try:
+            result = solved_within(step, algorithm, tolerance)
+        except (UnsuitableMatrix, UnsuitableProblem):  # by an algorithm that does not take this linearisation
+            if algorithm == "auto":
+                raise
+            result = solved_within(step, "auto", tolerance)
         self.work += result.work
         self.is_given_up = result.status is Status.INTERRUPTED
         if not (result.is_solved or result.residual <= 0.5):
@@ -323,15 +329,6 @@ class _Newton:
         target = np.clip(x + result.z, lcp.lower, lcp.upper)
         target = np.where(result.z <= step.lower, lcp.lower, target)  # the sum may have missed the bound
         return np.where(result.z >= step.upper, lcp.upper, target)
-
-    def _solved_by(self, algorithm: str | Algorithm, step: LCP, tolerance: float) -> Result:
-        """Return the result of that algorithm; of auto where it does not take this linearisation."""
-        try:
-            return solved_within(step, algorithm, tolerance)
-        except (UnsuitableMatrix, UnsuitableProblem):
-            if algorithm == "auto":
-                raise
-            return solved_within(step, "auto", tolerance)
 
 
 def _weights(start: Linearisation, compared_with: Reference) -> FloatVector:
@@ -342,3 +339,58 @@ def _weights(start: Linearisation, compared_with: Reference) -> FloatVector:
     unit = compared_with.ends(start.lcp, start.x, start.value)[1]
     weights: FloatVector = 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)[several.labels]
     return weights
+
+
+class LinearPolicy(Policy):
+    """What solves a linearisation: the caller's policy without a look for proofs; pivots are its last resort."""
+
+    def __init__(self, algorithm: str | Algorithm) -> None:
+        self._policy = policy_for(algorithm, {}, refutes=False, looks_at_cases=False)
+        self.name, self.chosen = self._policy.name, self._policy.chosen
+
+    def first(self, problem: LCP) -> Choice:
+        """Return what the policy begins with."""
+        return self._policy.first(problem)
+
+    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+        """Return the policy's next choice; pivots are the last, and nothing has two turns."""
+        if isinstance(stages[-1].algorithm, Lemke):
+            return None
+        choice = self._policy.next_step(problem, stages, goal, failed)
+        if choice is None or any(stage.algorithm == choice.algorithm for stage in stages):
+            return None
+        is_pivoting = isinstance(choice.algorithm, Lemke)
+        return replace(choice, algorithm=Lemke(restarts=PATHS)) if is_pivoting else choice
+
+
+def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
+    """Return the result of a run within another one, whose limits hold for it and whose Ctrl-C ends both.
+
+    From the projected gradient step: the methods see a start and look for a solution near it.
+    """
+    left, clock, units = seconds_left(), Clock(problem.communicator), CommonUnits.of(problem)
+    policy = LinearPolicy(algorithm)
+    settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
+    step = np.nan_to_num(-problem.q / problem.residual_scale)
+    start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
+    if (result := fused(units, policy, first, settings, start, clock)) is not None:
+        return result
+    run = Run(units, policy, settings, _Patience() if problem.n > SMALL else None, clock)
+    return run.judged(start, run.drive(start, first))
+
+
+class _Patience:
+    """Ends a run in which many factorisations have not halved the residual."""
+
+    def __init__(self) -> None:
+        self.lowest, self.idle, self.before = math.inf, 0, 0
+
+    def __call__(self, sample: Sample, z: FloatVector) -> bool:
+        """Return whether the run has had its time."""
+        residual, steps = math.inf if sample.residual is None else sample.residual, sample.iteration - self.before
+        self.before = sample.iteration
+        if residual <= 0.5 * self.lowest:
+            self.lowest, self.idle = residual, 0
+        elif sample.label in FACTORS:
+            self.idle += steps
+        return self.idle >= FACTORS.get(sample.label, math.inf)

@@ -212,6 +212,7 @@ def _proved(certificate: Any) -> BoundOrReason:
     return BoundOrReason(bound)
 
 
+@np.errstate(all="ignore")
 def require_true_jacobian(point: Linearisation) -> None:
     """Raise where differences of F along a random direction contradict the derivative there; cost: 9 values of F.
 
@@ -253,13 +254,12 @@ def require_true_jacobian(point: Linearisation) -> None:
 def _contradiction(point: Linearisation, direction: FloatVector) -> FloatVector:
     """Return by how much each row disagrees, relative to its terms, where it does so least; 0 where nothing tells."""
     least = np.full(point.x.size, np.inf)
-    with np.errstate(all="ignore"):
-        size = np.asarray(abs(point.lcp.M) @ np.abs(direction))
-        for step in (STEP, *OTHERS):
-            wrong, unsure = _difference(point, direction, step)
-            terms = size + np.abs(wrong)
-            is_told = np.isfinite(terms) & (UNSURE * unsure < np.maximum(np.abs(wrong), WRONG * terms))
-            least = np.where(is_told, np.minimum(least, np.abs(wrong) / terms), least)
+    size = np.asarray(abs(point.lcp.M) @ np.abs(direction))
+    for step in (STEP, *OTHERS):
+        wrong, unsure = _difference(point, direction, step)
+        terms = size + np.abs(wrong)
+        is_told = np.isfinite(terms) & (UNSURE * unsure < np.maximum(np.abs(wrong), WRONG * terms))
+        least = np.where(is_told, np.minimum(least, np.abs(wrong) / terms), least)
     contradiction: FloatVector = np.where(np.isinf(least) | point.is_steep, 0.0, least)
     return contradiction
 
@@ -269,12 +269,11 @@ def _difference(
 ) -> tuple[FloatVector, FloatVector]:
     """Return the derivative of F along a direction less F′ times it, and a bound of the former's error, about."""
     x, value, F = point.x, point.value, point.problem.value
-    with np.errstate(all="ignore"):
-        long = (F(x + 2.0 * step * direction) - value) / (2.0 * step)
-        short = (F(x + step * direction) - value) / step
-        product = np.asarray(point.lcp.M @ direction)
-        rounding = 2.0**-50 * (np.abs(value) + np.abs(short) * step + _added(point)) / step
-        return 2.0 * short - long - product, np.abs(short - long) * 0.5 + rounding
+    long = (F(x + 2.0 * step * direction) - value) / (2.0 * step)
+    short = (F(x + step * direction) - value) / step
+    product = np.asarray(point.lcp.M @ direction)
+    rounding = 2.0**-50 * (np.abs(value) + np.abs(short) * step + _added(point)) / step
+    return 2.0 * short - long - product, np.abs(short - long) * 0.5 + rounding
 
 
 def _added(point: Linearisation) -> FloatVector:
@@ -289,8 +288,7 @@ def _direction(point: Linearisation) -> FloatVector:
     random = np.random.default_rng(0)
     sign = np.where(random.random(x.size) < 0.5, -1.0, 1.0)
     size = np.maximum(np.abs(x), 1.0) * random.uniform(0.5, 1.0, x.size)
-    with np.errstate(all="ignore"):
-        sign = np.where(x - lower < 4.0 * STEP * size, 1.0, np.where(upper - x < 4.0 * STEP * size, -1.0, sign))
+    sign = np.where(x - lower < 4.0 * STEP * size, 1.0, np.where(upper - x < 4.0 * STEP * size, -1.0, sign))
     direction: FloatVector = sign * size
     return direction
 

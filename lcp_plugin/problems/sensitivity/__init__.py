@@ -1,1 +1,394 @@
-"""Derivatives of solutions by the data, of one problem and of batches."""
+"""The derivative of a solution by the data of its problem: a linear solve on the free rows.
+
+Within one active set z is smooth in M, q and the bounds. F: strictly between the bounds; A: at a bound with w ≠ 0.
+
+    M_FF dz_F = −(dM z + dq)_F − M_FA db_A,    dz_A = db_A          (b the bound that holds)
+
+and for a function L of z, g = ∂L/∂z: M_FFᵀ λ_F = g_F, λ_A = 0, and ∂L/∂q = −λ, ∂L/∂m_ij = −λ_i z_j,
+∂L/∂b_A = g_A − (Mᵀλ)_A. Where a row is at a bound *and* has w = 0 it is degenerate, and z has one-sided derivatives,
+each the solution of a small LCP on those rows.
+
+References
+----------
+J. S. Pang, D. Ralph, *Piecewise smoothness, local invertibility, and parametric analysis of normal maps*,
+Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
+from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ...core.kinds import refusal
+from ...core.lcp import LCP
+from ...core.matrix.symmetry import has_symmetric_entries
+from ...core.solving.result import Result
+from ...proofs.bounds.active_rows import ActiveRows, proven_rows, settled_rows
+from ...proofs.bounds.error_bounds import ErrorBound, error_bound, relative_to
+from ...proofs.bounds.row_inequality import distance_above
+from ...proofs.bounds.solution_bounds import block_error_bound
+from ...systems.free_systems import FreeSystem
+from ...systems.graph import outer_on_pattern
+from ..batches.batch_run import BatchResult
+from ..march import March
+from ..march.march_derivative import MarchDerivative
+from .batch_derivative import BatchDerivative
+from .free_solutions import one_sided, solution, words_on_singular
+
+
+class Gradient(NamedTuple):
+    """What a function of the solution has for gradients.
+
+    Attributes
+    ----------
+    q, lower, upper : ndarray, shape (n,)
+        By the entries of q and of the bounds; 0 for a bound that does not hold. Where lower = upper, the gradient
+        belongs to the bound that the sign of w asks for; where both move together their sum counts.
+    M : csr_array, shape (n, n)
+        By the entries that M has, in their places; on ranks the own rows, shape (own, n).
+    """
+
+    q: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+    M: sp.csr_array
+
+
+@overload
+def derivative(result: Result) -> Derivative: ...
+@overload
+def derivative(result: BatchResult) -> BatchDerivative: ...
+@overload
+def derivative(result: March) -> MarchDerivative: ...
+def derivative(result: Result | BatchResult | March) -> Derivative | BatchDerivative | MarchDerivative:
+    """Return the derivative of the solution z of an LCP by M, q and the bounds, or those of a batch, or of a march.
+
+    Parameters
+    ----------
+    result : Result or BatchResult or March
+        SOLVED, of an LCP; or of a NonlinearProblem, where dq is a change of F. What its run has built (the hierarchy
+        of M) serves again, and M is read where it lies: do not change its entries between the solve and this.
+
+    Returns
+    -------
+    Derivative or BatchDerivative or MarchDerivative
+        Nothing is computed before it is asked for. What a batch has not solved stands in `errors` of the latter.
+
+    Raises
+    ------
+    UnsuitableProblem
+        Where a Result is not SOLVED, or a march was not solved to its end.
+    InvalidOption
+        Where it is none of these.
+
+    Examples
+    --------
+    >>> from lcp_plugin import LCP, solve
+    >>> found = derivative(solve(LCP([[2, 1], [1, 2]], [-5, 1])))
+    >>> found.jvp(dq=[1, 0]), found.is_unique
+    (array([-0.5,  0. ]), True)
+    >>> gradient = found.vjp([1, 1])
+    >>> gradient.q, gradient.lower
+    (array([-0.5,  0. ]), array([0. , 0.5]))
+    >>> gradient.M.toarray()
+    array([[-1.25,  0.  ],
+           [ 0.  ,  0.  ]])
+    """
+    if isinstance(result, BatchResult):
+        return BatchDerivative(result, derivative)
+    if isinstance(result, March):
+        return MarchDerivative(result, Derivative)
+    if not isinstance(result, Result):
+        raise InvalidOption(refusal("derivative", result))
+    if not result.is_solved:
+        why = f"this run ended {result.status.name}: {result.advice}"
+        raise UnsuitableProblem(f"only a solution has a derivative, and {why}")
+    certificate = result.certificate
+    return Derivative(certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised)
+
+
+class Derivative:
+    """The derivative of z by the data, at one solution.
+
+    Parameters
+    ----------
+    problem : LCP
+    z, w : array, shape (n,)
+        Its solution and slack.
+    is_linearised : bool
+        Whether the problem is a nonlinear one near z: a change dF of F is dq then, and nothing is proved.
+    before : Derivative, optional
+        Of a problem with the same M: its factor serves again.
+
+    Notes
+    -----
+    The solution is solved for once more on its free rows, with w in twice the working precision, so that rows are
+    told apart and ∂z/∂M is taken at the solution of the stored doubles, not at a z within the tolerance of it.
+
+    Where M is singular on the free rows, z is one of several solutions, and the derivative that of the least change,
+    in the units in which M is balanced: by the Moore–Penrose inverse of at most 500 rows. What all solutions share, as
+    the velocities of contacts whose impulses are not determined, has the derivative by it that all of them give.
+
+    On several ranks, all of which call and read alike, vectors are the own parts and z is taken as it was solved for.
+    There is no dM there, no vjp where M is not symmetric, and no jvp where rows are degenerate.
+    """
+
+    def __init__(
+        self, problem: LCP, z: FloatVector, w: FloatVector, *, is_linearised: bool = False,
+        before: Derivative | None = None,
+    ) -> None:
+        self.problem, self.is_linearised = problem, is_linearised
+        self._found = z, w, None if before is None else before._rows.system
+
+    @cached_property
+    def _rows(self) -> ActiveRows:
+        return settled_rows(self.problem, *self._found)
+
+    @property
+    def z(self) -> FloatVector:
+        """The solution at which the derivative is taken, shape (n,)."""
+        return self._rows.z
+
+    @property
+    def free(self) -> BoolVector:
+        """The rows that `vjp` takes as free, shape (n,); degenerate ones only where they make the block regular."""
+        return self._system.free
+
+    @property
+    def degenerate(self) -> NDArray[np.intp]:
+        """The rows that are at a bound and have w = 0, as far as rounding of the data can tell."""
+        return np.flatnonzero(self._rows.degenerate)
+
+    @cached_property
+    def _is_degenerate(self) -> bool:
+        return self._somewhere(bool(self._rows.degenerate.any()))
+
+    @cached_property
+    def bound(self) -> ErrorBound | None:
+        """The error bound of z, None where M allows none."""
+        if self.is_linearised:
+            return None
+        try:
+            return error_bound(self.problem, self.z)
+        except UnsuitableMatrix:
+            return None
+
+    @cached_property
+    def is_unique(self) -> bool | None:
+        """Whether the derivative exists, so that jvp is linear and vjp the only gradient.
+
+        True where a rigorous error bound proves of every row that it is strictly between its bounds, or at one with
+        w ≠ 0. False where rows are degenerate or M is singular on the free rows, None where neither is known.
+        """
+        if self._is_degenerate:
+            return False
+        bound = self.bound
+        if bound is None or bound.kind != "rigorous":
+            return False if self._system.is_singular else None
+        held, between = proven_rows(self.problem, bound)
+        is_proven = np.where(self._rows.free, between, held)
+        return True if self.problem.communicator.everywhere(bool(is_proven.all())) else None
+
+    @cached_property
+    def _system(self) -> FreeSystem:
+        """The system of the free rows; where only the degenerate ones make it regular, of those as well."""
+        rows = self._rows
+        if rows.system is not None and np.array_equal(rows.system.free, rows.free):
+            return rows.system
+        system = FreeSystem(self.problem.matrix, rows.free)
+        if rows.degenerate.any() and system.is_singular:
+            freed = FreeSystem(self.problem.matrix, rows.free | rows.degenerate)
+            return system if freed.is_singular else freed
+        return system
+
+    @property
+    def determined(self) -> BoolVector:
+        """Which z_i are the same for all solutions with the rows in `free` free, shape (n,); all where M_FF is regular.
+
+        Where rows are degenerate, solutions with other free rows may have others.
+        """
+        determined = np.ones(self.problem.own, np.bool_)
+        determined[self._system.rows] = self._system.determined
+        return determined
+
+    @cached_property
+    def advice(self) -> str:
+        """What to know of a derivative that is not the only one, in words; "" where none is known of others."""
+        system, rows = self._system, self.degenerate
+        if rows.size:
+            named = ", ".join(map(str, rows[:5].tolist())) + (", …" if rows.size > 5 else "")
+            kink = (
+                f"{rows.size} rows ({named}) are at a bound with w = 0: jvp is one-sided, and vjp the gradient of one "
+                "of the pieces that meet there"
+            )
+            return f"{kink}; {words_on_singular(self.problem, system)}" if system.is_singular else kink
+        return words_on_singular(self.problem, system) if system.is_singular else ""
+
+    def jvp(
+        self, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
+        dupper: ArrayLike | None = None,
+    ) -> FloatVector:
+        """Return how z changes with the data, dz; one-sided where rows are degenerate.
+
+        Parameters
+        ----------
+        dM : array or sparse array, shape (n, n), optional
+            The change of M, on any pattern.
+        dq : array, shape (n,), optional
+        dlower, dupper : number or array, shape (n,), optional
+            The change of the bounds; only those that hold matter.
+
+        Returns
+        -------
+        array, shape (n,)
+            In the unit of z over that of the change.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            Where no z solves the free rows after the change, or more than 500 of them are singular, or no one-sided
+            derivative exists.
+
+        Examples
+        --------
+        >>> from lcp_plugin import LCP, solve
+        >>> kink = derivative(solve(LCP([[2.0]], [0.0])))
+        >>> kink.is_unique, kink.degenerate, kink.jvp(dq=[-1.0]), kink.jvp(dq=[1.0])
+        (False, array([0]), array([0.5]), array([0.]))
+        """
+        h, moved = self._change(dM, dq), self._moved(dlower, dupper)
+        rows, matrix = self._rows, self.problem.matrix
+        if self._is_degenerate:
+            return one_sided(self.problem, rows, h, moved)
+        dz, right = np.where(rows.free, 0.0, moved), -h
+        right -= matrix.rows @ matrix.whole(dz) if self._somewhere(bool(dz.any())) else 0.0
+        return dz + solution(self._system, right)
+
+    def jvp_bound(
+        self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
+        dupper: ArrayLike | None = None,
+    ) -> float:
+        """Return a bound of ‖dz − dz*‖∞/‖dz‖∞, dz* the derivative in exact arithmetic at the exact solution.
+
+        Rigorous for the stored doubles, rounding and the error of z included: a dz of `jvp` has some ε κ(M_FF).
+
+        Parameters
+        ----------
+        dz : array, shape (n,)
+            Any, such as what `jvp` returns for the same changes.
+        dM, dq, dlower, dupper
+            As for `jvp`.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            Where `is_unique` is not True.
+
+        Examples
+        --------
+        >>> from lcp_plugin import LCP, solve
+        >>> found = derivative(solve(LCP([[3, 1], [1, 3]], [-5, 3])))
+        >>> dz = found.jvp(dq=[1, 0])
+        >>> found.jvp_bound(dz, dq=[1, 0]) < 1e-15, 0.9e-3 < found.jvp_bound(1.001 * dz, dq=[1, 0]) < 2e-3
+        (True, True)
+        """
+        bound = self.bound
+        if not self.is_unique or bound is None or bound.near is None:
+            raise UnsuitableProblem(
+                f"an error bound needs a derivative that is proven to exist, and is_unique is {self.is_unique}: M must "
+                "be an H₊-matrix or have a positive definite symmetric part, and no row be near degenerate"
+            )
+        free = self._rows.free
+        dz, moved, b = self._own_part(dz, "dz"), self._moved(dlower, dupper), self._optional(dq, "dq")
+        y = block_error_bound(self._system, np.where(free, dz, moved), b, self._matrix_change(dM), bound.near)
+        error = np.where(free, y, distance_above(moved, np.zeros(dz.size), dz))
+        sizes = float(error.max(initial=0.0)), float(np.abs(dz).max(initial=0.0))
+        return relative_to(*self.problem.communicator.all_largest(*sizes))
+
+    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
+        """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
+        product: FloatVector = self.problem.matrix.rows @ self.problem.matrix.whole(self._own_part(dz, "dz"))
+        return product + self._change(dM, dq)
+
+    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
+        """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
+
+        Where rows are degenerate, this is the gradient of one of the pieces that meet there (an element of the
+        B-subdifferential): that on which the rows in `free` are free.
+
+        Parameters
+        ----------
+        g : array, shape (n,)
+            ∂L/∂z.
+        gw : array, shape (n,), optional
+            ∂L/∂w.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            Where the block of M on more than 500 free rows is singular.
+        """
+        problem = self.problem
+        if not (problem.communicator.is_alone or has_symmetric_entries(problem.matrix)):
+            problem.matrix.require_all_rows()
+        g, by_w = self._own_part(g, "g"), self._optional(gw, "gw")
+        rows, free = self._rows, self.free
+        by_w = np.where(free, 0.0, by_w)  # w stays 0 there, and its part would cancel only but for rounding
+        if self._somewhere(bool(by_w.any())):
+            g = g + self._transposed_product(by_w)
+        multiplier = by_w - solution(self._system, g, transposed=True)
+        by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
+        return Gradient(
+            multiplier, np.where(rows.is_upper, 0.0, by_bound), np.where(rows.is_upper, by_bound, 0.0),
+            outer_on_pattern(problem.matrix, multiplier, self.z),
+        )
+
+    def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
+        """Return dM z + dq."""
+        h = self._optional(dq, "dq")
+        change = self._matrix_change(dM)
+        return h if change is None else h + change @ self.z
+
+    def _matrix_change(self, dM: Any) -> Any:
+        """Return dM as an array, None where none is given."""
+        if not self._somewhere(dM is not None):
+            return None
+        self.problem.matrix.require_all_rows()
+        return rectangular_matrix(dM, "dM", self.problem.n, self.problem.n)
+
+    def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
+        """Return the change of the bound at which a row is, or would be."""
+        is_lower = ~self._rows.is_upper
+        return np.where(is_lower, self._optional(dlower, "dlower"), self._optional(dupper, "dupper"))
+
+    def _optional(self, values: ArrayLike | None, name: str) -> FloatVector:
+        """Return a finite vector: zeros where nothing is given; that of a bound may be of one number."""
+        if values is None or (name in ("dlower", "dupper") and np.ndim(values) == 0):
+            values = np.full(self.problem.own, 0.0 if values is None else values)
+        return self._own_part(values, name)
+
+    def _own_part(self, values: ArrayLike, name: str) -> FloatVector:
+        """Return a finite vector; on ranks all of them refuse what one of them refuses."""
+        return self.problem.communicator.together(lambda: finite_vector(values, name, self.problem.own))
+
+    def _somewhere(self, is_so: bool) -> bool:
+        """Return whether it is so on any rank."""
+        return not self.problem.communicator.everywhere(not is_so)
+
+    def _transposed_product(self, x: FloatVector) -> FloatVector:
+        """Return Mᵀx; on several ranks M is symmetric."""
+        matrix = self.problem.matrix
+        product: FloatVector = matrix.array.T @ x if matrix.communicator.is_alone else matrix.rows @ matrix.whole(x)
+        return product

@@ -11,15 +11,81 @@ import scipy.sparse as sp
 
 from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
+from ...core.matrix.units import are_in_one_unit
 from ...core.settings import Status
 from ...core.solving.result import Result
+from ...systems.least_norm import pseudo_inverses
+from ..batches.batch_groups import Group
 from ..batches.batch_items import put
 from ..batches.batch_run import BatchResult
+from ..many.chunks import in_chunks
 from ..many.data import rows_of_a_batch
-from .batch_part import BatchPart, chosen
 
 if TYPE_CHECKING:
-    from .derivative import Derivative
+    from . import Derivative
+
+
+class BatchPart:
+    """Problems of a batch that share a compiled loop.
+
+    It settles those with `is_plain`: z and side are their solutions, and where each row is, `workspace` says how.
+    """
+
+    def __init__(self, group: Group, z: Any, is_solved: Any, threads: int) -> None:
+        from .kernels import settle_all
+
+        self.group, self.threads = group, threads
+        self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
+        data, found = (group.M, group.q, group.lower, group.upper), (self.z, self.side, self.is_plain)
+        in_chunks(lambda first, end: settle_all(*data, first, end, *found), group.items.size, threads)
+
+    @property
+    def plain(self) -> Any:
+        """Which of the batch the loop has settled."""
+        return self.group.items[self.is_plain]
+
+    @property
+    def free(self) -> Any:
+        """The rows between their bounds, and those at a kink that are taken for such, shape (k, n)."""
+        from ...methods.small.kernels.workspace import BETWEEN
+        from .kernels import KINK
+
+        return self.side % KINK == BETWEEN
+
+    def derived(self, kernel: Any, given: Sequence[Any], count: int) -> tuple[list[Any], Any]:
+        """Return so many arrays that the kernel writes of the rows given, and for which problems it has succeeded."""
+        answers, is_plain = [np.empty(self.z.shape) for _ in range(count)], self.is_plain.copy()
+        data = self.group.M, self.side, *given
+        in_chunks(lambda first, end: kernel(*data, first, end, *answers, is_plain), self.z.shape[0], self.threads)
+        return answers, is_plain
+
+    def by_least_norm(self, given: Sequence[Any], answers: Sequence[Any], is_plain: Any) -> None:
+        """Write the gradients of settled problems with singular blocks, as many at once as have so many free rows.
+
+        Those of mixed units are left, as are blocks that are only nearly singular.
+        """
+        from ...methods.small.kernels.workspace import AT_UPPER
+        from .kernels import KINK
+
+        M, free = self.group.M, self.free
+        missing = np.flatnonzero(self.is_plain & ~is_plain)
+        for count in np.unique(free[missing].sum(axis=1)):
+            items = missing[free[missing].sum(axis=1) == count]
+            own = M[items if len(M) > 1 else np.zeros_like(items)]
+            g, by_w = (rows[items if len(rows) > 1 else np.zeros_like(items)] for rows in given)
+            rows = np.nonzero(free[items])[1].reshape(items.size, count)
+            blocks = np.take_along_axis(np.take_along_axis(own, rows[:, :, np.newaxis], 1), rows[:, np.newaxis], 2)
+            inverses, is_singular = pseudo_inverses(blocks)
+            by_w, by_upper = np.where(free[items], 0.0, by_w), self.side[items] % KINK == AT_UPPER
+            right = np.take_along_axis(g + _products(by_w, own), rows, 1)
+            multiplier = by_w.copy()
+            np.put_along_axis(multiplier, rows, -_products(right, inverses), 1)
+            by_bound = np.where(free[items], 0.0, g + _products(multiplier, own))
+            done = is_singular & are_in_one_unit(own)
+            found = multiplier, np.where(by_upper, 0.0, by_bound), np.where(by_upper, by_bound, 0.0)
+            for answer, values in zip(answers, found, strict=True):
+                answer[items[done]] = values[done]
+            is_plain[items[done]] = True
 
 
 class BatchGradient:
@@ -79,12 +145,11 @@ class BatchDerivative:
         self._each: dict[int, Derivative] = {}
         self.errors: dict[int, LCPError] = {**batch.errors}
         self._is_solved = np.array([status is Status.SOLVED for status in batch.status], np.bool_)
-        for k in np.flatnonzero(~self._is_solved).tolist():
-            if k not in self.errors:
-                self.errors[k] = UnsuitableProblem(
-                    f"only a solution has a derivative, and problem {k} ended {batch.status[k].name}: "
-                    f"{batch.status[k].value}"
-                )
+        for k in sorted({*np.flatnonzero(~self._is_solved).tolist()} - set(self.errors)):
+            status = batch.status[k]
+            self.errors[k] = UnsuitableProblem(
+                f"only a solution has a derivative, and problem {k} ended {status.name}: {status.value}"
+            )
 
     def __len__(self) -> int:
         return len(self.batch)
@@ -94,11 +159,6 @@ class BatchDerivative:
         if k not in self._each:
             self._each[k] = self._derivative_of(self.batch[k])
         return self._each[k]
-
-    def __iter__(self) -> Iterator[Derivative]:
-        return (self[k] for k in range(len(self)))
-
-    # --- at the solutions -------------------------------------------------------------------------------
 
     @cached_property
     def z(self) -> Any:
@@ -114,26 +174,19 @@ class BatchDerivative:
     @cached_property
     def degenerate(self) -> Any:
         """The rows that are at a bound and have w = 0, shape (B, n) or a list, of bool."""
-        from .kernels.small_derivatives import KINK
+        from .kernels import KINK
 
-        def told(one: Derivative) -> Any:
-            is_degenerate = np.zeros(one.z.size, np.bool_)
-            is_degenerate[one.degenerate] = True
-            return is_degenerate
+        return self._gathered(
+            False, lambda part: part.side >= KINK, lambda one: np.isin(np.arange(one.z.size), one.degenerate)
+        )
 
-        return self._gathered(False, lambda part: part.side >= KINK, told)
-
-    def _gathered(
-        self, otherwise: Any, of_part: Callable[[BatchPart], Any], of_one: Callable[[Derivative], Any]
-    ) -> Any:
+    def _gathered(self, otherwise: Any, of_part: Callable[..., Any], of_one: Callable[..., Any]) -> Any:
         table = self._table(otherwise)
         for part in self._parts:
             put(table, part.plain, of_part(part)[part.is_plain])
         for k, answer in self._one_by_one(self._left_by_the_loop, lambda k: of_one(self[k])):
             table[k] = answer
         return table
-
-    # --- changes and gradients --------------------------------------------------------------------------
 
     def jvp(self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None) -> Any:
         """Return how each z changes with its data, dz; one-sided where rows are degenerate.
@@ -163,7 +216,7 @@ class BatchDerivative:
         array([[-0.75,  0.5 ],
                [ 0.5 , -0.25]])
         """
-        from .kernels.small_derivatives import tangents
+        from .kernels import tangents
 
         h, low, high = (rows for rows, _ in map(self._given, (dq, dlower, dupper), ("dq", "dlower", "dupper")))
         if dM is not None:
@@ -203,7 +256,7 @@ class BatchDerivative:
                [ 0. , -0.5]]), array([[-1.25,  0.  ],
                [ 0.  , -1.  ]]))
         """
-        from .kernels.small_derivatives import adjoints
+        from .kernels import adjoints
 
         (rows, is_asked), (by_w, is_asked_too) = self._given(g, "g"), self._given(gw, "gw")
         tables, left = self._derived(adjoints, (rows, by_w), 3, BatchPart.by_least_norm)
@@ -226,16 +279,14 @@ class BatchDerivative:
                 z[k] = np.zeros_like(z[k])
         return self.batch.items.outer(by_q, z)
 
-    # --- the two roads ----------------------------------------------------------------------------------
-
     @cached_property
     def _parts(self) -> list[BatchPart]:
         """The groups of small problems, settled."""
-        parts = []
-        for group in self.batch.items.groups(every=True):
-            z = np.array([self.batch.z[k] for k in group.items]) if not self._is_even else self.batch.z[group.items]
-            parts.append(BatchPart(group, z, self._is_solved[group.items], self.batch.threads))
-        return parts
+        z = self.batch.z
+        return [
+            BatchPart(group, z[group.items] if self._is_even else np.array([z[k] for k in group.items]),
+                      self._is_solved[group.items], self.batch.threads) for group in self.batch.items.groups(every=True)
+        ]
 
     @cached_property
     def _left_by_the_loop(self) -> list[int]:
@@ -251,7 +302,7 @@ class BatchDerivative:
         """Return so many tables that the kernel, or else the other, writes of all problems, and those that are left."""
         tables, left = [self._table(np.nan) for _ in range(count)], [*self._left_by_the_loop]
         for part in self._parts:
-            own = [chosen(rows, part.group.items) for rows in given]
+            own = [_chosen(rows, part.group.items) for rows in given]
             answers, is_plain = part.derived(kernel, own, count)
             if otherwise is not None:
                 otherwise(part, own, answers, is_plain)
@@ -264,13 +315,9 @@ class BatchDerivative:
         """Yield what is asked of each problem, and note what is wrong with it."""
         for k in items:
             try:
-                answer = ask(k)
+                yield k, ask(k)
             except LCPError as error:
                 self.errors[k] = error
-            else:
-                yield k, answer
-
-    # --- tables, a row a problem ------------------------------------------------------------------------
 
     @property
     def _is_even(self) -> bool:
@@ -280,14 +327,10 @@ class BatchDerivative:
         return np.full(self.batch.z.shape, value) if self._is_even else [np.full(z.size, value) for z in self.batch.z]
 
     def _given(self, values: Any, name: str) -> tuple[Any, Any]:
-        """Return the rows that are given (0 for None), one in front for all, and which of them are not 0.
-
-        Rows of problems that are not solved may hold anything.
-        """
-        return self._even_rows(values, name) if self._is_even else self._uneven_rows(values, name)
-
-    def _even_rows(self, values: Any, name: str) -> tuple[Any, Any]:
-        n, count = self.batch.z.shape[1], len(self)
+        """Return rows, one in front for all, and which are not 0; those of unsolved problems may be anything."""
+        if not self._is_even:
+            return self._uneven_rows(values, name)
+        count, n = self.batch.z.shape
         rows = rows_of_a_batch(np.zeros(n) if values is None else values, name, n)
         if rows.shape[0] not in (1, count):
             raise InvalidProblem(f"{name} must have a row for each of the {count} problems, got shape {rows.shape}")
@@ -304,11 +347,10 @@ class BatchDerivative:
             values = self._table(float(values or 0.0))
         self._require_one_each(values, name, "vectors")
         is_asked = np.array([bool(np.any(np.asarray(row) != 0.0)) for row in values], np.bool_)
-        zeros = self._table(0.0)
-        return [
-            finite_vector(row, f"{name}[{k}]", zeros[k].size) if self._is_solved[k] else zeros[k]
-            for k, row in enumerate(values)
-        ], is_asked
+        rows = self._table(0.0)
+        for k in np.flatnonzero(self._is_solved):
+            rows[k] = finite_vector(values[k], f"{name}[{k}]", rows[k].size)
+        return rows, is_asked
 
     def _require_one_each(self, values: Any, name: str, things: str) -> None:
         if not isinstance(values, Sequence) or len(values) != len(self):
@@ -319,10 +361,10 @@ class BatchDerivative:
         """Return dM z of each problem."""
         if not self._is_even:
             self._require_one_each(dM, "dM", "matrices")
-            return [
-                rectangular_matrix(dM[k], f"dM[{k}]", z.size, z.size) @ z if self._is_solved[k] else np.zeros(z.size)
-                for k, z in enumerate(self.z)
-            ]
+            rows = self._table(0.0)
+            for k in np.flatnonzero(self._is_solved):
+                rows[k] = rectangular_matrix(dM[k], f"dM[{k}]", rows[k].size, rows[k].size) @ self.z[k]
+            return rows
         n, z = self.batch.z.shape[1], self.z.copy()
         z[~self._is_solved] = 0.0
         if sp.issparse(dM) or np.ndim(dM) == 2:
@@ -336,8 +378,20 @@ class BatchDerivative:
         return np.matmul(dM, z[:, :, np.newaxis])[:, :, 0]
 
 
+def _products(x: Any, A: Any) -> Any:
+    """Return x_kᵀA_k, shapes (k, n) and (k, n, n)."""
+    return np.matmul(x[:, np.newaxis], A)[:, 0]
+
+
 def _sum(rows: Any, others: Any) -> Any:
     return rows + others if isinstance(rows, np.ndarray) else [a + b for a, b in zip(rows, others, strict=True)]
+
+
+def _chosen(rows: Any, items: Any) -> Any:
+    """Return those rows as an array, read-only; one row in front stays for all."""
+    if not isinstance(rows, np.ndarray):
+        return read_only(np.array([rows[k] for k in items]))
+    return read_only(rows if len(rows) == 1 else rows[items])
 
 
 def _row(rows: Any, k: int) -> Any:

@@ -3,7 +3,7 @@
 To first order z − z* = (S M_FF)⁻¹ r_F on the rows F strictly between their bounds, S = D⁻¹: an error as large as
 ‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. The norm is estimated from a few solves with one factorisation; this
 proves nothing (see `error_bounds` for what does) and costs a factorisation, so that it is asked for, and only where
-that is cheap. `ErrorWatch` says when the error of an iterate is bounded during a run, and what the bound then proves.
+that is cheap. `ErrorJudge` says when the error of an iterate is bounded during a run, and what the bound then proves.
 
 References
 ----------
@@ -166,6 +166,7 @@ def _with_neighbours(size: Any, floor: FloatVector, scale: FloatVector) -> Float
     return floor
 
 
+@np.errstate(all="ignore")
 def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: float) -> float | None:
     """Return an estimate of the largest ‖z − z*‖∞ that goes with a scaled residual, or None where it is too costly.
 
@@ -185,13 +186,11 @@ def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: floa
     10.737418
     """
     scale = problem.residual_scale
-    with np.errstate(all="ignore"):
-        target = z - w / scale
-        free = np.flatnonzero((target > problem.lower) & (target < problem.upper))
+    target = z - w / scale
+    free = np.flatnonzero((target > problem.lower) & (target < problem.upper))
     if not free.size or not residual > 0.0 or not np.isfinite(residual):
         return 0.0 if residual == 0.0 or not free.size else None
-    with np.errstate(all="ignore"):
-        norm = _norm_of_inverse(problem, free)
+    norm = _norm_of_inverse(problem, free)
     return None if norm is None else residual * norm
 
 

@@ -109,18 +109,13 @@ class RowInequality:
 
     def image(self, y: FloatVector) -> FloatVector:
         """Return Φ(y), shape (n,)."""
-        above, below = self._linear(y)
-        image = np.maximum(
-            np.maximum(self.over, np.minimum(self.above, above)),
-            np.maximum(self.under, np.minimum(self.below, below)),
-        )
+        *_, positive, negative = self._sides(y)
+        image = np.maximum(positive, negative)
         return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
 
     def branches(self, y: FloatVector) -> Branches:
         """Return which piece of Φ is active in each row at y."""
-        above, below = self._linear(y)
-        positive = np.maximum(self.over, np.minimum(self.above, above))
-        negative = np.maximum(self.under, np.minimum(self.below, below))
+        above, below, positive, negative = self._sides(y)
         is_positive = positive >= negative
         value = np.maximum(positive, negative)
         linear = np.where(is_positive, positive == above, negative == below) & (value > 0.0)
@@ -154,14 +149,15 @@ class RowInequality:
         """Return an upper bound of |z − (high + low)|, shape (n,)."""
         return distance_above(self.high, self.low, z)
 
-    def _linear(self, y: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return (±w + |B|y)/d as y + (±w − ⟨M⟩y)/d."""
-        minus_product, diagonal = _minus_comparison(self.problem, y), self.problem.diagonal
-
-        def solved(w: FloatVector) -> FloatVector:
-            return sum_above(y, quotient_above(sum_above(w, minus_product), diagonal))
-
-        return solved(self.slack), solved(self.negative_slack)
+    def _sides(self, y: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector]:
+        """Return (±w + |B|y)/d as y + (±w − ⟨M⟩y)/d, and Φ(y) for e_i > 0 and for e_i < 0."""
+        minus_product = _minus_comparison(self.problem, y)
+        above, below = (
+            sum_above(y, quotient_above(sum_above(w, minus_product), self.problem.diagonal))
+            for w in (self.slack, self.negative_slack)
+        )
+        positive = np.maximum(self.over, np.minimum(self.above, above))
+        return above, below, positive, np.maximum(self.under, np.minimum(self.below, below))
 
 
 def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> FloatVector:

@@ -215,9 +215,11 @@ def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> 
         digits += 1
         if digits == next_try:
             answer = _reconstructed(x, modulus)
-            if answer is not None and _satisfies(A, b, *answer):
-                numerators, denominator = answer
-                return [Fraction(value, denominator) for value in numerators]
+            if answer is not None and all(
+                sum(a * x for a, x in zip(row, answer[0], strict=True) if a) == answer[1] * value
+                for row, value in zip(A, b, strict=True)
+            ):
+                return [Fraction(value, answer[1]) for value in answer[0]]
             next_try = digits + max(4, digits // 2)
     return None
 
@@ -264,13 +266,6 @@ def _small_fraction(value: int, modulus: int, bound: int) -> tuple[int, int]:
         quotient = r0 // r1
         r0, r1, s0, s1 = r1, r0 - quotient * r1, s1, s0 - quotient * s1
     return (r1, s1) if s1 > 0 else (-r1, -s1)
-
-
-def _satisfies(A: IntegerRows, b: Sequence[int], numerators: list[int], denominator: int) -> bool:
-    return all(
-        sum(a * x for a, x in zip(row, numerators, strict=True) if a) == denominator * value
-        for row, value in zip(A, b, strict=True)
-    )
 
 
 def solved_nearby(rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]) -> Vector | None:
@@ -357,3 +352,16 @@ def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | No
     solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
     placed = [{place[j]: entry for j, entry in row.items()} for row in rows]
     return solution if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right else None
+
+
+def exact_weights(M: Any) -> list[Fraction] | None:
+    """Return v with ⟨M⟩v = |diag(M)| in fractions, or None where ⟨M⟩ is singular.
+
+    Examples
+    --------
+    >>> import scipy.sparse as sp
+    >>> exact_weights(sp.csr_array([[2.0, -1.0], [1.0, 1.0]]))
+    [Fraction(3, 1), Fraction(4, 1)]
+    """
+    rows = exact_comparison(M)
+    return solve_exactly(rows, [row[i] for i, row in enumerate(rows)])

@@ -115,13 +115,7 @@ def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
 
 def rounded_down(value: Fraction | None) -> float:
     """Return a double not above a value ≥ 0; ∞ for None."""
-    if value is None:
-        return math.inf
-    try:
-        near = float(value)
-    except OverflowError:
-        return sys.float_info.max
-    return near if Fraction(near) <= value else math.nextafter(near, 0.0)
+    return math.inf if value is None else _ends(value)[0]
 
 
 def enclosures(values: Sequence[Fraction]) -> tuple[FloatVector, FloatVector]:
@@ -236,13 +230,9 @@ def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
     """
     exact = exact_vector(z, problem.n)
     rows = zip(exact, exact_slack(problem, exact), problem.lower.tolist(), problem.upper.tolist(), strict=True)
-    return all(_is_complementary(*row) for row in rows)
-
-
-def _is_complementary(z: Fraction, w: Fraction, lower: float, upper: float) -> bool:
-    if not lower <= z <= upper:
-        return False
-    return (w >= 0 or z == upper) and (w <= 0 or z == lower)
+    return all(
+        lower <= z <= upper and (w >= 0 or z == upper) and (w <= 0 or z == lower) for z, w, lower, upper in rows
+    )
 
 
 def slack_bounds(problem: LCP) -> tuple[FloatVector, FloatVector]:

@@ -112,7 +112,8 @@ class ExactSimplex:
         """Solve the equations of free rows for as many free z as they determine, and set both aside."""
         for w in [w for w in self.basic if self._is_fixed(w)]:
             row = self.basic.index(w)
-            column = next((k for k, z in enumerate(self.nonbasic) if self.rows[row][k] and self._is_free_z(z)), None)
+            free = (k for k, z in enumerate(self.nonbasic) if z < self.n and self.bounds(z) == (None, None))
+            column = next((k for k in free if self.rows[row][k]), None)
             if column is not None:
                 yield from self._pivot(row, column, 0)
         gone = [x >= self.n for x in self.nonbasic]
@@ -236,9 +237,6 @@ class ExactSimplex:
 
     def _is_fixed(self, x: int) -> bool:
         return self.lower[x] is not None and self.lower[x] == self.upper[x]
-
-    def _is_free_z(self, x: int) -> bool:
-        return x < self.n and self.lower[x] is None and self.upper[x] is None
 
     def _evaluate(self) -> None:
         moved = [(k, self.value[x]) for k, x in enumerate(self.nonbasic) if self.value[x]]

@@ -1,1 +1,339 @@
-"""What is proved about the convergence of a method on a matrix."""
+"""convergence_guarantee(): what is proven about an algorithm on a matrix."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Hashable, Iterator
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from ...core.algorithms import Algorithm
+from ...core.checks import FloatVector
+from ...core.errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ...core.kinds import refusal
+from ...core.lcp import LCP
+from ...core.matrix.iteration_facts import (
+    MODULUS,
+    PROJECTED_RELAXATION,
+    PROJECTED_SPLITTING,
+    PROJECTED_TYPE,
+    IterationFacts,
+)
+from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
+from ...core.policy.choice import Policy, Single, last_resort, policy_for
+from ...systems.comparison import jacobi_radius
+from ...systems.graph import within_blocks
+from ..verdicts import analyze, comparison_certificate, h_verdict
+from .convergence import Contraction, Sums, contraction, next_weights, numbers, sums_for
+from .theorems import (
+    GUARANTEED,
+    NOT_COVERED,
+    PAPER,
+    Guarantee,
+    positive_definite_theorem,
+    theorem_4_1,
+    theorem_4_2,
+    theorem_of,
+)
+
+NEAR_ONE = (0.05, 1.0)
+WEIGHT_STEPS = 40
+DENSE_SPLITTING = 500
+CLEARLY = 1.0 + 1e-12
+JACOBI = IterationFacts(family=PROJECTED_RELAXATION, relaxation=1.0, acceleration=0.0)
+
+
+def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **options: Any) -> Guarantee:
+    """Return what is proven about the convergence of an algorithm on this matrix, whatever q and the start are.
+
+    Parameters
+    ----------
+    problem : LCP
+    algorithm : str or Algorithm
+        A registered name, "auto", or an object such as ``NPSOR(relaxation=1.5)``.
+    **options
+        Options of the named algorithm.
+
+    Returns
+    -------
+    Guarantee
+        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy. Kept with the matrix.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption
+        Where the name or an option does not exist.
+
+    Notes
+    -----
+    Cost: some passes over M, a loose solve with its comparison matrix where dominance does not settle it, and a
+    factorisation where M is symmetric. It speaks of exact arithmetic with step sizes rounded as a run has them; q is
+    any, boxes and free rows are covered.
+
+    Examples
+    --------
+    >>> from lcp_plugin import LCP
+    >>> guarantee = convergence_guarantee(LCP([[4, -1], [-1, 4]], [-3, 5]), "npsor")
+    >>> guarantee.verdict, round(guarantee.rate, 3)
+    ('guaranteed', 0.648)
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(refusal("convergence_guarantee", problem))
+    policy = policy_for(algorithm, options)
+    problem.matrix.require_all_rows()
+    with np.errstate(all="ignore"):  # what overflows proves nothing
+        return _of_one(problem, policy.algorithm) if isinstance(policy, Single) else _of_auto(problem)
+
+
+def warn_where_known_to_be_uncovered(problem: LCP, policy: Policy, *, stacklevel: int) -> None:
+    """Warn, once a matrix and choice, where it is known already that nothing proves the convergence."""
+    held = _identity(policy.algorithm) if isinstance(policy, Single) and _guarantees.is_known(problem.matrix) else None
+    guarantee = _guarantees(problem.matrix).get(held) if held else None
+    if guarantee is None or guarantee.is_guaranteed or held in (warned := _warned_of(problem.matrix)):
+        return
+    warned.add(held)
+    remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
+    warnings.warn(
+        f"{policy.name} on this matrix: {guarantee.verdict} ({guarantee.theorem}){remedy}",
+        ConvergenceWarning, stacklevel=stacklevel + 1,
+    )
+
+
+@fact
+def _warned_of(matrix: Matrix) -> set[Hashable]:
+    """Return the choices of which a caller was warned on this matrix."""
+    return set()
+
+
+@fact
+def _guarantees(matrix: Matrix) -> dict[Hashable, Guarantee]:
+    """Return what was found out about algorithms on this matrix, by their identity."""
+    return {}
+
+
+def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    if problem.n == 0:
+        return Guarantee(GUARANTEED, "there are no rows")
+    try:
+        facts = algorithm.facts(problem)
+    except (UnsuitableMatrix, UnsuitableProblem) as error:
+        return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
+    if facts is None:
+        return _of_a_direct_method(problem, algorithm)
+    known, held = _guarantees(problem.matrix), _identity(algorithm)
+    if held in known:
+        return known[held]
+    guarantee = _full(problem, facts, {field.name for field in fields(algorithm)})
+    return guarantee if held is None else known.setdefault(held, guarantee)
+
+
+def _identity(algorithm: Algorithm) -> tuple[Hashable, ...] | None:
+    """Return its class, not the name of that, and all it holds; None where that is more than numbers and words."""
+    held = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
+    held |= getattr(algorithm, "__dict__", {})
+    if not all(value is None or isinstance(value, (str, int, float)) for value in held.values()):
+        return None
+    return type(algorithm), *sorted(held.items(), key=lambda item: item[0])
+
+
+def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    try:
+        theorem = algorithm.theorem(problem, analyze(problem))
+    except (UnsuitableMatrix, UnsuitableProblem) as error:
+        return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
+    if theorem is None:
+        return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
+    return Guarantee(GUARANTEED, theorem)
+
+
+def _of_auto(problem: LCP) -> Guarantee:
+    """Return that of the method which auto follows to its end where the ones before it fail."""
+    last = _of_one(problem, last_resort(problem))
+    if not last.is_guaranteed:
+        return Guarantee(NOT_COVERED, last.theorem)
+    return Guarantee(GUARANTEED, f"whatever it tries before, it comes to {last_resort(problem).name}: {last.theorem}")
+
+
+def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
+    paper = _paper_says(problem, facts)
+    proof = _best_proof(problem, facts)
+    if proof is not None:
+        return _guaranteed(problem, facts, proof, paper)
+    by_blocks = _theorem_by_blocks(problem, facts)
+    if by_blocks is not None:
+        return Guarantee(GUARANTEED, by_blocks, paper=paper)
+    if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_SPLITTING:
+        found = _by_theorem_4_1(problem, facts)
+        if found is not None:
+            return found
+    theorem = _positive_definite(problem, facts)
+    if theorem is not None:
+        return Guarantee(GUARANTEED, theorem)
+    remedy = _remedy(problem, facts, options)
+    return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
+
+
+def _guaranteed(problem: LCP, facts: IterationFacts, proof: Contraction, paper: str = "") -> Guarantee:
+    theorem = theorem_of(facts, problem, proof)
+    if facts.relaxation is None and facts.family == PROJECTED_RELAXATION:
+        return Guarantee(GUARANTEED, theorem)
+    v = proof.v.copy()
+    v.flags.writeable = False
+    speaks_of = "x" if facts.family == MODULUS else "z"
+    return Guarantee(
+        GUARANTEED, theorem, proof.rate, v if proof.rate is not None else None, paper=paper, speaks_of=speaks_of
+    )
+
+
+def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
+    """Return the contraction with the best rate of all weights tried, or None.
+
+    Every row bound implies ⟨M⟩v > 0 and a positive diagonal.
+    """
+    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+        return None
+    if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
+        return None
+    proofs = [contraction(facts, problem, v, sums) for v, sums in _usual_weights(problem, facts)]
+    found = [proof for proof in proofs if proof is not None]
+    if found:
+        return min(found, key=lambda proof: 1.0 if proof.rate is None else proof.rate)
+    return _by_better_weights(problem, facts)
+
+
+def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
+    """Return the theorem that covers each strongly connected block, or None where one is not covered.
+
+    The iteration is as reducible as M: its spectral radius is the largest of its blocks', whatever couples them.
+    """
+    report = analyze(problem)
+    if report.is_irreducible or not _is_h_plus(problem):
+        return None
+    blocks = LCP(within_blocks(problem.csr, report.block_labels), problem.q)
+    if facts.splitting is not None:
+        facts = replace(facts, splitting=within_blocks(facts.splitting, report.block_labels))
+    proof = _best_proof(blocks, facts)
+    return None if proof is None else theorem_of(facts, blocks, proof)
+
+
+def _usual_weights(problem: LCP, facts: IterationFacts) -> Iterator[tuple[FloatVector, Sums]]:
+    """Yield 1, the weights of the H₊ certificate, and sums of both, each with its triangle sums."""
+    ones = np.ones(problem.n)
+    of_ones = sums_for(facts, problem, ones)
+    yield ones, of_ones
+    certificate = comparison_certificate(problem.matrix)
+    if certificate is None or np.array_equal(certificate.v, ones):
+        return
+    of_v = sums_for(facts, problem, certificate.v)
+    yield certificate.v, of_v
+    largest = float(certificate.v.max(initial=0.0))
+    for share in NEAR_ONE:
+        factor = share / largest
+        if factor * largest > 0.0 and np.isfinite(factor):
+            mixed = ones + factor * certificate.v
+            yield mixed, sums_for(facts, problem, mixed)
+
+
+def _by_better_weights(problem: LCP, facts: IterationFacts) -> Contraction | None:
+    """Return a contraction found by iterating the row bound itself, or None.
+
+    The bound is monotone and homogeneous in v: its steps lead to the best weights there are, and where a step grows
+    in every row there are none. Damped steps do not swing; whole ones reach weights of any size.
+    """
+    for is_damped in (True, False):
+        v = np.ones(problem.n)
+        for _ in range(WEIGHT_STEPS):
+            sums = sums_for(facts, problem, v)
+            proof = contraction(facts, problem, v, sums)
+            if proof is not None:
+                return proof
+            grown = next_weights(facts, problem, v, sums)
+            if not np.isfinite(grown).all() or bool(np.all(grown > v * CLEARLY)):
+                break
+            v = 0.5 * (v + grown) if is_damped else grown
+            v = v / v.max(initial=1e-300) if is_damped else v
+            if not v.min(initial=1.0) > 0.0:
+                break
+    return None
+
+
+def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:
+    scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
+    splitting: Any = facts.splitting
+    found = theorem_4_1(scaling[:, None] * problem.csr.toarray(), scaling[:, None] * splitting.toarray())
+    if found is None:
+        return None
+    return Guarantee(GUARANTEED, f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})", *found)
+
+
+def _is_h_plus(problem: LCP) -> bool:
+    return bool(np.all(problem.diagonal > 0.0)) and h_verdict(problem.matrix).is_h is True
+
+
+def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
+    """Return the theorem on positive definite matrices that covers it; M is factorised only where one could."""
+    sums = np.add(*unit_triangle_sums(problem.matrix)) / (problem.diagonal * inverse_residual_scale(problem.matrix))
+    largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
+    theorem = positive_definite_theorem(facts, largest_sum)
+    if theorem is None:
+        return None
+    report = analyze(problem)
+    return theorem if report.is_symmetric and report.is_positive_definite else None
+
+
+def _paper_says(problem: LCP, facts: IterationFacts) -> str:
+    if facts.family != PROJECTED_TYPE or facts.is_scaled:
+        return ""
+    return theorem_4_2(facts, problem, jacobi_radius(problem.matrix), _is_h_plus(problem))[1]
+
+
+def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
+    if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_SPLITTING:
+        return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_SPLITTING}"
+    if facts.family in (PROJECTED_TYPE, PROJECTED_SPLITTING) and _is_h_plus(problem):
+        return "M is an H₊-matrix, but with this scaling and these α, β no theorem here applies"
+    if _is_h_plus(problem):
+        return "M is an H₊-matrix, but with these parameters no theorem here applies beyond rounding"
+    if facts.family == PROJECTED_RELAXATION:
+        return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
+    return "M is not proven to be an H₊-matrix"
+
+
+def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
+    """Return what to change; followed literally, it is guaranteed wherever it names options."""
+    is_h_plus = _is_h_plus(problem)
+    if is_h_plus and (_best_proof(problem, JACOBI) or _theorem_by_blocks(problem, JACOBI)):
+        if facts.family not in (PROJECTED_RELAXATION, MODULUS):
+            return _scaling_remedy(facts)
+        limit = "relaxation ≤ 1" if facts.family == MODULUS else _relaxation_limit(problem, facts)
+        limit = f"0 ≤ acceleration ≤ {limit}" if "acceleration" in options else limit
+        if facts.family == PROJECTED_RELAXATION:
+            return limit
+        return f"omega=1.0 and {limit}" if "relaxation" in options else "omega=1.0"
+    report = analyze(problem)
+    if has_positive_diagonal(problem.matrix).all() and report.is_symmetric and report.is_positive_definite:
+        return 'algorithm="psor": M is symmetric positive definite'
+    if is_h_plus and last_resort(problem).name == "lemke":
+        return 'algorithm="lemke": no sweep contracts by more than rounding, and H₊-matrices are P-matrices'
+    return 'nothing here is proven for this M; algorithm="auto" tries more than one'
+
+
+def _scaling_remedy(facts: IterationFacts) -> str:
+    alpha, beta = numbers(facts)
+    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+        return 'a splitting by name, with scaling="auto"'
+    inside = facts.family == PROJECTED_SPLITTING or 0.0 <= beta <= alpha
+    return 'scaling="auto"' + ("" if inside else " and 0 ≤ acceleration ≤ relaxation")
+
+
+def _relaxation_limit(problem: LCP, facts: IterationFacts) -> str:
+    """Return the range of ω, up to 2/(1 + max(ℓ + u)) rounded down, that the weights at hand prove."""
+    per_diagonal = 1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix))
+    largest = min(
+        float(np.max(np.add(*sums) * per_diagonal / v, initial=0.0)) for v, sums in _usual_weights(problem, facts)
+    )
+    limit = np.floor(1000.0 * 2.0 / (1.0 + largest) - 1e-3) / 1000.0
+    return f"relaxation < {limit:g}" if limit > 1.0 else "relaxation ≤ 1"

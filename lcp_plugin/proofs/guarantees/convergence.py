@@ -82,25 +82,24 @@ class RowBound:
 
 def row_bound(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> RowBound:
     """Return the bound of one sweep for these rows; L is what it has already updated (of 𝓜: what it takes)."""
-    with np.errstate(all="ignore"):  # what overflows proves nothing
-        if facts.family == PROJECTED_TYPE:
-            return _projected_type(facts, problem, rows)
-        if facts.family == PROJECTED_SPLITTING:
-            theta, weight = scaled(facts, problem, rows)
-            zero_case = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
-            return RowBound(2.0 * theta + 2.0, weight, (zero_case, RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight)))
-        alpha, beta = numbers(facts)
-        diagonal = problem.diagonal[rows]
-        per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix)[rows])
-        if facts.family == PROJECTED_RELAXATION:
-            free = min(alpha, 2.0 - alpha)
-            lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
-            return RowBound(1.0, abs(beta) * per_diagonal, (RowCase(free, lower, alpha * per_diagonal),))
-        omega = np.ones(diagonal.size) if facts.omega is None else facts.omega[rows] / diagonal
-        kept = min(alpha, 2.0 - alpha) + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
-        lower = (abs(alpha - beta) + alpha + abs(beta)) * per_diagonal
-        case = RowCase(kept, lower, 2.0 * alpha * per_diagonal)
-        return RowBound(alpha * omega + 1.0, abs(beta) * per_diagonal, (case,))
+    if facts.family == PROJECTED_TYPE:
+        return _projected_type(facts, problem, rows)
+    if facts.family == PROJECTED_SPLITTING:
+        theta, weight = scaled(facts, problem, rows)
+        zero_case = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
+        return RowBound(2.0 * theta + 2.0, weight, (zero_case, RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight)))
+    alpha, beta = numbers(facts)
+    diagonal = problem.diagonal[rows]
+    per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix)[rows])
+    if facts.family == PROJECTED_RELAXATION:
+        free = min(alpha, 2.0 - alpha)
+        lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
+        return RowBound(1.0, abs(beta) * per_diagonal, (RowCase(free, lower, alpha * per_diagonal),))
+    omega = np.ones(diagonal.size) if facts.omega is None else facts.omega[rows] / diagonal
+    kept = min(alpha, 2.0 - alpha) + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
+    lower = (abs(alpha - beta) + alpha + abs(beta)) * per_diagonal
+    case = RowCase(kept, lower, 2.0 * alpha * per_diagonal)
+    return RowBound(alpha * omega + 1.0, abs(beta) * per_diagonal, (case,))
 
 
 def _projected_type(facts: IterationFacts, problem: LCP, rows: slice) -> RowBound:
@@ -118,8 +117,7 @@ def scaled(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> tuple[Floa
     """Return (θ, s divided by what the rows of the triangle sums are scaled with), one entry a row."""
     diagonal = problem.diagonal[rows]
     scaling = np.ones(diagonal.size) if facts.scaling is None else facts.scaling[rows]
-    with np.errstate(all="ignore"):
-        return scaling * diagonal, scaling / inverse_residual_scale(problem.matrix)[rows]
+    return scaling * diagonal, scaling / inverse_residual_scale(problem.matrix)[rows]
 
 
 def numbers(facts: IterationFacts) -> tuple[float, float]:
@@ -153,11 +151,6 @@ class Contraction:
     rate: float | None
     v: FloatVector = field(repr=False)
     is_unified: bool
-
-    @property
-    def sortable(self) -> float:
-        """The rate, or 1."""
-        return 1.0 if self.rate is None else self.rate
 
 
 def contraction(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None) -> Contraction | None:
@@ -205,9 +198,8 @@ def is_unified(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) 
     lost = underflow(v, longest_row(problem.matrix))
     for rows in row_blocks(problem.n) if 0.0 <= beta <= alpha else ():
         theta, weight = scaled(facts, problem, rows)
-        with np.errstate(all="ignore"):
-            load = weight * (sums[0][rows] + sums[1][rows] + 2.0 * lost)
-            surplus = np.minimum(1.0, theta) * v[rows] - load - slop * (v[rows] + load)
+        load = weight * (sums[0][rows] + sums[1][rows] + 2.0 * lost)
+        surplus = np.minimum(1.0, theta) * v[rows] - load - slop * (v[rows] + load)
         if not bool(np.all(surplus > 0.0)):
             return False
     return 0.0 <= beta <= alpha
@@ -253,15 +245,14 @@ def gaps(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector],
     updated, rest = sums
     slop = (terms + 32) * EPSILON
     smallest = np.full(v.size, np.inf)
-    with np.errstate(all="ignore"):  # what overflows proves nothing
-        size = bound.pivot * v
-        scale = (size - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
-        for case in bound.cases:
-            load = case.lower * updated + case.upper * rest
-            surplus = (case.free * v - load) - slop * (size + load) - NEGLIGIBLE
-            np.minimum(smallest, surplus / scale, out=smallest)
-        usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
-        smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
+    size = bound.pivot * v
+    scale = (size - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
+    for case in bound.cases:
+        load = case.lower * updated + case.upper * rest
+        surplus = (case.free * v - load) - slop * (size + load) - NEGLIGIBLE
+        np.minimum(smallest, surplus / scale, out=smallest)
+    usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
+    smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
     return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
 
 
@@ -271,11 +262,10 @@ def growth(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector
     Where it is at least v in every row, no other v gives a contraction.
     """
     updated, rest = sums
-    with np.errstate(all="ignore"):
-        worst = np.full(v.size, np.inf)
-        for case in bound.cases:
-            np.minimum(worst, case.free * v - case.lower * updated - case.upper * rest, out=worst)
-        grown: FloatVector = v - worst / bound.pivot
+    worst = np.full(v.size, np.inf)
+    for case in bound.cases:
+        np.minimum(worst, case.free * v - case.lower * updated - case.upper * rest, out=worst)
+    grown: FloatVector = v - worst / bound.pivot
     return grown
 
 

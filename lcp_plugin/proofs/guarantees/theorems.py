@@ -195,25 +195,24 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVec
         return None
     identity, D = np.eye(n), np.diag(np.diag(M))
     unit = (n + 16) * EPSILON
-    with np.errstate(all="ignore"):
-        P = splitting + 2.0 * identity + D
-        try:
-            X = np.linalg.inv(P)
-        except np.linalg.LinAlgError:
-            return None
-        sizes = np.abs(splitting) + np.abs(M) + identity + np.abs(D)
-        right = np.abs(splitting - M + identity + D) + np.abs(M - identity) + 16.0 * EPSILON * sizes + 8.0 * TINY
-        uncertain = np.abs(P) + np.abs(splitting) + np.abs(D)
-        error = np.abs(identity - P @ X) + unit * ((uncertain + TINY) @ np.abs(X) + identity) + n * TINY
-        spread = float(error.sum(axis=1).max(initial=0.0))
-        if not spread < 0.5:
-            return None
-        v = np.ones(n)
-        for _ in range(POWER_STEPS):
-            grown = np.abs(X) @ (right @ v)
-            v = 0.5 * (v + grown / grown.max(initial=1e-300)) if np.isfinite(grown).all() else v
-        bounded = _inverse_bound(np.abs(X), error, spread, (right @ v) * (1.0 + unit)) * (1.0 + 4.0 * unit)
-        rate = float(np.max(bounded / v, initial=0.0))
+    P = splitting + 2.0 * identity + D
+    try:
+        X = np.linalg.inv(P)
+    except np.linalg.LinAlgError:
+        return None
+    sizes = np.abs(splitting) + np.abs(M) + identity + np.abs(D)
+    right = np.abs(splitting - M + identity + D) + np.abs(M - identity) + 16.0 * EPSILON * sizes + 8.0 * TINY
+    uncertain = np.abs(P) + np.abs(splitting) + np.abs(D)
+    error = np.abs(identity - P @ X) + unit * ((uncertain + TINY) @ np.abs(X) + identity) + n * TINY
+    spread = float(error.sum(axis=1).max(initial=0.0))
+    if not spread < 0.5:
+        return None
+    v = np.ones(n)
+    for _ in range(POWER_STEPS):
+        grown = np.abs(X) @ (right @ v)
+        v = 0.5 * (v + grown / grown.max(initial=1e-300)) if np.isfinite(grown).all() else v
+    bounded = _inverse_bound(np.abs(X), error, spread, (right @ v) * (1.0 + unit)) * (1.0 + 4.0 * unit)
+    rate = float(np.max(bounded / v, initial=0.0))
     return (float(np.nextafter(rate, 2.0)), v) if rate < 1.0 - EPSILON else None
 
 

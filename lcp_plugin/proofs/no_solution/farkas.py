@@ -7,7 +7,6 @@ fractions; the caller says of which of these vectors there is a proof, and how l
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -43,16 +42,18 @@ KEPT = 0.55  # of the optimum, where room is looked for: near enough in spite of
 ROOM = 0.1  # of the norm of v, for all of its entries together
 
 
-
-class HasRadius(Protocol):
+class HasMargin(Protocol):
     """A proof of all x up to some size."""
 
     @property
     def radius(self) -> float:
         """The size."""
+    @property
+    def margin(self) -> float:
+        """By how much the constraints contradict."""
 
 
-Proof = TypeVar("Proof", bound=HasRadius)
+Proof = TypeVar("Proof", bound=HasMargin)
 Multipliers = FloatVector | Sequence[Rational]
 
 
@@ -124,10 +125,7 @@ class FarkasProgram:
             return None
         return FarkasAnswer(float(result.fun), result.x, -result.eqlin.marginals * self._scaled_unit * self.columns)
 
-    def proof(
-        self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None],
-        margin: Callable[[Proof], float] = operator.attrgetter("margin"),
-    ) -> Proof | None:
+    def proof(self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None]) -> Proof | None:
         """Return the first proof with half the margin that the answer promises, else the one with the largest.
 
         One within a radius only where no other has been found.
@@ -136,20 +134,18 @@ class FarkasProgram:
         ----------
         proven : callable
             Gives the proof by a y in the scale of the constraints, or None where that is none.
-        margin : callable
-            Of a proof, which has a radius as well.
         """
         wanted, plain, within = NEAR_ENOUGH * self.margin_of(answer.optimum), list[Proof](), list[Proof]()
         for y in self._tried(answer):
             proof = proven(y)
             if proof is not None:
                 (plain if proof.radius == math.inf else within).append(proof)
-            if is_over() or (plain and margin(plain[-1]) >= wanted):
+            if is_over() or (plain and plain[-1].margin >= wanted):
                 break
         if plain or not within:
-            return max(plain, key=margin, default=None)
-        most = max(map(margin, within))
-        return max((proof for proof in within if margin(proof) >= ALIKE * most), key=operator.attrgetter("radius"))
+            return max(plain, key=lambda proof: proof.margin, default=None)
+        most = max(proof.margin for proof in within)
+        return max((proof for proof in within if proof.margin >= ALIKE * most), key=lambda proof: proof.radius)
 
     def _tried(self, answer: FarkasAnswer) -> Iterator[Multipliers]:
         """Yield vectors near the answer, then near others that leave room."""
@@ -203,7 +199,10 @@ class FarkasProgram:
         equations = sp.csc_array(sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place])
         equations.data *= np.repeat(signed, np.diff(equations.indptr))
         norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
-        return _StandardForm(m, place, signed, _cut_off(signed * cost, unit), equations, norm)
+        cost = signed * cost
+        with np.errstate(over="ignore"):
+            cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
+        return _StandardForm(m, place, signed, cost, equations, norm)
 
     def unit_of_violation(self, x: FloatVector) -> float | None:
         """Return the largest size, in the scale of the program, of a row that x leaves violated; None if none is."""
@@ -306,13 +305,6 @@ class _StandardForm:
         """Return y, shape (m,)."""
         y: FloatVector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(np.float64)
         return y
-
-
-def _cut_off(values: FloatVector, unit: float) -> FloatVector:
-    """Return values / unit, finite ones at most MOST in size."""
-    with np.errstate(over="ignore"):
-        cut: FloatVector = np.where(np.isinf(values), values, np.clip(values / unit, -MOST, MOST))
-    return cut
 
 
 def linear_program(

@@ -12,13 +12,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ...core.certificates.criterion import CommonUnits, RowUnits, reference_residual
 from ...core.checks import FloatVector
-from ...core.errors import InvalidOption
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
 from ...core.matrix.structure import IntVector, row_numbers
@@ -37,36 +36,14 @@ from .refutation import (
     row_choices,
 )
 
-Verdict = Literal["infeasible", "feasible", "undecided"]
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 UNITS_TRIED = 3
 MOST_PASSES = 50
 
 
-@dataclass(frozen=True, eq=False)
-class Feasibility:
-    """What is known about the linear constraints of a problem.
-
-    Attributes
-    ----------
-    verdict : str
-        "infeasible" (proven), "feasible" (up to the rounding of the linear program: `point`) or "undecided".
-    proof : Infeasibility or None
-    point : ndarray or None, shape (n,)
-        Within the bounds, with w of the permitted signs up to rounding.
-    reason : str
-        A clause for the story of a run.
-    """
-
-    verdict: Verdict
-    proof: Infeasibility | None = None
-    point: FloatVector | None = field(default=None, repr=False)
-    reason: str = ""
-
-
 @np.errstate(all="ignore")
-def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feasibility:
-    """Return whether the linear constraints can be satisfied, with the proof that they cannot or a point that does.
+def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
+    """Return the proof that the linear constraints cannot be satisfied; None where they can be, or none was found.
 
     Without a solution of its linear constraints a problem has none; a monotone one (M positive semidefinite) that can
     satisfy them has one. Of the proofs, one with nearly the largest margin is looked for.
@@ -76,78 +53,52 @@ def decide_feasibility(problem: LCP, *, effort_limit: int | None = None) -> Feas
     effort_limit : int, optional
         Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
 
-    Raises
-    ------
-    InvalidOption
-        Where the limit is no whole number ≥ 0.
-
     Examples
     --------
-    >>> decide_feasibility(LCP([[0, 1], [-1, 0]], [-1, 2])).verdict
-    'feasible'
-    >>> proof = decide_feasibility(LCP([[-1, 0], [0, 1]], [-1, 2])).proof
+    >>> find_infeasibility(LCP([[0, 1], [-1, 0]], [-1, 2])) is None
+    True
+    >>> proof = find_infeasibility(LCP([[-1, 0], [0, 1]], [-1, 2]))
     >>> print(proof)
     no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
     >>> proof.verify(), round(proof.margin, 9)
     (True, 1.0)
     """
-    if effort_limit is None:
-        effort_limit = DEFAULT_EFFORT // max(problem.n, 400)
-    if isinstance(effort_limit, bool) or not isinstance(effort_limit, (int, np.integer)) or effort_limit < 0:
-        raise InvalidOption(f"effort_limit must be a whole number of pivots, at least 0, got {effort_limit!r}")
     if problem.n == 0:
-        return Feasibility("feasible", point=np.zeros(0), reason="nothing to satisfy")
+        return None
+    effort = DEFAULT_EFFORT // max(problem.n, 400) if effort_limit is None else effort_limit
     units = CommonUnits(problem, problem) if RowUnits.of(problem) is None else CommonUnits.of(problem)
     if units.row_exponents is not None:
-        known = decide_feasibility(units.problem, effort_limit=effort_limit)
-        proof = None if known.proof is None else known.proof.in_units(problem, -units.row_exponents)
-        return replace(known, proof=proof, point=None if known.point is None else units.outward(known.point))
+        known = find_infeasibility(units.problem, effort_limit=effort)
+        return None if known is None else known.in_units(problem, -units.row_exponents)
     row = contradictory_row(problem)
-    if row is not None and (row.margin >= DECISIVE or not effort_limit):
-        return Feasibility("infeasible", row, reason="one row contradicts its bounds")
-    if not effort_limit:
-        return Feasibility("undecided", reason="no linear program was tried")
-    known = _decided_by_program(problem, int(effort_limit))
-    if row is None or (known.proof is not None and known.proof.margin >= row.margin):
-        return known
-    return Feasibility("infeasible", row, reason="one row contradicts its bounds")
+    if not effort or (row is not None and row.margin >= DECISIVE):
+        return row
+    proof = _by_linear_program(problem, effort)
+    return row if proof is None or (row is not None and proof.margin < row.margin) else proof
 
 
-def _decided_by_program(problem: LCP, effort: int) -> Feasibility:
+def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
+    """Return a proof by the multipliers of a linear program, in units in which it sees what contradicts."""
     from .farkas import FarkasProgram
 
     reference = reference_residual(problem)
     constraints = replace(_linear_constraints(problem), reference=reference)
     unit = reference if 0.0 < reference < np.inf else None  # then the optimum is minus the largest margin
-    contradiction: Feasibility | None = None
     for _ in range(UNITS_TRIED):
         program = FarkasProgram(constraints, unit, effort)
         answer = program.solve()
         if answer is None:
-            return contradiction or Feasibility(
-                "undecided", reason=f"the linear program did not end within {effort} pivots"
-            )
+            return None
         if answer.is_contradiction:
-            proof = program.proof(
-                answer, lambda y: _proven(problem, {i: value for i, value in enumerate(y) if value}),
-                lambda proof: proof.margin,
-            )
-            if proof is not None:
-                return Feasibility("infeasible", proof, reason="linear constraints contradict")
-            contradiction = Feasibility(
-                "undecided", reason="the linear constraints seem to contradict, which could not be proven"
-            )
-            if unit is None:
-                return contradiction
+            proof = program.proof(answer, lambda y: _proven(problem, {i: value for i, value in enumerate(y) if value}))
+            if proof is not None or unit is None:
+                return proof
             unit = None  # what this unit cuts off may matter
             continue
-        point = np.clip(answer.point, problem.lower, problem.upper)
-        unit = program.unit_of_violation(point)
-        if unit is None:
-            return Feasibility("feasible", point=point, reason="the linear constraints can be satisfied")
-    return contradiction or Feasibility(
-        "undecided", reason="the linear program is too badly scaled for double precision"
-    )
+        unit = program.unit_of_violation(np.clip(answer.point, problem.lower, problem.upper))
+        if unit is None:  # the point satisfies the constraints
+            return None
+    return None
 
 
 def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstraints:
@@ -165,14 +116,6 @@ def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
     return proof if proof is not None and proof.verify() else None
 
 
-def _may_miss(problem: LCP, rows: Any) -> bool:
-    """Return whether z within the bounds miss one of the rows, to rounding; one pass."""
-    from .kernels import is_missed
-
-    M = compressed_rows(problem.M)
-    return bool(is_missed(*M, problem.q, problem.lower, problem.upper, rows))
-
-
 def contradictory_row(problem: LCP) -> Infeasibility | None:
     """Return the proof of the row that z within the bounds miss by most, or None where no single row is enough.
 
@@ -184,7 +127,11 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
     """
     rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
-    if not rows.size or not _may_miss(problem, rows):
+    if not rows.size:
+        return None
+    from .kernels import is_missed
+
+    if not is_missed(*compressed_rows(problem.M), problem.q, problem.lower, problem.upper, rows):
         return None
     for k, sign in _linear_constraints(problem, rows).contradictory_rows():
         proof = _proven(problem, {int(rows[k]): sign})
@@ -350,7 +297,8 @@ class NoSolution(Refutation):
         """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""
         for case, path in self._cases():
             if case.row >= 0:
-                if case.row in path or set(case.branches) != set(self._choices(case.row)):
+                ends = float(self.problem.lower[case.row]), float(self.problem.upper[case.row])
+                if case.row in path or set(case.branches) != set(row_choices(*ends)):
                     yield None
             elif case.y is None or case.branches:
                 yield None
@@ -368,6 +316,3 @@ class NoSolution(Refutation):
             case, path = stack.pop()
             yield case, path
             stack.extend((branch, path | {case.row: choice}) for choice, branch in case.branches.items())
-
-    def _choices(self, row: int) -> tuple[str, ...]:
-        return row_choices(float(self.problem.lower[row]), float(self.problem.upper[row]))

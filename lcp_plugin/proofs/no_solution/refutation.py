@@ -7,12 +7,11 @@ The references that residuals are compared with are fractions: they reach beyond
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
+from functools import cache, cached_property
 from typing import ClassVar, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,20 +25,31 @@ from ...core.settings import Status
 from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
 from .linear_constraints import Contradiction, within
 
-_exact: WeakKeyDictionary[LCP, list[Fraction]] = WeakKeyDictionary()
 SAFE_RANGE = (1e-290, 1e290)
 LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
 FEW = 500  # rows up to which all of M is kept in integers
 
 
-def exact_reference(problem: LCP, row: int) -> Fraction:
-    """Return an upper bound of what r_i of an own row is compared with; fractions reach beyond the range of doubles.
+def exact_references(problem: LCP) -> Callable[[int], Fraction]:
+    """Return upper bounds of what r_i of an own row i is compared with; fractions reach beyond the range of doubles.
 
     That is ‖r̂_P(z°)‖∞, P its part, in the caller's unit of z_i.
     """
-    units = RowUnits.of(problem)
-    reference = _exact_reference(problem, row)
-    return reference if units is None else reference * Fraction(2) ** int(units.column[row])
+    units, several, most = RowUnits.of(problem), parts(problem.matrix), references_of_parts(problem)[1]
+
+    @cache
+    def of_part(part: int) -> Fraction:
+        if most[part] == 0.0 or SAFE_RANGE[0] < most[part] < SAFE_RANGE[1]:
+            return Fraction(float(most[part]))
+        rows = range(problem.own) if several is None else np.flatnonzero(several.labels == part).tolist()
+        exact = exactly_weighted(problem, problem.nearest_to_zero)
+        return max(exact[i] for i in rows)
+
+    def of_row(row: int) -> Fraction:
+        reference = of_part(0 if several is None else int(several.labels[row]))
+        return reference if units is None else reference * Fraction(2) ** int(units.column[row])
+
+    return of_row
 
 
 def exactly_weighted(problem: LCP, z: FloatVector) -> list[Fraction]:
@@ -49,18 +59,6 @@ def exactly_weighted(problem: LCP, z: FloatVector) -> list[Fraction]:
         return exact_residuals(problem, z)
     residuals = exact_residuals(problem, z, units.scale)
     return [r / Fraction(2) ** k for r, k in zip(residuals, units.column.tolist(), strict=True)]
-
-
-def _exact_reference(problem: LCP, row: int) -> Fraction:
-    several = parts(problem.matrix)
-    part = 0 if several is None else int(several.labels[row])
-    most = float(references_of_parts(problem)[1][part])
-    if most == 0.0 or SAFE_RANGE[0] < most < SAFE_RANGE[1]:
-        return Fraction(most)
-    if problem not in _exact:
-        _exact[problem] = exactly_weighted(problem, problem.nearest_to_zero)
-    rows = range(problem.own) if several is None else np.flatnonzero(several.labels == part).tolist()
-    return max(_exact[problem][i] for i in rows)
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
@@ -259,10 +257,10 @@ class Choices(NamedTuple):
         leaving = {i: abs(value) for i, value in found.product.items()
                    if path.get(i) == (LOWER if value > 0 else UPPER)}  # of z_i from its bound
         shares = [*scaled, *leaving.items()]
-        units = RowUnits.of(self.problem)
+        units, reference = RowUnits.of(self.problem), exact_references(self.problem)
         absolute = sum((share for _, share in shares), ZERO)
         return Closing(
-            found.size, sum((share * exact_reference(self.problem, i) for i, share in shares), ZERO), absolute,
+            found.size, sum((share * reference(i) for i, share in shares), ZERO), absolute,
             absolute if units is None else sum(
                 (share * Fraction(2) ** int(units.column[i]) for i, share in shares), ZERO
             ),

@@ -13,7 +13,7 @@ doi:10.1137/1.9781611971262.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,8 +26,7 @@ from ...core.rounding import lower_end, upper_end
 from ...systems.comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of, shared_comparison
 from ...systems.comparison_sums import comparison_product, exact_comparison_row
 from ...systems.graph import block_rows, strong_blocks
-from ..exact.linear_systems import EXACT_SIZE, exact_comparison, has_positive_pivots
-from ..exact.near_singular import exact_weights
+from ..exact.linear_systems import EXACT_SIZE, exact_comparison, exact_weights, has_positive_pivots
 from ..exact.rational import enclosures, rounded_down
 
 CHEAP_SWEEPS = 5
@@ -66,16 +65,14 @@ class Weights(NamedTuple):
 class HVerdict:
     """What is known about ⟨M⟩: `is_h` True, False or None, and its proof.
 
-    `lower` and `upper` enclose the spectral radius of D⁻¹|B| up to rounding (Collatz–Wielandt). `is_h` may be True
-    without a certificate: no v of doubles was found, as where ⟨M⟩ is singular up to rounding or v leaves their range.
+    `is_h` may be True without a certificate: no v of doubles was found, as where ⟨M⟩ is singular up to rounding or v
+    leaves their range.
     """
 
     is_h: bool | None
     evidence: str
     certificate: HCertificate | None = None
     not_h_vector: FloatVector | None = None
-    lower: float = 0.0
-    upper: float = np.inf
 
     def __post_init__(self) -> None:
         if self.not_h_vector is not None:
@@ -174,54 +171,46 @@ def decide(M: Any, comparison: Any, *, by_blocks: bool = True) -> HVerdict:
     if verdict.is_h is not None:
         return verdict
     if comparison is None:
-        return _by_sweeps(M, ComparisonMatrix(M), verdict)
+        return _by_sweeps(M, ComparisonMatrix(M)) or verdict
     system: ComparisonMatrix = comparison()
-    verdict = _by_sweeps(M, system, verdict)
-    if verdict.is_h is None:
-        verdict = _by_solving(M, system, verdict)
+    verdict = _by_sweeps(M, system) or _by_solving(M, system)
     if verdict.is_h is None and by_blocks:
         verdict = _by_blocks(M, verdict)
     if verdict.is_h is None and n <= EXACT_SIZE:
         is_h = has_positive_pivots(exact_comparison(M))
         v = exact_weights(M) if is_h else None
         certificate = None if v is None else _certified(M, _centred(enclosures(v)[1]))
-        evidence = "exact elimination of ⟨M⟩: ρ(D⁻¹|B|) is 1 up to rounding"
-        verdict = replace(verdict, is_h=is_h, certificate=certificate, evidence=evidence)
+        return HVerdict(is_h, "exact elimination of ⟨M⟩: ρ(D⁻¹|B|) is 1 up to rounding", certificate)
     return verdict
 
 
 def _by_row_sums(M: Any) -> HVerdict:
     ones = np.ones(M.shape[0])
     value, radius = comparison_product(M, ones)
-    with np.errstate(all="ignore"):
-        ratio = 1.0 - value / np.abs(M.diagonal())
-    lower, upper = float(np.nanmin(ratio, initial=np.inf)), float(np.nanmax(ratio, initial=0.0))
     low, high = lower_end(value, radius), upper_end(value, radius)
     if (low > 0.0).all():
+        upper = float(np.nanmax(1.0 - value / np.abs(M.diagonal()), initial=0.0))
         evidence = f"v = 1: every row sum of ⟨M⟩ is positive, ρ(D⁻¹|B|) ≤ {upper:.6g}"
-        return HVerdict(True, evidence, HCertificate(ones, low), lower=lower, upper=upper)
+        return HVerdict(True, evidence, HCertificate(ones, low))
     if (high <= 0.0).all():
-        return HVerdict(False, "y = 1: no row sum of ⟨M⟩ is positive", not_h_vector=ones, lower=lower, upper=upper)
-    return HVerdict(None, "row sums of ⟨M⟩ have both signs or vanish", lower=lower, upper=upper)
+        return HVerdict(False, "y = 1: no row sum of ⟨M⟩ is positive", not_h_vector=ones)
+    return HVerdict(None, "row sums of ⟨M⟩ have both signs or vanish")
 
 
-def _by_sweeps(M: Any, system: ComparisonMatrix, verdict: HVerdict) -> HVerdict:
+def _by_sweeps(M: Any, system: ComparisonMatrix) -> HVerdict | None:
     """Take some power steps with (I + D⁻¹|B|)/2, until both Collatz–Wielandt bounds are on one side of 1."""
     x = np.ones(M.shape[0])
-    lower, upper = verdict.lower, verdict.upper
-    with np.errstate(all="ignore"):
-        for sweep in range(CHEAP_SWEEPS):
-            step = (system.matrix @ x) / system.diagonal
-            ratio = 1.0 - step / x
-            low, high = float(ratio.min()), float(ratio.max())
-            if not np.isfinite(low + high):
-                break
-            lower, upper = low, high
-            proven = _proven(M, system.to_caller(x), low, high, f"{sweep} sweeps")
-            if proven is not None:
-                return replace(proven, lower=lower, upper=upper)
-            x = x - 0.5 * step
-    return replace(verdict, lower=lower, upper=upper)
+    for sweep in range(CHEAP_SWEEPS):
+        step = (system.matrix @ x) / system.diagonal
+        ratio = 1.0 - step / x
+        low, high = float(ratio.min()), float(ratio.max())
+        if not np.isfinite(low + high):
+            return None
+        proven = _proven(M, system.to_caller(x), low, high, f"{sweep} sweeps")
+        if proven is not None:
+            return proven
+        x = x - 0.5 * step
+    return None
 
 
 def _proven(M: Any, v: FloatVector, low: float, high: float, how: str) -> HVerdict | None:
@@ -234,42 +223,36 @@ def _proven(M: Any, v: FloatVector, low: float, high: float, how: str) -> HVerdi
     return None
 
 
-def _by_solving(M: Any, system: ComparisonMatrix, verdict: HVerdict) -> HVerdict:
+def _by_solving(M: Any, system: ComparisonMatrix) -> HVerdict:
     """Solve (I − D⁻¹|B|)x = weights; weights 1, then |x|, which makes every row's margin relative to its own v."""
     weights = np.ones(M.shape[0])
     for _ in range(REWEIGHTINGS):
         magnitudes = weights
         for tolerance in TOLERANCES:
-            with np.errstate(all="ignore"):
-                x = system.solve(system.diagonal * weights, tolerance=tolerance)
+            x = system.solve(system.diagonal * weights, tolerance=tolerance)
             if x is None:
-                return replace(verdict, evidence="⟨M⟩ is numerically singular, or too large to be factorised")
+                return HVerdict(None, "⟨M⟩ is numerically singular, or too large to be factorised")
             x = x / np.abs(x).max()
             magnitudes = np.abs(x)
-            proven = _proven_by_solution(M, system, x, verdict)
+            proven = _proven_by_solution(M, system, x)
             if proven is not None:
                 return proven
             if x.size <= DIRECT_LIMIT:  # a tighter tolerance gives the same
                 break
         weights = np.maximum(magnitudes, 1e-30)
-    return replace(verdict, evidence="the solution of (I − D⁻¹|B|)x = 1 passes neither check: ρ is 1 up to rounding")
+    return HVerdict(None, "the solution of (I − D⁻¹|B|)x = 1 passes neither check: ρ is 1 up to rounding")
 
 
-def _proven_by_solution(M: Any, system: ComparisonMatrix, x: FloatVector, verdict: HVerdict) -> HVerdict | None:
+def _proven_by_solution(M: Any, system: ComparisonMatrix, x: FloatVector) -> HVerdict | None:
     if (x > 0.0).all():
         certificate = _certified(M, _centred(system.to_caller(x)))
         if certificate is not None:
-            with np.errstate(all="ignore"):
-                smallest = float((certificate.margin / np.abs(M.diagonal()) / certificate.v).min())
+            smallest = float((certificate.margin / np.abs(M.diagonal()) / certificate.v).min())
             evidence = f"v from a solve with ⟨M⟩: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ 1 − {smallest:.3g}"
-            upper = min(verdict.upper, 1.0 - smallest)
-            return HVerdict(True, evidence, certificate, lower=verdict.lower, upper=upper)
+            return HVerdict(True, evidence, certificate)
     y = _centred(system.to_caller(np.maximum(-x, 0.0)))
     if is_nonpositive(M, y):
-        evidence = "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked"
-        return HVerdict(
-            False, evidence, not_h_vector=y, lower=max(1.0, verdict.lower), upper=max(1.0, verdict.upper)
-        )
+        return HVerdict(False, "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked", not_h_vector=y)
     return None
 
 
@@ -291,15 +274,15 @@ def _by_blocks(M: Any, verdict: HVerdict) -> HVerdict:
             y = np.zeros(v.size)
             y[rows] = part.not_h_vector
             if is_nonpositive(M, y):
-                return replace(verdict, is_h=False, not_h_vector=y, evidence=f"a diagonal block: {part.evidence}")
+                return HVerdict(False, f"a diagonal block: {part.evidence}", not_h_vector=y)
         if part.certificate is None:
             undecided += 1
         else:
             v[rows], margin[rows] = part.certificate.v, part.certificate.margin
     if undecided:
-        return replace(verdict, evidence=f"{undecided} of {count} diagonal blocks undecided: {verdict.evidence}")
+        return HVerdict(None, f"{undecided} of {count} diagonal blocks undecided: {verdict.evidence}")
     evidence = f"each of {count} irreducible diagonal blocks is an H-matrix, ⟨block⟩v > 0 checked"
-    return replace(verdict, is_h=True, evidence=evidence, certificate=_joined(M, count, labels, v, margin))
+    return HVerdict(True, evidence, _joined(M, count, labels, v, margin))
 
 
 def _joined(M: Any, count: int, labels: Any, v: FloatVector, margin: FloatVector) -> HCertificate | None:
@@ -309,19 +292,17 @@ def _joined(M: Any, count: int, labels: Any, v: FloatVector, margin: FloatVector
     between = labels[coupling.row] != labels[coupling.col]
     rows, columns, weight = coupling.row[between], coupling.col[between], coupling.data[between]
     factor = np.ones(count)
-    with np.errstate(all="ignore"):
-        for _ in range(COUPLING_SWEEPS):
-            load = np.bincount(rows, weight * (v * factor[labels])[columns], v.size)
-            needed = np.zeros(factor.size)
-            np.maximum.at(needed, labels, 2.0 * load / margin)
-            short = needed > factor
-            if not short.any():
-                break
-            factor[short] = np.exp2(np.ceil(np.log2(needed[short])))
-            if not np.isfinite(factor).all():
-                return None
-        whole = _centred(v * factor[labels])
-        return _certified(M, whole)
+    for _ in range(COUPLING_SWEEPS):
+        load = np.bincount(rows, weight * (v * factor[labels])[columns], v.size)
+        needed = np.zeros(factor.size)
+        np.maximum.at(needed, labels, 2.0 * load / margin)
+        short = needed > factor
+        if not short.any():
+            break
+        factor[short] = np.exp2(np.ceil(np.log2(needed[short])))
+        if not np.isfinite(factor).all():
+            return None
+    return _certified(M, _centred(v * factor[labels]))
 
 
 def _centred(v: FloatVector) -> FloatVector:

@@ -15,6 +15,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.kernels.floats import TINY, UNIT
@@ -90,37 +91,16 @@ def nonpositive_pair(M: Any) -> tuple[int, int] | None:
     M : CSR array, shape (n, n)
         With a positive diagonal.
     """
-    transposed = M.T.tocsr()
-    pairs = _signed_pairs(M, transposed)
-    if pairs is None:
-        return None
-    rows, columns, ours, theirs = pairs
     diagonal: FloatVector = M.diagonal()
-    with np.errstate(all="ignore"):
-        # Quotients by the diagonal: products could leave the range.
-        ratio = (ours / diagonal[rows]) * (theirs / diagonal[columns])
-    suspicious = np.flatnonzero(ratio > 1.0 - 8.0 * UNIT)
-    for k in suspicious[np.argsort(-ratio[suspicious], kind="stable")][:EXACT_PAIRS]:
-        i, j = int(rows[k]), int(columns[k])
-        exact = [Fraction(float(number)) for number in (diagonal[i], diagonal[j], ours[k], theirs[k])]
+    even = sp.csr_array((M.data / diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
+    ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
+    suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
+    for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:EXACT_PAIRS]:
+        i, j = int(ratios.coords[0][k]), int(ratios.coords[1][k])
+        exact = [Fraction(float(M[place])) for place in ((i, i), (j, j), (i, j), (j, i))]
         if exact[0] * exact[1] - exact[2] * exact[3] <= 0:
             return i, j
     return None
-
-
-def _signed_pairs(M: Any, transposed: Any) -> tuple[Any, Any, FloatVector, FloatVector] | None:
-    """Return rows, columns, m_ij, m_ji of the pairs i < j with m_ij m_ji > 0, or None where there is none."""
-    same = np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices)
-    if same:
-        rows, columns, ours, theirs = row_numbers(M), M.indices, M.data, transposed.data
-    else:
-        pattern = (abs(M) > 0).multiply(abs(transposed) > 0).tocoo()
-        rows, columns = pattern.row, pattern.col
-        if rows.size == 0:
-            return None
-        ours, theirs = np.asarray(M[rows, columns]).ravel(), np.asarray(M[columns, rows]).ravel()
-    upper = (rows < columns) & ((ours > 0.0) == (theirs > 0.0)) & (ours != 0.0) & (theirs != 0.0)
-    return (rows[upper], columns[upper], ours[upper], theirs[upper]) if upper.any() else None
 
 
 def _equilibrated(M: Any) -> tuple[FloatArray, FloatArray]:
@@ -137,19 +117,18 @@ def _breadth_first(values: FloatArray, bounds: FloatArray) -> list[int] | None:
     A node is a 1 and a digit for each row before its own: 1 where that row is eliminated, 0 where it is left out.
     """
     nodes, undecided = np.array([ROOT], dtype=np.int64), []
-    with np.errstate(all="ignore"):
-        while values.shape[1]:
-            pivot, uncertainty = values[:, 0, 0], bounds[:, 0, 0]
-            # A nonpositive pivot is a nonpositive principal minor: all pivots before it are surely positive.
-            if (upper_end(pivot, uncertainty) <= 0.0).any():
-                return None
-            sure = lower_end(pivot, uncertainty) > 0.0
-            undecided += nodes[~sure].tolist()
-            values, bounds, nodes = values[sure], bounds[sure], nodes[sure]
-            complement, complement_bounds = _schur(values, bounds)
-            values = np.concatenate([values[:, 1:, 1:], complement])
-            bounds = np.concatenate([bounds[:, 1:, 1:], complement_bounds])
-            nodes = np.concatenate([2 * nodes, 2 * nodes + 1])
+    while values.shape[1]:
+        pivot, uncertainty = values[:, 0, 0], bounds[:, 0, 0]
+        # A nonpositive pivot is a nonpositive principal minor: all pivots before it are surely positive.
+        if (upper_end(pivot, uncertainty) <= 0.0).any():
+            return None
+        sure = lower_end(pivot, uncertainty) > 0.0
+        undecided += nodes[~sure].tolist()
+        values, bounds, nodes = values[sure], bounds[sure], nodes[sure]
+        complement, complement_bounds = _schur(values, bounds)
+        values = np.concatenate([values[:, 1:, 1:], complement])
+        bounds = np.concatenate([bounds[:, 1:, 1:], complement_bounds])
+        nodes = np.concatenate([2 * nodes, 2 * nodes + 1])
     return undecided
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +24,7 @@ from ...systems.factors import factor_fits
 from ...systems.graph import block_rows, diagonal_blocks, row_excess_signs
 from ...systems.symmetry import asymmetry
 from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
-from ..exact.near_singular import eigenvalue_below
+from ..exact.rational import integers
 from .h_matrix import HCertificate, decide, h_verdict
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
 
@@ -289,6 +291,46 @@ def eigenvalue_proven(matrix: Matrix, exponents: IntVector) -> float | None:
     elif _is_well_rounded(matrix) and positive_definite_solver(symmetric_part_of(matrix)) is not None:
         least = 3.0 * matrix.n * UNIT * float((squares * matrix.diagonal).min())
     return least if 0.0 < least < np.inf else None
+
+
+def eigenvalue_below(M: Any, exponents: Sequence[int]) -> float:
+    """Return a double below the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(2^exponents), by at most a quarter.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+        n ≤ EXACT_SIZE, its symmetric part positive definite.
+    exponents : sequence of int, shape (n,)
+
+    Examples
+    --------
+    >>> import scipy.sparse as sp
+    >>> eigenvalue_below(sp.csr_array([[4.0, 2.0], [2.0, 4.0]]), [0, -1])  # of [[4, 1], [1, 1]] (5 − √13)/2 = 0.697…
+    0.625
+    """
+    entries, exponent = integers(M.toarray().ravel())
+    n, least = M.shape[0], 2 * min(exponents)
+    part = [
+        [(entries[i * n + j] + entries[j * n + i]) << (exponents[i] + exponents[j] - least) for j in range(n)]
+        for i in range(n)
+    ]
+
+    def is_below(value: int, power: int) -> bool:
+        above, shift = max(-power, 0), value << max(power, 0)
+        return has_positive_pivots(
+            [[(entry << above) - shift * (i == j) for j, entry in enumerate(row)] for i, row in enumerate(part)]
+        )
+
+    high, step = min(row[i] for i, row in enumerate(part)).bit_length(), 1  # no eigenvalue exceeds a diagonal entry
+    while not is_below(1, high - step):
+        step *= 2
+    low = high - step
+    high -= step // 2
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if is_below(1, middle) else (low, middle)
+    value = next(value for value in (7, 6, 5, 4) if is_below(value, low - 2))
+    return math.ldexp(value, low - 3 + exponent + least)
 
 
 def _is_well_rounded(matrix: Matrix) -> bool:

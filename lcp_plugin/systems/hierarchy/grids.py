@@ -180,11 +180,6 @@ class Hierarchy:
         """Whether any of it is in single precision."""
         return any(grid.inverse.dtype == np.float32 for grid in self.grids)
 
-    @property
-    def complexity(self) -> float:
-        """Entries of all matrices together, divided by those of the finest."""
-        return sum(grid.matrix.data.size for grid in self.grids) / max(self.grids[0].matrix.data.size, 1)
-
 
 MOST_BLOCKS = 16
 SMALLEST_BLOCK = 8192  # rows

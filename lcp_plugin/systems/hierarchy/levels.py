@@ -109,8 +109,8 @@ def build_hierarchy(
     --------
     >>> from lcp_plugin import gallery
     >>> hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=20).problem.csr)
-    >>> [grid.n for grid in hierarchy.grids], round(hierarchy.complexity, 2)
-    ([400, 200, 50], 2.08)
+    >>> [grid.n for grid in hierarchy.grids]
+    [400, 200, 50]
     """
     indptr, indices = matrix.indptr, matrix.indices
     if matrix.data.size > LARGEST_NARROW:

@@ -15,9 +15,8 @@ from numba import njit
 
 from lcp_plugin import LCP, Status, UnsuitableMatrix, gallery, march, prepare, solve
 from lcp_plugin.algorithms import Step
-from lcp_plugin.methods.banded.banded import Banded
-from lcp_plugin.methods.banded.kernels import bands as kernels
-from lcp_plugin.methods.banded.kernels.marches import find_contacts
+from lcp_plugin.methods.banded import Banded, kernels
+from lcp_plugin.methods.banded.march_kernels import find_contacts
 from lcp_plugin.systems.factors import bands
 
 Generator = np.random.Generator
@@ -336,22 +335,23 @@ def test_one_round_a_step_prices_an_american_put() -> None:
     assert 0.1 < np.mean(z == problem.lower) < 0.9
 
 
-def test_many_offsets_of_one_matrix_in_one_loop() -> None:
-    """Row k is what the fused solve of problem k alone is, each with bounds of its own, or None."""
+def test_a_march_in_one_loop_is_its_steps() -> None:
+    """Row k is what the fused solve of step k alone is, from the answer before."""
     rng = np.random.default_rng(6)
     for M in (tridiagonal_m(40, rng), dominant(40, 2, 2, rng)):
-        made = [planted(M, rng, boxes=True)[0] for _ in range(8)]
-        made[3] = made[3].with_q(np.full(40, 1e308), lower=made[3].lower, upper=made[3].upper)
-        names = ("q", "lower", "upper", "nearest_to_zero")
-        Q, lower, upper, Z = (np.array([getattr(problem, name) for problem in made]) for name in names)
-        together = Banded().fused_solves(made[0], Q, Z, 1e-8, 100, bounds=(lower, upper))
-        for problem, solve_fused in zip(made, together, strict=True):
-            alone = Banded().solve_fused(problem, problem.nearest_to_zero, 1e-8, 100)
-            assert (solve_fused is None) == (alone is None)
-            if solve_fused is not None and alone is not None:
-                assert np.array_equal(solve_fused.z, alone.z)
-                assert (solve_fused.residual, solve_fused.parts) == (alone.residual, alone.parts)
-        assert sum(solve_fused is not None for solve_fused in together) >= 7
+        problem, carry = planted(M, rng, boxes=True)[0], sp.csr_array(-0.5 * np.eye(40))
+        Q, Z = np.tile(problem.q, (8, 1)) * rng.uniform(0.5, 1.5, (8, 1)), np.tile(problem.nearest_to_zero, (8, 1))
+        offsets = Q.copy()
+        together = Banded().fused_solves(problem, Q, Z, 1e-8, 100, carry)
+        before = problem.nearest_to_zero
+        for k, step in enumerate(together):
+            own = problem.with_q(offsets[k] + (carry @ before if k else 0.0))
+            alone = Banded().solve_fused(own, before, 1e-8, 100)
+            assert step is not None
+            assert alone is not None
+            assert np.array_equal(step.z, alone.z)
+            assert (step.residual, step.parts) == (alone.residual, alone.parts)
+            before = alone.z
 
 
 def test_a_run_of_each_kind_compiles_all_there_is() -> None:

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.algorithms.base import Step
 from lcp_plugin.core.errors import InvalidOption, UnsuitableProblem
+from lcp_plugin.methods.lemke import Lemke, connected_parts
 from lcp_plugin.methods.lemke.canonical_box import canonical_box, equilibrated
-from lcp_plugin.methods.lemke.covering_vectors import bimatrix_players, starts
-from lcp_plugin.methods.lemke.lemke import Lemke, connected_parts
-from lcp_plugin.methods.lemke.pivoting_path import Path
+from lcp_plugin.methods.lemke.pivoting_path import Path, bimatrix_players, starts
 from lcp_plugin.methods.small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.strategies import solved_lcps
@@ -329,7 +328,7 @@ def test_options_are_checked(options: dict[str, Any]) -> None:
 
 def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A connected part that is too large for a dense inverse is refused by its size."""
-    monkeypatch.setattr("lcp_plugin.methods.lemke.lemke.PIVOTED_UP_TO", 3)
+    monkeypatch.setattr("lcp_plugin.methods.lemke.PIVOTED_UP_TO", 3)
     with pytest.raises(UnsuitableProblem, match=r"up to n = 3, got one of 4"):
         steps(LCP(np.ones((4, 4)), -np.ones(4)))
 

@@ -25,7 +25,7 @@ from lcp_plugin import (
 from lcp_plugin.core.kernels import threads
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.gallery.stencil import balanced_matrix
-from lcp_plugin.methods.multigrid.multigrid import SMOOTHERS, Multigrid
+from lcp_plugin.methods.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.problems.batches.batch import prepare, solve_many
 from lcp_plugin.systems.hierarchy import galerkin, grids, levels, sweeps, vectors
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of

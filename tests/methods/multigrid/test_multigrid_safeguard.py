@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Status, convergence_guarantee, gallery, solve
-from lcp_plugin.methods.multigrid.multigrid import Multigrid
+from lcp_plugin.methods.multigrid import Multigrid
 from lcp_plugin.methods.multigrid.multigrid_safeguard import Safeguard
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 

@@ -9,7 +9,7 @@ import pytest
 
 from lcp_plugin import LCP, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
-from lcp_plugin.problems.contact.contacts import contact_data
+from lcp_plugin.problems.contact import contact_data
 
 GRAVITY, STEP = 9.81, 0.01
 

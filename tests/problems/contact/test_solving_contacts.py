@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
-from lcp_plugin.problems.contact.contacts import Contacts, contact_data
+from lcp_plugin.problems.contact import Contacts, contact_data
 
 SIZES = st.sampled_from([(1, 1), (2, 1), (4, 2), (6, 1), (8, 4)])
 

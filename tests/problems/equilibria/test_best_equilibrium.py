@@ -20,8 +20,8 @@ from lcp_plugin import (
     minimize_over_solutions,
     solve,
 )
-from lcp_plugin.problems.equilibria.local_search import LocalSearch
-from lcp_plugin.problems.equilibria.monotone import ellipsoid, separating_points, with_points
+from lcp_plugin.problems.equilibria.cuts import ellipsoid, separating_points, with_points
+from lcp_plugin.problems.equilibria.relaxations import LocalSearch
 
 
 def solved(problem: cp.Problem, **options: Any) -> Any:

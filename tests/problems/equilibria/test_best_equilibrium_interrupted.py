@@ -39,7 +39,7 @@ def interrupted(at: int) -> tuple[Any, int]:
         return line
 
     def call(frame: FrameType, event: str, _: Any) -> Any:
-        is_search = frame.f_code.co_filename.endswith(("branch_and_bound.py", "relaxations.py", "local_search.py"))
+        is_search = frame.f_code.co_filename.endswith(("branch_and_bound.py", "relaxations.py"))
         is_begun = frame.f_code.co_name not in ("minimize_over_solutions", "__init__", "_result", "clock")
         return line if is_search and is_begun and is_running(frame) else None
 

@@ -24,7 +24,7 @@ from lcp_plugin.problems.least_squares import solving as least_squares
 from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.enclosures import Enclosures
-from lcp_plugin.problems.least_squares.kernels.least_squares_sums import largest_residuals
+from lcp_plugin.problems.least_squares.sums import largest_residuals
 
 INF = np.inf
 

@@ -29,8 +29,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.core.kernels.compilation import compiling_at_once
-from lcp_plugin.problems.march import kernels
-from lcp_plugin.problems.march.march import March, carry_remark
+from lcp_plugin.problems.march import March, carry_remark, kernels
 
 # --- What is kept ---------------------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, Status, gallery, march, solve
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
-from lcp_plugin.methods.multigrid.multigrid import Multigrid
+from lcp_plugin.methods.multigrid import Multigrid
 from lcp_plugin.methods.newton.condensed import Condensed
 from lcp_plugin.problems.march.marching import Lesson, StepPolicy
 

@@ -87,7 +87,7 @@ def test_a_march_ends_where_a_step_is_not_solved() -> None:
 
 
 @pytest.mark.parametrize(("given", "message"), [
-    ({"forcing": np.zeros(3)}, r"forcing must be .* \(k, n\), n = 3, a row a step, got shape \(3,\)"),
+    ({"forcing": np.zeros(3)}, r"forcing must be .* \(k, n\), a row a step, n = 3, got shape \(3,\)"),
     ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair that entry"),
     ({"carry": np.eye(2)}, r"carry must be a number or a finite array of shape \(3, 3\), got shape \(2, 2\)"),
     ({"carry": np.full((3, 3), np.inf)}, "carry must be .* got NaN or infinite entries; repair them"),

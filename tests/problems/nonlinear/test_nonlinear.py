@@ -566,7 +566,7 @@ def test_compilation_in_a_step_is_off_the_clock(monkeypatch: pytest.MonkeyPatch)
             now[0] += 70.0
 
     monkeypatch.setattr("lcp_plugin.core.deadline.time.perf_counter", lambda: now[0])
-    monkeypatch.setattr("lcp_plugin.problems.nonlinear.linearisation.fused", compiles)
+    monkeypatch.setattr("lcp_plugin.problems.nonlinear.josephy_newton.fused", compiles)
     result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), max_seconds=1.0)
     assert now[0] > 70.0
     solved(result)

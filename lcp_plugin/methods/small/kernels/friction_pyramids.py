@@ -1,6 +1,6 @@
 """Friction pyramids in a matrix: its rows as contacts, and its entries for the unknowns of these alone.
 
-Of n rows in any order, read are those of :mod:`lcp_plugin.problems.contact.contacts`: a row with a zero on the diagonal
+Of n rows in any order, read are those of :mod:`lcp_plugin.problems.contact`: a row with a zero on the diagonal
 holds a radius μ p less the impulses β of its edges, and its column lets a speed λ into theirs; both units may differ
 from 1. Edges come as d, −d. Unknowns are the normal impulses p, those of rows without friction, too, and
 f = β₊ − β₋ of each pair of edges. Arrays as in :mod:`.contact_systems`.

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
-from ....core.kernels.enclosures import residual_ends
-from .marches import NEGLIGIBLE_PIVOT, find_contacts, substitute
+from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+from ...core.kernels.enclosures import residual_ends
+from .march_kernels import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
 WAY, LAST_WAY, SIDE, TURNS_LEFT, LEFT, FEWEST_WRONG, FEWEST_HELD, PATIENCE, HALVES_LEFT, IS_SETTLED, SLOTS = range(11)
@@ -261,7 +261,7 @@ def run_all(  # type: ignore[no-untyped-def]
         ends where it does not converge.
     Q, Z : arrays, shape (k, n)
         Offsets; starts, then answers.
-    lower, upper, nearest : arrays, shape (k, n), or (1, n) for all
+    lower, upper, nearest : arrays, shape (n,)
         Bounds, and the point between them that is nearest to 0.
     rounds : array of int, shape (k, 2)
         How many there were on the direct way and on the other; −1 where they did not converge.
@@ -270,32 +270,28 @@ def run_all(  # type: ignore[no-untyped-def]
     """
     n = Q.shape[1]
     vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
-    rows, origin = np.empty((n, bands.shape[0])), np.empty(n)
-    smallest, largest, room = np.empty(n), np.empty(n), _room_for_contacts(n)
+    rows, smallest, largest, room = np.empty((n, bands.shape[0])), np.empty(n), np.empty(n), _room_for_contacts(n)
     for k in range(Q.shape[0]):
         rounds[k, 0] = rounds[k, 1] = -1
     for k in range(Q.shape[0]):
-        q, z, bound = Q[k], Z[k], min(k, lower.shape[0] - 1)
-        low, high, direct, blocks = lower[bound], upper[bound], 0, 0
+        q, z, direct, blocks = Q[k], Z[k], 0, 0
         if carry_indptr.size > 0 and k > 0:
             for i in range(n):
                 z[i] = Z[k - 1, i]
             add_product(carry_indptr, carry_indices, carry_data, z, q)
             for i in range(n):
-                z[i] = min(max(z[i], low[i]), high[i])
-        for i in range(n):
-            origin[i] = nearest[bound, i]
-        residual_ends(indptr, indices, data, 0, origin, q, origin, low, high, scale, smallest, largest)
+                z[i] = min(max(z[i], lower[i]), upper[i])
+        residual_ends(indptr, indices, data, 0, nearest, q, nearest, lower, upper, scale, smallest, largest)
         least, most = _largest(smallest), _largest(largest)
-        _begin(is_direct, low, high, memory)
-        residual, goes_on = _measured(bands, below, q, low, high, scale, z, vectors[0], sets[1]), least > 0.0
+        _begin(is_direct, lower, upper, memory)
+        residual, goes_on = _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = _advanced(
-                bands, below, weights, scale, q, low, high, z, vectors, sets, memory, rows, room
+                bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room
             )
             direct, blocks = direct + (memory[LAST_WAY] == DIRECT), blocks + (memory[LAST_WAY] == BLOCKS)
         if least > 0.0 and residual / most <= tolerance:
-            residual_ends(indptr, indices, data, 0, z, q, z, low, high, scale, smallest, largest)
+            residual_ends(indptr, indices, data, 0, z, q, z, lower, upper, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = _largest(largest), least
             if ends[k, 0] / least < tolerance:
                 rounds[k, 0], rounds[k, 1] = direct, blocks

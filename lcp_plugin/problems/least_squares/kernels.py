@@ -17,15 +17,15 @@ from functools import partial
 
 import numpy as np
 
-from ....core.kernels.compilation import (
+from ...core.kernels.compilation import (
     LONGEST_IN_ORDER,
     compiled_in_any_order,
     compiled_into_others,
     compiled_part,
     interpreted_while_small,
 )
-from ....core.kernels.floats import EPSILON
-from .least_squares_sums import (
+from ...core.kernels.floats import EPSILON
+from .sums import (
     part_of_columns,
     part_of_gap,
     part_of_largest,

@@ -1,6 +1,6 @@
 """Many marches with one tridiagonal M, side by side: the inner loops go over the marches, several at a time.
 
-As in :mod:`~lcp_plugin.methods.banded.kernels.bands`, with M's off-diagonal entries ≤ 0, but a round starts from the
+As in :mod:`~lcp_plugin.methods.banded.kernels`, with M's off-diagonal entries ≤ 0, but a round starts from the
 sides that the last one found: from one step of a march to the next few rows change.
 
 One problem alone, bounded on one side, z ≥ value, is answered without rounds. The theory is Chandrasekaran's, the order
@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_into_others, compiled_part, interpreted_while_small
-from ....core.kernels.enclosures import MAY_UNDERFLOW, of_terms, row_ends, split_sum, with_term
-from ....core.kernels.floats import TINY, UNIT
+from ...core.kernels.compilation import compiled_into_others, compiled_part, interpreted_while_small
+from ...core.kernels.enclosures import MAY_UNDERFLOW, of_terms, row_ends, split_sum, with_term
+from ...core.kernels.floats import TINY, UNIT
 
 ROUNDS = 10  # beyond, the contacts of a march are rather found directly
 UNDERFLOW = 4.0 * TINY / UNIT  # stands among the magnitudes of a sum for what it takes from a product and its error

@@ -27,10 +27,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import real_array
-from ...core.errors import InvalidProblem
-from ...core.lcp import LCP
-from ...core.solving.result import Result
+from ..core.checks import real_array
+from ..core.errors import InvalidProblem
+from ..core.lcp import LCP
+from ..core.solving.result import Result
 
 FloatArray = NDArray[np.float64]
 
@@ -218,7 +218,7 @@ def lcp_from_contacts(contacts: Any, friction: ArrayLike, velocities: ArrayLike,
     if given.W.ndim != 2:
         raise InvalidProblem(
             "LCP.from_contacts makes one problem, got arrays of a batch; write contact_data(…) from "
-            "lcp_plugin.problems.contact.contacts, and solve_batch(*data.arrays)"
+            "lcp_plugin.problems.contact, and solve_batch(*data.arrays)"
         )
     problem = LCP(*given.arrays)
     problem.origin = given

@@ -12,17 +12,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import (
+from ...core.kernels.compilation import (
     compiled,
     compiled_in_any_order,
     compiled_in_place,
     compiled_into_others,
     compiled_part,
 )
-from ....core.kernels.floats import EPSILON
-from ....methods.small.kernels.small_problems import classify, look_at, slack, take
-from ....methods.small.kernels.small_systems import solve_free
-from ....methods.small.kernels.workspace import (
+from ...core.kernels.floats import EPSILON
+from ...methods.small.kernels.small_problems import classify, look_at, slack, take
+from ...methods.small.kernels.small_systems import solve_free
+from ...methods.small.kernels.workspace import (
     AT_LOWER,
     AT_UPPER,
     BETWEEN,

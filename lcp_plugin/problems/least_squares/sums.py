@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled, compiled_into_others, compiled_part
-from ....core.kernels.floats import EPSILON, TINY, UNIT
+from ...core.kernels.compilation import compiled, compiled_into_others, compiled_part
+from ...core.kernels.floats import EPSILON, TINY, UNIT
 
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
 LARGEST_EXPONENT = 500

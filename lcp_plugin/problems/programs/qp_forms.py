@@ -192,9 +192,9 @@ class DualForm(QPOrigin):
         rows, and no factor of the KKT form that fits.
         """
         left = self.rows.left.size
-        size = left + sum(part.size for part in _bound_rows(self.rows.folded))
         if not left or not (self.rows.program.P.diagonal() > 0.0).all():
             return False
+        size = left + sum(part.size for part in _bound_rows(self.rows.folded))
         if not (self._is_smaller(size) or self._is_laplacian() or self._is_all_that_fits(size)):
             return False
         return not self.rows.contradict() and self.rows.program.matrices.condition <= WELL_CONDITIONED

@@ -197,6 +197,48 @@ def test_a_second_solve_starts_from_the_first(kind: str, seed: int) -> None:
     assert again.origin.recover(warm).is_stationary(1e-6)
 
 
+def moved(program: QuadraticProgram, share: float) -> QuadraticProgram:
+    """The program with a gradient that is larger by that share."""
+    return program.with_vectors(c=program.c * (1.0 + share))
+
+
+@pytest.mark.parametrize("tolerance", [1e-9, 1e-11])
+def test_what_the_last_active_set_answers_takes_no_run(tolerance: float) -> None:
+    """A program solved again from `result.z`: one factorisation, then the answer that is found from nothing."""
+    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
+    first, again = solve(program), moved(program, 1e-7)
+    cold, warm = solve(again, tolerance=tolerance), solve(again, z0=first.z, tolerance=tolerance)
+    assert (warm.is_solved, warm.iterations) == (True, 1)
+    assert "active set of an earlier answer" in warm.stages[0].because
+    assert warm.certificate.relative_residual <= tolerance
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
+    assert warm.solution.is_optimal()
+
+
+@pytest.mark.parametrize("share", [-0.5, 3.0])
+def test_a_last_active_set_that_is_wrong_changes_no_answer(share: float) -> None:
+    """Far from the last program, or with a start of another size or of noise, the answer is that of a first solve."""
+    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
+    first, again = solve(program), moved(program, share)
+    cold = solve(again)
+    for start in (first.z, np.zeros(3), np.random.default_rng(2).standard_normal(first.z.size), np.zeros(first.z.size)):
+        warm = solve(again, z0=start)
+        assert warm.is_solved
+        assert warm.objective == pytest.approx(cold.objective, rel=1e-6, abs=1e-6)
+
+
+def test_a_start_hides_no_refutation() -> None:
+    """From an earlier answer, an infeasible program is INFEASIBLE and one that is not convex is refused."""
+    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
+    z = solve(program).z
+    outside = program.with_vectors(lower=np.full(program.n, 1e6), upper=np.full(program.n, 2e6))
+    assert solve(outside, z0=z).status is Status.INFEASIBLE
+    bent = QuadraticProgram(-1.0 * program.P, program.c, program.G, program.h, program.A, program.b,
+                            program.lower, program.upper)
+    with pytest.raises(UnsupportedModel, match="not convex"):
+        solve(bent, z0=z)
+
+
 def test_an_infinite_limit_may_be_rounded() -> None:
     """1e20 less its last digits, as files hold it, says nothing either."""
     program = QuadraticProgram.from_ranges(

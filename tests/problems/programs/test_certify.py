@@ -492,13 +492,33 @@ def test_free_columns_are_repaired() -> None:
     assert found == pytest.approx(-4.0)
 
 
+@pytest.mark.parametrize("rows", [10, 100])  # below and above what is solved once more for a sharper bound
+def test_a_violated_answer_is_refuted_without_fractions(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+    """Noise that violates constraints refutes an answer by itself, with bounds of the optimal value beside it."""
+    monkeypatch.setattr(FeasiblePoints, "exactly_near", lambda *_: pytest.fail("fractions were asked"))
+    monkeypatch.setattr(FeasiblePoints, "inside", property(lambda _: pytest.fail("fractions were asked")))
+    rng = np.random.default_rng(3)
+    n = 4 * rows
+    factor, G, A = (rng.standard_normal(shape) for shape in ((n, n + 5), (n // 2, n), (rows, n)))
+    x = rng.random(n)
+    program = QuadraticProgram(factor @ factor.T / n, rng.standard_normal(n), G, G @ x + 0.1, A, A @ x, 0.0)
+    noisy = solve(program).x + 1e-4 * rng.standard_normal(n)
+    found = certify(program, noisy)
+    assert found.verdict == "refuted"
+    assert "violated" in found.reason
+    assert found.lower is not None
+    assert found.upper is not None
+    assert found.lower <= found.upper
+
+
 def test_feasible_points_are_feasible() -> None:
     """Near a point that misses equations and tight rows by rounding there is one that meets them exactly."""
     rng = np.random.default_rng(2)
     for seed in range(4):
         case = CAMPAIGN.case("definite, equations", np.random.default_rng(seed), 6)
         near = case.x + 1e-9 * rng.normal(size=case.x.size)
-        found = FeasiblePoints(case.program).near(near)
+        points = FeasiblePoints(case.program)
+        found = points.near(near) or points.exactly_near(near)
         assert found is not None
         assert np.abs(found.near - near).max() < 1e-6
         assert Fraction(found.value) >= case.value

@@ -34,6 +34,7 @@ SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "a
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 AGAIN = "the active set of an earlier answer"
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
+PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
 
@@ -334,10 +335,13 @@ def program_runs(
     goal.
     """
     has_run, refusal = False, None
+    labels = set[str]()
 
     def ends(sample: Sample, z: FloatVector) -> bool:
+        labels.add(sample.label)
         wants_end = callback is not None and bool(callback(sample, z))
-        return wants_end or (is_refuted is not None and sample.label == FeasibilityCheck.name and is_refuted())
+        is_last_resort = sample.label == FeasibilityCheck.name or labels >= PIVOTS_AT_LAST
+        return wants_end or (is_refuted is not None and is_last_resort and is_refuted())
 
     for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
         for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):

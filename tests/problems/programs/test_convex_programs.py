@@ -445,6 +445,42 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
     assert of_rows.sum() == n + 1
 
 
+def contradicting(n: int) -> QuadraticProgram:
+    """A dense program with one row more than unknowns, all of which are needed to contradict."""
+    rng = np.random.default_rng(n)
+    factor, G = rng.standard_normal((n, n + 5)), rng.standard_normal((n + 5, n))
+    h = rng.standard_normal(n + 5) - 1.0
+    rows, limits = np.vstack([G, -G.sum(axis=0)]), np.append(h, -h.sum() - 1.0)
+    return QuadraticProgram(factor @ factor.T / n, np.ones(n), rows, limits)
+
+
+def falling(n: int) -> QuadraticProgram:
+    """A dense program with P of half the rank that falls for ever along one direction."""
+    rng = np.random.default_rng(n)
+    factor, G, d = rng.standard_normal((n, n // 2)), rng.standard_normal((n // 2, n)), rng.standard_normal(n)
+    Q = np.linalg.qr(factor)[0]
+    d -= Q @ (Q.T @ d)
+    d /= np.linalg.norm(d)
+    G -= np.outer(np.maximum(G @ d, 0.0), d)
+    return QuadraticProgram(factor @ factor.T / n, -2.0 * d, G, np.ones(n // 2))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("made", "status", "n"), [
+    (contradicting, Status.INFEASIBLE, 150), (contradicting, Status.INFEASIBLE, 450),
+    (falling, Status.UNBOUNDED, 150), (falling, Status.UNBOUNDED, 450),
+])
+def test_large_dense_programs_are_refuted_before_methods_creep(made: Any, status: Status, n: int) -> None:
+    """In seconds, where interior points end: a proof that counts, within a radius, is not searched for in fractions."""
+    result = solve(made(n), max_seconds=60.0)
+    assert result.status is status
+    assert result.proof is not None
+    assert result.proof.verify()
+    assert result.proof.excludes(1e-6)
+    assert result.proof.radius >= 1e8
+    assert result.seconds < 30.0
+
+
 def test_a_rounded_bound_proves_nothing() -> None:
     """3 x ≥ 1 and x = a double below 1/3 contradict, if by rounding only: no proof or an exact one; above it, none."""
     for right in (np.nextafter(1.0 / 3.0, 0.0), 1.0 / 3.0, np.nextafter(1.0 / 3.0, 1.0)):

@@ -79,10 +79,10 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, y = self._split(answer)
-        rows = self.program.constraints
         if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
-            x = x if self.substitution is None else self.substitution.expanded(x)
-            return QPSolution(self.program, x, *rows.split(np.full(rows.limit.size, np.nan)))
+            return QPSolution.without_multipliers(
+                self.program, x if self.substitution is None else self.substitution.expanded(x)
+            )
         key = x.tobytes() + y.tobytes()
         solution = self._latest.get(key)  # a run's judge may have asked for it
         if solution is None:
@@ -135,6 +135,10 @@ class QPOrigin:
         A tolerance of the problem below 1e-6 is none of the program.
         """
         return self.program.refutation(max(tolerance, PROGRAM_TOLERANCE)) is not None
+
+    def refutation_in_words(self) -> str:
+        """Return the proof that the program has kept, or nothing."""
+        return str(self.program.__dict__.get("proof_of_no_minimum") or "")
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""

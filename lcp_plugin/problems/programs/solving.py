@@ -198,6 +198,7 @@ def judged_program(
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
     if proof is not None:
         result = replace(result, status=status, infeasibility=proof)
+        solution = QPSolution.without_multipliers(program, solution.x)
     return QuadraticProgramResult(
         status, solution, goal, result.algorithm, result.iterations, result.seconds, result, proof
     )
@@ -226,8 +227,7 @@ def _refuted(
     program: QuadraticProgram, proof: QPInfeasibility, tolerance: float, seconds: float
 ) -> QuadraticProgramResult:
     """Return the result of a program that the compiled call has found to be infeasible."""
-    nothing = np.full(program.constraints.limit.size, np.nan)
-    solution = QPSolution.of_rows(program, np.clip(0.0, program.lower, program.upper), nothing)
+    solution = QPSolution.without_multipliers(program, np.clip(0.0, program.lower, program.upper))
     return QuadraticProgramResult(
         Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, seconds,
         partial(_refuted_run, program, proof, tolerance), proof,

@@ -445,6 +445,23 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
     assert of_rows.sum() == n + 1
 
 
+@pytest.mark.parametrize(("program", "word"), [
+    (QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, -1.0]), "infeasible"),
+    (QuadraticProgram(None, [1.0, 1.0], [[1.0, 1.0], [1.0, -1.0]], [-1.0, -1.0]), "unbounded"),
+])
+def test_a_run_that_a_proof_ends_says_so(program: Any, word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """With verbose=True and without, a refuted program has no multipliers, and the last line names the proof."""
+    watched, quiet = solve(program, verbose=True), solve(program)
+    end = capsys.readouterr().out.splitlines()[-1]
+    assert f"ended by the proof that what the problem was made from is {word}" in end
+    assert "Ctrl-C" not in end
+    for result in (watched, quiet):
+        assert result.status.name.lower() == word
+        assert all(np.isnan(part).all() for part in result.duals.values())
+        assert "nan" not in str(result.solution)
+        assert "no multipliers" in str(result.solution)
+
+
 def contradicting(n: int) -> QuadraticProgram:
     """A dense program with one row more than unknowns, all of which are needed to contradict."""
     rng = np.random.default_rng(n)
@@ -902,7 +919,9 @@ class _Points(Algorithm):
 def test_the_point_that_answers_the_program_is_returned() -> None:
     """Not one before it of a smaller residual that did not: the status speaks of what is handed back."""
     problem, better, right = LCP(np.eye(2), [-1.0, -1.0]), [1.0 - 1e-13, 1.0], [1.0 - 1e-10, 1.0]
-    problem.criterion = SimpleNamespace(is_answered=lambda z, _tolerance: bool(z[0] == right[0]))
+    problem.criterion = SimpleNamespace(
+        is_answered=lambda z, _tolerance: bool(z[0] == right[0]), refutation_in_words=lambda: ""
+    )
     assert not solve(problem, _Points(better)).is_solved
     result = solve(problem, _Points(better, *[right] * 3))
     assert result.is_solved

@@ -24,7 +24,6 @@ from lcp_plugin import solve
 from lcp_plugin.doors.files.program_files import load_program
 from lcp_plugin.problems.programs.program import QuadraticProgram
 from lcp_plugin.problems.programs.qp_solution import QPSolution
-from lcp_plugin.problems.programs.solving import solve_quadratic_program
 
 from .rivals import SEED
 from .timing import medians, rounds, timed
@@ -153,7 +152,7 @@ def from_file(path: str | Path) -> Case:
 
 def ours(case: Case) -> QPSolution:
     """Return our answer, in the way that QPSolver goes."""
-    return solve_quadratic_program(case.program())[1]
+    return solve(case.program()).solution
 
 
 def run(*, quick: bool = False, files: Sequence[str | Path] = ()) -> Iterator[str]:

@@ -202,9 +202,10 @@ class QPSolution:
         return "unknown" if self.proof is None else self.proof.verdict
 
     def __str__(self) -> str:
-        names = ("primal_residual", "dual_residual", "complementarity", "row_residual")
-        known = {name.replace("_", " "): value for name in names if not np.isnan(value := getattr(self, name))}
-        lines = [f"{'objective':<16} {self.objective:.9g}", *(f"{name:<16} {value:.3e}" for name, value in known.items())]
+        lines = [f"{'objective':<16} {self.objective:.9g}"]
+        for name in ("primal_residual", "dual_residual", "complementarity", "row_residual"):
+            if not np.isnan(value := getattr(self, name)):
+                lines.append(f"{name.replace('_', ' '):<16} {value:.3e}")
         if np.isnan(self.multipliers).any():
             lines.append("no multipliers: a proof came instead")
         return "\n".join(lines)

@@ -165,9 +165,26 @@ class QuadraticProgramResult(Answer):
 def judged_program(
     program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
 ) -> QuadraticProgramResult:
-    """Return what `solve_quadratic_program` finds, with a status that its own data prove; the same arguments.
+    """Return the answer with the smallest residuals in the program's own terms, and a status that its data prove.
 
-    A `z0` is a guess: programs are solved in several forms, and it is the start of those that have as many unknowns.
+    Parameters
+    ----------
+    program : QuadraticProgram
+        Convex; merely convex and linear programs included.
+    algorithm, tolerance, **options
+        Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
+        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on, and where
+        it ends so, the KKT form without substitutions is tried. A limit of the caller holds for each trial and ends
+        them all. Where the interior point and the feasibility check end without a solution, ``program.refutation`` is
+        looked for, which ends them, too; not so with ``refute=False``. A `z0` is a guess, an earlier answer's z:
+        programs are solved in several forms, and it is the start of those that have as many unknowns.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
+    UnknownAlgorithm, InvalidOption
+        As `solve`.
     """
     if (start := options.pop("z0", None)) is not None:
         try:
@@ -179,9 +196,9 @@ def judged_program(
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes = program_goal(tolerance), options.get("refute", True)
     if is_one_call and guess is not None and (again := solved_again(program, guess, tolerance)) is not None:
-        result, solution = again
+        run, solution = again
         return QuadraticProgramResult(
-            Status.SOLVED, solution, goal, result.algorithm, result.iterations, result.seconds, result
+            Status.SOLVED, solution, goal, run.algorithm, run.iterations, run.seconds, run
         )
     if is_one_call and (found := _at_once(program, tolerance, options)) is not None:
         return QuadraticProgramResult(
@@ -250,40 +267,6 @@ def _status(
     if result.status is Status.STALLED or result.is_refuted:  # in the run's units, not the program's
         return Status.SOLVED if is_optimal else Status.STALLED
     return result.status
-
-
-def solve_quadratic_program(
-    program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, guess: FloatVector | None = None,
-    **options: Any,
-) -> tuple[Result, QPSolution]:
-    """Return the run and the answer with the smallest residuals in the program's own terms.
-
-    Parameters
-    ----------
-    program : QuadraticProgram
-        Convex; merely convex and linear programs included.
-    algorithm, tolerance, **options
-        Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
-        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on, and where
-        it ends so, the KKT form without substitutions is tried. A limit of the caller holds for each trial and ends
-        them all. As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
-        one, it ends them too, and the run is INTERRUPTED; not so with ``refute=False``.
-
-    guess : array, optional
-        An earlier run's z: the start where it has the right length.
-
-    Raises
-    ------
-    UnsupportedModel
-        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
-    UnknownAlgorithm, InvalidOption
-        As `solve`.
-    """
-    options = {name: wish for name, wish in options.items() if wish is not None}
-    is_one_call = _takes_one_call(algorithm, tolerance, options)
-    if is_one_call and (found := _at_once(program, tolerance, options)) is not None:
-        return found.result(tolerance), found.solution
-    return _by_forms(program, algorithm, tolerance, guess, options)
 
 
 def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -> bool:

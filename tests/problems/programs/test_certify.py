@@ -42,7 +42,7 @@ from lcp_plugin.problems.programs.conversion import lcp_from_qp
 from lcp_plugin.problems.programs.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
 from lcp_plugin.problems.programs.feasible_points import FeasiblePoint, FeasiblePoints, distance_of_equations
 from lcp_plugin.problems.programs.program_proofs import SMALL, ProgramProofs, distances
-from lcp_plugin.problems.programs.solving import solve_quadratic_program
+from lcp_plugin.problems.programs.solving import judged_program
 from lcp_plugin.proofs.bounds.curvature import Curvature, constrained_curvature, curvature
 from lcp_plugin.strategies import convex_qps
 
@@ -821,7 +821,7 @@ def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
     pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
     for seed in SEEDS.get(kind, range(3)):
         case = MULTIPLIERS.program(kind, np.random.default_rng([0, seed, 7]))
-        answer = solve_quadratic_program(case)[1]
+        answer = judged_program(case).solution
         assert answer.is_optimal()
         theirs = MULTIPLIERS.largest_of_highs(case)
         assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(theirs, 1e-6)

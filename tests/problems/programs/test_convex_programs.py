@@ -33,7 +33,7 @@ from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_l
 from lcp_plugin.problems.programs.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
 from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.problems.programs.qp_solution import QPSolution
-from lcp_plugin.problems.programs.solving import judged_program, solve_quadratic_program
+from lcp_plugin.problems.programs.solving import judged_program
 from lcp_plugin.proofs.exact.linear_systems import solved_nearby
 
 INF = np.inf
@@ -62,7 +62,8 @@ def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
     """Two planted programs of each kind have their value and conditions, measured here, by interior_point."""
     for seed in (77, 78):
         case, value = CAMPAIGN.case(kind, seed, 0, 25)
-        result, answer = solve_quadratic_program(case, INTERIOR)
+        result = judged_program(case, INTERIOR)
+        answer = result.solution
         assert CAMPAIGN.said(case, answer, answer.status, value, "") == (True, False), result
 
 
@@ -94,7 +95,7 @@ def test_ranges_say_what_they_say() -> None:
     program = QuadraticProgram.from_ranges(P, c, A, low, high, lower=[-1e20, -5.0, -5.0], upper=5.0)
     assert (program.h.size, program.b.size) == (4, 1)
     assert program.lower[0] == -INF
-    _, solution = solve_quadratic_program(program, INTERIOR)
+    solution = judged_program(program, INTERIOR).solution
     assert solution.is_optimal(1e-9)
     y = solution.row_multipliers
     assert y.shape == (5,)
@@ -149,7 +150,7 @@ def test_rows_and_columns_over_twelve_orders_of_magnitude(largest: int, seeds: i
     """The road of `QPSolver`, which asks for more where rows are left over: the planted value, every row to 1e-6."""
     for seed in range(seeds):
         program, value = CAMPAIGN.case("graded rows, columns", seed, 12, largest)
-        _, solution = solve_quadratic_program(program)
+        solution = judged_program(program).solution
         assert solution.is_stationary(1e-6), (seed, str(solution))
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
@@ -728,32 +729,32 @@ def test_a_sparse_dense_and_empty_program() -> None:
     rng = np.random.default_rng(1)
     P, G = np.diag([1.0, 0.0, 2.0]), rng.normal(size=(4, 3))
     answers = [
-        solve_quadratic_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR)[1]
+        judged_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR).solution
         for wrap in (np.asarray, sp.csr_array)
     ]
     np.testing.assert_allclose(answers[0].objective, answers[1].objective, atol=1e-9)
     single = QuadraticProgram(np.zeros((1, 1)), [1.0], lower=-3.0)
-    assert solve_quadratic_program(single, INTERIOR)[1].x.tolist() == [-3.0]
+    assert judged_program(single, INTERIOR).solution.x.tolist() == [-3.0]
 
 
 def test_rounding_does_not_make_a_program_nonconvex() -> None:
     """A row of P that is zero but for rounding errors is accepted; an eigenvalue of −1e-6 is refused by name."""
     P = np.array([[1.0, 0.0, 1e-17], [0.0, 1.0, 0.0], [1e-17, 0.0, 0.0]])
     program = QuadraticProgram(P, [-1.0, 0.0, 1.0], lower=[-5.0, -5.0, 0.0])
-    _, answer = solve_quadratic_program(program, INTERIOR)
+    answer = judged_program(program, INTERIOR).solution
     np.testing.assert_allclose(answer.x, [1.0, 0.0, 0.0], atol=1e-9)
     with pytest.raises(UnsupportedModel, match="not convex"):
-        solve_quadratic_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
+        judged_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
 
 
 def test_explain_tells_every_form_that_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no answer is good enough, the stages are those of all runs, each form and tolerance with its reason."""
     monkeypatch.setattr(QPSolution, "is_stationary", lambda _self, _tolerance=1e-6: False)
     program = QuadraticProgram(np.diag([0.0, 2.0]), [0.0, 0.0], A=[[1.0, -1.0]], b=[1.0], lower=[0.0, -INF])
-    result, _ = solve_quadratic_program(program)
+    result = judged_program(program)
     reasons = [stage.because.partition(";")[0] for stage in result.stages]
     assert "the KKT form of the program as it stands" in reasons
-    assert "the KKT form of the program as it stands" in result.explain()
+    assert "the KKT form of the program as it stands" in result.lcp_result.explain()
 
 
 # --- Optimality conditions written by hand ----------------------------------------------------------------------
@@ -781,7 +782,7 @@ def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: fl
     problem = ComplementarityProblem(constraints)
     problem.solve(algorithm=INTERIOR, tolerance=1e-10)
     assert problem.status == "optimal"
-    _, answer = solve_quadratic_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR)
+    answer = judged_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
     assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(answer.objective, rel=1e-8, abs=1e-8)
 
 

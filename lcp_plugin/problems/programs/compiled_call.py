@@ -19,7 +19,6 @@ from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
 from .program import QuadraticProgram
 from .qp_certificates import with_bounds
 from .qp_forms import KKTForm, QPOrigin
-from .qp_proofs import QPInfeasibility
 from .qp_solution import QPSolution
 from .reductions import FoldedRows, Substitution, fold_simple_rows, substitute_definitions
 from .small_programs import ROWS_UP_TO, UP_TO, SmallAnswers, SmallPrograms, may_be_small, work_of_search
@@ -108,13 +107,7 @@ def keep_contradiction(program: QuadraticProgram, y: FloatVector, goal: float) -
     """
     proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y.tolist()) if value})
     if proof.verify() and proof.excludes(goal):
-        program.__dict__["proof_of_no_minimum"] = proof
-
-
-def known_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
-    """Return the proof that the program has kept."""
-    proof = program.__dict__.get("proof_of_no_minimum")
-    return proof if isinstance(proof, QPInfeasibility) else None
+        program.__dict__["_proof"] = proof
 
 
 def _worthwhile(program: QuadraticProgram) -> Substitution | None:

@@ -22,6 +22,7 @@ from .reductions import FoldedRows, Substitution
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
+    from .qp_proofs import QPInfeasibility, QPUnboundedness
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
@@ -53,6 +54,7 @@ class QPOrigin:
     form: ClassVar[str]
     is_of_convex_program: ClassVar[bool] = True
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
+    _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
 
     @property
     def program(self) -> QuadraticProgram:
@@ -136,9 +138,13 @@ class QPOrigin:
         """
         return self.program.refutation(max(tolerance, PROGRAM_TOLERANCE)) is not None
 
+    def end_by(self, proof: QPInfeasibility | QPUnboundedness) -> None:
+        """Take note of the proof that ends a run."""
+        self._proofs[:] = [proof]
+
     def refutation_in_words(self) -> str:
-        """Return the proof that the program has kept, or nothing."""
-        return str(self.program.__dict__.get("proof_of_no_minimum") or "")
+        """Return the proof that has ended a run, or nothing."""
+        return "".join(map(str, self._proofs))
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""

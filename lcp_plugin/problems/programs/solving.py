@@ -21,11 +21,12 @@ from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result, Sample, StageRecord
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
-from .compiled_call import ACTIVE_SET, REACHED, CompiledAnswer, ProgramResult, known_contradiction, solved_at_once
+from .compiled_call import ACTIVE_SET, REACHED, CompiledAnswer, ProgramResult, solved_at_once
 from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .program import QuadraticProgram
+from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
 from .small_programs import MOST_STEPS
@@ -194,7 +195,7 @@ def judged_program(
     guess = options.pop("guess", None)
     options = {name: wish for name, wish in options.items() if wish is not None}
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
-    goal, refutes = program_goal(tolerance), options.get("refute", True)
+    goal, refutes, known = program_goal(tolerance), options.get("refute", True), program.known_proof
     if is_one_call and guess is not None and (again := solved_again(program, guess, tolerance)) is not None:
         run, solution = again
         return QuadraticProgramResult(
@@ -205,13 +206,14 @@ def judged_program(
             Status.SOLVED, found.solution, goal, f"auto: {ACTIVE_SET}", found.steps, found.seconds,
             partial(found.result, tolerance),
         )
-    if is_one_call and (known := known_contradiction(program)) is not None and known.excludes(goal):
-        return _refuted(program, known, tolerance, clock.read())
-    result, solution = _by_forms(program, algorithm, tolerance, guess, options)
-    is_optimal, proof = solution.is_stationary(goal), None
-    is_proven = program.__dict__.get("proof_of_no_minimum") is not None
-    if refutes and not is_optimal and (is_proven or not ended_by_caller(result, options)):
+    proof = program.known_proof  # found in this call: no other one is to change what it returns
+    if is_one_call and proof is not known and isinstance(proof, QPInfeasibility):
+        return _refuted(program, proof, tolerance, clock.read())
+    result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
+    is_optimal = solution.is_stationary(goal)
+    if proof is None and refutes and not ended_by_caller(result, options) and not is_optimal:
         proof = program.refutation(goal)
+    proof = None if is_optimal else proof
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
     if proof is not None:
         result = replace(result, status=status, infeasibility=proof)
@@ -253,7 +255,7 @@ def _refuted(
 
 def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float) -> Result:
     """Return the run on the complementarity problem of a program that this proof refutes."""
-    result, _ = _by_forms(program, "auto", tolerance, None, {})
+    result = _by_forms(program, "auto", tolerance, None, {})[0]
     return replace(result, status=Status.INFEASIBLE, infeasibility=proof)
 
 
@@ -295,21 +297,26 @@ def _at_once(program: QuadraticProgram, tolerance: float, options: dict[str, Any
 
 def _by_forms(
     program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
-) -> tuple[Result, QPSolution]:
-    """Return the run and the answer of the best of some complementarity problems."""
+) -> tuple[Result, QPSolution, QPInfeasibility | QPUnboundedness | None]:
+    """Return the run and the answer of the best of some complementarity problems, and the proof that ended them."""
     refuse_nonconvex(program)
-    goal, refutes = program_goal(tolerance), options.get("refute", True)
+    goal, proofs = program_goal(tolerance), list[Any]()
+
+    def refutation() -> Any:
+        proofs.append(program.refutation(goal))
+        return proofs[-1]
+
     runs = list(program_runs(
         program, algorithm, (tolerance,), (goal, goal), guess=guess,
-        is_refuted=(lambda: program.refutation(goal) is not None) if refutes else None, **options,
+        refutation=refutation if options.get("refute", True) else None, **options,
     ))
     best = min(runs, key=lambda run: run.solution.error)
-    return replace(best.result, stages=_stages(runs, best)), best.solution
+    return replace(best.result, stages=_stages(runs, best)), best.solution, proofs[-1] if proofs else None
 
 
 def program_runs(
     program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, ...], goals: tuple[float, float], *,
-    guess: FloatVector | None = None, is_refuted: Callable[[], bool] | None = None, callback: Any = None,
+    guess: FloatVector | None = None, refutation: Callable[[], Any] | None = None, callback: Any = None,
     **options: Any,
 ) -> Iterator[ProgramRun]:
     """Yield runs on the forms of a program until one is stationary to the first goal, or something ends them all.
@@ -320,11 +327,14 @@ def program_runs(
     has_run, refusal = False, None
     labels = set[str]()
 
-    def ends(sample: Sample, z: FloatVector) -> bool:
+    def ends(origin: QPOrigin, sample: Sample, z: FloatVector) -> bool:
         labels.add(sample.label)
         wants_end = callback is not None and bool(callback(sample, z))
         is_last_resort = sample.label == FeasibilityCheck.name or labels >= PIVOTS_AT_LAST
-        return wants_end or (is_refuted is not None and is_last_resort and is_refuted())
+        if wants_end or refutation is None or not is_last_resort or (proof := refutation()) is None:
+            return wants_end
+        origin.end_by(proof)
+        return True
 
     for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
         for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):
@@ -334,7 +344,8 @@ def program_runs(
             try:
                 result = solve(
                     attempt.problem, algorithm, tolerance=tolerance,
-                    callback=ends if callback or is_refuted else None, **{**start, **options},
+                    callback=partial(ends, attempt.problem.origin) if callback or refutation else None,
+                    **{**start, **options},
                 )
             except (UnsuitableMatrix, UnsuitableProblem) as error:
                 refusal = refusal or error
@@ -347,7 +358,7 @@ def program_runs(
             # Where it is not solved, a smaller tolerance would change nothing.
             if solution.is_stationary(goals[1]) or not result.is_solved:
                 break
-        if has_run and (solution.is_stationary(goals[0]) or (is_refuted is not None and is_refuted())):
+        if has_run and (solution.is_stationary(goals[0]) or (refutation is not None and refutation() is not None)):
             return
     if not has_run:
         raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal

@@ -27,6 +27,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.algorithms import Algorithm, Step
+from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior.interior_point import InteriorPoint
 from lcp_plugin.modeling.registration import build
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
@@ -481,6 +482,28 @@ def falling(n: int) -> QuadraticProgram:
     d /= np.linalg.norm(d)
     G -= np.outer(np.maximum(G @ d, 0.0), d)
     return QuadraticProgram(factor @ factor.T / n, -2.0 * d, G, np.ones(n // 2))
+
+
+def test_a_program_without_a_minimum_is_solved_alike_again() -> None:
+    """The proof that it keeps changes no later call: algorithm, steps and x are those of the first."""
+    rows = sp.csr_array(([1.0, 1.0], ([0, 0], [0, 1])), shape=(1, 500))
+    for program in (
+        QuadraticProgram(sp.eye_array(500), np.ones(500), rows, [-1.0], lower=0.0), contradicting(12), falling(12),
+    ):
+        first, again = solve(program), solve(program)
+        assert first.status is again.status is not Status.SOLVED
+        assert (first.algorithm, first.iterations, first.x.tobytes()) == (
+            again.algorithm, again.iterations, again.x.tobytes()
+        )
+
+
+def test_a_proof_that_time_has_cut_short_is_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit that leaves no time for the linear program says nothing of a later call."""
+    program = contradicting(12)
+    with time_limit(0.0), monkeypatch.context() as patched:
+        patched.setattr("lcp_plugin.proofs.no_solution.farkas.linear_program", lambda *_: None)
+        assert program.proof_of_no_minimum is None
+    assert program.proof_of_no_minimum is not None
 
 
 @pytest.mark.full

@@ -26,9 +26,6 @@ class OriginsCriterion(Protocol):
     def is_refuted(self, tolerance: float) -> bool:
         """Return whether that is proved to have none."""
 
-    def refutation_in_words(self) -> str:
-        """Return the proof of that which is known, or nothing."""
-
 
 class LCP:
     """Find z with lower ≤ z ≤ upper and w = M z + q complementary to it.

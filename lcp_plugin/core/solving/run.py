@@ -223,9 +223,7 @@ class Run:
         """Return the result, whose status the certificate names."""
         state, settings, stages = self.state, self.settings, self.state.records()
         certificate, status = self.ended(start, reason)
-        words, criterion = dict(self.judge.words), self.judge.problem.criterion
-        if criterion is not None and (proof := criterion.refutation_in_words()):
-            words[Status.INTERRUPTED] = f"ended by the proof that what the problem was made from is {proof}"
+        words = {**self.judge.words, **getattr(self.judge.problem.origin, "words_of_end", {})}
         if isinstance(self.judge.asked, LCP):
             if unused := unused_start(self.problem, self.policy.chosen, start):
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))

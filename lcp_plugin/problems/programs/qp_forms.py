@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from ...core.checks import DENSE_UP_TO_SIZE, BoolVector, FloatVector, checked_answer
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
+from ...core.settings import Status
 from ...proofs.no_solution.farkas import linear_program
 from ...systems.definiteness import is_diagonal
 from ...systems.factors import factor_fits
@@ -142,9 +143,10 @@ class QPOrigin:
         """Take note of the proof that ends a run."""
         self._proofs[:] = [proof]
 
-    def refutation_in_words(self) -> str:
-        """Return the proof that has ended a run, or nothing."""
-        return "".join(map(str, self._proofs))
+    @property
+    def words_of_end(self) -> dict[Status, str]:
+        """What a run says of its end where a proof has ended it."""
+        return {Status.INTERRUPTED: f"ended by the proof that the program is {proof}" for proof in self._proofs}
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""

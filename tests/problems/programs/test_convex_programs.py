@@ -469,7 +469,7 @@ def test_a_run_that_a_proof_ends_says_so(program: Any, word: str, capsys: pytest
     """With verbose=True and without, a refuted program has no multipliers, and the last line names the proof."""
     watched, quiet = solve(program, verbose=True), solve(program)
     end = capsys.readouterr().out.splitlines()[-1]
-    assert f"ended by the proof that what the problem was made from is {word}" in end
+    assert f"ended by the proof that the program is {word}" in end
     assert "Ctrl-C" not in end
     for result in (watched, quiet):
         assert result.status.name.lower() == word
@@ -957,9 +957,7 @@ class _Points(Algorithm):
 def test_the_point_that_answers_the_program_is_returned() -> None:
     """Not one before it of a smaller residual that did not: the status speaks of what is handed back."""
     problem, better, right = LCP(np.eye(2), [-1.0, -1.0]), [1.0 - 1e-13, 1.0], [1.0 - 1e-10, 1.0]
-    problem.criterion = SimpleNamespace(
-        is_answered=lambda z, _tolerance: bool(z[0] == right[0]), refutation_in_words=lambda: ""
-    )
+    problem.criterion = SimpleNamespace(is_answered=lambda z, _tolerance: bool(z[0] == right[0]))
     assert not solve(problem, _Points(better)).is_solved
     result = solve(problem, _Points(better, *[right] * 3))
     assert result.is_solved

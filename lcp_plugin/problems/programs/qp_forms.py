@@ -146,7 +146,7 @@ class QPOrigin:
     @property
     def words_of_end(self) -> dict[Status, str]:
         """What a run says of its end where a proof has ended it."""
-        return {Status.INTERRUPTED: f"ended by the proof that the program is {proof}" for proof in self._proofs}
+        return {Status.INTERRUPTED: f"ended by the proof that the program is {self._proofs[0]}"} if self._proofs else {}
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""

@@ -2,7 +2,7 @@
 
 Lasso, elastic net, support vectors, Huber's loss, portfolios with factors, transport, control, non-negative least
 squares, total variation, isotonic regression: each with few and with many rows beside its columns, and as modelling
-languages state it. Ours is :func:`solve_quadratic_program`, everything included; a rival's is its own set-up and
+languages state it. Ours is :func:`solve`, everything included; a rival's is its own set-up and
 solution of data in its own format, and counts where its x is feasible and minimal to 1e-6.
 """
 
@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.programs.program import QuadraticProgram
-from lcp_plugin.problems.programs.solving import solve_quadratic_program
+from lcp_plugin.problems.programs.solving import judged_program
 
 from .programs import MOST_ROUNDS, OPTIMAL, SECONDS, SETUPS, Case, controller, portfolio, support_vectors
 from .rivals import SEED
@@ -196,7 +196,7 @@ FAMILIES: dict[Callable[..., Case], Sequence[tuple[int, ...]]] = {
 
 def ours(case: Case) -> FloatVector:
     """Return our x, as of a program that nobody has seen before."""
-    return solve_quadratic_program(case.program())[1].x
+    return judged_program(case.program()).solution.x
 
 
 def run(*, quick: bool = False) -> Iterator[str]:

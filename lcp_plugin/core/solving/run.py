@@ -220,7 +220,7 @@ class Run:
         """Return the result, whose status the certificate names."""
         state, settings, stages = self.state, self.settings, self.state.records()
         certificate, status = self.ended(start, reason)
-        words = dict(self.judge.words)
+        words = {**self.judge.words, **getattr(self.judge.problem.origin, "words_of_end", {})}
         if isinstance(self.judge.asked, LCP):
             if unused := unused_start(self.problem, self.policy.chosen, start):
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))

@@ -289,7 +289,8 @@ def solve_many(problem: Any, Q: Any, algorithm: str | Algorithm = "auto", **opti
         Gives M and the bounds; its own q is not used. Of a program all that an entry of Q does not name.
     Q : array, shape (n, k), or a sequence of k vectors; of a program a sequence of k mappings
         A vector of another length, or with NaN in it, is an InvalidProblem in its place and does not stop the rest.
-        Mappings hold what ``program.with_vectors`` takes, as ``{"b": …}`` for a controller's next state.
+        Mappings hold what ``program.with_vectors`` takes, as ``{"b": …}`` for a controller's next state; the active
+        set of an answer is tried first for the next one.
     algorithm, **options
         As for :func:`lcp_plugin.solve`.
 

@@ -26,7 +26,7 @@ from ..programs.program import QuadraticProgram
 from ..programs.qp_certificates import prove_infeasible
 from ..programs.qp_proofs import QPInfeasibility
 from ..programs.qp_solution import QPSolution
-from ..programs.solving import solve_quadratic_program
+from ..programs.solving import judged_program
 from .equilibrium_program import BETWEEN, CASES, LOWER, Cases, EquilibriumProgram, case_counts
 
 TOLERANCE = 1e-9
@@ -178,10 +178,10 @@ class Relaxations:
 
 def _by_steps(program: QuadraticProgram, **options: Any) -> QPSolution:
     """Return what a run of steps finds; Ctrl-C, which ends it with a status, ends the search, too."""
-    result, solution = solve_quadratic_program(program, tolerance=TOLERANCE, refute=False, **options)
+    result = judged_program(program, tolerance=TOLERANCE, refute=False, **options)
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
-    return solution
+    return result.solution
 
 
 class LocalSearch:

@@ -19,7 +19,6 @@ from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
 from .program import QuadraticProgram
 from .qp_certificates import with_bounds
 from .qp_forms import KKTForm, QPOrigin
-from .qp_proofs import QPInfeasibility
 from .qp_solution import QPSolution
 from .reductions import FoldedRows, Substitution, fold_simple_rows, substitute_definitions
 from .small_programs import ROWS_UP_TO, UP_TO, SmallAnswers, SmallPrograms, may_be_small, work_of_search
@@ -28,6 +27,7 @@ ACTIVE_SET = "dual active set"
 AT_ONCE = "small: all steps in one compiled call"
 BOXED_UP_TO, BOXED = 160, 1.5  # unknowns and their bounds; where few rows hold x, the path from far outside is long
 FOLDED_FROM = 5e5  # multiplications by rows that may be bounds: to look for these takes as long
+SUBSTITUTED_FROM = 5e5  # multiplications: to put in what equations define takes as long
 MANY = UP_TO**2 * ROWS_UP_TO  # entries: those that are left are not counted yet
 REACHED = 1e-9  # the smallest tolerance that the compiled call is asked for
 
@@ -108,19 +108,17 @@ def keep_contradiction(program: QuadraticProgram, y: FloatVector, goal: float) -
     """
     proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y.tolist()) if value})
     if proof.verify() and proof.excludes(goal):
-        program.__dict__["proof_of_no_minimum"] = proof
-
-
-def known_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
-    """Return the proof that the program has kept."""
-    proof = program.__dict__.get("proof_of_no_minimum")
-    return proof if isinstance(proof, QPInfeasibility) else None
+        program.__dict__["_proof"] = proof
 
 
 def _worthwhile(program: QuadraticProgram) -> Substitution | None:
-    """Return the substitution of what equations define, None where the program may be too large all the same."""
-    defined = min(int(np.count_nonzero(program.matrices.is_definable)), program.b.size)
-    return substitute_definitions(program) if may_be_small(program.n - defined, 0, 0) else None
+    """Return the substitution of what equations define; None where the call is quick, or too long, with it or without.
+
+    Without, P has to be definite by the look of its diagonal: on the subspace that is left it may be so.
+    """
+    n, defined = program.n, min(int(np.count_nonzero(program.matrices.is_definable)), program.b.size)
+    is_quick = n**2 * (n + program.constraints.rows) <= SUBSTITUTED_FROM and program.P.diagonal().min() > 0.0
+    return substitute_definitions(program) if not is_quick and may_be_small(n - defined, 0, 0) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,20 +67,18 @@ class FeasiblePoints:
     program: QuadraticProgram = field(repr=False)
 
     def near(self, x: FloatVector) -> FeasiblePoint | None:
-        """Return a feasible point near x, x itself where it is one; None where none could be proved."""
-        constraints = self.program.constraints
-        if not (constraints.excess(x) > 0.0).any():
+        """Return a feasible point near x, x itself where it is one; None where doubles prove none."""
+        if not (self.program.constraints.excess(x) > 0.0).any():
             return FeasiblePoint.of(self.program, x, x)
-        for room in ROOMS:
-            if (point := self._enclosed(self._moved_off(x, room))) is not None:
-                return point
-        if not self.is_small:
-            return None
-        for tight in TIGHT:
+        points = (self._enclosed(self._moved_off(x, room)) for room in ROOMS)
+        return next((point for point in points if point is not None), None)
+
+    def exactly_near(self, x: FloatVector) -> FeasiblePoint | None:
+        """Return a feasible point near x that rational arithmetic finds; None where it finds none."""
+        for tight in TIGHT if self.is_small else ():
             if is_over():
                 break
-            exact = self._solved(x, tight)
-            if exact is not None:
+            if (exact := self._solved(x, tight)) is not None:
                 return FeasiblePoint.of(self.program, *enclosures(exact))
         return None
 

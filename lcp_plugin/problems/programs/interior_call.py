@@ -9,7 +9,7 @@ from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.solving.result import StageRecord
 from ...methods.interior.interior_point import InteriorPoint, points
-from .compiled_call import ProgramResult
+from .compiled_call import REACHED, ProgramResult
 from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
@@ -18,6 +18,7 @@ from .qp_forms import QPOrigin
 from .qp_solution import QPSolution
 
 BECAUSE = "the KKT form: multipliers have no diagonal entry to sweep with"
+AGAIN = "the active set of an earlier answer"
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +39,11 @@ class InteriorAnswer:
     _origin: QPOrigin
     _z: FloatVector
     _work: float
+    _because: str = BECAUSE
 
     def result(self, tolerance: float, algorithm: str = "auto") -> ProgramResult:
         """Return the same as the result of the complementarity problem of the program."""
-        stage = StageRecord(self.name, BECAUSE, self.steps, self._work)
+        stage = StageRecord(self.name, self._because, self.steps, self._work)
         return ProgramResult.of(self._origin, self._z, stage, self.seconds, tolerance, algorithm)
 
 
@@ -58,3 +60,19 @@ def solved_by_interior_points(program: QuadraticProgram, tolerance: float) -> In
         if solution.is_stationary(goal):
             return InteriorAnswer(solution, steps, clock.read(), origin, z, work)
     return None
+
+
+def solved_again(program: QuadraticProgram, guess: FloatVector, tolerance: float) -> InteriorAnswer | None:
+    """Return the answer that the active set of an earlier one gives; None where that is not right."""
+    clock = Clock(ALONE)
+    refuse_nonconvex(program)
+    problem = next(attempts(program)).problem
+    if guess.size != problem.n:
+        return None
+    origin, z = problem.origin, InteriorPoint().finish(problem, guess)
+    solution = origin.recover(z)
+    if not solution.is_stationary(program_goal(tolerance)):
+        return None
+    found = InteriorAnswer(solution, 1, clock.read(), origin, z, 1.0, AGAIN)
+    is_asked = tolerance < REACHED  # of the complementarity problem, too
+    return found if not is_asked or found.result(tolerance).residual <= tolerance else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm, UnsupportedModel
 from ...core.settings import Status
 from ...methods.interior.suited_matrix import suited
@@ -30,8 +31,9 @@ def prepare_program(program: QuadraticProgram) -> None:
 def solve_programs(
     program: QuadraticProgram, vectors: Any, algorithm: Any, **options: Any
 ) -> list[QuadraticProgramResult | LCPError]:
-    """Return what `solve_many` does of a program."""
+    """Return what `solve_many` does of a program: where a run is needed, it goes on from the last answer."""
     answers: list[QuadraticProgramResult | LCPError] = []
+    z: FloatVector | None = None
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
         raise InvalidProblem(f'a program takes a list of mappings, as [{{"b": b}}], got {type(vectors).__name__}')
     for k, one in enumerate(vectors):
@@ -39,7 +41,9 @@ def solve_programs(
             what = f"the name {min(unknown)!r}" if isinstance(one, Mapping) else type(one).__name__
             raise InvalidProblem(f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}")
         try:
-            answers.append(judged_program(program.with_vectors(**one), algorithm, **options))
+            found = judged_program(program.with_vectors(**one), algorithm, guess=z, **options)
+            answers.append(found)
+            z = found.z if found.is_solved and not found.is_compiled else z
         except (InvalidOption, UnknownAlgorithm, UnsupportedModel):  # what concerns all
             raise
         except LCPError as error:

@@ -21,6 +21,7 @@ from ...core.checks import (
     rectangular_matrix,
     restored,
 )
+from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.matrix.matrix import largest_in_rows
 from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
@@ -184,13 +185,23 @@ class QuadraticProgram:
         is_dominant = bool((d >= 0.0).all()) and bool((abs(self.P) @ np.ones(self.n) <= 2.0 * d).all())  # Gershgorin
         return is_dominant or self.is_convex is True
 
-    @cached_property
+    @property
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
 
         It holds for the stored doubles, by however little: `margin` says by how much, `refutation` whether it counts.
         """
-        return proof_of_no_minimum(self)
+        if "_proof" not in self.__dict__:
+            found = proof_of_no_minimum(self)
+            if found is None and is_over():
+                return None  # a time limit has cut it short
+            self.__dict__["_proof"] = found
+        return self.known_proof
+
+    @property
+    def known_proof(self) -> QPInfeasibility | QPUnboundedness | None:
+        """The proof that was found last, by whatever looked for one."""
+        return self.__dict__.get("_proof")
 
     def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
         """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none."""

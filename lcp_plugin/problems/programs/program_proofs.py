@@ -125,11 +125,18 @@ class ProgramProofs:
         enough = value - tolerance * (1.0 + abs(value))
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
-    def upper(self, *near: FloatVector) -> list[FeasiblePoint]:
-        """Return points that are proved to be feasible, near those given and our own solution, or else any."""
+    def upper(self, *near: FloatVector, exactly: bool = True) -> list[FeasiblePoint]:
+        """Return points that are proved to be feasible, near those given and our own solution, or else any.
+
+        Rational arithmetic looks for one where doubles prove none, unless it is not to.
+        """
         found = [point for x in near if (point := self.points.near(x)) is not None]
         if self.is_small or "own_solution" in self.__dict__:
             found += self._own_point
+            near = near if self.own_solution is None else (*near, self.own_solution.x)
+        if found or not exactly:
+            return found
+        found = [point for x in near if (point := self.points.exactly_near(x)) is not None]
         return found or self._inside
 
     @cached_property
@@ -145,11 +152,9 @@ class ProgramProofs:
     @cached_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """An exact proof that the program has no minimum; None where none was found."""
-        # What a time limit may cut short is not kept with the program.
-        is_limited = math.isfinite(seconds_left())
-        proof = proof_of_no_minimum(self.program) if is_limited else self.program.proof_of_no_minimum
-        if proof is not None and not proof.is_exact and not is_limited:  # the compiled call keeps its own
-            proof = proof_of_no_minimum(self.program)
+        proof = self.program.proof_of_no_minimum
+        if proof is not None and not proof.is_exact:  # what a solve keeps need not be
+            proof = proof_of_no_minimum(self.program, exactly=True)
         return proof if proof is not None and proof.is_exact and proof.verify() else None
 
     @property
@@ -187,10 +192,11 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given[0], given[1], value[0], tolerance)
             complaint = multiplier_error(self.program, x, given, tolerance)
-        found = Proved(value, violation, lower, self.upper(x), tolerance)
+        found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance)
         if self.is_small or not found.is_proved() or found.may_have_bought():
-            points = found.points if self.is_small else self.upper(x)
-            found = replace(found, lower=max(lower, self.own_lower), points=points)
+            lower = max(lower, self.own_lower)
+            points = found.points or self.upper(x, exactly=not violation[0] > tolerance)  # or it is refuted anyway
+            found = replace(found, lower=lower, points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
                 complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
         return found.certification(self, x, complaint)

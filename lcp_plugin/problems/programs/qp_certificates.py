@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,6 +22,7 @@ from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_prog
 from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction
 from ...systems.equilibration import evened
 from .constraints import stationarity
+from .criterion import PROGRAM_TOLERANCE
 from .qp_proofs import QPInfeasibility, QPUnboundedness, losses
 from .reductions import FoldedRows, fold_simple_rows
 
@@ -29,19 +30,27 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 LARGEST = 5000  # variables and rows of a program that is worth the linear programs
-MOST_NONZEROS = 300_000
+MOST_NONZEROS = 1_000_000
+MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
 LARGEST_DENSE = 1500
 LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
+T = TypeVar("T", QPInfeasibility, QPUnboundedness)
 NARROW, MET = 1e-7, 1e-8  # a room that may be none, and what is then left of a row that is an equation
 
 
-def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:
+def proof_of_no_minimum(
+    program: QuadraticProgram, *, exactly: bool = False
+) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that the convex program is infeasible or unbounded, or None where none was found.
 
     Parameters
     ----------
     program : QuadraticProgram
-        Up to 5000 variables and rows; beyond, only single rows that contradict the bounds are found.
+        Up to 5000 variables and rows with a million nonzeros; beyond, only single rows that contradict the bounds are
+        found.
+    exactly : bool
+        Look for a proof of all x, however large the program is; by default one within a radius does where there are
+        more than 10 000 nonzeros.
 
     Notes
     -----
@@ -65,21 +74,22 @@ def proof_of_no_minimum(program: QuadraticProgram) -> QPInfeasibility | QPUnboun
     row = contradictory_row(rows.folded)
     found: QPInfeasibility | QPUnboundedness | None = row
     if row is None or row.margin < DECISIVE:
-        other = _by_programs(rows.folded)
+        other = _by_programs(rows.folded, exactly)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
     if found is None or rows.folded is program:
         return found
     unfolded = _unfolded(rows, found)
     # A bound that a row gives is rounded, the row is not.
-    return unfolded if unfolded.verify() else _by_programs(program)
+    return unfolded if unfolded.verify() else _by_programs(program, exactly)
 
 
-def _by_programs(program: QuadraticProgram) -> QPInfeasibility | QPUnboundedness | None:
+def _by_programs(program: QuadraticProgram, exactly: bool) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that linear programs find."""
-    entries = sum(sp.csr_array(matrix).nnz for matrix in (program.P, program.G, program.A))
-    if program.n + program.h.size + program.b.size > LARGEST or entries > MOST_NONZEROS:
+    entries = sum(program.matrices.entries)
+    if program.n + program.constraints.rows > LARGEST or entries > MOST_NONZEROS:
         return None
-    return prove_infeasible(program) or prove_unbounded(program)
+    exactly = exactly or entries <= MANY_NONZEROS
+    return prove_infeasible(program, exactly=exactly) or prove_unbounded(program, exactly=exactly)
 
 
 def _unfolded(
@@ -112,8 +122,8 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
     return QPInfeasibility(program, tuple(multipliers))
 
 
-def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
-    """Return multipliers that contradict each other, exactly; None where none were found.
+def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPInfeasibility | None:
+    """Return multipliers that contradict each other, exactly if they are to; None where none were found.
 
     The linear program is the dual of the least uniform shift of all right-hand sides that makes them consistent.
     """
@@ -129,11 +139,11 @@ def prove_infeasible(program: QuadraticProgram) -> QPInfeasibility | None:
         proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y) if value})
         return proof if proof.margin > 0.0 else None
 
-    return farkas.proof(answer, proven)
+    return (None if exactly else _if_enough(proven(farkas.polished(answer)))) or farkas.proof(answer, proven)
 
 
-def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
-    """Return a feasible point and a direction of endless descent; None where none were found.
+def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnboundedness | None:
+    """Return a feasible point and a direction of endless descent, exactly if they are to; None where none were found.
 
     Such a direction contradicts the conditions P x + c + Gᵀy + Aᵀv = 0, y ≥ 0, with the signs that bounds permit.
     """
@@ -154,7 +164,12 @@ def prove_unbounded(program: QuadraticProgram) -> QPUnboundedness | None:
                 return proof
         return None
 
-    return farkas.proof(answer, proven)
+    return (None if exactly else _if_enough(proven(farkas.polished(answer)))) or farkas.proof(answer, proven)
+
+
+def _if_enough(proof: T | None) -> T | None:
+    """Return the proof where it counts at the tolerances that programs are solved to."""
+    return proof if proof is not None and proof.excludes(PROGRAM_TOLERANCE) else None
 
 
 def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:

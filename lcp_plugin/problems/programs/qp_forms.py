@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from ...core.checks import DENSE_UP_TO_SIZE, BoolVector, FloatVector, checked_answer
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
+from ...core.settings import Status
 from ...proofs.no_solution.farkas import linear_program
 from ...systems.definiteness import is_diagonal
 from ...systems.factors import factor_fits
@@ -22,6 +23,7 @@ from .reductions import FoldedRows, Substitution
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
+    from .qp_proofs import QPInfeasibility, QPUnboundedness
 
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
@@ -56,6 +58,7 @@ class QPOrigin:
     form: ClassVar[str]
     is_of_convex_program: ClassVar[bool] = True
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
+    _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
 
     @property
     def program(self) -> QuadraticProgram:
@@ -82,10 +85,10 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, y = self._split(answer)
-        rows = self.program.constraints
         if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
-            x = x if self.substitution is None else self.substitution.expanded(x)
-            return QPSolution(self.program, x, *rows.split(np.full(rows.limit.size, np.nan)))
+            return QPSolution.without_multipliers(
+                self.program, x if self.substitution is None else self.substitution.expanded(x)
+            )
         key = x.tobytes() + y.tobytes()
         solution = self._latest.get(key)  # a run's judge may have asked for it
         if solution is None:
@@ -140,6 +143,15 @@ class QPOrigin:
         A tolerance of the problem below 1e-6 is none of the program.
         """
         return self.program.refutation(max(tolerance, PROGRAM_TOLERANCE)) is not None
+
+    def end_by(self, proof: QPInfeasibility | QPUnboundedness) -> None:
+        """Take note of the proof that ends a run."""
+        self._proofs[:] = [proof]
+
+    @property
+    def words_of_end(self) -> dict[Status, str]:
+        """What a run says of its end where a proof has ended it."""
+        return {Status.INTERRUPTED: f"ended by the proof that the program is {self._proofs[0]}"} if self._proofs else {}
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""
@@ -197,9 +209,9 @@ class DualForm(QPOrigin):
         rows, and no factor of the KKT form that fits.
         """
         left = self.rows.left.size
-        size = left + sum(part.size for part in _bound_rows(self.rows.folded))
         if not left or not (self.rows.program.P.diagonal() > 0.0).all():
             return False
+        size = left + sum(part.size for part in _bound_rows(self.rows.folded))
         if not (self._is_smaller(size) or self._is_laplacian() or self._is_all_that_fits(size)):
             return False
         return not self.rows.contradict() and self.rows.program.matrices.condition <= WELL_CONDITIONED

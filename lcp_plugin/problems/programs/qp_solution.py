@@ -77,6 +77,11 @@ class QPSolution:
         )
         return made
 
+    @classmethod
+    def without_multipliers(cls, program: QuadraticProgram, x: FloatVector) -> QPSolution:
+        """Return that of an answer that came with a proof: its multipliers are NaN."""
+        return cls.of_rows(program, x, np.full(program.constraints.limit.size, np.nan))
+
     @cached_property
     def objective(self) -> float:
         """½ xᵀP x + cᵀx."""
@@ -197,11 +202,10 @@ class QPSolution:
         return "unknown" if self.proof is None else self.proof.verdict
 
     def __str__(self) -> str:
-        lines = [
-            ("objective", f"{self.objective:.9g}"),
-            ("primal residual", f"{self.primal_residual:.3e}"),
-            ("dual residual", f"{self.dual_residual:.3e}"),
-            ("complementarity", f"{self.complementarity:.3e}"),
-            ("row residual", f"{self.row_residual:.3e}"),
-        ]
-        return "\n".join(f"{name:<16} {value}" for name, value in lines)
+        lines = [f"{'objective':<16} {self.objective:.9g}"]
+        for name in ("primal_residual", "dual_residual", "complementarity", "row_residual"):
+            if not np.isnan(value := getattr(self, name)):
+                lines.append(f"{name.replace('_', ' '):<16} {value:.3e}")
+        if np.isnan(self.multipliers).any():
+            lines.append("no multipliers: a proof came instead")
+        return "\n".join(lines)

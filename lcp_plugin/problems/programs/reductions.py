@@ -310,11 +310,7 @@ def _folded(program: QuadraticProgram) -> FoldedRows:
 def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:
     """Return the smallest limit of each variable and the row it comes from; a variable's own bound wins a tie."""
     tightest, owner = own.copy(), np.full(own.size, OWN)
-    order = np.lexsort((limits, columns))
-    columns = columns[order]
-    first = np.flatnonzero(np.diff(columns, prepend=-1))
-    order, columns = order[first], columns[first]
-    is_tighter = limits[order] < own[columns]
-    order, columns = order[is_tighter], columns[is_tighter]
-    tightest[columns], owner[columns] = limits[order], rows[order]
+    np.minimum.at(tightest, columns, limits)
+    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[::-1]  # of equal ones the first
+    owner[columns[gives]] = rows[gives]
     return tightest, owner

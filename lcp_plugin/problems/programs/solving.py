@@ -20,12 +20,13 @@ from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result, Sample, StageRecord
+from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
-from .compiled_call import ACTIVE_SET, CompiledAnswer, known_contradiction, solved_at_once
+from .compiled_call import ACTIVE_SET, CompiledAnswer, solved_at_once
 from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
-from .interior_call import InteriorAnswer, solved_by_interior_points
+from .interior_call import InteriorAnswer, solved_again, solved_by_interior_points
 from .program import QuadraticProgram
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
@@ -35,6 +36,7 @@ SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "a
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SHARE = 0.5  # of a limit that interior points may take before there is a run
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
+PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
 
@@ -165,9 +167,26 @@ class QuadraticProgramResult(Answer):
 def judged_program(
     program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
 ) -> QuadraticProgramResult:
-    """Return what `solve_quadratic_program` finds, with a status that its own data prove; the same arguments.
+    """Return the answer with the smallest residuals in the program's own terms, and a status that its data prove.
 
-    A `z0` is a guess: programs are solved in several forms, and it is the start of those that have as many unknowns.
+    Parameters
+    ----------
+    program : QuadraticProgram
+        Convex; merely convex and linear programs included.
+    algorithm, tolerance, **options
+        Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
+        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on, and where
+        it ends so, the KKT form without substitutions is tried. A limit of the caller holds for each trial and ends
+        them all. Where the interior point and the feasibility check end without a solution, ``program.refutation`` is
+        looked for, which ends them, too; not so with ``refute=False``. A `z0` is a guess, an earlier answer's z:
+        programs are solved in several forms, and it is the start of those that have as many unknowns.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
+    UnknownAlgorithm, InvalidOption
+        As `solve`.
     """
     if (start := options.pop("z0", None)) is not None:
         try:
@@ -177,22 +196,24 @@ def judged_program(
     guess = options.pop("guess", None)
     options = {name: wish for name, wish in options.items() if wish is not None}
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
-    goal, refutes = program_goal(tolerance), options.get("refute", True)
-    if is_one_call and (found := _at_once(program, tolerance, options)) is not None:
+    goal, refutes, known = program_goal(tolerance), options.get("refute", True), program.known_proof
+    if is_one_call and (found := _at_once(program, tolerance, guess, options)) is not None:
         return QuadraticProgramResult(
             Status.SOLVED, found.solution, goal, f"auto: {found.name}", found.steps, found.seconds,
-            partial(found.result, tolerance),
+            partial(found.result, tolerance) if isinstance(found, CompiledAnswer) else found.result(tolerance),
         )
-    if is_one_call and (known := known_contradiction(program)) is not None and known.excludes(goal):
-        return _refuted(program, known, tolerance, clock.read())
-    result, solution = _by_forms(program, algorithm, tolerance, guess, options)
-    is_optimal, proof = solution.is_stationary(goal), None
-    is_proven = program.__dict__.get("proof_of_no_minimum") is not None
-    if refutes and not is_optimal and (is_proven or not ended_by_caller(result, options)):
+    proof = program.known_proof  # found in this call: no other one is to change what it returns
+    if is_one_call and proof is not known and isinstance(proof, QPInfeasibility):
+        return _refuted(program, proof, tolerance, clock.read())
+    result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
+    is_optimal = solution.is_stationary(goal)
+    if proof is None and refutes and not ended_by_caller(result, options) and not is_optimal:
         proof = program.refutation(goal)
+    proof = None if is_optimal else proof
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
     if proof is not None:
         result = replace(result, status=status, infeasibility=proof)
+        solution = QPSolution.without_multipliers(program, solution.x)
     return QuadraticProgramResult(
         status, solution, goal, result.algorithm, result.iterations, result.seconds, result, proof
     )
@@ -202,8 +223,7 @@ def _refuted(
     program: QuadraticProgram, proof: QPInfeasibility, tolerance: float, seconds: float
 ) -> QuadraticProgramResult:
     """Return the result of a program that the compiled call has found to be infeasible."""
-    nothing = np.full(program.constraints.limit.size, np.nan)
-    solution = QPSolution.of_rows(program, np.clip(0.0, program.lower, program.upper), nothing)
+    solution = QPSolution.without_multipliers(program, np.clip(0.0, program.lower, program.upper))
     return QuadraticProgramResult(
         Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, seconds,
         partial(_refuted_run, program, proof, tolerance), proof,
@@ -212,7 +232,7 @@ def _refuted(
 
 def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float) -> Result:
     """Return the run on the complementarity problem of a program that this proof refutes."""
-    result, _ = _by_forms(program, "auto", tolerance, None, {})
+    result = _by_forms(program, "auto", tolerance, None, {})[0]
     return replace(result, status=Status.INFEASIBLE, infeasibility=proof)
 
 
@@ -226,40 +246,6 @@ def _status(
     if result.status is Status.STALLED or result.is_refuted:  # in the run's units, not the program's
         return Status.SOLVED if is_optimal else Status.STALLED
     return result.status
-
-
-def solve_quadratic_program(
-    program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, guess: FloatVector | None = None,
-    **options: Any,
-) -> tuple[Result, QPSolution]:
-    """Return the run and the answer with the smallest residuals in the program's own terms.
-
-    Parameters
-    ----------
-    program : QuadraticProgram
-        Convex; merely convex and linear programs included.
-    algorithm, tolerance, **options
-        Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
-        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on, and where
-        it ends so, the KKT form without substitutions is tried. A limit of the caller holds for each trial and ends
-        them all. As soon as a method has ended without a solution, ``program.refutation`` is looked for; where there is
-        one, it ends them too, and the run is INTERRUPTED; not so with ``refute=False``.
-
-    guess : array, optional
-        An earlier run's z: the start where it has the right length.
-
-    Raises
-    ------
-    UnsupportedModel
-        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
-    UnknownAlgorithm, InvalidOption
-        As `solve`.
-    """
-    options = {name: wish for name, wish in options.items() if wish is not None}
-    is_one_call = _takes_one_call(algorithm, tolerance, options)
-    if is_one_call and (found := _at_once(program, tolerance, options)) is not None:
-        return found.result(tolerance), found.solution
-    return _by_forms(program, algorithm, tolerance, guess, options)
 
 
 def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -> bool:
@@ -278,12 +264,15 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 
 
 def _at_once(
-    program: QuadraticProgram, tolerance: float, options: dict[str, Any]
+    program: QuadraticProgram, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
 ) -> CompiledAnswer | InteriorAnswer | None:
-    """Return the answer by one compiled call, or by interior points; None where these find none."""
+    """Return the answer by the active set of a guess, one compiled call or interior points; None where none does."""
+    known = program.known_proof
+    if guess is not None and (again := solved_again(program, guess, tolerance)) is not None:
+        return again
     try:
         found: CompiledAnswer | InteriorAnswer | None = solved_at_once(program, tolerance)
-        if found is not None or "max_iterations" in options or known_contradiction(program) is not None:
+        if found is not None or "max_iterations" in options or program.known_proof is not known:
             return found
         if (limit := options.get("max_seconds", math.inf)) == math.inf:
             return solved_by_interior_points(program, tolerance)
@@ -299,21 +288,26 @@ def _at_once(
 
 def _by_forms(
     program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
-) -> tuple[Result, QPSolution]:
-    """Return the run and the answer of the best of some complementarity problems."""
+) -> tuple[Result, QPSolution, QPInfeasibility | QPUnboundedness | None]:
+    """Return the run and the answer of the best of some complementarity problems, and the proof that ended them."""
     refuse_nonconvex(program)
-    goal, refutes = program_goal(tolerance), options.get("refute", True)
+    goal, proofs = program_goal(tolerance), list[Any]()
+
+    def refutation() -> Any:
+        proofs.append(program.refutation(goal))
+        return proofs[-1]
+
     runs = list(program_runs(
         program, algorithm, (tolerance,), (goal, goal), guess=guess,
-        is_refuted=(lambda: program.refutation(goal) is not None) if refutes else None, **options,
+        refutation=refutation if options.get("refute", True) else None, **options,
     ))
     best = min(runs, key=lambda run: run.solution.error)
-    return replace(best.result, stages=_stages(runs, best)), best.solution
+    return replace(best.result, stages=_stages(runs, best)), best.solution, proofs[-1] if proofs else None
 
 
 def program_runs(
     program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, ...], goals: tuple[float, float], *,
-    guess: FloatVector | None = None, is_refuted: Callable[[], bool] | None = None, callback: Any = None,
+    guess: FloatVector | None = None, refutation: Callable[[], Any] | None = None, callback: Any = None,
     **options: Any,
 ) -> Iterator[ProgramRun]:
     """Yield runs on the forms of a program until one is stationary to the first goal, or something ends them all.
@@ -322,10 +316,16 @@ def program_runs(
     goal.
     """
     has_run, refusal = False, None
+    labels = set[str]()
 
-    def ends(sample: Sample, z: FloatVector) -> bool:
+    def ends(origin: QPOrigin, sample: Sample, z: FloatVector) -> bool:
+        labels.add(sample.label)
         wants_end = callback is not None and bool(callback(sample, z))
-        return wants_end or (is_refuted is not None and sample.label == FeasibilityCheck.name and is_refuted())
+        is_last_resort = sample.label == FeasibilityCheck.name or labels >= PIVOTS_AT_LAST
+        if wants_end or refutation is None or not is_last_resort or (proof := refutation()) is None:
+            return wants_end
+        origin.end_by(proof)
+        return True
 
     for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
         for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):
@@ -335,7 +335,8 @@ def program_runs(
             try:
                 result = solve(
                     attempt.problem, algorithm, tolerance=tolerance,
-                    callback=ends if callback or is_refuted else None, **{**start, **options},
+                    callback=partial(ends, attempt.problem.origin) if callback or refutation else None,
+                    **{**start, **options},
                 )
             except (UnsuitableMatrix, UnsuitableProblem) as error:
                 refusal = refusal or error
@@ -348,7 +349,7 @@ def program_runs(
             # Where it is not solved, a smaller tolerance would change nothing.
             if solution.is_stationary(goals[1]) or not result.is_solved:
                 break
-        if has_run and (solution.is_stationary(goals[0]) or (is_refuted is not None and is_refuted())):
+        if has_run and (solution.is_stationary(goals[0]) or (refutation is not None and refutation() is not None)):
             return
     if not has_run:
         raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal

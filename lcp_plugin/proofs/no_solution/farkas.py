@@ -147,6 +147,11 @@ class FarkasProgram:
         most = max(proof.margin for proof in within)
         return max((proof for proof in within if proof.margin >= ALIKE * most), key=lambda proof: proof.radius)
 
+    def polished(self, answer: FarkasAnswer) -> FloatVector:
+        """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
+        y = self._form.vector(answer.multipliers)
+        return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
+
     def _tried(self, answer: FarkasAnswer) -> Iterator[Multipliers]:
         """Yield vectors near the answer, then near others that leave room."""
         yield from self.candidates(self._form.vector(answer.multipliers))
@@ -248,7 +253,7 @@ class FarkasProgram:
         What should depend on each other is independent by rounding: singular values below that count as none.
         """
         support, tight = self._tight(y, TIGHT[-1])
-        if min(support.size, tight.size) <= MOST_UNKNOWNS and support.size * tight.size <= MOST_DENSE:
+        if support.size * tight.size <= MOST_DENSE:
             rows = self.matrix.T.tocsr()[tight][:, support].toarray()
             for _ in range(POLISHES):
                 y = y.copy()

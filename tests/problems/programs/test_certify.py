@@ -42,7 +42,7 @@ from lcp_plugin.problems.programs.conversion import lcp_from_qp
 from lcp_plugin.problems.programs.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
 from lcp_plugin.problems.programs.feasible_points import FeasiblePoint, FeasiblePoints, distance_of_equations
 from lcp_plugin.problems.programs.program_proofs import SMALL, ProgramProofs, distances
-from lcp_plugin.problems.programs.solving import solve_quadratic_program
+from lcp_plugin.problems.programs.solving import judged_program
 from lcp_plugin.proofs.bounds.curvature import Curvature, constrained_curvature, curvature
 from lcp_plugin.strategies import convex_qps
 
@@ -492,13 +492,33 @@ def test_free_columns_are_repaired() -> None:
     assert found == pytest.approx(-4.0)
 
 
+@pytest.mark.parametrize("rows", [10, 100])  # below and above what is solved once more for a sharper bound
+def test_a_violated_answer_is_refuted_without_fractions(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+    """Noise that violates constraints refutes an answer by itself, with bounds of the optimal value beside it."""
+    monkeypatch.setattr(FeasiblePoints, "exactly_near", lambda *_: pytest.fail("fractions were asked"))
+    monkeypatch.setattr(FeasiblePoints, "inside", property(lambda _: pytest.fail("fractions were asked")))
+    rng = np.random.default_rng(3)
+    n = 4 * rows
+    factor, G, A = (rng.standard_normal(shape) for shape in ((n, n + 5), (n // 2, n), (rows, n)))
+    x = rng.random(n)
+    program = QuadraticProgram(factor @ factor.T / n, rng.standard_normal(n), G, G @ x + 0.1, A, A @ x, 0.0)
+    noisy = solve(program).x + 1e-4 * rng.standard_normal(n)
+    found = certify(program, noisy)
+    assert found.verdict == "refuted"
+    assert "violated" in found.reason
+    assert found.lower is not None
+    assert found.upper is not None
+    assert found.lower <= found.upper
+
+
 def test_feasible_points_are_feasible() -> None:
     """Near a point that misses equations and tight rows by rounding there is one that meets them exactly."""
     rng = np.random.default_rng(2)
     for seed in range(4):
         case = CAMPAIGN.case("definite, equations", np.random.default_rng(seed), 6)
         near = case.x + 1e-9 * rng.normal(size=case.x.size)
-        found = FeasiblePoints(case.program).near(near)
+        points = FeasiblePoints(case.program)
+        found = points.near(near) or points.exactly_near(near)
         assert found is not None
         assert np.abs(found.near - near).max() < 1e-6
         assert Fraction(found.value) >= case.value
@@ -801,7 +821,7 @@ def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
     pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
     for seed in SEEDS.get(kind, range(3)):
         case = MULTIPLIERS.program(kind, np.random.default_rng([0, seed, 7]))
-        answer = solve_quadratic_program(case)[1]
+        answer = judged_program(case).solution
         assert answer.is_optimal()
         theirs = MULTIPLIERS.largest_of_highs(case)
         assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(theirs, 1e-6)

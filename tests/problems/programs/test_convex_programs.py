@@ -25,15 +25,17 @@ from lcp_plugin import (
     box,
     complements,
     solve,
+    solve_many,
 )
 from lcp_plugin.algorithms import Algorithm, Step
+from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior.interior_point import InteriorPoint
 from lcp_plugin.modeling.registration import build
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.problems.programs.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
 from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.problems.programs.qp_solution import QPSolution
-from lcp_plugin.problems.programs.solving import judged_program, solve_quadratic_program
+from lcp_plugin.problems.programs.solving import judged_program
 from lcp_plugin.proofs.exact.linear_systems import solved_nearby
 
 INF = np.inf
@@ -62,7 +64,8 @@ def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
     """Two planted programs of each kind have their value and conditions, measured here, by interior_point."""
     for seed in (77, 78):
         case, value = CAMPAIGN.case(kind, seed, 0, 25)
-        result, answer = solve_quadratic_program(case, INTERIOR)
+        result = judged_program(case, INTERIOR)
+        answer = result.solution
         assert CAMPAIGN.said(case, answer, answer.status, value, "") == (True, False), result
 
 
@@ -94,7 +97,7 @@ def test_ranges_say_what_they_say() -> None:
     program = QuadraticProgram.from_ranges(P, c, A, low, high, lower=[-1e20, -5.0, -5.0], upper=5.0)
     assert (program.h.size, program.b.size) == (4, 1)
     assert program.lower[0] == -INF
-    _, solution = solve_quadratic_program(program, INTERIOR)
+    solution = judged_program(program, INTERIOR).solution
     assert solution.is_optimal(1e-9)
     y = solution.row_multipliers
     assert y.shape == (5,)
@@ -149,7 +152,7 @@ def test_rows_and_columns_over_twelve_orders_of_magnitude(largest: int, seeds: i
     """The road of `QPSolver`, which asks for more where rows are left over: the planted value, every row to 1e-6."""
     for seed in range(seeds):
         program, value = CAMPAIGN.case("graded rows, columns", seed, 12, largest)
-        _, solution = solve_quadratic_program(program)
+        solution = judged_program(program).solution
         assert solution.is_stationary(1e-6), (seed, str(solution))
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
@@ -195,6 +198,61 @@ def test_a_second_solve_starts_from_the_first(kind: str, seed: int) -> None:
     assert warm.is_solved
     assert warm.iterations <= 3 < cold.iterations
     assert again.origin.recover(warm).is_stationary(1e-6)
+
+
+def moved(program: QuadraticProgram, share: float) -> QuadraticProgram:
+    """The program with a gradient that is larger by that share."""
+    return program.with_vectors(c=program.c * (1.0 + share))
+
+
+@pytest.mark.parametrize("tolerance", [1e-9, 1e-11])
+def test_what_the_last_active_set_answers_takes_no_run(tolerance: float) -> None:
+    """A program solved again from `result.z`: one factorisation, then the answer that is found from nothing."""
+    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
+    first, again = solve(program), moved(program, 1e-7)
+    cold, warm = solve(again, tolerance=tolerance), solve(again, z0=first.z, tolerance=tolerance)
+    assert (warm.is_solved, warm.iterations) == (True, 1)
+    assert "active set of an earlier answer" in warm.stages[0].because
+    assert warm.certificate.relative_residual <= tolerance
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
+    assert warm.solution.is_optimal()
+
+
+@pytest.mark.parametrize("share", [-0.5, 3.0])
+def test_a_last_active_set_that_is_wrong_changes_no_answer(share: float) -> None:
+    """Far from the last program, or with a start of another size or of noise, the answer is that of a first solve."""
+    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
+    first, again = solve(program), moved(program, share)
+    cold = solve(again)
+    for start in (first.z, np.zeros(3), np.random.default_rng(2).standard_normal(first.z.size), np.zeros(first.z.size)):
+        warm = solve(again, z0=start)
+        assert warm.is_solved
+        assert warm.objective == pytest.approx(cold.objective, rel=1e-6, abs=1e-6)
+
+
+def test_of_many_programs_each_goes_on_from_the_last_answer() -> None:
+    """`solve_many` finds what each has by itself, in fewer steps where the active set stays; one that fails passes."""
+    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
+    shares: list[Any] = [1.0, 1.0 + 1e-7, 1.0 - 1e-7, np.inf, 1.0 + 2e-7]
+    with np.errstate(invalid="ignore"):
+        answers = solve_many(program, [{"c": program.c * share} for share in shares])
+    alone = solve(moved(program, 2e-7))
+    assert [isinstance(answer, InvalidProblem) for answer in answers] == [False, False, False, True, False]
+    assert [answer.iterations for answer in answers[1:] if not isinstance(answer, InvalidProblem)] == [1, 1, 1]
+    assert answers[-1].objective == pytest.approx(alone.objective, rel=1e-9)
+    assert alone.iterations > 1
+
+
+def test_a_start_hides_no_refutation() -> None:
+    """From an earlier answer, an infeasible program is INFEASIBLE and one that is not convex is refused."""
+    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
+    z = solve(program).z
+    outside = program.with_vectors(lower=np.full(program.n, 1e6), upper=np.full(program.n, 2e6))
+    assert solve(outside, z0=z).status is Status.INFEASIBLE
+    bent = QuadraticProgram(-1.0 * program.P, program.c, program.G, program.h, program.A, program.b,
+                            program.lower, program.upper)
+    with pytest.raises(UnsupportedModel, match="not convex"):
+        solve(bent, z0=z)
 
 
 def test_an_infinite_limit_may_be_rounded() -> None:
@@ -401,6 +459,81 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
     of_rows, of_bounds = np.split(np.array(proof.multipliers, dtype=bool), [program.constraints.rows])
     assert not of_bounds.any()
     assert of_rows.sum() == n + 1
+
+
+@pytest.mark.parametrize(("program", "word"), [
+    (QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, -1.0]), "infeasible"),
+    (QuadraticProgram(None, [1.0, 1.0], [[1.0, 1.0], [1.0, -1.0]], [-1.0, -1.0]), "unbounded"),
+])
+def test_a_run_that_a_proof_ends_says_so(program: Any, word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """With verbose=True and without, a refuted program has no multipliers, and the last line names the proof."""
+    watched, quiet = solve(program, verbose=True), solve(program)
+    end = capsys.readouterr().out.splitlines()[-1]
+    assert f"ended by the proof that the program is {word}" in end
+    assert "Ctrl-C" not in end
+    for result in (watched, quiet):
+        assert result.status.name.lower() == word
+        assert all(np.isnan(part).all() for part in result.duals.values())
+        assert "nan" not in str(result.solution)
+        assert "no multipliers" in str(result.solution)
+
+
+def contradicting(n: int) -> QuadraticProgram:
+    """A dense program with one row more than unknowns, all of which are needed to contradict."""
+    rng = np.random.default_rng(n)
+    factor, G = rng.standard_normal((n, n + 5)), rng.standard_normal((n + 5, n))
+    h = rng.standard_normal(n + 5) - 1.0
+    rows, limits = np.vstack([G, -G.sum(axis=0)]), np.append(h, -h.sum() - 1.0)
+    return QuadraticProgram(factor @ factor.T / n, np.ones(n), rows, limits)
+
+
+def falling(n: int) -> QuadraticProgram:
+    """A dense program with P of half the rank that falls for ever along one direction."""
+    rng = np.random.default_rng(n)
+    factor, G, d = rng.standard_normal((n, n // 2)), rng.standard_normal((n // 2, n)), rng.standard_normal(n)
+    Q = np.linalg.qr(factor)[0]
+    d -= Q @ (Q.T @ d)
+    d /= np.linalg.norm(d)
+    G -= np.outer(np.maximum(G @ d, 0.0), d)
+    return QuadraticProgram(factor @ factor.T / n, -2.0 * d, G, np.ones(n // 2))
+
+
+def test_a_program_without_a_minimum_is_solved_alike_again() -> None:
+    """The proof that it keeps changes no later call: algorithm, steps and x are those of the first."""
+    rows = sp.csr_array(([1.0, 1.0], ([0, 0], [0, 1])), shape=(1, 500))
+    for program in (
+        QuadraticProgram(sp.eye_array(500), np.ones(500), rows, [-1.0], lower=0.0), contradicting(12), falling(12),
+    ):
+        first, again = solve(program), solve(program)
+        assert first.status is again.status is not Status.SOLVED
+        assert (first.algorithm, first.iterations, first.x.tobytes()) == (
+            again.algorithm, again.iterations, again.x.tobytes()
+        )
+
+
+def test_a_proof_that_time_has_cut_short_is_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit that leaves no time for the linear program says nothing of a later call."""
+    program = contradicting(12)
+    with time_limit(0.0), monkeypatch.context() as patched:
+        patched.setattr("lcp_plugin.proofs.no_solution.farkas.linear_program", lambda *_: None)
+        assert program.proof_of_no_minimum is None
+    assert program.proof_of_no_minimum is not None
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("made", "status", "n"), [
+    (contradicting, Status.INFEASIBLE, 150), (contradicting, Status.INFEASIBLE, 450),
+    (falling, Status.UNBOUNDED, 150), (falling, Status.UNBOUNDED, 450),
+])
+def test_large_dense_programs_are_refuted_before_methods_creep(made: Any, status: Status, n: int) -> None:
+    """In seconds, where interior points end: a proof that counts, within a radius, is not searched for in fractions."""
+    result = solve(made(n), max_seconds=60.0)
+    assert result.status is status
+    assert result.proof is not None
+    assert result.proof.verify()
+    assert result.proof.excludes(1e-6)
+    assert result.proof.radius >= 1e8
+    assert result.seconds < 30.0
 
 
 def test_a_rounded_bound_proves_nothing() -> None:
@@ -633,32 +766,32 @@ def test_a_sparse_dense_and_empty_program() -> None:
     rng = np.random.default_rng(1)
     P, G = np.diag([1.0, 0.0, 2.0]), rng.normal(size=(4, 3))
     answers = [
-        solve_quadratic_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR)[1]
+        judged_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR).solution
         for wrap in (np.asarray, sp.csr_array)
     ]
     np.testing.assert_allclose(answers[0].objective, answers[1].objective, atol=1e-9)
     single = QuadraticProgram(np.zeros((1, 1)), [1.0], lower=-3.0)
-    assert solve_quadratic_program(single, INTERIOR)[1].x.tolist() == [-3.0]
+    assert judged_program(single, INTERIOR).solution.x.tolist() == [-3.0]
 
 
 def test_rounding_does_not_make_a_program_nonconvex() -> None:
     """A row of P that is zero but for rounding errors is accepted; an eigenvalue of −1e-6 is refused by name."""
     P = np.array([[1.0, 0.0, 1e-17], [0.0, 1.0, 0.0], [1e-17, 0.0, 0.0]])
     program = QuadraticProgram(P, [-1.0, 0.0, 1.0], lower=[-5.0, -5.0, 0.0])
-    _, answer = solve_quadratic_program(program, INTERIOR)
+    answer = judged_program(program, INTERIOR).solution
     np.testing.assert_allclose(answer.x, [1.0, 0.0, 0.0], atol=1e-9)
     with pytest.raises(UnsupportedModel, match="not convex"):
-        solve_quadratic_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
+        judged_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
 
 
 def test_explain_tells_every_form_that_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no answer is good enough, the stages are those of all runs, each form and tolerance with its reason."""
     monkeypatch.setattr(QPSolution, "is_stationary", lambda _self, _tolerance=1e-6: False)
     program = QuadraticProgram(np.diag([0.0, 2.0]), [0.0, 0.0], A=[[1.0, -1.0]], b=[1.0], lower=[0.0, -INF])
-    result, _ = solve_quadratic_program(program)
+    result = judged_program(program)
     reasons = [stage.because.partition(";")[0] for stage in result.stages]
     assert "the KKT form of the program as it stands" in reasons
-    assert "the KKT form of the program as it stands" in result.explain()
+    assert "the KKT form of the program as it stands" in result.lcp_result.explain()
 
 
 # --- Optimality conditions written by hand ----------------------------------------------------------------------
@@ -686,7 +819,7 @@ def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: fl
     problem = ComplementarityProblem(constraints)
     problem.solve(algorithm=INTERIOR, tolerance=1e-10)
     assert problem.status == "optimal"
-    _, answer = solve_quadratic_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR)
+    answer = judged_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
     assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(answer.objective, rel=1e-8, abs=1e-8)
 
 

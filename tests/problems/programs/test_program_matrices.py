@@ -18,7 +18,7 @@ from lcp_plugin.problems.programs.conversion import QuadraticProgram, attempts, 
 from lcp_plugin.problems.programs.program_matrices import as_csr
 from lcp_plugin.problems.programs.qp_solution import QPSolution
 from lcp_plugin.problems.programs.reductions import substitute_definitions
-from lcp_plugin.problems.programs.solving import solve_quadratic_program
+from lcp_plugin.problems.programs.solving import judged_program
 
 NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
 VECTORS = ("c", "h", "b", "lower", "upper")
@@ -203,7 +203,7 @@ def test_long_definitions_stay_and_short_ones_are_put_in() -> None:
     found = substitute_definitions(program, saves_work=True)
     assert found is not None
     assert (found.reduced.n, found.reduced.b.size) == (assets + factors, factors)
-    assert solve_quadratic_program(program)[1].is_optimal()
+    assert judged_program(program).solution.is_optimal()
 
 
 def test_a_graph_keeps_its_laplacian() -> None:

@@ -20,7 +20,7 @@ from lcp_plugin.problems.programs.kernels import dual_active_set, program_residu
 from lcp_plugin.problems.programs.program import QuadraticProgram
 from lcp_plugin.problems.programs.qp_solution import QPSolution
 from lcp_plugin.problems.programs.small_programs import SmallAnswers, SmallPrograms
-from lcp_plugin.problems.programs.solving import solve_quadratic_program
+from lcp_plugin.problems.programs.solving import judged_program
 
 INF = np.inf
 MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
@@ -49,12 +49,13 @@ def test_answers_chosen_first_are_found(n: int, rows: int, equations: int, lacks
     """The value is the planted one, and so is x where P is positive definite; each measure bounds the program's own."""
     equations = min(equations, n - 1)
     program, x, value = planted(n, rows, equations, max(n - lacks, 0), seed)
-    result, solution = solve_quadratic_program(program)
+    result = judged_program(program)
+    solution = result.solution
     assert solution.is_optimal()
     assert solution.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
     if lacks == 0 and np.linalg.cond(program.P) < 1e6:
         assert np.allclose(solution.x, x, rtol=0.0, atol=1e-6)
-    if isinstance(result, ProgramResult):
+    if result.is_compiled:
         anew = QPSolution(program, solution.x, solution.inequality, solution.equality, solution.lower, solution.upper)
         for name in MEASURED[:2]:
             assert getattr(anew, name) <= getattr(solution, name)
@@ -64,13 +65,13 @@ def test_answers_chosen_first_are_found(n: int, rows: int, equations: int, lacks
 def test_an_option_that_is_none_is_not_there() -> None:
     """As in solve, limits of None are none."""
     program = planted(5, 4, 1, 5, 0)[0]
-    assert solve_quadratic_program(program, max_iterations=None, max_seconds=None)[1].is_optimal()
+    assert judged_program(program, max_iterations=None, max_seconds=None).solution.is_optimal()
 
 
 def test_most_small_programs_take_the_compiled_call() -> None:
     """Of two hundred planted ones nearly all are solved there, within a dozen steps in the mean."""
-    results = [solve_quadratic_program(planted(12, 8, 2, 12 - k % 3, k)[0])[0] for k in range(200)]
-    steps = [result.iterations for result in results if isinstance(result, ProgramResult)]
+    results = [judged_program(planted(12, 8, 2, 12 - k % 3, k)[0]) for k in range(200)]
+    steps = [result.iterations for result in results if result.is_compiled]
     assert len(steps) >= 190
     assert np.mean(steps) <= 12
 
@@ -78,15 +79,16 @@ def test_most_small_programs_take_the_compiled_call() -> None:
 def test_its_result_is_that_of_a_complementarity_problem() -> None:
     """The result has z and w of the KKT form, whose certificate agrees; the explanation says what ran."""
     program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [1, 0]], h=[2, INF])
-    result, solution = solve_quadratic_program(program)
-    assert isinstance(result, ProgramResult)
+    result = judged_program(program)
+    solution = result.solution
+    assert result.is_compiled
     assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)
     assert solution.inequality.tolist() == pytest.approx([1.0, 0.0], abs=1e-14)
     assert result.z.tolist() == pytest.approx([0.5, 1.5, 1.0], abs=1e-14)
     assert result.is_solved
     assert result.certificate.relative_residual <= 1e-14
     assert "dual active set" in result.explain()
-    assert "interior_point" in solve_quadratic_program(program, "interior_point")[0].explain()
+    assert "interior_point" in judged_program(program, "interior_point").explain()
     assert result.to_content()["status"] == "SOLVED"
 
 
@@ -94,8 +96,9 @@ def test_its_result_is_that_of_a_complementarity_problem() -> None:
 def test_who_watches_sees_every_step(wish: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     """A log, a record and a callback are of steps taken one by one."""
     program, _, value = planted(6, 4, 1, 6, 3)
-    result, solution = solve_quadratic_program(program, **wish)
-    assert not isinstance(result, ProgramResult)
+    result = judged_program(program, **wish)
+    solution = result.solution
+    assert not result.is_compiled
     assert solution.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
     capsys.readouterr()
 
@@ -111,7 +114,8 @@ def test_who_watches_sees_every_step(wish: dict[str, Any], capsys: pytest.Captur
 def test_what_has_no_answer_gets_none(data: dict[str, Any], status: str) -> None:
     """Infeasible and unbounded programs end with their proof, as larger ones do."""
     program = QuadraticProgram(**data)
-    result, solution = solve_quadratic_program(program)
+    result = judged_program(program)
+    solution = result.solution
     assert not result.is_solved
     assert solution.status == status
     assert program.refutation() is not None
@@ -120,8 +124,9 @@ def test_what_has_no_answer_gets_none(data: dict[str, Any], status: str) -> None
 def test_numbers_far_from_one_are_left_to_others() -> None:
     """Products that would overflow are not formed; the answer is right all the same."""
     program = QuadraticProgram([[2e200, 0], [0, 2e200]], [-2e200, 2e200], lower=0)
-    result, solution = solve_quadratic_program(program)
-    assert not isinstance(result, ProgramResult)
+    result = judged_program(program)
+    solution = result.solution
+    assert not result.is_compiled
     assert solution.x.tolist() == pytest.approx([1.0, 0.0])
 
 
@@ -131,7 +136,7 @@ def test_a_program_and_its_complementarity_problem_agree() -> None:
     for k in range(60):
         program, _, value = planted(8, 6, 2, 8 - k % 4, k)
         A = np.vstack([program.A, program.A.sum(axis=0), rng.standard_normal((8 * (k % 2), 8))])
-        x = solve_quadratic_program(program)[1].x
+        x = judged_program(program).solution.x
         redundant = QuadraticProgram(
             program.P, program.c, np.vstack([program.G, program.G]), np.append(program.h, program.h),
             A, A @ x, program.lower, program.upper,
@@ -177,8 +182,9 @@ def test_what_memory_held_before_changes_no_answer(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(dual_active_set, "run", np.errstate(all="ignore")(dual_active_set.run.py_func))
     monkeypatch.setattr(np, "empty", filled)
-    result, solution = solve_quadratic_program(program)
-    assert isinstance(result, ProgramResult)
+    result = judged_program(program)
+    solution = result.solution
+    assert result.is_compiled
     assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)
 
 
@@ -197,7 +203,7 @@ def test_what_memory_held_before_changes_no_answer(monkeypatch: pytest.MonkeyPat
 def test_what_is_wrong_is_refused_before_anything_is_solved(wish: dict[str, Any], words: str) -> None:
     """A wrong option is no less wrong for a small program."""
     with pytest.raises(LCPError, match=words):
-        solve_quadratic_program(planted(5, 3, 1, 5, 2)[0], **wish)
+        judged_program(planted(5, 3, 1, 5, 2)[0], **wish)
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
@@ -208,7 +214,7 @@ def test_a_small_cost_and_a_far_bound_hide_nothing(algorithm: str, cost: float, 
         np.diag([1.0, 0.0]), [-1.0, cost], G=[[1.0, 1.0]], h=[50.0], lower=[-1.0, -far], upper=1.0
     )
     value = -0.5 - cost * far
-    _, solution = solve_quadratic_program(program, algorithm)
+    solution = judged_program(program, algorithm).solution
     assert solution.status != "optimal" or solution.objective == pytest.approx(value, rel=2e-6)
     batch = solve_batch(QuadraticProgramBatch(program.P, [program.c] * 2, program.G, program.h, lower=program.lower,
                                               upper=program.upper))
@@ -223,19 +229,21 @@ def test_ctrl_c_ends_in_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(solving, "solved_at_once", interrupted)
-    result, _ = solve_quadratic_program(planted(5, 3, 1, 5, 2)[0])
+    result = judged_program(planted(5, 3, 1, 5, 2)[0])
     assert result.status.name == "INTERRUPTED"
 
 
 def test_a_result_can_be_replaced_pickled_and_given_a_start() -> None:
     """As any other result; z0 is a start, of which the compiled call knows nothing."""
     program, _, value = planted(5, 3, 1, 5, 2)
-    result, solution = solve_quadratic_program(program)
-    assert isinstance(result, ProgramResult)
+    result = judged_program(program)
+    solution = result.solution
+    assert result.is_compiled
     other = dataclasses.replace(result, algorithm="mine")
     assert other.algorithm == "mine"
     assert other.z.tolist() == pickle.loads(pickle.dumps(result)).z.tolist() == result.z.tolist()
-    again, found = solve_quadratic_program(program, z0=result.z)
+    again = judged_program(program, z0=result.z)
+    found = again.solution
     assert found.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
     assert not isinstance(again, ProgramResult)
     assert solution.is_optimal()
@@ -245,9 +253,10 @@ def test_a_smaller_tolerance_gives_no_worse_answer() -> None:
     """What the compiled call finds is kept where it is within the tolerance as a complementarity problem."""
     program, _, _ = planted(40, 30, 3, 40, 8)
     for tolerance in (1e-9, 1e-11, 1e-13):
-        result, solution = solve_quadratic_program(program, tolerance=tolerance)
-        assert isinstance(result, ProgramResult)
-        assert result.residual <= tolerance
+        result = judged_program(program, tolerance=tolerance)
+        solution = result.solution
+        assert result.is_compiled
+        assert result.lcp_result.residual <= tolerance
         assert solution.residual <= 1e-12
 
 

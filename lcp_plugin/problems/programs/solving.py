@@ -28,6 +28,7 @@ from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .interior_call import InteriorAnswer, solved_again, solved_by_interior_points
 from .program import QuadraticProgram
+from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
 from .small_programs import MOST_STEPS

@@ -16,8 +16,7 @@ from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..proofs.exact.rational import exact_slack
 from ..proofs.no_solution.refutation import Infeasibility
-from .matrices import h_plus_matrices, positive_definite_matrices
-from .options import (
+from .matrices import (
     LARGEST_ENTRY,
     POSITIVE,
     SIGNED,
@@ -25,7 +24,8 @@ from .options import (
     Numbers,
     Sizes,
     blocks,
-    entries,
+    h_plus_matrices,
+    positive_definite_matrices,
     rows,
     sizes,
     vectors,
@@ -85,11 +85,7 @@ def _any(draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: Numbers) -> LCP
 
 
 def solved_lcps(
-    matrices: st.SearchStrategy[Any] | None = None,
-    *,
-    degenerate: bool = True,
-    bounds: bool = False,
-    huge_slacks: bool = False,
+    matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False, huge_slacks: bool = False
 ) -> st.SearchStrategy[tuple[LCP, Answer]]:
     """Return a strategy for pairs (problem, z) where z solves the problem exactly.
 
@@ -98,8 +94,6 @@ def solved_lcps(
     matrices : strategy of (n, n) matrices, optional
         By default H₊ or symmetric positive definite ones, so that z is the only solution. Entries must be short
         enough for M z + q to be free of rounding: within a row, integers times powers of two not far apart.
-    degenerate : bool
-        Draw rows with z at a bound and w = 0 too, beside inactive rows and active ones.
     bounds : bool
         Draw one-sided bounds below or above, boxes, fixed and free rows. Otherwise lower = 0, upper = ∞.
     huge_slacks : bool
@@ -131,8 +125,7 @@ def solved_lcps(
     >>> problem, z
     (LCP([[1.0]], [-1.0]), (Fraction(1, 1),))
     """
-    chosen = default_matrices() if matrices is None else matrices
-    return _solved(chosen, complementary_rows(bounds, degenerate=degenerate), huge_slacks)
+    return _solved(default_matrices() if matrices is None else matrices, complementary_rows(bounds), huge_slacks)
 
 
 @st.composite
@@ -150,7 +143,7 @@ def _solved(
 
 
 def infeasible_lcps(
-    size: Sizes = None, *, monotone: bool = False, bounds: bool = False, density: float = 1.0, dense: bool = True
+    size: Sizes = None, *, monotone: bool = False, bounds: bool = False
 ) -> st.SearchStrategy[tuple[LCP, Infeasibility]]:
     """Return a strategy for pairs (problem, proof): no z within its bounds gives w the signs that it needs.
 
@@ -162,10 +155,6 @@ def infeasible_lcps(
         Draw M that is symmetric positive semidefinite, singular by necessity; otherwise anything.
     bounds : bool
         Draw other bounds than 0 and ∞: −∞ and u, l and ∞, l and u, or none.
-    density : float
-        Share of nonzeros, in [0, 1], roughly; one row is a combination of the others.
-    dense : bool
-        Arrays; otherwise CSR arrays.
 
     Returns
     -------
@@ -191,7 +180,7 @@ def infeasible_lcps(
     ((Fraction(1, 1), Fraction(0, 1)), True)
     """
     row = st.builds(_bounds, st.sampled_from(SIDES), SIGNED, st.integers(0, 9)) if bounds else st.just((0, math.inf))
-    return _infeasible(sizes(size, 1), entries(density), row, monotone, dense)
+    return _infeasible(sizes(size, 1), row, monotone)
 
 
 SIDES = [(False, True), (True, False), (True, True), (False, False)]  # whether there is no bound below, and none above
@@ -199,7 +188,7 @@ SIDES = [(False, True), (True, False), (True, True), (False, False)]  # whether 
 
 @st.composite
 def _infeasible(
-    draw: st.DrawFn, sizes: st.SearchStrategy[int], values: Numbers, row: Numbers, monotone: bool, dense: bool
+    draw: st.DrawFn, sizes: st.SearchStrategy[int], row: Numbers, monotone: bool
 ) -> tuple[LCP, Infeasibility]:
     n = draw(sizes)
     pivot = draw(st.integers(0, n - 1))
@@ -213,18 +202,17 @@ def _infeasible(
     y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
     product = np.zeros(n)
     if not monotone:  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
-        drawn = draw(vectors(n, values))
+        drawn = draw(vectors(n, SIGNED))
         product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
         product[below & above] = 0.0
     q, surplus = draw(vectors(n, SIGNED)), draw(POSITIVE)
-    M = draw(blocks(n, n, values))
+    M = draw(blocks(n, n, SIGNED))
     M[pivot] = 0.0
     M[pivot] = y[pivot] * (product - y @ M)
     highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
     q[pivot] = 0.0
     q[pivot] = y[pivot] * (-highest - y @ q - surplus)
-    given = M @ M.T if monotone else M
-    problem = LCP(given if dense else sp.csr_array(given), q, lower=lower, upper=upper)
+    problem = LCP(M @ M.T if monotone else M, q, lower=lower, upper=upper)
     return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(y))))
 
 
@@ -235,19 +223,15 @@ def _bounds(is_open: tuple[bool, bool], low: int, length: int) -> tuple[float, f
 # --- Complementary rows ------------------------------------------------------------------------------------------
 
 
+@st.composite
 def complementary_rows(
-    bounds: bool = False, *, degenerate: bool = True, otherwise_free: bool = False
-) -> st.SearchStrategy[tuple[float, float, float, float]]:
+    draw: st.DrawFn, bounds: bool = False, otherwise_free: bool = False
+) -> tuple[float, float, float, float]:
     """Return a strategy for complementary z, w, lower, upper of a row: small integers, or bounds that are infinite.
 
     Rows that get no bounds have 0 and ∞, or none at all.
     """
-    return _row(st.sampled_from([INACTIVE, ACTIVE, DEGENERATE][: 2 + bool(degenerate)]), bounds, otherwise_free)
-
-
-@st.composite
-def _row(draw: st.DrawFn, groups: Numbers, bounds: bool, otherwise_free: bool) -> tuple[float, float, float, float]:
-    group, size = draw(groups), draw(POSITIVE)
+    group, size = draw(st.sampled_from([INACTIVE, ACTIVE, DEGENERATE])), draw(POSITIVE)
     if bounds:
         z, (at_lower, at_upper, sign) = draw(SIGNED), draw(st.sampled_from(BOUNDED[group]))
         below, above = 0 if at_lower else draw(DISTANCES), 0 if at_upper else draw(DISTANCES)

@@ -15,8 +15,17 @@ from ..core.lcp import LCP
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.programs.conversion import QuadraticProgram
 from ..proofs.exact.rational import exact_slack
-from .matrices import p_matrices, positive_definite_matrices, positive_semidefinite_matrices
-from .options import SIGNED, Numbers, blocks, rows, sizes, vectors
+from .matrices import (
+    SIGNED,
+    Numbers,
+    blocks,
+    p_matrices,
+    positive_definite_matrices,
+    positive_semidefinite_matrices,
+    rows,
+    sizes,
+    vectors,
+)
 from .problems import Answer, columns_of, complementary_rows, exact_offset, fractions_of, solved_lcps
 
 

@@ -35,7 +35,6 @@ STYLE: Any = {
     "pdf.fonttype": 42, "ps.fonttype": 42, "axes.titlesize": 10, "axes.titlelocation": "left", "legend.frameon": False,
 }
 HEIGHTS = "cividis"
-SIZE = (4.7, 3.7)
 LABEL_SIZE = 7.0
 
 
@@ -68,12 +67,6 @@ def styled(more: Mapping[str, Any] | None = None) -> Any:
     from matplotlib import rc_context
 
     return rc_context(STYLE | dict(more or {}))
-
-
-def new_figure(size: tuple[float, float] = SIZE) -> tuple[Any, Any]:
-    """Return (figure, axes), to be called within `styled`."""
-    figure = require_matplotlib()(figsize=size, layout="constrained")
-    return figure, figure.subplots()
 
 
 def heights_as_colours(heights: Any) -> Any:

@@ -107,18 +107,6 @@ def error_against_time(
     )
 
 
-def best_answer(scene: Scene, algorithms: Sequence[str] = ("multigrid", "auto")) -> Certificate | None:
-    """Return the most accurate answer of these algorithms, or None; for a sketch of what the scene is about."""
-    found = []
-    for name in algorithms:
-        try:
-            run = measured_run(fresh(scene.problem), name, WorkLimit(math.inf), z0=scene.start, max_seconds=10.0)
-            found.append(run.certificate)
-        except (UnsuitableMatrix, UnsuitableProblem):
-            continue
-    return min(found, key=lambda certificate: certificate.relative_residual, default=None)
-
-
 def as_scene(target: Any) -> Scene:
     """Return the scene, or a problem as one of which nothing is declared; raise InvalidOption for anything else."""
     if isinstance(target, Scene):

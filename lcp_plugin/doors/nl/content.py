@@ -166,6 +166,16 @@ class NLContent:
     options: tuple[int, ...] = (3, 0, 1, 0)
     tolerance: float | None = None
 
+    def variable(self, column: int) -> str:
+        """Return the name of a variable, or its number; behind the last one come the defined variables."""
+        if column >= self.lower.size:
+            return f"defined variable {column - self.lower.size}"
+        return f"variable {column}" if self.names is None else self.names[column]
+
+    def row(self, row: int) -> str:
+        """Return the name of a row, or its number."""
+        return f"row {row if self.row_names is None else self.row_names[row]}"
+
 
 class Fault(ValueError):
     """What is wrong with a file, and in which line or at which byte."""

@@ -15,9 +15,8 @@ import numpy as np
 
 from ..core.errors import InvalidOption
 from ..doors.files.files import checked_path
-from .drawing import save
+from .drawing import Line, Panel, draw_panels, save
 from .exporting import AnyPath, Exported, number
-from .figures import Line, Panel, draw_panels
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {

@@ -17,9 +17,8 @@ from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
 from ..doors.files.files import checked_path
 from .collecting import Part, fingerprint
 from .curves import RESIDUAL, Curve, Point, Profile, Report, performance_profile
-from .drawing import FORMATS, save
+from .drawing import FORMATS, Line, Panel, draw_panels, save
 from .exporting import AnyPath, Table, csv_text, number, save_tables, write_text
-from .figures import Line, Panel, draw_panels
 
 VALUES = {
     "iterations": "iterations", "work": "work [passes over M]", "seconds": "time [s], set-up included",

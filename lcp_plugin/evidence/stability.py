@@ -26,10 +26,9 @@ from ..core.solving.driver import solve
 from ..core.solving.result import Result
 from ..doors.files.files import checked_path
 from .contestants import checked_names, contestants
-from .drawing import save
+from .drawing import draw_maps, save
 from .exact_answers import lie_in, relative_error
 from .exporting import AnyPath, Exported
-from .figures import draw_maps
 from .stresses import FAMILIES, StressCase
 
 Progress = Callable[[int, int, str], Any]

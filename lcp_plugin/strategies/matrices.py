@@ -158,15 +158,6 @@ def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> 
     size, density
         As in :func:`positive_definite_matrices`.
 
-    Returns
-    -------
-    strategy of ndarray, shape (size, size)
-
-    Raises
-    ------
-    InvalidOption
-        Where an option is out of its range.
-
     Notes
     -----
     M = L Lᵀ with L in some order of its rows unit lower trapezoidal with integer entries.
@@ -193,10 +184,6 @@ def indefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
         Rows and columns, at least 2; 2 to 8 by default.
     density
         As in :func:`positive_definite_matrices`.
-
-    Returns
-    -------
-    strategy of ndarray, shape (size, size)
 
     Raises
     ------
@@ -232,10 +219,6 @@ def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
         Rows and columns, 1 to 8 by default.
     density : float
         Share of nonzeros off the diagonal, in [0, 1]; roughly, since hypothesis likes to repeat itself.
-
-    Returns
-    -------
-    strategy of ndarray, shape (size, size)
 
     Notes
     -----
@@ -324,15 +307,6 @@ def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     density : float
         Share of nonzeros of the parts, in [0, 1], roughly.
 
-    Returns
-    -------
-    strategy of ndarray, shape (size, size)
-
-    Raises
-    ------
-    InvalidOption
-        Where an option is out of its range.
-
     Notes
     -----
     H₊-matrices, and in some order of the unknowns [[A, X], [0, C]] with A + Aᵀ and C + Cᵀ positive definite and X
@@ -370,10 +344,6 @@ def not_h_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
         Rows and columns, at least 1 (where the only one is [0]); up to 8 by default.
     density : float
         Share of nonzeros of the parts, in [0, 1], roughly; what is planted comes on top.
-
-    Returns
-    -------
-    strategy of ndarray, shape (size, size)
 
     Raises
     ------

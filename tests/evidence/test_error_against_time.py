@@ -24,8 +24,8 @@ from lcp_plugin.core.matrix.matrix import Matrix, fact
 from lcp_plugin.evidence import error_against_time as module
 from lcp_plugin.evidence.contestants import contestants
 from lcp_plugin.evidence.curves import Curve, Point, Report, performance_profile
+from lcp_plugin.evidence.drawing import styles
 from lcp_plugin.evidence.error_against_time import error_against_time
-from lcp_plugin.evidence.figures import styles
 from lcp_plugin.evidence.pictures import draw
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 

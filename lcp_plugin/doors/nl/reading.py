@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any, NoReturn
@@ -90,24 +89,12 @@ def _place(data: bytes, fault: Fault) -> str:
     return f"line {fault.place} ({text!r})"
 
 
-@dataclass
-class _Entries:
-    """Linear terms of one letter."""
-
-    rows: Any = field(default_factory=lambda: array("q"))
-    columns: Any = field(default_factory=lambda: array("q"))
-    values: Any = field(default_factory=lambda: array("d"))
-
-
-@dataclass
 class _Forest:
     """Expression trees of one letter in the order of the file; the arrays of parts are those of `content.Trees`."""
 
-    owners: Any = field(default_factory=lambda: array("q"))
-    starts: Any = field(default_factory=lambda: array("q", [0]))
-    kinds: Any = field(default_factory=lambda: array("B"))
-    values: Any = field(default_factory=lambda: array("d"))
-    counts: Any = field(default_factory=lambda: array("q"))
+    def __init__(self) -> None:
+        self.owners, self.starts, self.counts = array("q"), array("q", [0]), array("q")
+        self.kinds, self.values = array("B"), array("d")
 
 
 class _Reader:
@@ -122,7 +109,7 @@ class _Reader:
         }
         self.lengths = {"b": n, "r": m, "x": n, "d": m, "k": max(n - 1, 0)}
         self.done: set[str] = set()
-        self.entries = {letter: _Entries() for letter in "JGV"}
+        self.entries = {letter: (array("q"), array("q"), array("d")) for letter in "JGV"}  # rows, columns, values
         self.forests = {letter: _Forest() for letter in "COVL"}
         self.bounds: dict[str, tuple[list[float], list[float]]] = {}
         self.partners: dict[int, tuple[int, int]] = {}  # of a variable: its row, and which bounds are finite
@@ -226,10 +213,11 @@ class _Reader:
 
     def _linear(self, letter: str, owner: int, count: int) -> None:
         """Read the linear terms of a row, or of a defined variable, which uses those before it."""
-        pairs, entries = self._pairs(count, owner if letter == "V" else self.header.variables), self.entries[letter]
-        entries.rows.extend([owner] * len(pairs))
-        entries.columns.extend(pairs)
-        entries.values.extend(pairs.values())
+        pairs = self._pairs(count, owner if letter == "V" else self.header.variables)
+        rows, columns, values = self.entries[letter]
+        rows.extend([owner] * len(pairs))
+        columns.extend(pairs)
+        values.extend(pairs.values())
 
     def _tree(self, letter: str, owner: int) -> None:
         """Read parts until every operand has come."""
@@ -339,14 +327,14 @@ class _Reader:
 
     def _matrix(self, letter: str, count: int, width: int, first: int, nonzeros: int | None) -> sp.csr_array:
         """Return the linear terms of segments, one row for each owner."""
-        entries = self.entries[letter]
-        given = len(entries.values)
+        rows, columns, values = self.entries[letter]
+        given = len(values)
         # AMPL counts for G what its simplifications removed later, too.
         if nonzeros is not None and (given > nonzeros or (given < nonzeros and (letter == "J" or not given))):
             raise HeadFault(8, f"{nonzeros} nonzeros are announced for the segments {letter}, {given} are there")
         kind = np.int32 if max(given, count, width) < 2**31 else np.int64
-        places = np.array([entries.rows, entries.columns]).astype(kind) - np.array([[first], [0]], dtype=kind)
-        matrix = sp.csr_array((np.array(entries.values), places), shape=(count, width))
+        places = np.array([rows, columns]).astype(kind) - np.array([[first], [0]], dtype=kind)
+        matrix = sp.csr_array((np.array(values), places), shape=(count, width))
         matrix.sort_indices()
         return matrix
 

@@ -11,10 +11,9 @@ from ...gallery import parse
 from ...gallery.scene import Scene
 from ..collecting import data_of
 from ..curves import Curve, Report
-from ..drawing import COLOURS
+from ..drawing import COLOURS, OWN
 from ..error_against_time import error_against_time
 from ..exporting import csv_text
-from ..figures import OWN
 from .section import PAGE_WIDTH, Collected, Part, ReportEffort, Say, Section, brief, count, figure, seconds
 
 SCENES = (

@@ -215,10 +215,8 @@ def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
 
     Parameters
     ----------
-    size : int or strategy of int, optional
-        Rows and columns, 1 to 8 by default.
-    density : float
-        Share of nonzeros off the diagonal, in [0, 1]; roughly, since hypothesis likes to repeat itself.
+    size, density
+        As in :func:`positive_definite_matrices`; the share is that of nonzeros off the diagonal.
 
     Notes
     -----
@@ -302,10 +300,8 @@ def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
 
     Parameters
     ----------
-    size : int or strategy of int, optional
-        Rows and columns, 1 to 8 by default.
-    density : float
-        Share of nonzeros of the parts, in [0, 1], roughly.
+    size, density
+        As in :func:`h_plus_matrices`; the share is that of nonzeros of the parts.
 
     Notes
     -----

@@ -379,8 +379,7 @@ def _definite(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return B Bᵀ + E: symmetric positive definite."""
     E = np.diag(draw(vectors(n, POSITIVE)))
     B = draw(blocks(n, n, values))
-    result: Matrix = B @ B.T + E
-    return result
+    return np.asarray(B @ B.T + E)
 
 
 def _by_row_sums(draw: st.DrawFn, n: int, values: Numbers, surpluses: Numbers = POSITIVE) -> Matrix:
@@ -397,5 +396,4 @@ def _off_diagonal_negated(A: Matrix) -> Matrix:
 
 
 def _h_plus(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    result: Matrix = _by_row_sums(draw, n, values) * draw(vectors(n, UNITS))
-    return result
+    return np.asarray(_by_row_sums(draw, n, values) * draw(vectors(n, UNITS)))

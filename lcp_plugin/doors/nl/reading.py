@@ -32,7 +32,7 @@ from .content import (
     fail,
     read_header,
 )
-from .sources import Binary, Text, source_in
+from .sources import HEADS, Binary, Text, source_in
 
 ENDING = ".nl"
 SHOWN = 40  # bytes of a line that a message quotes
@@ -108,12 +108,13 @@ class _Reader:
             "L": range(header.logical_rows), "V": range(n, n + d), "F": range(header.functions),
         }
         self.lengths = {"b": n, "r": m, "x": n, "d": m, "k": max(n - 1, 0)}
-        self.done: set[str] = set()
+        self.done = {letter: bytearray(len(self.owners.get(letter, "1"))) for letter in HEADS}
         self.entries = {letter: (array("q"), array("q"), array("d")) for letter in "JGV"}  # rows, columns, values
         self.forests = {letter: _Forest() for letter in "COVL"}
-        self.bounds: dict[str, tuple[list[float], list[float]]] = {}
-        self.partners: dict[int, tuple[int, int]] = {}  # of a variable: its row, and which bounds are finite
-        self.starts: dict[str, dict[int, float]] = {"x": {}, "d": {}}
+        self.bounds: dict[str, tuple[Any, Any]] = {}
+        self.partners = array("q"), array("q"), array("q")  # rows, variables, which bounds are finite
+        self.has_row = bytearray(n)
+        self.starts: dict[str, tuple[list[int], list[float]]] = {"x": ([], []), "d": ([], [])}
         self.maximized: list[int] = []
         self.functions: dict[int, str] = {}
         self.suffixes: list[Suffix] = []
@@ -135,8 +136,8 @@ class _Reader:
         linear = self._matrix("J", m, n, 0, header.nonzeros)
         self._check_column_counts(linear)
         partners, partner_bounds = np.full(m, -1, dtype=np.int64), np.zeros(m, dtype=np.int64)
-        for variable, (row, finite) in self.partners.items():
-            partners[row], partner_bounds[row] = variable, finite
+        rows, variables, finite = self.partners
+        partners[rows], partner_bounds[rows] = variables, finite
         is_maximized = np.zeros(header.objectives, dtype=bool)
         is_maximized[self.maximized] = True
         (lower, upper), (row_lower, row_upper) = (map(np.array, self.bounds[letter]) for letter in "br")
@@ -163,10 +164,11 @@ class _Reader:
         if number not in owners:
             self._fail(f"a segment {letter} has a number from {owners[0]} to {owners[-1]}" if owners else
                        f"the head announces nothing that a segment {letter} could belong to")
-        name_of_one = f"{letter}{number}" if letter in self.owners else letter.replace("K", "k")
-        if letter != "S" and name_of_one in self.done:
-            self._fail(f"a second segment {name_of_one}; a file has one")
-        self.done.add(name_of_one)
+        if letter != "S":
+            done = self.done["k" if letter == "K" else letter]
+            if done[number - owners[0]]:
+                self._fail(f"a second segment {letter}{number if letter in self.owners else ''}; a file has one")
+            done[number - owners[0]] = True
         if letter in "JGV":
             self._linear(letter, number, numbers[1])
         if letter in "COVL":
@@ -196,28 +198,32 @@ class _Reader:
     def _room(self, count: int, what: str) -> int:
         return self._checked(count, self.source.end - self.source.at, f"the number of {what}")
 
-    def _pairs(self, count: int, width: int, *, is_real: bool = True, is_suffix: bool = False) -> dict[int, float]:
-        """Return as many values by their indices below `width`; whatever a suffix says is let pass."""
-        found: dict[int, float] = {}
-        pair = self.source.pair
-        for _ in range(self._room(count, "pairs of an index and a value")):
-            index, value = pair(is_real)
-            if not 0 <= index < width:
-                self._fail(f"the index {index} lies outside 0 … {width - 1}")
-            if not (is_suffix or math.isfinite(value)):
-                self._fail(f"the value {value} is not finite")
-            if index in found and not is_suffix:
-                self._fail(f"a second entry of variable {index} in one segment")
-            found[index] = value
-        return found
+    def _pairs(
+        self, count: int, width: int, *, is_real: bool = True, is_suffix: bool = False
+    ) -> tuple[list[int], list[float]]:
+        """Return as many indices below `width` and values; whatever a suffix says is let pass."""
+        self._room(count, "pairs of an index and a value")
+        indices, values, places = self.source.pairs(count, is_real)
+        if not count:
+            return indices, values
+        if not 0 <= min(indices) <= max(indices) < width:
+            k = next(k for k, index in enumerate(indices) if not 0 <= index < width)
+            fail(places[k], f"the index {indices[k]} lies outside 0 … {width - 1}")
+        if not (is_suffix or all(map(math.isfinite, values))):
+            k = next(k for k, value in enumerate(values) if not math.isfinite(value))
+            fail(places[k], f"the value {values[k]} is not finite")
+        if not is_suffix and len(set(indices)) < count:
+            k = next(k for k, index in enumerate(indices) if index in indices[:k])
+            fail(places[k], f"a second entry of variable {indices[k]} in one segment")
+        return indices, values
 
     def _linear(self, letter: str, owner: int, count: int) -> None:
         """Read the linear terms of a row, or of a defined variable, which uses those before it."""
-        pairs = self._pairs(count, owner if letter == "V" else self.header.variables)
+        own = self._pairs(count, owner if letter == "V" else self.header.variables)
         rows, columns, values = self.entries[letter]
-        rows.extend([owner] * len(pairs))
-        columns.extend(pairs)
-        values.extend(pairs.values())
+        rows.extend([owner] * count)
+        columns.extend(own[0])
+        values.extend(own[1])
 
     def _tree(self, letter: str, owner: int) -> None:
         """Read parts until every operand has come."""
@@ -259,8 +265,7 @@ class _Reader:
         return 2 * count if arity == PIECEWISE else count
 
     def _bounds(self, letter: str) -> None:
-        lower: list[float] = []
-        upper: list[float] = []
+        lower, upper = array("d"), array("d")
         for row in range(self.lengths[letter]):
             kind, numbers = self.source.bound()
             if any(map(math.isnan, numbers)):
@@ -278,13 +283,15 @@ class _Reader:
         """Take a complementarity row: which bounds of its variable are finite, and the variable, numbered from 1."""
         if letter == "b":
             self._fail("a bound of kind 5 belongs to a row, not to a variable")
-        if finite not in range(4):
+        if not (0 <= finite <= 3 and finite == int(finite)):
             self._fail("behind 5 stands which bounds are finite: 0 to 3")
-        if variable not in range(1, self.header.variables + 1):
+        if not (1 <= variable <= self.header.variables and variable == int(variable)):
             self._fail(f"a row is complementary to a variable from 1 to {self.header.variables}")
-        if int(variable) - 1 in self.partners:
+        if self.has_row[int(variable) - 1]:
             self._fail(f"variable {variable:g} is complementary to an earlier row as well; one row is possible")
-        self.partners[int(variable) - 1] = row, int(finite)
+        self.has_row[int(variable) - 1] = True
+        for part, value in zip(self.partners, (row, int(variable) - 1, int(finite)), strict=True):
+            part.append(value)
 
     def _column_counts(self, count: int, is_cumulative: bool) -> None:
         place = self.source.place
@@ -298,11 +305,11 @@ class _Reader:
         kind = self._checked(bits, 2 * SUFFIX_IS_REAL - 1, "the kind of a suffix") & SUFFIX_KIND
         width = (header.variables, header.rows + header.logical_rows, header.objectives, 1)[kind]
         is_real = bool(bits & SUFFIX_IS_REAL)
-        pairs = self._pairs(count, width, is_real=is_real, is_suffix=True)
-        values: Any = np.array([*pairs.values()], dtype=np.float64)
+        indices, numbers = self._pairs(count, width, is_real=is_real, is_suffix=True)
+        values: Any = np.array(numbers, dtype=np.float64)
         if not is_real and (np.abs(values) < 2.0**53).all() and (values == np.floor(values)).all():
             values = values.astype(np.int64)
-        self.suffixes.append(Suffix(name.decode(errors="replace"), kind, np.array([*pairs], dtype=np.int64), values))
+        self.suffixes.append(Suffix(name.decode(errors="replace"), kind, np.array(indices, dtype=np.int64), values))
 
     # --- What the segments say together --------------------------------------------------------------------------
 
@@ -317,7 +324,7 @@ class _Reader:
         given = {letter: len(forest.owners) for letter, forest in self.forests.items()}
         for line, announced, what, count in (
             (2, header.objectives, "objectives", given["O"]),
-            (3, header.complementarities, "complementarity rows", len(self.partners)),
+            (3, header.complementarities, "complementarity rows", len(self.partners[0])),
             (6, header.functions, "functions", len(self.functions)),
             (10, header.defined, "defined variables", given["V"]),
             (2, header.logical_rows if given["L"] else 0, "logical constraints", given["L"]),
@@ -376,9 +383,9 @@ class _Reader:
 
     def _start(self, letter: str) -> tuple[FloatVector, Any]:
         """Return the values of a segment x or d, and where there are some."""
-        given = self.starts[letter]
+        indices, values = self.starts[letter]
         start, has_start = np.zeros(self.lengths[letter]), np.zeros(self.lengths[letter], dtype=bool)
-        start[[*given]], has_start[[*given]] = [*given.values()], True
+        start[indices], has_start[indices] = values, True
         return start, has_start
 
 

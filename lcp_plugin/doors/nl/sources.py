@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import re
+from array import array
 from struct import Struct
+
+import numpy as np
 
 from .content import BOUND_WORDS, LINES, PARTNER, Header, Token, fail
 
 #: How many numbers stand behind the letter of a segment; a name follows in F and S.
 HEADS = {"C": 1, "L": 1, "O": 2, "V": 3, "G": 2, "J": 2, "b": 0, "r": 0, "k": 1, "K": 1, "x": 1, "d": 1, "F": 3, "S": 2}
 NAMED = "FS"
+LONGEST_COUNT = 11  # of the digits of a string's length, with its colon
 KINDS = {
     b"n": Token.NUMBER, b"l": Token.NUMBER, b"s": Token.NUMBER, b"v": Token.VARIABLE, b"o": Token.OPERATOR,
     b"f": Token.CALL, b"h": Token.STRING,
 }
-STRING = re.compile(rb"h(\d{1,9}):")
 Part = tuple[Token, float, int]  # of an expression: its kind and value, and of a call, how many operands follow
 
 
@@ -29,7 +31,7 @@ class Text:
     Attributes
     ----------
     at, end : int
-        The byte at which the next line begins, and the end of the last that is not blank.
+        How many lines have been read, and how many there are; blank ones at the end do not count.
     place : int
         The number of the line that was read last.
     strings : list of bytes
@@ -37,17 +39,23 @@ class Text:
     """
 
     def __init__(self, data: bytes, begin: int) -> None:
-        self.data, self.at, self.end, self.place = data, begin, len(data.rstrip()), LINES
-        self.strings: list[bytes] = []
+        self.data, self.strings = data, list[bytes]()
+        last = max(len(data.rstrip()), begin)
+        newlines = begin + np.flatnonzero(np.frombuffer(data, np.uint8, last - begin, begin) == ord("\n"))
+        self.ends = array("q", np.concatenate([[begin - 1], newlines, [last]]).tobytes())  # of lines, the head's first
+        self.at, self.end = 0, newlines.size + (last > begin)
+
+    @property
+    def place(self) -> int:
+        """The number of the line that was read last."""
+        return LINES + self.at
 
     def line(self) -> bytes:
         """Return the next line without its comment."""
         if self.at >= self.end:
             fail(self.place, "the file ends within a segment")
-        stop = self.data.find(b"\n", self.at, self.end)
-        stop = self.end if stop < 0 else stop
-        line = self.data[self.at:stop]
-        self.at, self.place = stop + 1, self.place + 1
+        line = self.data[self.ends[self.at] + 1:self.ends[self.at + 1]]
+        self.at += 1
         return line.split(b"#")[0] if b"#" in line else line
 
     def head(self) -> tuple[str, list[int], bytes]:
@@ -55,52 +63,64 @@ class Text:
         line = self.line()
         letter = _letter(line[:1], self.place)
         words = line[1:].split()
-        count = HEADS[letter]
-        if len(words) != count + (letter in NAMED):
-            fail(self.place, f"the head of a segment {letter} has {count + (letter in NAMED)} words, this {len(words)}")
-        return letter, [_whole(word) for word in words[:count]], b"".join(words[count:])
+        name = words.pop() if letter in NAMED and words else b""
+        if len(words) != HEADS[letter]:
+            fail(self.place, f"the head of a segment {letter} has {HEADS[letter]} numbers, this {len(words)}")
+        return letter, [int(word) for word in words], name
 
-    def pair(self, is_real: bool) -> tuple[int, float]:
-        """Return an index and a value."""
-        index, value = self.line().split()
-        return _whole(index), _real(value)
+    def pairs(self, count: int, is_real: bool) -> tuple[list[int], list[float], range]:
+        """Return as many indices, values, and places."""
+        begin = self.at
+        try:
+            lines = self.data[self.ends[begin] + 1:self.ends[begin + count]].split(b"\n") if count else []
+            words = [line.split() for line in lines]
+            found = [int(index) for index, _ in words], [float(value) for _, value in words]
+            self.at += count
+        except ValueError:  # a comment, or no pair
+            found = [], []
+            for _ in range(count):
+                index, value = self.line().split()
+                found[0].append(int(index))
+                found[1].append(float(value))
+        return *found, range(LINES + begin + 1, LINES + self.at + 1)
 
     def integer(self) -> int:
         """Return a number of operands, or of the entries of a column."""
-        (number,) = self.line().split()
-        return _whole(number)
+        return int(self.line())
 
     def bound(self) -> tuple[int, list[float]]:
         """Return the kind of a bound and its numbers."""
         first, *numbers = self.line().split()
-        kind = _bound_kind(_whole(first), self.place)
+        kind = _bound_kind(int(first), self.place)
         if len(numbers) != BOUND_WORDS[kind]:
             fail(self.place, f"a bound of this kind has {BOUND_WORDS[kind]} numbers, this line {len(numbers)}")
-        return kind, [_real(number) for number in numbers]
+        return kind, [float(number) for number in numbers]
 
     def part(self) -> Part:
         """Return the next part of an expression."""
-        if self.data[self.at:self.at + 1] == b"h":
-            return self._string()
         line = self.line()
         kind = _kind(line[:1], self.place)
+        if kind is Token.NUMBER:
+            return kind, float(line[1:]), 0
         if kind is Token.CALL:
             number, count = line[1:].split()
-            return kind, _whole(number), _whole(count)
-        (word,) = line[1:].split()
-        return kind, _real(word) if kind is Token.NUMBER else _whole(word), 0
+            return kind, int(number), int(count)
+        if kind is Token.STRING:
+            self._keep_string()
+            return kind, len(self.strings) - 1, 0
+        return kind, int(line[1:]), 0
 
-    def _string(self) -> Part:
-        match = STRING.match(self.data, self.at)
-        self.place += 1
-        end = self.end if match is None else match.end() + int(match[1])
-        stop = self.data.find(b"\n", end)
-        if match is None or self.data[end:len(self.data) if stop < 0 else stop].strip():
-            fail(self.place, "a string begins with its length, as h5:, and ends with its line")
-        self.strings.append(self.data[match.end():end])
-        self.place += self.strings[-1].count(b"\n")
-        self.at = self.end if stop < 0 else stop + 1
-        return Token.STRING, len(self.strings) - 1, 0
+    def _keep_string(self) -> None:
+        """Keep the string that begins in the line read last; it may hold any bytes, and go over several lines."""
+        place, begin = self.place, self.ends[self.at - 1] + 2
+        length, colon, _ = self.data[begin:begin + LONGEST_COUNT].partition(b":")
+        begin += len(length) + 1
+        end = begin + int(length)
+        while self.at < self.end and self.ends[self.at] < end:
+            self.at += 1
+        if not colon or end > self.ends[self.at] or self.data[end:self.ends[self.at]].strip():
+            fail(place, "a string begins with its length, as h5:, and ends with its line")
+        self.strings.append(self.data[begin:end])
 
 
 class Binary:
@@ -138,12 +158,12 @@ class Binary:
         letter = _letter(self._letter(), self.place)
         return letter, [self._int() for _ in range(HEADS[letter])], self._text() if letter in NAMED else b""
 
-    def pair(self, is_real: bool) -> tuple[int, float]:
-        """Return an index and a value."""
+    def pairs(self, count: int, is_real: bool) -> tuple[list[int], list[float], range]:
+        """Return as many indices, values, and places."""
         form = self.real_pair if is_real else self.int_pair
-        self.place = self._take(form.size)
-        index, value = form.unpack_from(self.data, self.place)
-        return index, value
+        begin = self._take(count * form.size)
+        found = list(form.iter_unpack(self.data[begin:self.at]))
+        return [index for index, _ in found], [value for _, value in found], range(begin, self.at + 1, form.size)
 
     def integer(self) -> int:
         """Return a number of operands, or of the entries of a column."""
@@ -186,16 +206,3 @@ def _bound_kind(kind: int, place: int) -> int:
     if not 0 <= kind <= PARTNER:
         fail(place, f"a bound's kind is 0 to {PARTNER}")
     return kind
-
-
-def _whole(word: bytes) -> int:
-    """Return a whole number; Python's own 1_000 is none."""
-    if not word.lstrip(b"-").isdigit():
-        raise ValueError
-    return int(word)
-
-
-def _real(word: bytes) -> float:
-    if b"_" in word:
-        raise ValueError
-    return float(word)

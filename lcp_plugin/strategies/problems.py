@@ -21,7 +21,6 @@ from .matrices import (
     POSITIVE,
     SIGNED,
     SIGNS,
-    Numbers,
     Sizes,
     blocks,
     h_plus_matrices,
@@ -69,19 +68,20 @@ def lcps(matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False
     >>> find(lcps(h_plus_matrices(1)), lambda problem: True, settings=quick).q
     array([0.])
     """
-    return _any(default_matrices() if matrices is None else matrices, complementary_rows(bounds))
+    chosen, row = default_matrices() if matrices is None else matrices, complementary_rows(bounds)
+
+    @st.composite
+    def problem(draw: st.DrawFn) -> LCP:
+        M = draw(chosen)
+        _, _, lower, upper = columns_of(draw(rows(M.shape[0], row)))
+        return LCP(M, draw(vectors(M.shape[0], SIGNED)), lower=lower, upper=upper)
+
+    return problem()
 
 
 def default_matrices() -> st.SearchStrategy[Any]:
     """Return a strategy for matrices with which every problem has exactly one solution."""
     return h_plus_matrices() | positive_definite_matrices()
-
-
-@st.composite
-def _any(draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: Numbers) -> LCP:
-    M = draw(matrices)
-    _, _, lower, upper = columns_of(draw(rows(M.shape[0], row)))
-    return LCP(M, draw(vectors(M.shape[0], SIGNED)), lower=lower, upper=upper)
 
 
 def solved_lcps(
@@ -125,21 +125,20 @@ def solved_lcps(
     >>> problem, z
     (LCP([[1.0]], [-1.0]), (Fraction(1, 1),))
     """
-    return _solved(default_matrices() if matrices is None else matrices, complementary_rows(bounds), huge_slacks)
+    chosen, row = default_matrices() if matrices is None else matrices, complementary_rows(bounds)
 
+    @st.composite
+    def solved(draw: st.DrawFn) -> tuple[LCP, Answer]:
+        M = draw(chosen)
+        z, slack, lower, upper = columns_of(draw(rows(M.shape[0], row)))
+        w = slack * 2.0 ** draw(vectors(z.size, st.integers(0, 24))) if huge_slacks else slack
+        try:
+            q = exact_offset(M, z, w)
+        except InvalidProblem:  # no room for huge slacks beside this M
+            q = exact_offset(M, z, slack)
+        return LCP(M, q, lower=lower, upper=upper), fractions_of(z)
 
-@st.composite
-def _solved(
-    draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: Numbers, huge_slacks: bool
-) -> tuple[LCP, Answer]:
-    M = draw(matrices)
-    z, slack, lower, upper = columns_of(draw(rows(M.shape[0], row)))
-    w = slack * 2.0 ** draw(vectors(z.size, st.integers(0, 24))) if huge_slacks else slack
-    try:
-        q = exact_offset(M, z, w)
-    except InvalidProblem:  # no room for huge slacks beside this M
-        q = exact_offset(M, z, slack)
-    return LCP(M, q, lower=lower, upper=upper), fractions_of(z)
+    return solved()
 
 
 def infeasible_lcps(
@@ -179,45 +178,36 @@ def infeasible_lcps(
     >>> proof.exact_y, proof.verify()
     ((Fraction(1, 1), Fraction(0, 1)), True)
     """
-    row = st.builds(_bounds, st.sampled_from(SIDES), SIGNED, st.integers(0, 9)) if bounds else st.just((0, math.inf))
-    return _infeasible(sizes(size, 1), row, monotone)
+    drawn_size, row = sizes(size, 1), complementary_rows(bounds)
 
+    @st.composite
+    def infeasible(draw: st.DrawFn) -> tuple[LCP, Infeasibility]:
+        n = draw(drawn_size)
+        pivot = draw(st.integers(0, n - 1))
+        _, _, lower, upper = columns_of(draw(rows(n, row)))
+        if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box asks for no sign of w
+            upper[pivot] = math.inf
+        below, above = np.isinf(lower), np.isinf(upper)
+        # y ≥ 0 where w ≥ 0 is needed, ≤ 0 where w ≤ 0 is, 0 in boxes, ±1 in the pivot's row.
+        y = draw(vectors(n, st.integers(0, 3)))
+        y[pivot] = 1.0
+        y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
+        product = np.zeros(n)
+        if not monotone:  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
+            drawn = draw(vectors(n, SIGNED))
+            product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
+            product[below & above] = 0.0
+        q, surplus = draw(vectors(n, SIGNED)), draw(POSITIVE)
+        M = draw(blocks(n, n, SIGNED))
+        M[pivot] = 0.0
+        M[pivot] = y[pivot] * (product - y @ M)
+        highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
+        q[pivot] = 0.0
+        q[pivot] = y[pivot] * (-highest - y @ q - surplus)
+        problem = LCP(M @ M.T if monotone else M, q, lower=lower, upper=upper)
+        return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(y))))
 
-SIDES = [(False, True), (True, False), (True, True), (False, False)]  # whether there is no bound below, and none above
-
-
-@st.composite
-def _infeasible(
-    draw: st.DrawFn, sizes: st.SearchStrategy[int], row: Numbers, monotone: bool
-) -> tuple[LCP, Infeasibility]:
-    n = draw(sizes)
-    pivot = draw(st.integers(0, n - 1))
-    lower, upper = np.array(draw(rows(n, row)), dtype=np.float64).T.copy()
-    if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box asks for no sign of w
-        upper[pivot] = math.inf
-    below, above = np.isinf(lower), np.isinf(upper)
-    # y ≥ 0 where w ≥ 0 is needed, ≤ 0 where w ≤ 0 is, 0 in boxes, ±1 in the pivot's row.
-    y = draw(vectors(n, st.integers(0, 3)))
-    y[pivot] = 1.0
-    y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
-    product = np.zeros(n)
-    if not monotone:  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
-        drawn = draw(vectors(n, SIGNED))
-        product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
-        product[below & above] = 0.0
-    q, surplus = draw(vectors(n, SIGNED)), draw(POSITIVE)
-    M = draw(blocks(n, n, SIGNED))
-    M[pivot] = 0.0
-    M[pivot] = y[pivot] * (product - y @ M)
-    highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
-    q[pivot] = 0.0
-    q[pivot] = y[pivot] * (-highest - y @ q - surplus)
-    problem = LCP(M @ M.T if monotone else M, q, lower=lower, upper=upper)
-    return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(y))))
-
-
-def _bounds(is_open: tuple[bool, bool], low: int, length: int) -> tuple[float, float]:
-    return -math.inf if is_open[0] else low, math.inf if is_open[1] else low + length
+    return infeasible()
 
 
 # --- Complementary rows ------------------------------------------------------------------------------------------

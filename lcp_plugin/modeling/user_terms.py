@@ -41,8 +41,6 @@ METHODS = ("LCP", "lcp")
 #: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
 CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
 
-LOOKS_FOR_TERMS = "1.9."  # the releases of cvxpy whose search for quadratic terms can be left out
-TERMS, PLACE_OF_OPTIONS = "use_quad_obj", 5  # by this option; where options stand after the solver
 ROUNDING = 1e-9  # of the terms of an exact statement that is evaluated in doubles
 FARTHEST = 1e6  # times 1 + |x|: values from before that are looked at
 FAR = 10.0  # of 1 + |point|, along a direction without end
@@ -238,7 +236,6 @@ def accompany(solver_class: type) -> None:
         try:
             for variable in kept:
                 variable.save_value(None)
-            args, kwargs = _told_of_terms(self, args, kwargs)
             data = compiled(self, solver, *args, **kwargs)
         except SolverError as error:
             reasons = why_not(self)
@@ -258,19 +255,6 @@ def accompany(solver_class: type) -> None:
 
     get_problem_data.accompanies_lcp_plugin = True  # type: ignore[attr-defined]
     cp.Problem.get_problem_data = get_problem_data
-
-
-def _told_of_terms(problem: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Return the arguments, with the word that a piecewise linear objective has no quadratic terms to look for."""
-    given = args[PLACE_OF_OPTIONS] if len(args) > PLACE_OF_OPTIONS else kwargs.get("solver_opts")
-    options = {} if given is None else given
-    is_told = not cp.__version__.startswith(LOOKS_FOR_TERMS) or TERMS in options
-    if is_told or not problem.objective.args[0].is_pwl():
-        return args, kwargs
-    options = {**options, TERMS: False}
-    if len(args) > PLACE_OF_OPTIONS:
-        return (*args[:PLACE_OF_OPTIONS], options, *args[PLACE_OF_OPTIONS + 1 :]), kwargs
-    return args, {**kwargs, "solver_opts": options}
 
 
 #: By the problem: what cvxpy compiled it to, and its terms at the points of the last judgement.

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.errors import UnreadableFile
 from ..files.files import INFINITE_BOUND, checked_path
+from ..files.matrix_market import opened
 from .content import (
     ARITY,
     NARY,
@@ -63,12 +64,8 @@ def read_content(path: str | PathLike[str]) -> NLContent:
         Where it is missing, damaged or contradicts itself; the message names the line, in a binary file the byte.
     """
     source = source_of(path)
-    try:
-        data = source.read_bytes()
-    except FileNotFoundError as error:
-        raise UnreadableFile(f"no such file: {source}") from error
-    except OSError as error:
-        raise UnreadableFile(f"cannot read {source}: {error.strerror or error}") from error
+    with opened(source, ".nl file") as file:
+        data = file.read()
     try:
         header, begin = read_header(data)
         return _Reader(header, source_in(data, begin, header)).content(source)

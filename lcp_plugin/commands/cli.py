@@ -102,7 +102,7 @@ def solve(
     ] = "serial",
 ) -> bool:
     """Solve a problem of any kind, from a file or a scene; print status, residuals and counts, and x of a program."""
-    from . import distributed, models, solving
+    from . import distributed, solving
     from .target import own_algorithm
 
     kinds = {"serial": solving.OneProcess, "petsc": distributed.OnRanks}
@@ -115,8 +115,8 @@ def solve(
     )
     chosen, options = own_algorithm(algorithm, solving.options(relaxation, option or []))
     shape = solving.checked_grid(grid, plot)
-    if models.is_model(target):
-        return models.run(target, size, backend, chosen, options, settings, plot, shape, out, as_json=json)
+    if solving.is_model(target):
+        return solving.run_model(target, size, backend, chosen, options, settings, plot, shape, out, as_json=json)
     return solving.run(kinds[backend](), target, size, chosen, options, settings, plot, shape, out, as_json=json)
 
 

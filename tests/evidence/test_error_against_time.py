@@ -414,7 +414,7 @@ def test_bad_arguments_are_refused(arguments: dict[str, Any], words: str) -> Non
 
 def test_bad_targets_and_names_are_refused() -> None:
     """Neither a matrix nor a misspelt algorithm is taken; a plot has two axes to choose from."""
-    with pytest.raises(InvalidOption, match=r"needs an LCP, got ndarray.*or a scene"):
+    with pytest.raises(InvalidOption, match=r"needs an LCP, got ndarray.*may also be a scene"):
         error_against_time(np.eye(2))  # type: ignore[arg-type]
     with pytest.raises(UnknownAlgorithm, match="did you mean 'psor'"):
         error_against_time(scene(), ["psr"])

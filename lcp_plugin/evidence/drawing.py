@@ -11,13 +11,14 @@ import math
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..core.errors import InvalidOption, LCPError
-from ..doors.files.files import write_whole
+from ..doors.files.files import checked_path, write_whole
 
 FORMATS = (".png", ".pdf", ".svg")
 COLOURS = {
@@ -77,6 +78,13 @@ def save(figure: Any, path: Path) -> None:
     kind = path.suffix[1:].lower()
     with styled():  # a font is chosen when the file is written
         write_whole({path: lambda file: figure.savefig(file, dpi=150, format=kind)})
+
+
+def saved(figure: Any, path: str | PathLike[str] | None) -> Any:
+    """Return the figure, written where a path is given."""
+    if path is not None:
+        save(figure, checked_path(path))
+    return figure
 
 
 def styled(more: Mapping[str, Any] | None = None) -> Any:

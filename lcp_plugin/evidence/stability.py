@@ -22,9 +22,8 @@ from ..core.errors import (
 )
 from ..core.solving.driver import solve
 from ..core.solving.result import Result
-from ..doors.files.files import checked_path
 from .contestants import checked_names, contestants
-from .drawing import draw_maps, save
+from .drawing import draw_maps, saved
 from .exact_answers import lie_in, relative_error
 from .exporting import AnyPath, Exported
 from .stresses import FAMILIES, StressCase
@@ -181,10 +180,7 @@ class Atlas(Exported):
         if not maps:
             raise InvalidOption(f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])')
         title = "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error"
-        figure = draw_maps(maps, OUTCOMES, title, width)
-        if path is not None:
-            save(figure, checked_path(path))
-        return figure
+        return saved(draw_maps(maps, OUTCOMES, title, width), path)
 
     def to_content(self) -> dict[str, Any]:
         """Return what JSON can hold: numbers that are not finite become the texts "inf" and "nan"."""

@@ -69,7 +69,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
     page = (folder / "index.html").read_text(encoding="utf-8")
     fetched = re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page)
     assert fetched == []
-    assert page.count("<svg") == 3 * len(TINY) + 1
+    assert page.count("<svg") == 2 * len(TINY) + 1
     ids = re.findall(r'\bid="([^"]*)"', page)
     assert len(ids) == len(set(ids))
     references = set(re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', page))
@@ -186,7 +186,7 @@ def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> Non
         assert found[width]["cut"] == [], "\n".join(found[width]["cut"])
         assert found[width]["fetched"] == []
         assert found[width]["width"] <= int(width)
-        assert found[width]["figures"] == 3 * len(TINY) + 1
+        assert found[width]["figures"] == 2 * len(TINY) + 1
         assert found[width]["empty"] == 0
 
 

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP
+from lcp_plugin.proofs.exact.rational import exact_slack
 from lcp_plugin.strategies import positive_semidefinite_matrices, strictly_dominant_matrices
 
 Solved = tuple[LCP, tuple[Fraction, ...]]
@@ -75,3 +76,20 @@ def nearly_singular(margin: float = 2.0**-20) -> st.SearchStrategy[np.ndarray]:
 def nearly_semidefinite(margin: float) -> st.SearchStrategy[np.ndarray]:
     """Symmetric positive definite matrices, their least eigenvalue as a rule the margin."""
     return positive_semidefinite_matrices().map(lambda M: M + margin * np.eye(len(M)))
+
+
+def strict(solved: st.SearchStrategy[Solved]) -> st.SearchStrategy[Solved]:
+    """The same problems with w = ±1 where z is at a bound and w was 0: no row is degenerate."""
+
+    def without_degenerate_rows(drawn: Solved) -> Solved:
+        problem, z = drawn
+        at_lower, at_upper = np.array(z, dtype=float) == problem.lower, np.array(z, dtype=float) == problem.upper
+        idle = np.array([value == 0 for value in exact_slack(problem, np.array(z, dtype=float))], dtype=bool)
+        return problem.with_q(problem.q + idle * np.where(at_lower, 1.0, -1.0 * at_upper)), z
+
+    return solved.map(without_degenerate_rows)
+
+
+def skewed(matrices: st.SearchStrategy[np.ndarray]) -> st.SearchStrategy[np.ndarray]:
+    """M + K with K = −Kᵀ: xᵀM x stays as it is."""
+    return matrices.map(lambda M: M + np.triu(M, 1) - np.tril(M, -1))

@@ -9,8 +9,9 @@ import secrets
 import shutil
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,17 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, LCPError, UnreadableFile
 from ..core.lcp import LCP
 from ..core.solving.result import Result
+from ..gallery.obstacle import sphere_layers
+from ..gallery.scene import Scene, checked_values
+from ..gallery.scene import build as build_whole
 from .solving import OneProcess, refuse_the_problem_itself, require_place
 from .target import scene_text
 
 LARGE_FOR_EACH_RANK = 100_000
 FILES = ("z.npy", "w.npy", "status.json")
 FEW_RANKS = 8
+BY_ROWS = {"obstacle_2d": partial(sphere_layers, 2), "obstacle_3d": partial(sphere_layers, 3)}
+"""Scenes that each rank builds for its own rows; every other one is built whole, then cut."""
 SPEAKER = "lcp-plugin"
 
 
@@ -84,7 +90,6 @@ class OnRanks(OneProcess):
     def read(self, target: str, size: int | None) -> tuple[LCP, Any]:
         """Return the own part of what is to be solved."""
         from .. import gallery
-        from ..evidence import on_ranks as scenes
 
         text = scene_text(target, size)
         if text is None:
@@ -95,10 +100,10 @@ class OnRanks(OneProcess):
             self._note_whole(whole.n, "this file is read")
             return LCP.from_problem(whole, self.ranks.comm), None
         name, parameters = gallery.read(text)
-        scene = scenes.build(name, self.ranks.comm, parameters)
+        scene = scene_on_ranks(name, self.ranks.comm, parameters)
         if scene.steps > 1:
             raise InvalidOption(f"{name} is a march in time, which --backend petsc does not offer; leave it out")
-        if name not in scenes.BY_ROWS:
+        if name not in BY_ROWS:
             self._note_whole(scene.n, f"{name} is built")
         return scene.problem, scene
 
@@ -137,6 +142,32 @@ class OnRanks(OneProcess):
                 if is_new and not any(out.iterdir()):
                     out.rmdir()
         return [out / name for name in FILES]
+
+
+def scene_on_ranks(name: str, comm: Any, parameters: Mapping[str, Any]) -> Scene:
+    """Return the scene with its problem's rows spread over the ranks, its vectors the own parts; all ranks call.
+
+    Raises
+    ------
+    LCPError
+        On every rank, as :func:`lcp_plugin.gallery.build`.
+    """
+    from ..ranks.petsc.collective import Ranks
+
+    ranks = Ranks(comm)
+    if name not in BY_ROWS:
+        scene = ranks.together(lambda: build_whole(name, **parameters))
+        problem = LCP.from_problem(scene.problem, comm)
+        vectors = {"exact": scene.exact, "continuum": scene.continuum, "start": scene.start}
+        own = slice(problem.first, problem.last)
+        parts: dict[str, Any] = {fact: None if vector is None else vector[own] for fact, vector in vectors.items()}
+        return replace(scene, problem=problem, **parts)
+    values = ranks.together(lambda: checked_values(name, parameters))
+    size = values["size"]
+    begin, end = size * ranks.rank // ranks.size, size * (ranks.rank + 1) // ranks.size
+    own_part = ranks.together(lambda: BY_ROWS[name](begin=begin, end=end, **values))
+    problem = LCP.from_rows(comm, own_part.rows, own_part.q, own_part.lower)
+    return Scene(problem=problem, name=name, parameters=values, continuum=own_part.continuum)
 
 
 def peak_memory() -> int:

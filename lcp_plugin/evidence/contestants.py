@@ -247,7 +247,7 @@ def own_source(thing: Any) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def as_scene_of(given: Any, name: str, size: int | None) -> Scene:
+def as_scene_of(given: Any, name: str, size: int | None, way: str = "study") -> Scene:
     """Return the scene that a problem, or a function of the size, or (M, q) means.
 
     Raises
@@ -271,4 +271,4 @@ def as_scene_of(given: Any, name: str, size: int | None) -> Scene:
         return Scene(problem=given, name=name, is_declared=False)
     if isinstance(given, Scene):
         return given
-    raise InvalidOption(f'{refusal("study", given)}; {name} may also be a scene, (M, q), or a function of the size')
+    raise InvalidOption(f'{refusal(way, given)}; {name} may also be a scene, (M, q), or a function of the size')

@@ -14,10 +14,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ..core.errors import InvalidOption
-from ..doors.files.files import checked_path
-from .drawing import save
+from .drawing import Line, Panel, draw_panels, saved
 from .exporting import AnyPath, Exported, number
-from .figures import Line, Panel, draw_panels
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {
@@ -216,10 +214,7 @@ class Report(Exported):
         LCPError
             Where matplotlib is not installed.
         """
-        figure = draw_panels([self.panel(against)], width)
-        if path is not None:
-            save(figure, checked_path(path))
-        return figure
+        return saved(draw_panels([self.panel(against)], width), path)
 
     def panel(self, against: str = "seconds") -> Panel:
         """Return what `plot` draws, as a part of a figure."""
@@ -298,10 +293,7 @@ class Profile(Exported):
         unit = {"work": "work", "seconds": "time"}[self.by]
         title = f"Performance profile, {len(self.problems)} problems"
         panel = Panel(title, lines, f"{unit}, as a multiple of the best", "share of the problems solved", "shares")
-        figure = draw_panels([panel], width)
-        if path is not None:
-            save(figure, checked_path(path))
-        return figure
+        return saved(draw_panels([panel], width), path)
 
 
 def performance_profile(reports: Sequence[Report], by: str = "work") -> Profile:

@@ -18,11 +18,10 @@ from ..core.certificates.residuals import Certificate
 from ..core.certificates.row_residuals import is_at_bound
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ..core.kinds import refusal
 from ..core.lcp import LCP
 from ..core.solving.result import Result, Sample
 from ..gallery.scene import Scene
-from .contestants import Contestant, WorkLimit, checked_names, contestants, fresh, measured_run
+from .contestants import Contestant, WorkLimit, as_scene_of, checked_names, contestants, fresh, measured_run
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
 
 SAMPLE_GROWTH = 1.08
@@ -95,7 +94,7 @@ def error_against_time(
     say = (lambda _: None) if progress is None else progress
     say("what the error is")
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
-    bench = Bench(as_scene(target), max_work=max_work, bounds=True, **limits)
+    bench = Bench(as_scene_of(target, "problem", None, "error_against_time"), max_work=max_work, bounds=True, **limits)
     scene, curves = bench.scene, bench.curves(contestants(algorithms), repeats, say)
     points, more = _references(scene, references, max_seconds, bench.yardstick, say)
     refused = [(curve.label, curve.note) for curve in curves if not curve.points]
@@ -105,27 +104,6 @@ def error_against_time(
         curves=tuple(curve for curve in curves if curve.points), references=points,
         left_out=(*bench.yardstick.left_out, *_march(scene), *refused, *more),
     )
-
-
-def best_answer(scene: Scene, algorithms: Sequence[str] = ("multigrid", "auto")) -> Certificate | None:
-    """Return the most accurate answer of these algorithms, or None; for a sketch of what the scene is about."""
-    found = []
-    for name in algorithms:
-        try:
-            run = measured_run(fresh(scene.problem), name, WorkLimit(math.inf), z0=scene.start, max_seconds=10.0)
-            found.append(run.certificate)
-        except (UnsuitableMatrix, UnsuitableProblem):
-            continue
-    return min(found, key=lambda certificate: certificate.relative_residual, default=None)
-
-
-def as_scene(target: Any) -> Scene:
-    """Return the scene, or a problem as one of which nothing is declared; raise InvalidOption for anything else."""
-    if isinstance(target, Scene):
-        return target
-    if isinstance(target, LCP):
-        return Scene(problem=target, name="problem", is_declared=False)
-    raise InvalidOption(f'{refusal("error_against_time", target)}; or a scene, as gallery.build("half_active")')
 
 
 def checked_numbers(repeats: Any, max_work: Any, progress: Any) -> None:

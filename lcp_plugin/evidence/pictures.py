@@ -1,4 +1,4 @@
-"""Pictures of an answer: what the scene is about, with its free boundary, large or as a sketch for the report."""
+"""Pictures of an answer: what the scene is about, with its free boundary."""
 
 from __future__ import annotations
 
@@ -12,14 +12,11 @@ from ..core.certificates.residuals import Certificate
 from ..core.certificates.row_residuals import is_at_bound
 from ..core.solving.result import Result
 from ..gallery.scene import Scene
-from .drawing import HEIGHTS, check_format, heights_as_colours, new_figure, require_matplotlib, save, styled
+from .drawing import HEIGHTS, check_format, heights_as_colours, require_matplotlib, save, styled
 
-FINEST_SURFACE, FINEST_SKETCH = 70, 110  # nodes along an axis
-LONGEST_SKETCH = 600
-SKETCH_SIZE = (3.6, 3.2)
+FINEST_SURFACE = 70  # nodes along an axis
 FEW = 60  # values, which are drawn larger
 MOST_DOTS, BINS = 2000, 100  # values that are drawn one by one; of more the least and the largest of each bin
-ARRAYS = {"z", "x", "y", "lower", "upper"}
 ACTIVE, FREE = "#D55E00", "#0072B2"
 ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
 
@@ -49,7 +46,7 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
             draw_map(figure.add_subplot(1, 3, 2), field)
             _draw_surface(surface, field)
         else:
-            draw_line(figure.add_subplot(1, panels, 1), _line(scene, result.certificate, result.z.size))
+            draw_line(figure.add_subplot(1, panels, 1), _line(scene, result.certificate))
             if has_edge:
                 _draw_edge(figure.add_subplot(1, panels, 2), march, scene)
         draw_residuals(figure.add_subplot(1, panels, panels), result)
@@ -80,13 +77,6 @@ def field_of(z: Any, active: Any, labels: Sequence[str], coordinates: Sequence[A
     }
 
 
-def _coarse(field: dict[str, Any], finest: int) -> dict[str, Any]:
-    """Return the field with at most so many nodes along an axis."""
-    rows, columns = (slice(None, None, max(1, -(-size // finest))) for size in field["z"].shape)
-    kept = {name: field[name][rows, columns] for name in ("z", "active")}
-    return field | kept | {"x": field["x"][columns], "y": field["y"][rows]}
-
-
 def draw_map(axes: Any, field: dict[str, Any]) -> None:
     """Draw the field from above, its contact set dotted."""
     x, y, z, active = (field[name] for name in ("x", "y", "z", "active"))
@@ -108,11 +98,11 @@ def _draw_surface(surface: Any, whole: dict[str, Any]) -> None:
     if min(whole["z"].shape) < 2:
         surface.set_axis_off()
         return
-    field = _coarse(whole, FINEST_SURFACE)
-    z = field["z"]
+    rows, columns = (slice(None, None, max(1, -(-size // FINEST_SURFACE))) for size in whole["z"].shape)
+    z = whole["z"][rows, columns]
     colours = heights_as_colours(z)
-    colours[field["active"].astype(bool)] = (0.835, 0.369, 0.0, 1.0)
-    x, y = np.meshgrid(field["x"], field["y"])
+    colours[whole["active"][rows, columns].astype(bool)] = (0.835, 0.369, 0.0, 1.0)
+    x, y = np.meshgrid(whole["x"][columns], whole["y"][rows])
     surface.plot_surface(x, y, z, facecolors=colours, rcount=80, ccount=80, linewidth=0, antialiased=False)
     surface.view_init(elev=36, azim=-60)
 
@@ -120,19 +110,19 @@ def _draw_surface(surface: Any, whole: dict[str, Any]) -> None:
 # --- Lines ----------------------------------------------------------------------------------------------------
 
 
-def _line(scene: Scene | None, answer: Certificate, longest: int) -> dict[str, Any]:
-    """Return z over its only axis, or by its index, with at most so many values: bounds, contact set and names."""
-    problem, step = answer.problem, slice(None, None, max(1, -(-answer.z.size // max(longest, 1))))
+def _line(scene: Scene | None, answer: Certificate) -> dict[str, Any]:
+    """Return z over its only axis, or by its index: bounds, contact set and names."""
+    problem = answer.problem
     axes = (scene.coordinates if scene is not None else None) or ()
     has_axis = len(axes) == 1 and scene is not None
     bounds = {"lower": problem.lower, "upper": problem.upper} if has_axis else {}
     return {
-        "kind": "line" if has_axis else "dots", "z": answer.z[step],
-        "active": is_at_bound(problem, answer.z)[step], "x": (axes[0] if has_axis else np.arange(answer.z.size))[step],
+        "kind": "line" if has_axis else "dots", "z": answer.z, "active": is_at_bound(problem, answer.z),
+        "x": axes[0] if has_axis else np.arange(answer.z.size),
         "x_label": scene.axis_labels[0] if has_axis and scene is not None else "index",
         "unknown": "z" if scene is None else scene.unknown,
         "active_means": "at a bound" if scene is None else scene.active_means,
-    } | {name: bound[step] for name, bound in bounds.items() if np.isfinite(bound).all()}
+    } | {name: bound for name, bound in bounds.items() if np.isfinite(bound).all()}
 
 
 def draw_line(axes: Any, line: dict[str, Any]) -> None:
@@ -207,35 +197,3 @@ def draw_residuals(axes: Any, result: Result) -> None:
                       textcoords="offset points", va="bottom", color=ACTIVE, fontsize=7)
     axes.locator_params(axis="x", nbins=5)
     axes.set(xlabel="seconds", ylabel="relative residual", title="how the residual fell")
-
-
-# --- Sketches -------------------------------------------------------------------------------------------------
-
-
-def sketch_of(scene: Scene, answer: Certificate) -> dict[str, Any]:
-    """Return what a sketch of the answer shows, coarse enough for JSON: kind, values, coordinates and names."""
-    if scene.grid is None or len(scene.grid) == 1 or min(scene.grid[-2:]) < 2:
-        shown = _line(scene, answer, LONGEST_SKETCH)
-    else:
-        shown = _coarse(_field(scene, answer), FINEST_SKETCH) | {"kind": "field"}
-    values = {name: _rounded(shown[name]) for name in ARRAYS & shown.keys()}
-    return shown | values | {"active": shown["active"].astype(int).tolist()}
-
-
-def _rounded(values: Any) -> Any:
-    """Return five digits of each value: enough for a picture."""
-    array = np.asarray(values, dtype=np.float64)
-    return [float(f"{value:.5g}") for value in array] if array.ndim == 1 else [_rounded(row) for row in array]
-
-
-def draw_sketch(sketch: dict[str, Any]) -> Any:
-    """Return the figure of a sketch."""
-    shown = sketch | {name: np.array(sketch[name], dtype=float) for name in (ARRAYS | {"active"}) & sketch.keys()}
-    with styled():
-        figure, axes = new_figure(SKETCH_SIZE)
-        axes.grid(False)
-        if sketch["kind"] == "field":
-            draw_map(axes, shown)
-        else:
-            draw_line(axes, shown)
-    return figure

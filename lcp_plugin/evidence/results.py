@@ -17,9 +17,8 @@ from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
 from ..doors.files.files import checked_path
 from .collecting import Part, fingerprint
 from .curves import RESIDUAL, Curve, Point, Profile, Report, performance_profile
-from .drawing import FORMATS, save
+from .drawing import FORMATS, Line, Panel, draw_panels, saved
 from .exporting import AnyPath, Table, csv_text, number, save_tables, write_text
-from .figures import Line, Panel, draw_panels
 
 VALUES = {
     "iterations": "iterations", "work": "work [passes over M]", "seconds": "time [s], set-up included",
@@ -231,10 +230,7 @@ class Study:
             panels = [report.panel(against) for report in self.reports() if report.curves]
         else:
             panels = [self._panel(problem, view) for problem in self.problems]
-        figure = draw_panels(panels)
-        if path is not None:
-            save(figure, checked_path(path))
-        return figure
+        return saved(draw_panels(panels), path)
 
     def _panel(self, problem: str, value: str) -> Panel:
         families = {row.curve.label: row.curve.family for row in self.rows}

@@ -16,20 +16,16 @@ from ..core.algorithms import REGISTRY, Algorithm
 from ..core.errors import (
     ConvergenceWarning,
     InvalidOption,
-    LCPError,
-    UnknownAlgorithm,
     UnsuitableMatrix,
     UnsuitableProblem,
     did_you_mean,
 )
 from ..core.solving.driver import solve
 from ..core.solving.result import Result
-from ..doors.files.files import checked_path
 from .contestants import checked_names, contestants
-from .drawing import save
+from .drawing import draw_maps, saved
 from .exact_answers import lie_in, relative_error
 from .exporting import AnyPath, Exported
-from .figures import draw_maps
 from .stresses import FAMILIES, StressCase
 
 Progress = Callable[[int, int, str], Any]
@@ -184,10 +180,7 @@ class Atlas(Exported):
         if not maps:
             raise InvalidOption(f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])')
         title = "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error"
-        figure = draw_maps(maps, OUTCOMES, title, width)
-        if path is not None:
-            save(figure, checked_path(path))
-        return figure
+        return saved(draw_maps(maps, OUTCOMES, title, width), path)
 
     def to_content(self) -> dict[str, Any]:
         """Return what JSON can hold: numbers that are not finite become the texts "inf" and "nan"."""
@@ -226,7 +219,7 @@ def stability_atlas(
     Parameters
     ----------
     algorithms : iterable of str and Algorithm, optional
-        Registered names, "auto", and objects, your own among them; all the names by default.
+        As :func:`lcp_plugin.error_against_time` takes them; all registered names and "auto" by default.
     stresses : iterable of str, optional
         Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range",
         "cancellation", "one ulp", "ranges", "proved ranges" (the maps). All by default.
@@ -257,40 +250,30 @@ def stability_atlas(
     """
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be callable as progress(done, total, label), got {progress!r}")
-    entrants = _entrants(algorithms)
-    families = _checked(stresses, "stresses", "stress", list(FAMILIES), InvalidOption)
+    entrants = contestants(["auto", *REGISTRY] if algorithms is None else algorithms)
+    families = _families(stresses)
     cases = [(family, case) for family in families for case in FAMILIES[family](quick)]
     cells: list[Cell] = []
     skipped: list[tuple[str, str]] = []
     total = len(cases) * len(entrants)
-    for done, ((family, case), name) in enumerate(product(cases, entrants), start=1):
-        found = _cell(family, case, name, entrants[name], quick)
+    for done, ((family, case), one) in enumerate(product(cases, entrants), start=1):
+        found = _cell(family, case, one.label, one.algorithm, quick)
         if isinstance(found, Cell):
             cells.append(found)
         else:
             skipped.append(found)
         if progress is not None:
-            progress(done, total, f"{case.stress}: {name}")
+            progress(done, total, f"{case.stress}: {one.label}")
     return Atlas(tuple(cells), tuple(skipped))
 
 
-def _checked(
-    names: Iterable[str] | None, option: str, noun: str, known: list[str], error: type[LCPError]
-) -> list[str]:
-    """Return the names, all that are known by default, or raise the error where one is not among them."""
-    chosen = known if names is None else checked_names(names, option)
+def _families(stresses: Any) -> list[str]:
+    """Return the names of the families, all by default, or raise InvalidOption where one is none."""
+    chosen = list(FAMILIES) if stresses is None else checked_names(stresses, "stresses")
     for name in chosen:
-        if name not in known:
-            raise error(f"unknown {noun} {name!r}{did_you_mean(name, known)}")
+        if name not in FAMILIES:
+            raise InvalidOption(f"unknown stress {name!r}{did_you_mean(name, FAMILIES)}")
     return chosen
-
-
-def _entrants(algorithms: Any) -> dict[str, str | Algorithm]:
-    """Return who takes part, by the names of the cells."""
-    if isinstance(algorithms, list | tuple) and any(isinstance(one, Algorithm) for one in algorithms):
-        return {one.label: one.algorithm for one in contestants(algorithms)}
-    names = _checked(algorithms, "algorithms", "algorithm", ["auto", *REGISTRY], UnknownAlgorithm)
-    return {name: name for name in names}
 
 
 def _cell(family: str, case: StressCase, name: str, algorithm: str | Algorithm, quick: bool) -> Cell | tuple[str, str]:

@@ -15,8 +15,7 @@ from .economics import binomial_put
 from .scene import Description, Scene, build, builder_of, describe, names, parse, read, scene_builder
 
 for _module in iter_modules(__path__):
-    if _module.name != "on_ranks":  # it loads MPI, when it is asked for
-        import_module(f"{__name__}.{_module.name}")
+    import_module(f"{__name__}.{_module.name}")
 
 __all__ = ["Description", "Scene", "binomial_put", "build", "describe", "names", "parse", "read", "scene_builder"]
 __all__.extend(names())

@@ -11,24 +11,15 @@ from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
 from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.programs.reductions import fold_simple_rows
 from ._compat import CVXPY_STATUS, name_of, statistics
-from .builder import (
-    NO_VARIABLE,
-    PLAIN,
-    preference,
-    sign_of_inequality,
-    single_entries,
-    states_bounds,
-    warn_of_unbounded,
-)
+from .builder import bounds_of_rows, by_rank, sign_of_inequality, states_bounds, warn_of_unbounded
 from .certified_problem import ReducedProblem
-from .constraint import Complements, Side
+from .constraint import Complements
 from .expressions.rows import as_matrix
 from .reading import Reader
 from .stated_terms import sense_of
@@ -39,7 +30,7 @@ class StatedPair:
 
     def __init__(self, pair: Complements) -> None:
         self.pair, self.constraints = pair, list[Any]()
-        ranked = sorted((pair.first, pair.second), key=self._rank)
+        ranked = by_rank(pair)
         for side in ranked:
             if not side.expression.is_affine():
                 raise UnsupportedModel(
@@ -60,16 +51,6 @@ class StatedPair:
             if (self.sign < 0.0).any():
                 self.w = self._variable(cp.multiply(self.sign, cp.vec(second.expression, order="F")))
 
-    @staticmethod
-    def _rank(side: Side) -> tuple[int, bool]:
-        """Return how naturally this is the side that has bounds, the best first; what is no variable may be it, too."""
-        if side.kind in ("box", "zero"):
-            return (0 if side.kind == "box" else NO_VARIABLE), False
-        if (single := single_entries(side.expression)) is None:
-            return (PLAIN if side.kind == "nonnegative" else NO_VARIABLE - 1), True
-        is_bounded = any(np.isfinite(bound).any() for bound in single[:2])
-        return preference(side, is_bounded, bool((single[2] == 1.0).all())), False
-
     def _variable(self, expression: Any) -> Any:
         """Return a variable that is the expression, column by column."""
         rows, own = Reader().rows(expression), {one.id: one for one in expression.variables() if one.ndim <= 1}
@@ -80,19 +61,6 @@ class StatedPair:
         variable = cp.Variable(expression.size)
         self.constraints.append(variable == cp.vec(expression, order="F"))
         return variable
-
-
-def bounds_of_rows(side: Side) -> tuple[FloatVector, FloatVector]:
-    """Return the bounds of the rows of a side; those of entries of variables are what the attributes say."""
-    if side.kind != "value":
-        lower, upper = (np.ravel(bound, order="F") for bound in side.bounds())
-        return lower, upper
-    single = single_entries(side.expression)
-    if single is None:
-        return np.full(side.expression.size, -np.inf), np.full(side.expression.size, np.inf)
-    low, high, weights, offset = single
-    ends = weights * low + offset, weights * high + offset
-    return np.minimum(*ends), np.maximum(*ends)
 
 
 def stated_program(problem: Any) -> tuple[EquilibriumProgram, ReducedProblem, list[StatedPair]]:

@@ -210,17 +210,6 @@ class Builder(Assembly):
         return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
 
 
-def _residual_of_values(pair: Complements, values: list[Any]) -> FloatVector:
-    """Return the natural residual of two sides of which none is the variable of a pair."""
-    first, second = (np.ravel(dense(value), order="F") for value in values)
-    sides = (pair.first, pair.second)
-    k = min((0, 1), key=lambda k: {"box": 0, "nonnegative": 1, "value": 2, "zero": 3}[sides[k].kind])
-    low, high = (np.ravel(bound, order="F") for bound in sides[k].bounds())
-    z, w = (first, second) if k == 0 else (second, first)
-    residual: FloatVector = np.abs(np.minimum(np.maximum(w, z - high), z - low))
-    return residual
-
-
 def preference(side: Side, is_bounded: bool, is_plain: bool) -> int:
     """Return how naturally a side whose rows are entries of variables is the one that has bounds, 0 best."""
     if side.kind == "box":
@@ -246,11 +235,41 @@ def sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -
 def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector] | None:
     """Return (lower, upper, weight, offset) of the entry that each row is, by attributes; None where some are none."""
     builder = Builder([expression], {})
-    function = PairedRows(expression, builder.reader.rows(expression))
+    try:
+        function = PairedRows(expression, builder.reader.rows(expression))
+    except UnsupportedModel:  # it is told where the expression is solved for
+        return None
     if (single := builder._single_columns(function)) is None:
         return None
     columns, weights = single
     return builder.lower[columns], builder.upper[columns], weights, np.broadcast_to(function.rows.offset, weights.shape)
+
+
+def by_rank(pair: Complements) -> list[Side]:
+    """Return the sides of a pair, first the one that is more naturally the side with bounds, a variable or not."""
+
+    def rank(side: Side) -> tuple[int, bool]:
+        if side.kind in ("box", "zero"):
+            return (0 if side.kind == "box" else NO_VARIABLE), False
+        if (single := single_entries(side.expression)) is None:
+            return (PLAIN if side.kind == "nonnegative" else NO_VARIABLE - 1), True
+        is_bounded = any(np.isfinite(bound).any() for bound in single[:2])
+        return preference(side, is_bounded, bool((single[2] == 1.0).all())), False
+
+    return sorted((pair.first, pair.second), key=rank)
+
+
+def bounds_of_rows(side: Side) -> tuple[FloatVector, FloatVector]:
+    """Return the bounds of the rows of a side; those of entries of variables are what the attributes say."""
+    if side.kind != "value":
+        lower, upper = (np.ravel(bound, order="F") for bound in side.bounds())
+        return lower, upper
+    single = single_entries(side.expression)
+    if single is None:
+        return np.full(side.expression.size, -np.inf), np.full(side.expression.size, np.inf)
+    low, high, weights, offset = single
+    ends = weights * low + offset, weights * high + offset
+    return np.minimum(*ends), np.maximum(*ends)
 
 
 def states_bounds(side: Side) -> bool:
@@ -262,21 +281,15 @@ def states_bounds(side: Side) -> bool:
 def pair_residual(pair: Complements) -> FloatVector | None:
     """Return the natural residual of each row of a pair at the present values; None where one is missing."""
     with np.errstate(all="ignore"):  # outside of a domain
-        values = [side.expression.value for side in (pair.first, pair.second)]
-    if any(value is None for value in values):
+        values = {id(side): side.expression.value for side in (pair.first, pair.second)}
+    if any(value is None for value in values.values()):
         return None
-    builder = Builder([pair], {})
-    try:
-        builder.add_pair(pair)
-    except UnsupportedModel:
-        return _residual_of_values(pair, values)
-    if builder.equations:
-        return np.abs(np.minimum(*(np.ravel(value, order="F") for value in values)))
-    (columns, function, sign), = builder.pairs
-    z = np.concatenate([np.ravel(variable.value, order="F") for variable in builder.variables])
-    w = sign * np.ravel(dense(values[function.expression is pair.second.expression]), order="F")
-    x, low, high = z[columns], builder.lower[columns], builder.upper[columns]
-    residual: FloatVector = np.abs(np.minimum(np.maximum(w, x - high), x - low))
+    first, second = by_rank(pair)
+    low, high = bounds_of_rows(first)
+    z, w = (np.ravel(dense(values[id(side)]), order="F") for side in (first, second))
+    if second.kind == "nonnegative" and first.kind != "nonnegative":
+        w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)
+    residual: FloatVector = np.abs(np.minimum(np.maximum(w, z - high), z - low))
     return residual
 
 

@@ -41,10 +41,7 @@ METHODS = ("LCP", "lcp")
 #: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
 CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
 
-LOOKS_FOR_TERMS = "1.9."  # the releases of cvxpy whose search for quadratic terms can be left out
-TERMS, PLACE_OF_OPTIONS = "use_quad_obj", 5  # by this option; where options stand after the solver
 ROUNDING = 1e-9  # of the terms of an exact statement that is evaluated in doubles
-FARTHEST = 1e6  # times 1 + |x|: values from before that are looked at
 FAR = 10.0  # of 1 + |point|, along a direction without end
 ORDINARY = (1e-100, 1e100)  # numbers whose products are doubles
 FAR_NUMBERS = "lcp_plugin.far_numbers"  # the key of the program's data under which they are asked for
@@ -72,15 +69,13 @@ class UserAnswer:
     points: tuple[Solution, ...] = ()
 
 
-def disagreement(problem: Any, claim: UserAnswer, before: Values, stated: StatedTerms) -> str | None:
+def disagreement(problem: Any, claim: UserAnswer, stated: StatedTerms) -> str | None:
     """Return what the problem itself says against the claim, or None.
 
     Parameters
     ----------
     problem : cvxpy.Problem
         With the values that the claim left in its variables; it is left with them.
-    before : dict
-        Variable id → dense value before the claim was unpacked, None where there was none.
     stated : StatedTerms
         Of the problem.
     """
@@ -89,8 +84,7 @@ def disagreement(problem: Any, claim: UserAnswer, before: Values, stated: Stated
         if any(np.any(np.greater(*attribute_bounds(variable))) for variable in problem.variables()):
             return None  # a parameter crosses the bounds: no point at all has these attributes
         zero = {variable.id: np.zeros(variable.shape) for variable in problem.variables()}
-        lines = [stated.lines(_near_enough(problem, before, zero)), stated.lines(stated.points_around(zero))]
-        for value, size in _weighed(problem, duals, lines, 0.0):
+        for value, size in _weighed(problem, duals, stated.lines(stated.points_around(zero)), 0.0):
             if value < least - ROUNDING * (least + size):
                 return (
                     f"the combination of its constraints that should be at least {least:.3g} everywhere is "
@@ -100,11 +94,10 @@ def disagreement(problem: Any, claim: UserAnswer, before: Values, stated: Stated
         return _against_unboundedness(problem, stated, claim)
     elif claim.solution.status in settings.SOLUTION_PRESENT:
         values, claimed = values_of(problem), sense_of(problem) * float(claim.solution.opt_val)
-        lines = [stated.lines(_near_enough(problem, before, values))]
         against = _against_values(problem, stated.at(values), values, claimed, claim.tolerance)
         if against:
             return against
-        for value, size in _weighed(problem, claim.solution, [*lines, stated.lines_around(values)], 1.0):
+        for value, size in _weighed(problem, claim.solution, stated.lines_around(values), 1.0):
             if value < claimed - claim.tolerance * (1.0 + abs(claimed) + size):
                 return (
                     f"its Lagrangian is {value:.9g} at another point, below {claimed:.9g}, which is said to be the "
@@ -128,26 +121,15 @@ def _against_values(problem: Any, terms: Terms, values: Values, claimed: float, 
 
 
 def _weighed(
-    problem: Any, solution: Solution, lines: list[NDArray[np.float64]], weight: float
+    problem: Any, solution: Solution, lines: NDArray[np.float64], weight: float
 ) -> Iterator[tuple[float, float]]:
     """Yield weight · goal + Σ λ g and |weight · goal| + Σ |λ g| of each line; nothing where a λ is missing."""
     duals = solution.dual_vars or {}
     if any(constraint.id not in duals for constraint in problem.constraints):
         return
     every = (np.ravel(dense_value(duals[constraint.id]), order="F") for constraint in problem.constraints)
-    multipliers, stacked = np.concatenate([[weight], *every]), np.concatenate(lines)
-    yield from zip((stacked @ multipliers).tolist(), (np.abs(stacked) @ np.abs(multipliers)).tolist(), strict=True)
-
-
-def _near_enough(problem: Any, before: Values, base: Values) -> list[Values]:
-    """Return the values from before as a point; none where one is missing or farther than rounded rows can be asked.
-
-    Farther out, what rows of rounded data should cancel is larger than all that is compared.
-    """
-    size = FARTHEST * (1.0 + max((float(np.abs(x).max(initial=0.0)) for x in base.values()), default=0.0))
-    if any(before[key] is None or not (np.abs(before[key]) <= size).all() for key in base):
-        return []
-    return [{variable.id: nearest(variable, before[variable.id]) for variable in problem.variables()}]
+    multipliers = np.concatenate([[weight], *every])
+    yield from zip((lines @ multipliers).tolist(), (np.abs(lines) @ np.abs(multipliers)).tolist(), strict=True)
 
 
 def _against_unboundedness(problem: Any, stated: StatedTerms, claim: UserAnswer) -> str | None:
@@ -238,7 +220,6 @@ def accompany(solver_class: type) -> None:
         try:
             for variable in kept:
                 variable.save_value(None)
-            args, kwargs = _told_of_terms(self, args, kwargs)
             data = compiled(self, solver, *args, **kwargs)
         except SolverError as error:
             reasons = why_not(self)
@@ -260,26 +241,12 @@ def accompany(solver_class: type) -> None:
     cp.Problem.get_problem_data = get_problem_data
 
 
-def _told_of_terms(problem: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Return the arguments, with the word that a piecewise linear objective has no quadratic terms to look for."""
-    given = args[PLACE_OF_OPTIONS] if len(args) > PLACE_OF_OPTIONS else kwargs.get("solver_opts")
-    options = {} if given is None else given
-    is_told = not cp.__version__.startswith(LOOKS_FOR_TERMS) or TERMS in options
-    if is_told or not problem.objective.args[0].is_pwl():
-        return args, kwargs
-    options = {**options, TERMS: False}
-    if len(args) > PLACE_OF_OPTIONS:
-        return (*args[:PLACE_OF_OPTIONS], options, *args[PLACE_OF_OPTIONS + 1 :]), kwargs
-    return args, {**kwargs, "solver_opts": options}
-
-
 #: By the problem: what cvxpy compiled it to, and its terms at the points of the last judgement.
 _known: WeakKeyDictionary[Any, tuple[Any, StatedTerms]] = WeakKeyDictionary()
 
 
 def _judged(problem: Any, compiled: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
     """Unpack as cvxpy does; what answers for itself with a claim is held against the problem."""
-    before = values_of(problem)
     type(problem).unpack_results(problem, solution, chain, inverse_data)
     if not hasattr(solution, "claim"):  # another solver's, kept from before
         return
@@ -287,7 +254,7 @@ def _judged(problem: Any, compiled: Any, solution: Any, chain: Any, inverse_data
     if claim is None or any(variable.is_complex() for variable in problem.variables()):
         return
     try:
-        what = _against(problem, compiled, claim, before)
+        what = _against(problem, compiled, claim)
     except CANNOT_BE_EVALUATED as error:
         what = None
         warnings.warn(
@@ -305,7 +272,7 @@ def _judged(problem: Any, compiled: Any, solution: Any, chain: Any, inverse_data
         )
 
 
-def _against(problem: Any, compiled: Any, claim: UserAnswer, before: Values) -> str | None:
+def _against(problem: Any, compiled: Any, claim: UserAnswer) -> str | None:
     """Return what the problem says against a claim; keep its terms for the next claim while it stays compiled."""
     known, stated = _known.pop(problem, (None, None))
     with np.errstate(all="ignore"):
@@ -313,7 +280,7 @@ def _against(problem: Any, compiled: Any, claim: UserAnswer, before: Values) -> 
             stated = StatedTerms(problem)
         else:
             stated.take_parameters()
-        what = disagreement(problem, claim, before, stated)
+        what = disagreement(problem, claim, stated)
     if what is None:
         _known[problem] = compiled, stated
     return what

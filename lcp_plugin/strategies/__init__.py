@@ -7,8 +7,8 @@ practical: hypothesis draws every entry and refuses what is too much for it.
 
 `lcps` draws problems, `solved_lcps` with the exact answer, `infeasible_lcps` with a Farkas proof, `convex_qps` with x
 and multipliers, `complementarity_models` in cvxpy, `solved_nonlinear_problems` with the exact answer; each matrix
-strategy is named after its class. `assert_solves` takes any callable (M, q, lower, upper) → z and reports the smallest
-problem on which it is wrong.
+strategy is named after its class and draws arrays; `.map(scipy.sparse.csr_array)` makes them CSR arrays.
+`assert_solves` takes any callable (M, q, lower, upper) → z and reports the smallest problem on which it is wrong.
 
 >>> from lcp_plugin import LCP, Status, solve
 >>> def my_solver(M, q, lower, upper):

@@ -2,33 +2,118 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache, wraps
 from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from .options import (
-    ONE_FIRST,
-    POSITIVE,
-    SIGNS,
-    Matrix,
-    Numbers,
-    Sizes,
-    blocks,
-    matrices,
-    orders,
-    reordered,
-    skew_matrices,
-    unit_lower,
-    vectors,
-)
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption
 
+LARGEST_ENTRY = 9
+LARGEST_SIZE = 8
+
+Sizes = int | st.SearchStrategy[int] | None
+Numbers = st.SearchStrategy[Any]
+Matrix = NDArray[np.float64]
+
+
+def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
+    """Return a strategy for numbers of rows, none below `smallest`, or raise InvalidOption."""
+    if size is None:
+        return st.integers(max(1, smallest), LARGEST_SIZE)
+    need = f"size must be a whole number ≥ {smallest} or a strategy of such"
+    if isinstance(size, st.SearchStrategy):
+        return size.map(lambda n: whole_number(n, need, smallest))
+    return st.just(whole_number(size, need, smallest))
+
+
+def whole_number(value: Any, need: str, low: int) -> int:
+    """Return the value as an int, or raise InvalidOption with what is needed where it is none from low on."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
+        raise InvalidOption(f"{need}, got {value!r}")
+    return int(value)
+
+
+def entries(density: float) -> Numbers:
+    """Return integers up to 9 in absolute value of which the share `density` is nonzero."""
+    if not isinstance(density, (int, float, np.integer, np.floating)) or not 0.0 <= density <= 1.0:
+        raise InvalidOption(f"density must lie in [0, 1], got {density!r}")
+    values = 2 * LARGEST_ENTRY
+    if density * 1e6 < values:
+        return st.just(0)
+    zeros = max(1, round(values * (1.0 - density) / density))
+    # 1, −1, 2, −2 … for 1, 2, 3, 4 …, and 0 for 0 and all below it: simple entries come first.
+    return st.integers(1 - zeros, values).map(lambda k: 0 if k <= 0 else (k + 1) // 2 if k % 2 else -(k // 2))
+
+
+POSITIVE = st.integers(1, LARGEST_ENTRY)
+SIGNED = st.integers(-LARGEST_ENTRY, LARGEST_ENTRY)
+ONE_FIRST = st.sampled_from([*range(1, LARGEST_ENTRY + 1), 0, *range(-1, -LARGEST_ENTRY - 1, -1)])
+SIGNS = st.sampled_from([1, -1])
 UNITS = st.sampled_from([1, 2, 4])
 
 
-def positive_definite_matrices(
-    size: Sizes = None, *, density: float = 1.0, symmetric: bool = True, dense: bool = True
-) -> st.SearchStrategy[Any]:
+@lru_cache(maxsize=1000)
+def rows(n: int, row: Numbers) -> st.SearchStrategy[list[Any]]:
+    """Return a strategy for lists of n values.
+
+    Up to 8 it always draws 8 and drops the last: shrinking can then lower n without a change of what follows.
+    """
+    return st.tuples(*[row] * max(n, LARGEST_SIZE)).map(lambda drawn: list(drawn[:n]))
+
+
+def vectors(n: int, values: Numbers) -> st.SearchStrategy[FloatVector]:
+    """Return a strategy for arrays of shape (n,)."""
+    return rows(n, values).map(lambda drawn: np.array(drawn, dtype=np.float64))
+
+
+def orders(n: int) -> st.SearchStrategy[NDArray[np.intp]]:
+    """Return a strategy for permutations of 0 … n − 1 that shrinks to the identity."""
+    return vectors(n, st.integers(0, LARGEST_SIZE - 1)).map(lambda keys: np.argsort(keys, kind="stable"))
+
+
+@lru_cache(maxsize=1000)
+def blocks(height: int, width: int, values: Numbers) -> st.SearchStrategy[Matrix]:
+    """Return a strategy for arrays of shape (height, width)."""
+    entries = st.tuples(*[values] * (height * width))
+    return entries.map(lambda drawn: np.array(drawn, dtype=np.float64).reshape(height, width))
+
+
+def unit_lower(n: int, values: Numbers) -> st.SearchStrategy[Matrix]:
+    """Return a strategy for lower triangular matrices with ones on the diagonal."""
+    return blocks(n, n, values).map(lambda A: np.tril(A, -1) + np.eye(n))
+
+
+def reordered(A: Matrix, order: NDArray[np.intp]) -> Matrix:
+    """Return P A Pᵀ."""
+    return A[np.ix_(order, order)]
+
+
+Build = Callable[[st.DrawFn, int, Numbers], Matrix]  # of a size, and of numbers of the density asked for
+
+
+def matrices(smallest: int = 0) -> Callable[[Build], Callable[..., st.SearchStrategy[Any]]]:
+    """Make what draws a matrix of n ≥ `smallest` rows a function of the size and the density, checked at once."""
+
+    def strategy_of(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
+        drawn = st.composite(lambda draw, rows, values: build(draw, draw(rows), values))
+
+        @wraps(build)
+        def strategy(size: Sizes = None, *, density: float = 1.0) -> st.SearchStrategy[Any]:
+            return drawn(sizes(size, smallest), entries(density))
+
+        del strategy.__wrapped__  # help and signature speak of size and density
+        return strategy
+
+    return strategy_of
+
+
+@matrices()
+def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for positive definite matrices, xᵀM x > 0 for x ≠ 0; as a rule they are no H₊-matrices.
 
     Parameters
@@ -37,14 +122,10 @@ def positive_definite_matrices(
         Rows and columns, 1 to 8 by default.
     density : float
         Share of nonzeros of the factor B, in [0, 1], roughly.
-    symmetric : bool
-        False adds a skew-symmetric matrix.
-    dense : bool
-        Draw arrays; otherwise CSR arrays.
 
     Returns
     -------
-    strategy of ndarray or csr_array, shape (size, size)
+    strategy of ndarray, shape (size, size)
 
     Raises
     ------
@@ -53,7 +134,7 @@ def positive_definite_matrices(
 
     Notes
     -----
-    M = B Bᵀ + E + K with B an integer matrix, E a diagonal of integers from 1 to 9, K = −Kᵀ (0 where `symmetric`).
+    M = B Bᵀ + E with B an integer matrix, E a diagonal of integers from 1 to 9.
 
     Examples
     --------
@@ -61,45 +142,21 @@ def positive_definite_matrices(
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
     >>> find(positive_definite_matrices(), lambda M: True, settings=quick)
     array([[1.]])
-    >>> find(positive_definite_matrices(2, dense=False), lambda M: True, settings=quick).toarray()
+    >>> find(positive_definite_matrices(2), lambda M: True, settings=quick)
     array([[1., 0.],
            [0., 1.]])
     """
-    return matrices(definite_block if symmetric else skewed_definite_block, size, density, dense)
+    return _definite(draw, n, values)
 
 
-def definite_block(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return B Bᵀ + E: symmetric positive definite, shape (n, n)."""
-    E = np.diag(draw(vectors(n, POSITIVE)))
-    B = draw(blocks(n, n, values))
-    result: Matrix = B @ B.T + E
-    return result
-
-
-def skewed_definite_block(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return B Bᵀ + E + K: positive definite, shape (n, n)."""
-    result: Matrix = definite_block(draw, n, values) + draw(skew_matrices(n, values))
-    return result
-
-
-def positive_semidefinite_matrices(
-    size: Sizes = None, *, density: float = 1.0, dense: bool = True
-) -> st.SearchStrategy[Any]:
+@matrices()
+def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for symmetric positive semidefinite matrices of every rank from 0 to their size.
 
     Parameters
     ----------
-    size, density, dense
+    size, density
         As in :func:`positive_definite_matrices`.
-
-    Returns
-    -------
-    strategy of ndarray or csr_array, shape (size, size)
-
-    Raises
-    ------
-    InvalidOption
-        Where an option is out of its range.
 
     Notes
     -----
@@ -112,30 +169,21 @@ def positive_semidefinite_matrices(
     >>> find(positive_semidefinite_matrices(), lambda M: True, settings=quick)
     array([[1.]])
     """
-
-    def build(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-        rank = n - draw(st.integers(0, n))
-        order, L = draw(orders(n)), draw(unit_lower(n, values))[:, :rank]
-        return reordered(L @ L.T, order)
-
-    return matrices(build, size, density, dense)
+    rank = n - draw(st.integers(0, n))
+    order, L = draw(orders(n)), draw(unit_lower(n, values))[:, :rank]
+    return reordered(L @ L.T, order)
 
 
-def indefinite_matrices(
-    size: Sizes = None, *, density: float = 1.0, dense: bool = True
-) -> st.SearchStrategy[Any]:
+@matrices(2)
+def indefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for symmetric indefinite matrices: xᵀM x takes both signs.
 
     Parameters
     ----------
     size : int or strategy of int, optional
         Rows and columns, at least 2; 2 to 8 by default.
-    density, dense
+    density
         As in :func:`positive_definite_matrices`.
-
-    Returns
-    -------
-    strategy of ndarray or csr_array, shape (size, size)
 
     Raises
     ------
@@ -155,31 +203,20 @@ def indefinite_matrices(
     array([[ 1.,  0.],
            [ 0., -1.]])
     """
-
-    def build(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-        core = draw(vectors(n, ONE_FIRST))
-        core[:2] = draw(POSITIVE), -draw(POSITIVE)
-        order, L = draw(orders(n)), draw(unit_lower(n, values))
-        return reordered(L @ np.diag(core) @ L.T, order)
-
-    return matrices(build, size, density, dense, smallest=2)
+    core = draw(vectors(n, ONE_FIRST))
+    core[:2] = draw(POSITIVE), -draw(POSITIVE)
+    order, L = draw(orders(n)), draw(unit_lower(n, values))
+    return reordered(L @ np.diag(core) @ L.T, order)
 
 
-def h_plus_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) -> st.SearchStrategy[Any]:
+@matrices()
+def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for H₊-matrices: positive diagonal, and ⟨M⟩v > 0 for some v > 0.
 
     Parameters
     ----------
-    size : int or strategy of int, optional
-        Rows and columns, 1 to 8 by default.
-    density : float
-        Share of nonzeros off the diagonal, in [0, 1]; roughly, since hypothesis likes to repeat itself.
-    dense : bool
-        Draw arrays; otherwise CSR arrays.
-
-    Returns
-    -------
-    strategy of ndarray or csr_array, shape (size, size)
+    size, density
+        As in :func:`positive_definite_matrices`; the share is that of nonzeros off the diagonal.
 
     Notes
     -----
@@ -192,15 +229,16 @@ def h_plus_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = T
     >>> find(h_plus_matrices(), lambda M: True, settings=quick)
     array([[1.]])
     """
-    return matrices(_h_plus, size, density, dense)
+    return _h_plus(draw, n, values)
 
 
-def m_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) -> st.SearchStrategy[Any]:
+@matrices()
+def m_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for nonsingular M-matrices, as a rule not symmetric: m_ij ≤ 0 off the diagonal, M⁻¹ ≥ 0.
 
     Parameters
     ----------
-    size, density, dense
+    size, density
         As in :func:`h_plus_matrices`.
 
     Examples
@@ -212,15 +250,16 @@ def m_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) 
     array([[ 2., -1.],
            [ 0.,  1.]])
     """
-    return matrices(_m_matrix, size, density, dense)
+    return _off_diagonal_negated(_h_plus(draw, n, values))
 
 
-def z_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) -> st.SearchStrategy[Any]:
+@matrices()
+def z_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for Z-matrices: m_ij ≤ 0 off the diagonal; M-matrices, singular and indefinite ones among them.
 
     Parameters
     ----------
-    size, density, dense
+    size, density
         As in :func:`h_plus_matrices`.
 
     Examples
@@ -231,17 +270,16 @@ def z_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) 
     >>> find(z_matrices(1), lambda M: M[0, 0] < 0, settings=shrunk)
     array([[-1.]])
     """
-    return matrices(_z_matrix, size, density, dense)
+    return _off_diagonal_negated(_by_row_sums(draw, n, values, ONE_FIRST))
 
 
-def strictly_dominant_matrices(
-    size: Sizes = None, *, density: float = 1.0, dense: bool = True
-) -> st.SearchStrategy[Any]:
+@matrices()
+def strictly_dominant_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for matrices with m_ii > Σ_j≠i |m_ij| in every row.
 
     Parameters
     ----------
-    size, density, dense
+    size, density
         As in :func:`h_plus_matrices`.
 
     Examples
@@ -253,29 +291,17 @@ def strictly_dominant_matrices(
     array([[2., 1.],
            [0., 1.]])
     """
-    return matrices(_by_row_sums, size, density, dense)
+    return _by_row_sums(draw, n, values)
 
 
-def p_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) -> st.SearchStrategy[Any]:
+@matrices()
+def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for P-matrices, all principal minors positive: exactly one solution for every q and all bounds.
 
     Parameters
     ----------
-    size : int or strategy of int, optional
-        Rows and columns, 1 to 8 by default.
-    density : float
-        Share of nonzeros of the parts, in [0, 1], roughly.
-    dense : bool
-        Draw arrays; otherwise CSR arrays.
-
-    Returns
-    -------
-    strategy of ndarray or csr_array, shape (size, size)
-
-    Raises
-    ------
-    InvalidOption
-        Where an option is out of its range.
+    size, density
+        As in :func:`h_plus_matrices`; the share is that of nonzeros of the parts.
 
     Notes
     -----
@@ -294,10 +320,18 @@ def p_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) 
     >>> find(p_matrices(), lambda M: True, settings=quick)
     array([[1.]])
     """
-    return matrices(_p_matrix, size, density, dense)
+    if not draw(st.booleans()):
+        return _h_plus(draw, n, values)
+    cut, order = draw(st.integers(0, n)), draw(orders(n))
+    K = np.tril(draw(blocks(n, n, values)), -1)
+    A = _definite(draw, n, values) + K.T - K
+    A[cut:, :cut] = 0.0
+    A[:cut, cut:] = draw(blocks(cut, n - cut, values))
+    return reordered(A, order)
 
 
-def not_h_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = True) -> st.SearchStrategy[Any]:
+@matrices(1)
+def not_h_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for matrices that are no H-matrices: no scaling of rows and columns makes them dominant.
 
     Parameters
@@ -306,12 +340,6 @@ def not_h_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = Tr
         Rows and columns, at least 1 (where the only one is [0]); up to 8 by default.
     density : float
         Share of nonzeros of the parts, in [0, 1], roughly; what is planted comes on top.
-    dense : bool
-        Draw arrays; otherwise CSR arrays.
-
-    Returns
-    -------
-    strategy of ndarray or csr_array, shape (size, size)
 
     Raises
     ------
@@ -332,7 +360,26 @@ def not_h_matrices(size: Sizes = None, *, density: float = 1.0, dense: bool = Tr
     array([[1., 1.],
            [1., 1.]])
     """
-    return matrices(_with_cycle, size, density, dense, smallest=1)
+    diagonal, order = draw(vectors(n, ONE_FIRST)), draw(orders(n))
+    # 0, 1, … mean a cycle of length 2, 3, …, and the last a zero on the diagonal: shrinking prefers the former.
+    length = draw(st.integers(0, n - 1))
+    signs, surpluses = draw(vectors(n, SIGNS)), draw(vectors(n, st.integers(0, 9)))
+    A = draw(blocks(n, n, values))
+    np.fill_diagonal(A, diagonal)
+    if length == n - 1:
+        A[order[0], order[0]] = 0.0
+    else:
+        cycle = order[: length + 2]
+        for i, j, sign, surplus in zip(cycle, np.roll(cycle, -1), signs, surpluses, strict=False):
+            A[i, j] = sign * (abs(A[i, i]) + surplus)
+    return A
+
+
+def _definite(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+    """Return B Bᵀ + E: symmetric positive definite."""
+    E = np.diag(draw(vectors(n, POSITIVE)))
+    B = draw(blocks(n, n, values))
+    return np.asarray(B @ B.T + E)
 
 
 def _by_row_sums(draw: st.DrawFn, n: int, values: Numbers, surpluses: Numbers = POSITIVE) -> Matrix:
@@ -349,39 +396,4 @@ def _off_diagonal_negated(A: Matrix) -> Matrix:
 
 
 def _h_plus(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    result: Matrix = _by_row_sums(draw, n, values) * draw(vectors(n, UNITS))
-    return result
-
-
-def _m_matrix(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    return _off_diagonal_negated(_h_plus(draw, n, values))
-
-
-def _z_matrix(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    return _off_diagonal_negated(_by_row_sums(draw, n, values, ONE_FIRST))
-
-
-def _p_matrix(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    if not draw(st.booleans()):
-        return _h_plus(draw, n, values)
-    cut, order = draw(st.integers(0, n)), draw(orders(n))
-    A = skewed_definite_block(draw, n, values)
-    A[cut:, :cut] = 0.0
-    A[:cut, cut:] = draw(blocks(cut, n - cut, values))
-    return reordered(A, order)
-
-
-def _with_cycle(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    diagonal, order = draw(vectors(n, ONE_FIRST)), draw(orders(n))
-    # 0, 1, … mean a cycle of length 2, 3, …, and the last a zero on the diagonal: shrinking prefers the former.
-    length = draw(st.integers(0, n - 1))
-    signs, surpluses = draw(vectors(n, SIGNS)), draw(vectors(n, st.integers(0, 9)))
-    A = draw(blocks(n, n, values))
-    np.fill_diagonal(A, diagonal)
-    if length == n - 1:
-        A[order[0], order[0]] = 0.0
-    else:
-        cycle = order[: length + 2]
-        for i, j, sign, surplus in zip(cycle, np.roll(cycle, -1), signs, surpluses, strict=False):
-            A[i, j] = sign * (abs(A[i, i]) + surplus)
-    return A
+    return np.asarray(_by_row_sums(draw, n, values) * draw(vectors(n, UNITS)))

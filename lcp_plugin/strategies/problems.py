@@ -16,16 +16,15 @@ from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..proofs.exact.rational import exact_slack
 from ..proofs.no_solution.refutation import Infeasibility
-from .matrices import h_plus_matrices, positive_definite_matrices
-from .options import (
+from .matrices import (
     LARGEST_ENTRY,
     POSITIVE,
     SIGNED,
     SIGNS,
-    Numbers,
     Sizes,
     blocks,
-    entries,
+    h_plus_matrices,
+    positive_definite_matrices,
     rows,
     sizes,
     vectors,
@@ -69,7 +68,15 @@ def lcps(matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False
     >>> find(lcps(h_plus_matrices(1)), lambda problem: True, settings=quick).q
     array([0.])
     """
-    return _any(default_matrices() if matrices is None else matrices, complementary_rows(bounds))
+    chosen, row = default_matrices() if matrices is None else matrices, complementary_rows(bounds)
+
+    @st.composite
+    def problem(draw: st.DrawFn) -> LCP:
+        M = draw(chosen)
+        _, _, lower, upper = columns_of(draw(rows(M.shape[0], row)))
+        return LCP(M, draw(vectors(M.shape[0], SIGNED)), lower=lower, upper=upper)
+
+    return problem()
 
 
 def default_matrices() -> st.SearchStrategy[Any]:
@@ -77,19 +84,8 @@ def default_matrices() -> st.SearchStrategy[Any]:
     return h_plus_matrices() | positive_definite_matrices()
 
 
-@st.composite
-def _any(draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: Numbers) -> LCP:
-    M = draw(matrices)
-    _, _, lower, upper = columns_of(draw(rows(M.shape[0], row)))
-    return LCP(M, draw(vectors(M.shape[0], SIGNED)), lower=lower, upper=upper)
-
-
 def solved_lcps(
-    matrices: st.SearchStrategy[Any] | None = None,
-    *,
-    degenerate: bool = True,
-    bounds: bool = False,
-    huge_slacks: bool = False,
+    matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False, huge_slacks: bool = False
 ) -> st.SearchStrategy[tuple[LCP, Answer]]:
     """Return a strategy for pairs (problem, z) where z solves the problem exactly.
 
@@ -98,8 +94,6 @@ def solved_lcps(
     matrices : strategy of (n, n) matrices, optional
         By default H₊ or symmetric positive definite ones, so that z is the only solution. Entries must be short
         enough for M z + q to be free of rounding: within a row, integers times powers of two not far apart.
-    degenerate : bool
-        Draw rows with z at a bound and w = 0 too, beside inactive rows and active ones.
     bounds : bool
         Draw one-sided bounds below or above, boxes, fixed and free rows. Otherwise lower = 0, upper = ∞.
     huge_slacks : bool
@@ -131,26 +125,24 @@ def solved_lcps(
     >>> problem, z
     (LCP([[1.0]], [-1.0]), (Fraction(1, 1),))
     """
-    chosen = default_matrices() if matrices is None else matrices
-    return _solved(chosen, complementary_rows(bounds, degenerate=degenerate), huge_slacks)
+    chosen, row = default_matrices() if matrices is None else matrices, complementary_rows(bounds)
 
+    @st.composite
+    def solved(draw: st.DrawFn) -> tuple[LCP, Answer]:
+        M = draw(chosen)
+        z, slack, lower, upper = columns_of(draw(rows(M.shape[0], row)))
+        w = slack * 2.0 ** draw(vectors(z.size, st.integers(0, 24))) if huge_slacks else slack
+        try:
+            q = exact_offset(M, z, w)
+        except InvalidProblem:  # no room for huge slacks beside this M
+            q = exact_offset(M, z, slack)
+        return LCP(M, q, lower=lower, upper=upper), fractions_of(z)
 
-@st.composite
-def _solved(
-    draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: Numbers, huge_slacks: bool
-) -> tuple[LCP, Answer]:
-    M = draw(matrices)
-    z, slack, lower, upper = columns_of(draw(rows(M.shape[0], row)))
-    w = slack * 2.0 ** draw(vectors(z.size, st.integers(0, 24))) if huge_slacks else slack
-    try:
-        q = exact_offset(M, z, w)
-    except InvalidProblem:  # no room for huge slacks beside this M
-        q = exact_offset(M, z, slack)
-    return LCP(M, q, lower=lower, upper=upper), fractions_of(z)
+    return solved()
 
 
 def infeasible_lcps(
-    size: Sizes = None, *, monotone: bool = False, bounds: bool = False, density: float = 1.0, dense: bool = True
+    size: Sizes = None, *, monotone: bool = False, bounds: bool = False
 ) -> st.SearchStrategy[tuple[LCP, Infeasibility]]:
     """Return a strategy for pairs (problem, proof): no z within its bounds gives w the signs that it needs.
 
@@ -162,10 +154,6 @@ def infeasible_lcps(
         Draw M that is symmetric positive semidefinite, singular by necessity; otherwise anything.
     bounds : bool
         Draw other bounds than 0 and ∞: −∞ and u, l and ∞, l and u, or none.
-    density : float
-        Share of nonzeros, in [0, 1], roughly; one row is a combination of the others.
-    dense : bool
-        Arrays; otherwise CSR arrays.
 
     Returns
     -------
@@ -190,64 +178,50 @@ def infeasible_lcps(
     >>> proof.exact_y, proof.verify()
     ((Fraction(1, 1), Fraction(0, 1)), True)
     """
-    row = st.builds(_bounds, st.sampled_from(SIDES), SIGNED, st.integers(0, 9)) if bounds else st.just((0, math.inf))
-    return _infeasible(sizes(size, 1), entries(density), row, monotone, dense)
+    drawn_size, row = sizes(size, 1), complementary_rows(bounds)
 
+    @st.composite
+    def infeasible(draw: st.DrawFn) -> tuple[LCP, Infeasibility]:
+        n = draw(drawn_size)
+        pivot = draw(st.integers(0, n - 1))
+        _, _, lower, upper = columns_of(draw(rows(n, row)))
+        if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box asks for no sign of w
+            upper[pivot] = math.inf
+        below, above = np.isinf(lower), np.isinf(upper)
+        # y ≥ 0 where w ≥ 0 is needed, ≤ 0 where w ≤ 0 is, 0 in boxes, ±1 in the pivot's row.
+        y = draw(vectors(n, st.integers(0, 3)))
+        y[pivot] = 1.0
+        y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
+        product = np.zeros(n)
+        if not monotone:  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
+            drawn = draw(vectors(n, SIGNED))
+            product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
+            product[below & above] = 0.0
+        q, surplus = draw(vectors(n, SIGNED)), draw(POSITIVE)
+        M = draw(blocks(n, n, SIGNED))
+        M[pivot] = 0.0
+        M[pivot] = y[pivot] * (product - y @ M)
+        highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
+        q[pivot] = 0.0
+        q[pivot] = y[pivot] * (-highest - y @ q - surplus)
+        problem = LCP(M @ M.T if monotone else M, q, lower=lower, upper=upper)
+        return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(y))))
 
-SIDES = [(False, True), (True, False), (True, True), (False, False)]  # whether there is no bound below, and none above
-
-
-@st.composite
-def _infeasible(
-    draw: st.DrawFn, sizes: st.SearchStrategy[int], values: Numbers, row: Numbers, monotone: bool, dense: bool
-) -> tuple[LCP, Infeasibility]:
-    n = draw(sizes)
-    pivot = draw(st.integers(0, n - 1))
-    lower, upper = np.array(draw(rows(n, row)), dtype=np.float64).T.copy()
-    if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box asks for no sign of w
-        upper[pivot] = math.inf
-    below, above = np.isinf(lower), np.isinf(upper)
-    # y ≥ 0 where w ≥ 0 is needed, ≤ 0 where w ≤ 0 is, 0 in boxes, ±1 in the pivot's row.
-    y = draw(vectors(n, st.integers(0, 3)))
-    y[pivot] = 1.0
-    y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
-    product = np.zeros(n)
-    if not monotone:  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
-        drawn = draw(vectors(n, values))
-        product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
-        product[below & above] = 0.0
-    q, surplus = draw(vectors(n, SIGNED)), draw(POSITIVE)
-    M = draw(blocks(n, n, values))
-    M[pivot] = 0.0
-    M[pivot] = y[pivot] * (product - y @ M)
-    highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
-    q[pivot] = 0.0
-    q[pivot] = y[pivot] * (-highest - y @ q - surplus)
-    given = M @ M.T if monotone else M
-    problem = LCP(given if dense else sp.csr_array(given), q, lower=lower, upper=upper)
-    return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(y))))
-
-
-def _bounds(is_open: tuple[bool, bool], low: int, length: int) -> tuple[float, float]:
-    return -math.inf if is_open[0] else low, math.inf if is_open[1] else low + length
+    return infeasible()
 
 
 # --- Complementary rows ------------------------------------------------------------------------------------------
 
 
+@st.composite
 def complementary_rows(
-    bounds: bool = False, *, degenerate: bool = True, otherwise_free: bool = False
-) -> st.SearchStrategy[tuple[float, float, float, float]]:
+    draw: st.DrawFn, bounds: bool = False, otherwise_free: bool = False
+) -> tuple[float, float, float, float]:
     """Return a strategy for complementary z, w, lower, upper of a row: small integers, or bounds that are infinite.
 
     Rows that get no bounds have 0 and ∞, or none at all.
     """
-    return _row(st.sampled_from([INACTIVE, ACTIVE, DEGENERATE][: 2 + bool(degenerate)]), bounds, otherwise_free)
-
-
-@st.composite
-def _row(draw: st.DrawFn, groups: Numbers, bounds: bool, otherwise_free: bool) -> tuple[float, float, float, float]:
-    group, size = draw(groups), draw(POSITIVE)
+    group, size = draw(st.sampled_from([INACTIVE, ACTIVE, DEGENERATE])), draw(POSITIVE)
     if bounds:
         z, (at_lower, at_upper, sign) = draw(SIGNED), draw(st.sampled_from(BOUNDED[group]))
         below, above = 0 if at_lower else draw(DISTANCES), 0 if at_upper else draw(DISTANCES)

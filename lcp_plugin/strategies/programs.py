@@ -15,8 +15,16 @@ from ..core.lcp import LCP
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.programs.conversion import QuadraticProgram
 from ..proofs.exact.rational import exact_slack
-from .matrices import p_matrices, positive_definite_matrices, positive_semidefinite_matrices
-from .options import SIGNED, Numbers, blocks, rows, sizes, vectors
+from .matrices import (
+    SIGNED,
+    blocks,
+    p_matrices,
+    positive_definite_matrices,
+    positive_semidefinite_matrices,
+    rows,
+    sizes,
+    vectors,
+)
 from .problems import Answer, columns_of, complementary_rows, exact_offset, fractions_of, solved_lcps
 
 
@@ -76,27 +84,26 @@ def convex_qps(
     ((Fraction(0, 1),), Fraction(0, 1))
     """
     hessians = positive_definite_matrices() | positive_semidefinite_matrices() if matrices is None else matrices
-    return _convex(hessians, sizes(inequalities), sizes(equalities), complementary_rows(bounds, otherwise_free=True))
+    inequality_count, equality_count = sizes(inequalities), sizes(equalities)
+    variable, pair = complementary_rows(bounds, otherwise_free=True), complementary_rows()
 
+    @st.composite
+    def convex(draw: st.DrawFn) -> tuple[QuadraticProgram, QPAnswer]:
+        P = draw(hessians)
+        n, m, p = P.shape[0], draw(inequality_count), draw(equality_count)
+        x, reduced, lower, upper = columns_of(draw(rows(n, variable)))
+        gap, multiplier, _, _ = columns_of(draw(rows(m, pair)))
+        equality = draw(vectors(p, SIGNED))
+        G, A = np.split(draw(blocks(m + p, n, SIGNED)), [m])
+        c = exact_offset(P, x, reduced - G.T @ multiplier - A.T @ equality)
+        # ½xᵀP x + cᵀx = ½xᵀ((P x + c) + c)
+        terms = zip(fractions_of(x), exact_slack(LCP(P, c), x), fractions_of(c), strict=True)
+        least = sum((value * (gradient + linear) / 2 for value, gradient, linear in terms), Fraction(0))
+        program = QuadraticProgram(P, c, G, G @ x + gap, A, A @ x, lower, upper)
+        answers = (x, multiplier, equality, np.maximum(reduced, 0.0), np.maximum(-reduced, 0.0))
+        return program, QPAnswer._make([*map(fractions_of, answers), least])
 
-@st.composite
-def _convex(
-    draw: st.DrawFn, hessians: st.SearchStrategy[Any], inequalities: st.SearchStrategy[int],
-    equalities: st.SearchStrategy[int], variable: Numbers,
-) -> tuple[QuadraticProgram, QPAnswer]:
-    P = draw(hessians)
-    n, m, p = P.shape[0], draw(inequalities), draw(equalities)
-    x, reduced, lower, upper = columns_of(draw(rows(n, variable)))
-    gap, multiplier, _, _ = columns_of(draw(rows(m, complementary_rows())))
-    equality = draw(vectors(p, SIGNED))
-    G, A = np.split(draw(blocks(m + p, n, SIGNED)), [m])
-    c = exact_offset(P, x, reduced - G.T @ multiplier - A.T @ equality)
-    # ½xᵀP x + cᵀx = ½xᵀ((P x + c) + c)
-    terms = zip(fractions_of(x), exact_slack(LCP(P, c), x), fractions_of(c), strict=True)
-    least = sum((value * (gradient + linear) / 2 for value, gradient, linear in terms), Fraction(0))
-    program = QuadraticProgram(P, c, G, G @ x + gap, A, A @ x, lower, upper)
-    answers = (x, multiplier, equality, np.maximum(reduced, 0.0), np.maximum(-reduced, 0.0))
-    return program, QPAnswer._make([*map(fractions_of, answers), least])
+    return convex()
 
 
 FORMS = ("plain", "swapped", "attribute", "shifted", "box", "free")
@@ -140,33 +147,34 @@ def complementarity_models(
     >>> model.var_dict["x"].value.round(6)
     array([1.])
     """
-    return _model(p_matrices() if matrices is None else matrices)
+    chosen = p_matrices() if matrices is None else matrices
 
+    @st.composite
+    def model(draw: st.DrawFn) -> tuple[Any, dict[str, FloatVector]]:
+        import cvxpy as cp
 
-@st.composite
-def _model(draw: st.DrawFn, matrices: st.SearchStrategy[Any]) -> tuple[Any, dict[str, FloatVector]]:
-    import cvxpy as cp
+        from ..modeling.constraint import box, complements
+        from ..modeling.registration import ComplementarityProblem, register
 
-    from ..modeling.constraint import box, complements
-    from ..modeling.registration import ComplementarityProblem, register
+        register()
+        M, form = sp.csr_array(draw(chosen)), draw(st.sampled_from(FORMS))
+        row = complementary_rows(form == "box", otherwise_free=form == "free")
+        z, w, lower, upper = columns_of(draw(rows(M.shape[0], row)))
+        if form == "shifted":
+            lower = lower + draw(SIGNED)
+            z = z + lower
+        x = cp.Variable(z.size, name="x", nonneg=form == "attribute")
+        F = M @ x + exact_offset(M, z, w)
+        pairs = {
+            "swapped": (F >= 0, x >= 0),
+            "attribute": (x, F),
+            "box": (box(x, lower, upper), F),
+            "free": (x, F == 0),
+        }
+        pair = complements(*pairs.get(form, (x >= lower, F >= 0)))
+        return (cp.Problem(cp.Minimize(0), [pair]) if draw(st.booleans()) else ComplementarityProblem([pair])), {"x": z}
 
-    register()
-    M, form = sp.csr_array(draw(matrices)), draw(st.sampled_from(FORMS))
-    row = complementary_rows(form == "box", otherwise_free=form == "free")
-    z, w, lower, upper = columns_of(draw(rows(M.shape[0], row)))
-    if form == "shifted":
-        lower = lower + draw(SIGNED)
-        z = z + lower
-    x = cp.Variable(z.size, name="x", nonneg=form == "attribute")
-    F = M @ x + exact_offset(M, z, w)
-    pairs = {
-        "swapped": (F >= 0, x >= 0),
-        "attribute": (x, F),
-        "box": (box(x, lower, upper), F),
-        "free": (x, F == 0),
-    }
-    pair = complements(*pairs.get(form, (x >= lower, F >= 0)))
-    return (cp.Problem(cp.Minimize(0), [pair]) if draw(st.booleans()) else ComplementarityProblem([pair])), {"x": z}
+    return model()
 
 
 # --- Nonlinear problems -----------------------------------------------------------------------------------------
@@ -209,23 +217,24 @@ def solved_nonlinear_problems(
     >>> problem, x, problem.value([3.0])
     (NonlinearProblem(n=1, jacobian given), (Fraction(1, 1),), array([2.]))
     """
-    return _solved(solved_lcps(matrices, bounds=bounds))
+    lcps = solved_lcps(matrices, bounds=bounds)
 
+    @st.composite
+    def solved(draw: st.DrawFn) -> tuple[NonlinearProblem, Answer]:
+        problem, answer = draw(lcps)
+        at = np.array(answer, dtype=float)
+        weights = draw(vectors(at.size, st.integers(0, 4))) / 4.0
+        term, slope = TERMS[draw(st.sampled_from(sorted(TERMS)))]
+        M, q = problem.M, problem.q
 
-@st.composite
-def _solved(draw: st.DrawFn, lcps: st.SearchStrategy[tuple[LCP, Answer]]) -> tuple[NonlinearProblem, Answer]:
-    problem, answer = draw(lcps)
-    at = np.array(answer, dtype=float)
-    weights = draw(vectors(at.size, st.integers(0, 4))) / 4.0
-    term, slope = TERMS[draw(st.sampled_from(sorted(TERMS)))]
-    M, q = problem.M, problem.q
+        def F(x: FloatVector) -> FloatVector:
+            value: FloatVector = M @ x + q + weights * (term(x) - term(at))
+            return value
 
-    def F(x: FloatVector) -> FloatVector:
-        value: FloatVector = M @ x + q + weights * (term(x) - term(at))
-        return value
+        def jacobian(x: FloatVector) -> Any:
+            added = weights * slope(x)
+            return M + sp.diags_array(added) if sp.issparse(M) else M + np.diag(added)
 
-    def jacobian(x: FloatVector) -> Any:
-        added = weights * slope(x)
-        return M + sp.diags_array(added) if sp.issparse(M) else M + np.diag(added)
+        return NonlinearProblem(F, jacobian, problem.lower, problem.upper), answer
 
-    return NonlinearProblem(F, jacobian, problem.lower, problem.upper), answer
+    return solved()

@@ -603,7 +603,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 @settings(max_examples=60)
-@given(problem=lcps_in_units(strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices(dense=False)) |
+@given(problem=lcps_in_units(strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices().map(sp.csr_array)) |
                              strategies.lcps(bounds=True), 300, 300))
 def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
     """What repr(problem) says can be pasted, and is the same problem bit for bit, kept in the same way."""

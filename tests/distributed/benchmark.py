@@ -68,7 +68,7 @@ def _anatomy(size: int) -> dict[str, Any]:
     """Time a fetch of foreign values and a cycle over all grids; count the foreign values of each grid."""
     from mpi4py import MPI
 
-    from lcp_plugin.evidence.on_ranks import build
+    from lcp_plugin.commands.distributed import scene_on_ranks as build
     from lcp_plugin.systems.hierarchy.levels import hierarchy_of
     from lcp_plugin.systems.hierarchy.truncation import Truncation
 
@@ -122,7 +122,7 @@ def _multigrid(size: int, runs: int = RUNS) -> dict[str, Any]:
     from mpi4py import MPI
 
     from lcp_plugin import solve
-    from lcp_plugin.evidence.on_ranks import build
+    from lcp_plugin.commands.distributed import scene_on_ranks as build
 
     solve(build("obstacle_2d", MPI.COMM_WORLD, {"size": 60}).problem, "multigrid")
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
@@ -147,9 +147,9 @@ def _snesvi(size: int) -> dict[str, Any]:
     from mpi4py import MPI
     from petsc4py import PETSc
 
+    from lcp_plugin.commands.distributed import scene_on_ranks as build
     from lcp_plugin.core.certificates.criterion import reference_residual
     from lcp_plugin.core.certificates.row_residuals import measured_residual
-    from lcp_plugin.evidence.on_ranks import build
     from lcp_plugin.ranks.petsc.halo import numbered_over_all
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem

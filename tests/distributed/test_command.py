@@ -20,12 +20,12 @@ COMPARE = """
 import numpy as np
 from mpi4py import MPI
 from lcp_plugin import gallery
-from lcp_plugin.evidence import on_ranks as scenes
+from lcp_plugin.commands import distributed as scenes
 from lcp_plugin.ranks.petsc.collective import ends_together
 from lcp_plugin.ranks.petsc.halo import numbered_over_all
 
 def compare(name, size, shifted):
-    part = scenes.build(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted)).problem
+    part = scenes.scene_on_ranks(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted)).problem
     whole = gallery.build(name, size=size, shifted=shifted).problem
     own = slice(part.first, part.last)
     rows = numbered_over_all(part.matrix.csr_rows, part.communicator)
@@ -145,8 +145,8 @@ def test_a_saved_problem_is_read_in_parts(tmp_path: Path) -> None:
     """What LCP.save wrote on three ranks, the command solves on two."""
     code = f"""
 from mpi4py import MPI
-from lcp_plugin.evidence import on_ranks as scenes
-scenes.build("obstacle_2d", MPI.COMM_WORLD, dict(size=20)).problem.save({str(tmp_path / "parts")!r})
+from lcp_plugin.commands import distributed as scenes
+scenes.scene_on_ranks("obstacle_2d", MPI.COMM_WORLD, dict(size=20)).problem.save({str(tmp_path / "parts")!r})
 """
     end = run_code(3, code)
     assert end.returncode == 0, end.stderr
@@ -179,8 +179,8 @@ def test_front_door_solves_rows_on_ranks() -> None:
     code = """
 from mpi4py import MPI
 from lcp_plugin import solve
-from lcp_plugin.evidence import on_ranks as scenes
-problem = scenes.build("obstacle_2d", MPI.COMM_WORLD, dict(size=30)).problem
+from lcp_plugin.commands import distributed as scenes
+problem = scenes.scene_on_ranks("obstacle_2d", MPI.COMM_WORLD, dict(size=30)).problem
 result = solve(problem, "npgs", tolerance=1e-6).require_solved()
 assert result.z.shape == (problem.last - problem.first,)
 print("solved", flush=True)

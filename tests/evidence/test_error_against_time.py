@@ -24,8 +24,8 @@ from lcp_plugin.core.matrix.matrix import Matrix, fact
 from lcp_plugin.evidence import error_against_time as module
 from lcp_plugin.evidence.contestants import contestants
 from lcp_plugin.evidence.curves import Curve, Point, Report, performance_profile
+from lcp_plugin.evidence.drawing import styles
 from lcp_plugin.evidence.error_against_time import error_against_time
-from lcp_plugin.evidence.figures import styles
 from lcp_plugin.evidence.pictures import draw
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 
@@ -414,7 +414,7 @@ def test_bad_arguments_are_refused(arguments: dict[str, Any], words: str) -> Non
 
 def test_bad_targets_and_names_are_refused() -> None:
     """Neither a matrix nor a misspelt algorithm is taken; a plot has two axes to choose from."""
-    with pytest.raises(InvalidOption, match=r"needs an LCP, got ndarray.*or a scene"):
+    with pytest.raises(InvalidOption, match=r"needs an LCP, got ndarray.*may also be a scene"):
         error_against_time(np.eye(2))  # type: ignore[arg-type]
     with pytest.raises(UnknownAlgorithm, match="did you mean 'psor'"):
         error_against_time(scene(), ["psr"])

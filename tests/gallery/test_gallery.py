@@ -148,8 +148,6 @@ def test_every_builder_is_reachable() -> None:
     """A builder in any module of the package is registered and exported without further imports."""
     known = gallery.names()
     for module in pkgutil.iter_modules(gallery.__path__):
-        if module.name == "on_ranks":  # it needs MPI
-            continue
         import_module(f"{gallery.__name__}.{module.name}")
     assert gallery.names() == known
     assert set(known) <= set(gallery.__all__)

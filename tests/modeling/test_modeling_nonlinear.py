@@ -786,7 +786,7 @@ def test_a_model_without_solution_is_not_called_solved() -> None:
 def test_a_wrong_rule_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """An atom whose rule disagrees with cvxpy's value ends in an error, not in a solution."""
     double = lambda u: 2 * np.exp(u)  # noqa: E731
-    wrong = functions.Function("exp", 1, double, lambda u: (double(u),), functions.EXP.interval, None)
+    wrong = functions.Function("exp", 1, double, lambda u: (double(u),))
     from lcp_plugin.modeling import atom_rules
 
     monkeypatch.setitem(atom_rules.SMOOTH, type(cp.exp(X)), atom_rules._elementary(wrong))

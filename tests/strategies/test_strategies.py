@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_units import matrices_in_units, nearly_singular, solved_in_units
+from drawn_units import matrices_in_units, nearly_singular, skewed, solved_in_units, strict
 from exact import exact_rows, has_positive_pivots, principal_minors
 from fresh_process import printed_by
 from hypothesis import Phase, find, given, settings
@@ -41,19 +41,19 @@ SEARCH = settings(max_examples=2000, phases=[Phase.generate, Phase.shrink])
 H_PLUS = {
     "default": h_plus_matrices(),
     "half empty": h_plus_matrices(density=0.5),
-    "sparse": h_plus_matrices(st.integers(0, 6), density=0.3, dense=False),
+    "sparse": h_plus_matrices(st.integers(0, 6), density=0.3).map(sp.csr_array),
     "diagonal": h_plus_matrices(density=0.0),
 }
 POSITIVE_DEFINITE = {
     "default": positive_definite_matrices(),
     "half empty": positive_definite_matrices(density=0.5),
-    "sparse": positive_definite_matrices(st.integers(0, 6), density=0.3, dense=False),
+    "sparse": positive_definite_matrices(st.integers(0, 6), density=0.3).map(sp.csr_array),
 }
 SOLVED = {
     "default": solved_lcps(),
     "bounds": solved_lcps(bounds=True),
-    "strict": solved_lcps(degenerate=False, bounds=True),
-    "sparse": solved_lcps(h_plus_matrices(st.integers(0, 6), dense=False)),
+    "strict": strict(solved_lcps(bounds=True)),
+    "sparse": solved_lcps(h_plus_matrices(st.integers(0, 6)).map(sp.csr_array)),
     "huge slacks": solved_lcps(huge_slacks=True),
     "in units": solved_in_units(solved_lcps(bounds=True), 300, 300),
     "nearly singular": solved_lcps(nearly_singular(2.0**-30), bounds=True),
@@ -212,7 +212,7 @@ CLASSES = {
     "m in units": (matrices_in_units(m_matrices(FEW), 99, 99), is_h_plus, "is_m_matrix", True),
     "dominant": (strictly_dominant_matrices(FEW), is_dominant, "is_h_plus", True),
     "nearly singular": (nearly_singular(), is_dominant, "is_strictly_dominant", True),
-    "definite": (positive_definite_matrices(FEW, symmetric=False), is_definite, "is_positive_definite", True),
+    "definite": (skewed(positive_definite_matrices(FEW)), is_definite, "is_positive_definite", True),
     "semidefinite": (positive_semidefinite_matrices(FEW), is_semidefinite, "is_positive_semidefinite", True),
     "p": (p_matrices(FEW), is_p, "is_p_matrix", True),
     "p in units": (matrices_in_units(p_matrices(FEW), 9, 9), is_p, "is_p_matrix", True),
@@ -250,8 +250,8 @@ def test_every_rank_occurs() -> None:
 
 INFEASIBLE = {
     "default": infeasible_lcps(),
-    "bounds": infeasible_lcps(bounds=True, density=0.5),
-    "monotone": infeasible_lcps(SOME, monotone=True, dense=False),
+    "bounds": infeasible_lcps(bounds=True),
+    "monotone": infeasible_lcps(SOME, monotone=True),
 }
 
 
@@ -324,8 +324,8 @@ def test_complementarity_models_have_their_answers() -> None:
 
 @pytest.mark.full
 def test_strict_problems_have_no_degenerate_rows() -> None:
-    """With degenerate=False a row at a bound has w ≠ 0."""
-    counts = counted(solved_lcps(h_plus_matrices(st.integers(1, 4)), degenerate=False))
+    """Of problems made strict a row at a bound has w ≠ 0."""
+    counts = counted(strict(solved_lcps(h_plus_matrices(st.integers(1, 4)))))
     assert set(counts) == {"half bounded", "lower, w > 0"}
 
 
@@ -396,7 +396,8 @@ def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
     def solver(M: object, *others: np.ndarray) -> None:
         forms.add(type(M))
 
-    matrices = h_plus_matrices(st.integers(1, 6), density=0.5, dense=is_dense)
+    drawn = h_plus_matrices(st.integers(1, 6), density=0.5)
+    matrices = drawn if is_dense else drawn.map(sp.csr_array)
     assert_solves(solver, matrices=matrices, bounds=True, infeasible=True, may_give_up=True, max_examples=40)
     assert forms == {np.ndarray if is_dense else sp.csr_array}
 

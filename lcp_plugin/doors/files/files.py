@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnreadableFile
 from ...core.registry import ask
-from .matrix_market import read_mat, read_matrix_market
+from .matrix_market import opened, read_mat, read_matrix_market
 
 if TYPE_CHECKING:
     from ...core.lcp import LCP
@@ -212,18 +212,18 @@ def require_keys(source: Path, content: Mapping[str, Any], keys: Collection[str]
         raise UnreadableFile(f"{source} lacks the keys {missing}; {remedy}")
 
 
-def csr_in(source: Path, content: Mapping[str, Any]) -> sp.csr_array:
-    """Return the matrix of a file's CSR arrays, or raise UnreadableFile where they are none."""
+def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -> sp.csr_array:
+    """Return the matrix of a file's CSR arrays, or of its CSC arrays, or raise UnreadableFile where they are none."""
     for key in ("indices", "indptr", "shape"):
         if content[key].dtype.kind not in "iu":
             raise UnreadableFile(f"{source}: {key} must hold whole numbers, got dtype {content[key].dtype}")
     try:
         shape = tuple(int(k) for k in content["shape"])
-        rows = sp.csr_array((content["data"], content["indices"], content["indptr"]), shape=shape)
-        rows.check_format(full_check=True)
-        return rows
+        matrix = kind((content["data"], content["indices"], content["indptr"]), shape=shape)
+        matrix.check_format(full_check=True)
+        return sp.csr_array(matrix)
     except (ValueError, IndexError, TypeError, OverflowError, MemoryError) as error:
-        raise UnreadableFile(f"{source} holds no valid CSR matrix: {error}") from error
+        raise UnreadableFile(f"{source} holds no valid {kind.__name__[:3].upper()} matrix: {error}") from error
 
 
 def names_in(source: Path) -> list[str]:
@@ -243,24 +243,20 @@ def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
 @contextmanager
 def _archive(source: Path) -> Iterator[Any]:
     """Open a ``.npz`` file; whatever is found wrong with it is an UnreadableFile."""
-    try:
-        with source.open("rb") as file:
-            if file.read(2) != b"PK":
-                raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive; write it with LCP.save")
-            file.seek(0)
+    with opened(source, ".npz archive") as file:
+        if file.read(2) != b"PK":
+            raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive; write it with LCP.save")
+        file.seek(0)
+        try:
             with np.load(file, allow_pickle=False) as archive:
                 yield archive
-    except FileNotFoundError as error:
-        raise UnreadableFile(f"no such file: {source}") from error
-    except UnreadableFile:
-        raise
-    except Exception as error:  # a damaged archive raises whatever its decoders raise
-        if "allow_pickle" in str(error):
+        except ValueError as error:
+            if "allow_pickle" not in str(error):
+                raise
             raise UnreadableFile(
                 f"cannot read {source}: it holds pickled objects, which are never read; LCP.save writes a sparse M, a "
                 "program's sparse P is saved as P_data, P_indices, P_indptr, P_shape, and what is None left out"
             ) from error
-        raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive ({error})") from error
 
 
 def _matrix_market_prefix(source: Path) -> str:

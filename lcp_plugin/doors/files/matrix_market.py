@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,20 @@ NUMERIC = {"sparse", "double", "single", "logical", *WHOLE}
 WORDS = {"char": "text", "cell": "a cell array", "struct": "a struct", "object": "an object", "function": "a function"}
 
 
+@contextmanager
+def opened(source: Path, kind: str) -> Iterator[Any]:
+    """Open a file of that kind; whatever its decoders raise while it is read says that it is damaged."""
+    try:
+        with source.open("rb") as file:
+            yield file
+    except FileNotFoundError as error:
+        raise UnreadableFile(f"no such file: {source}") from error
+    except UnreadableFile:
+        raise
+    except Exception as error:
+        raise UnreadableFile(f"cannot read {source}: it is damaged or no {kind} ({error})") from error
+
+
 def read_matrix_market(source: Path) -> Any:
     """Return what a real Matrix Market file holds: a COO array (coordinate) or an ndarray (array).
 
@@ -34,20 +49,15 @@ def read_matrix_market(source: Path) -> Any:
     UnreadableFile
         Where the file is missing, or anything in it is not as its header and size line announce.
     """
-    try:
-        with source.open("rb") as file:
-            form, symmetry = _header(file.readline())
+    with opened(source, "Matrix Market file") as file:
+        form, symmetry = _header(file.readline())
+        line = file.readline()
+        while line.startswith(b"%") or (line and not line.strip()):
             line = file.readline()
-            while line.startswith(b"%") or (line and not line.strip()):
-                line = file.readline()
-            size = _size(line, 3 if form == "coordinate" else 2)
-            _refuse_what_cannot_follow(size, os.fstat(file.fileno()).st_size)
-            body = _numbers(file)
+        size = _size(line, 3 if form == "coordinate" else 2)
+        _refuse_what_cannot_follow(size, os.fstat(file.fileno()).st_size)
+        body = _numbers(file)
         return _from_entries(size, body, symmetry) if form == "coordinate" else _from_columns(size, body, symmetry)
-    except FileNotFoundError as error:
-        raise UnreadableFile(f"no such file: {source}") from error
-    except (OSError, ValueError, OverflowError, MemoryError) as error:
-        raise UnreadableFile(f"cannot read {source}: it is damaged or no Matrix Market file ({error})") from error
 
 
 def _header(line: bytes) -> tuple[str, str]:
@@ -134,25 +144,20 @@ def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], lis
     """
     from scipy.io import loadmat, whosmat
 
-    try:
-        with source.open("rb") as file:
+    with opened(source, ".mat file of numbers") as file:
+        try:
             kinds = {name: kind for name, _, kind in whosmat(file) if not name.startswith("__")}
+        except NotImplementedError as error:
+            raise UnreadableFile(
+                f"cannot read {source}: it is of version 7.3 (HDF5); in MATLAB write "
+                f'save("{source.name}", "M", "q", "-v7")'
+            ) from error
         if other := next((name for name in wanted if kinds.get(name, "double") not in NUMERIC), None):
             what = WORDS.get(kinds[other], "no array")
             raise UnreadableFile(f"cannot read {source}: {other} is {what}; save a matrix of numbers")
         names = [name for name in kinds if name in wanted]
-        with source.open("rb") as file:
-            found = loadmat(file, variable_names=names) if names else {}
-    except UnreadableFile:
-        raise
-    except FileNotFoundError as error:
-        raise UnreadableFile(f"no such file: {source}") from error
-    except NotImplementedError as error:
-        raise UnreadableFile(
-            f'cannot read {source}: it is of version 7.3 (HDF5); in MATLAB write save("{source.name}", "M", "q", "-v7")'
-        ) from error
-    except Exception as error:  # a damaged file raises whatever its decoders raise
-        raise UnreadableFile(f"cannot read {source}: it is damaged or no .mat file of numbers ({error})") from error
+        file.seek(0)
+        found = loadmat(file, variable_names=names) if names else {}
     return {name: _checked(found[name], name, source) for name in names}, list(kinds)
 
 

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from ...core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.registry import ask
-from .files import MATRIX_KEYS, checked_path, flat, names_in, read_npz, require_keys, with_infinities
+from .files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys, with_infinities
 from .matrix_market import read_mat
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ def _arrays(source: Path, wanted: set[str]) -> dict[str, Any]:
     for name in "PAG":
         if parts := {part: found.pop(f"{name}_{part}") for part in MATRIX_KEYS if f"{name}_{part}" in found}:
             require_keys(source, parts, MATRIX_KEYS, f"the CSC matrix {name} is {', '.join(_parts(name))}")
-            found[name] = _csc(source, parts)
+            found[name] = csr_in(source, parts, sp.csc_array)
     return found
 
 
@@ -228,16 +228,6 @@ def _limits(program: dict[str, Any], *names: str) -> dict[str, Any]:
     """Take the limits of these names out of the arrays; a single number stands for all."""
     found = {name: np.asarray(program.pop(name)) for name in names if name in program}
     return {name: with_infinities(limit.reshape(()) if limit.size == 1 else limit) for name, limit in found.items()}
-
-
-def _csc(source: Path, parts: Mapping[str, Any]) -> sp.csr_array:
-    try:
-        shape = tuple(int(k) for k in parts["shape"])
-        columns = sp.csc_array((parts["data"], parts["indices"], parts["indptr"]), shape=shape)
-        columns.check_format(full_check=True)
-        return sp.csr_array(columns)
-    except (ValueError, TypeError, IndexError, OverflowError, MemoryError) as error:
-        raise UnreadableFile(f"{source} holds no valid CSC matrices: {error}") from error
 
 
 def _number(value: Any) -> float:

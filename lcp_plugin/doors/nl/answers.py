@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ... import __version__
 from ...core.checks import BoolVector, FloatVector
+from ...core.errors import InvalidOption
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
@@ -19,9 +20,8 @@ from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
 from ...problems.programs.solving import QuadraticProgramResult, judged_program
+from .checks import SideConditions, contradiction, evaluated
 from .content import Indices, NLContent
-from .evaluation import contradiction, evaluated
-from .side_conditions import SideConditions
 
 #: AMPL's numbers for the ways a run may end.
 CODES = {
@@ -32,6 +32,7 @@ CODES = {
 OUTSIDE = 1e-8  # of 1 + |x|
 ROUNDINGS = 100.0  # times what rounding alone leaves open
 PROGRAM_GOAL = 1e-6  # of the terms of a row
+TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads")  # beside an objective
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
@@ -69,17 +70,24 @@ class NLAnswer:
         return self.status is Status.SOLVED
 
 
+@dataclass(eq=False, repr=False)
 class NLModel(ABC):
     """What an ``.nl`` file states.
 
     Attributes
     ----------
     content : NLContent
-    problem : LCP, NonlinearProblem or QuadraticProgram
+    problem : LCP, NonlinearProblem, QuadraticProgram or EquilibriumProgram
+    unknowns : ndarray of int
+        The variable that each of its unknowns is.
+    known : ndarray, shape (n,)
+        The values of the variables that are none of them.
     """
 
     content: NLContent
-    problem: LCP | NonlinearProblem | QuadraticProgram | EquilibriumProgram
+    problem: Any
+    unknowns: Indices
+    known: FloatVector
 
     @abstractmethod
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
@@ -92,14 +100,20 @@ class NLModel(ABC):
         """
 
     @property
-    @abstractmethod
     def start(self) -> FloatVector:
         """The start in the unknowns of the problem; 0 where the file names none."""
+        start: FloatVector = self.content.start[self.unknowns]
+        return start
+
+    def variables(self, values: FloatVector) -> FloatVector:
+        """Return all variables, shape (n,), from the values of the unknowns."""
+        x = self.known.copy()
+        x[self.unknowns] = values
+        return x
 
     def names(self) -> list[str]:
         """Return the names of the variables; of their numbers where the file has none."""
-        return [f"variable {k}" for k in range(self.content.lower.size)] if self.content.names is None \
-            else self.content.names
+        return [*map(self.content.variable, range(self.content.lower.size))]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.problem})"
@@ -134,30 +148,23 @@ class PairRows:
     constants: FloatVector
 
 
+@dataclass(eq=False, repr=False)
 class ComplementarityModel(NLModel):
-    """A linear or nonlinear complementarity problem, or equations.
+    """A linear or nonlinear complementarity problem, or equations; from n on, unknowns are defined variables.
 
-    Parameters
+    Attributes
     ----------
-    content : NLContent
     arrangement : Arrangement
-    unknowns : ndarray of int
-        The variable that each unknown of the arrangement is; from n on, a defined variable.
-    known : ndarray, shape (n,)
-        The values of variables that are no unknowns.
+        The problem in fewer unknowns, definitions put in.
     pairs : PairRows
     beside : SideConditions
         What is held against the answer afterwards.
     """
 
-    def __init__(
-        self, content: NLContent, arrangement: Arrangement, unknowns: Indices, known: FloatVector, pairs: PairRows,
-        beside: SideConditions,
-    ) -> None:
-        self.content, self.arrangement, self.unknowns, self.pairs = content, arrangement, unknowns, pairs
-        self.beside = beside
-        self.problem: LCP | NonlinearProblem = arrangement.problem
-        self._known, self._size = known, known.size + content.defined_trees.size
+    problem: LCP | NonlinearProblem
+    arrangement: Arrangement
+    pairs: PairRows
+    beside: SideConditions
 
     @property
     def start(self) -> FloatVector:
@@ -203,13 +210,17 @@ class ComplementarityModel(NLModel):
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
         elimination, pairs = self.arrangement.elimination, self.pairs
-        n, duals = self._known.size, self.pairs.constants.copy()
-        x, slack = np.append(self._known, np.zeros(self._size - n)), np.zeros(self._size)
+        n, duals = self.known.size, self.pairs.constants.copy()
+        x, slack = np.append(self.known, np.zeros(self._size - n)), np.zeros(self._size)
         x[self.unknowns] = elimination.expand(z)
         slack[self.unknowns] = elimination.expand_slack(w)
         duals[pairs.rows] = slack[pairs.partners]
         x[pairs.variables] = (duals[pairs.folded] - pairs.offsets) / pairs.weights
         return x[:n], duals
+
+    @property
+    def _size(self) -> int:
+        return self.known.size + self.content.defined_trees.size
 
     @cached_property
     def _is_of_pair(self) -> BoolVector:
@@ -232,44 +243,27 @@ class ComplementarityModel(NLModel):
         return replace(found, iterations=result.iterations + found.iterations)
 
 
+@dataclass(eq=False, repr=False)
 class ProgramModel(NLModel):
     """A convex quadratic or linear program; without an objective, the question for a point that meets the rows.
 
-    Parameters
+    Attributes
     ----------
-    content : NLContent
-    problem : QuadraticProgram
-        In the unknowns, made of the rows by `from_ranges`; to be minimised.
-    unknowns : ndarray of int
-        The variable that each of its variables is.
-    known : ndarray, shape (n,)
-        The values of the variables that are none of them.
     sign : float
         −1 where the objective of the file is to be maximised.
     constant : float
         What the objective adds.
     """
 
-    def __init__(
-        self, content: NLContent, problem: QuadraticProgram, unknowns: Indices, known: FloatVector, sign: float,
-        constant: float,
-    ) -> None:
-        self.content, self.unknowns = content, unknowns
-        self.problem = self.program = problem
-        self._known, self.sign, self.constant = known, sign, constant
-
-    @property
-    def start(self) -> FloatVector:
-        """The start in the unknowns of the problem; 0 where the file names none."""
-        start: FloatVector = self.content.start[self.unknowns]
-        return start
+    problem: QuadraticProgram
+    sign: float
+    constant: float
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
         """Return the answer; infeasible and unbounded are said only with a proof, ``answer.result.proof``."""
-        found = judged_program(self.program, algorithm, **options)
+        found = judged_program(self.problem, algorithm, **options)
         status = found.status
-        x = self._known.copy()
-        x[self.unknowns] = found.solution.x
+        x = self.variables(found.solution.x)
         values = evaluated(self.content, x)
         # As the file states it: expanded, (x - 10⁶)² has lost ten digits.
         objective = float(values[1][0]) if values[1].size else 0.0
@@ -287,9 +281,69 @@ class ProgramModel(NLModel):
         self, x: FloatVector, values: tuple[FloatVector, FloatVector], found: QuadraticProgramResult
     ) -> str:
         """Return which row of the file does not hold at x, or that its objective is another; else nothing."""
-        content, program, own = self.content, self.program, np.abs(found.solution.x)
+        content, program, own = self.content, self.problem, np.abs(found.solution.x)
         within = np.clip(values[0], content.row_lower, content.row_upper)
         size = 1.0 + np.abs(within) + abs(content.linear) @ np.abs(x)
         terms = own @ (0.5 * (abs(program.P) @ own) + np.abs(program.c)) + abs(self.constant)
         objective = self.sign * found.solution.objective + self.constant, float(terms)
         return contradiction(content, x, values, within, max(found.goal, PROGRAM_GOAL) * size, objective)
+
+
+@dataclass(eq=False, repr=False)
+class EquilibriumModel(NLModel):
+    """A convex program with complementarity constraints, in the variables and the values of the complementarity rows.
+
+    Attributes
+    ----------
+    sign : float
+        −1 where the objective of the file is to be maximised.
+    pairs : ndarray of int
+        The complementarity rows.
+    """
+
+    problem: EquilibriumProgram
+    sign: float
+    pairs: Indices
+
+    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+        """Return the answer, optimal only with a proved gap.
+
+        Parameters
+        ----------
+        algorithm : str
+            "auto": branch and bound.
+        **options
+            Of :func:`lcp_plugin.minimize_over_solutions`; ``max_iterations`` is its ``max_nodes``, ``threads`` is taken
+            and changes nothing.
+
+        Raises
+        ------
+        InvalidOption
+            For any other.
+        """
+        from ...problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions  # which load more
+
+        plain = {one.name: one.default for one in fields(Settings)} | {"algorithm": "auto"}
+        wishes = {name: wish for name, wish in options.items() if name in (*OPTIONS, *TAKEN) and wish is not None}
+        for name, wish in {**options, "algorithm": algorithm}.items():
+            if name not in wishes and wish is not None and wish != plain.get(name):
+                raise InvalidOption(
+                    f"an objective beside complementarities is minimised by branch and bound, which takes no {name}, "
+                    f"got {wish!r}; leave it out; taken are {', '.join(TAKEN)}"
+                )
+        wishes.pop("threads", None)
+        if "max_iterations" in wishes:
+            wishes["max_nodes"] = wishes.pop("max_iterations")
+        result = minimize_over_solutions(self.problem, **wishes)
+        x, duals, objective = None, None, None
+        if result.x is not None:
+            n = self.unknowns.size
+            x, duals = self.variables(result.x[:n]), np.zeros(self.content.row_lower.size)
+            duals[self.pairs] = result.x[n:]
+            objective = self.sign * result.value + 0.0
+        words = "optimal" if result.is_solved else result.status.name.lower()
+        of = "" if self.sign > 0.0 else " (of minus the objective)"
+        reached = "" if result.is_refuted else f"{result.reached()}{of}, "
+        nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
+        message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}"
+        return NLAnswer(x, duals, result.status, message, result, objective, CODES[result.status])

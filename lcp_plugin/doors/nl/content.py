@@ -1,12 +1,11 @@
 """What an ``.nl`` file says, text or binary alike: plain arrays, nothing computed.
 
-It is made of the ten lines of the head, text in binary files too, and of what the text and the binary reader hand on:
-the segments as they stand, with their places.
+The ten lines of the head are text in binary files too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NoReturn
 
@@ -167,6 +166,16 @@ class NLContent:
     options: tuple[int, ...] = (3, 0, 1, 0)
     tolerance: float | None = None
 
+    def variable(self, column: int) -> str:
+        """Return the name of a variable, or its number; behind the last one come the defined variables."""
+        if column >= self.lower.size:
+            return f"defined variable {column - self.lower.size}"
+        return f"variable {column}" if self.names is None else self.names[column]
+
+    def row(self, row: int) -> str:
+        """Return the name of a row, or its number."""
+        return f"row {row if self.row_names is None else self.row_names[row]}"
+
 
 class Fault(ValueError):
     """What is wrong with a file, and in which line or at which byte."""
@@ -183,99 +192,6 @@ class HeadFault(Fault):
 def fail(place: Any, what: str) -> NoReturn:
     """Raise the Fault."""
     raise Fault(int(place), what)
-
-
-@dataclass
-class Linear:
-    """The segments of one letter that hold pairs of an index and a value, one after the other.
-
-    Attributes
-    ----------
-    owners : ndarray of int64, shape (s,)
-        What each segment belongs to, for instance the row.
-    counts : ndarray of int64, shape (s,)
-        How many pairs it has.
-    places, first_places : ndarray of int64, shape (s,)
-        Where it begins, and where its first pair stands.
-    stride : int
-        From one pair to the next: a line, or so many bytes.
-    columns, values : ndarray of float64
-        The pairs.
-    """
-
-    owners: Indices
-    counts: Indices
-    places: Indices
-    first_places: Indices
-    stride: int
-    columns: FloatVector
-    values: FloatVector
-
-    def place(self, pair: int) -> int:
-        """Where the pair of that number stands."""
-        ends = np.cumsum(self.counts)
-        k = int(np.searchsorted(ends, pair, side="right"))
-        return int(self.first_places[k] + self.stride * (pair - (ends[k] - self.counts[k])))
-
-
-@dataclass
-class Forest:
-    """The expression trees of the segments of one letter; the arrays of tokens are those of `content.Trees`."""
-
-    owners: Indices
-    places: Indices
-    kinds: NDArray[np.uint8]
-    values: FloatVector
-    counts: Indices
-    token_places: Indices
-    starts: Indices
-
-
-@dataclass
-class Bounds:
-    """A ``b`` or ``r`` segment: the kind of each bound, and the numbers behind it, 0 where there is none."""
-
-    kinds: FloatVector
-    first: FloatVector
-    second: FloatVector
-    places: Indices
-
-
-@dataclass
-class NamedValues:
-    """An ``S`` segment."""
-
-    name: bytes
-    bits: int
-    pairs: Linear
-
-
-@dataclass
-class Segments:
-    """All segments of a file."""
-
-    linear: dict[str, Linear] = field(default_factory=dict)  # J, G, V, x, d
-    trees: dict[str, Forest] = field(default_factory=dict)  # C, O, V, L
-    bounds: dict[str, Bounds] = field(default_factory=dict)  # b, r
-    senses: list[int] = field(default_factory=list)  # of the O segments
-    suffixes: list[NamedValues] = field(default_factory=list)
-    functions: list[tuple[int, int, bytes]] = field(default_factory=list)  # place, number, name
-    column_counts: FloatVector | None = None
-    column_place: int = 0
-    is_cumulative: bool = True
-    strings: list[bytes] = field(default_factory=list)
-    hidden_lines: list[tuple[int, int]] = field(default_factory=list)  # a string's line, how many more it goes over
-
-    def line(self, place: int) -> int:
-        """Return the line of a text file that is the one of that number where no string goes over several."""
-        return place + sum(count for line, count in self.hidden_lines if line < place)
-
-
-def checked_count(value: float, most: int, place: Any, what: str) -> int:
-    """Return a whole number from 0 to `most`, or fail."""
-    if not 0 <= value <= most or value != int(value):
-        fail(place, f"{what} is {value:g}, and only 0 to {most} is possible here")
-    return int(value)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,15 +19,11 @@ from ...modeling.assembly import Assembly, PairedRows
 from ...modeling.equations import SMALLEST_PIVOT
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.programs.program import QuadraticProgram
-from .answers import ComplementarityModel, NLModel, PairRows, ProgramModel
+from .answers import ComplementarityModel, EquilibriumModel, NLModel, PairRows, ProgramModel
+from .checks import SideConditions, pair_bounds
 from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
 from .reading import read_content
-from .side_conditions import SideConditions, pair_bounds
-from .tokens import row_name
-
-if TYPE_CHECKING:
-    from .equilibria import EquilibriumModel
 
 MOST_NAMES = 5
 KINDS = {"QuadraticProgram": "a quadratic program", "EquilibriumProgram": "an objective beside complementarities"}
@@ -87,7 +83,7 @@ def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
     """Return the program that an ``.nl`` file states, to be minimised, and what its objective adds; else raise."""
     model = read_nl(path)
     if isinstance(model, ProgramModel):
-        return model.program, model.sign * model.constant
+        return model.problem, model.sign * model.constant
     raise UnsupportedModel(f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it")
 
 
@@ -103,8 +99,8 @@ class FileStatement:
         self.content, self.n, self.m = content, content.lower.size, content.row_lower.size
         self._refuse_discrete()
         low, high = content.row_lower, content.row_upper
-        self._check_room(self.name, content.lower, content.upper)
-        self._check_room(self.row, low, high)
+        self._check_room(content.variable, content.lower, content.upper)
+        self._check_room(content.row, low, high)
         is_pair = content.partners >= 0
         self.pairs = np.flatnonzero(is_pair)
         self.equations = np.flatnonzero(~is_pair & (low == high))
@@ -123,7 +119,7 @@ class FileStatement:
     def _refuse_discrete(self) -> None:
         content = self.content
         if content.is_integer.any():
-            name = self.name(int(np.flatnonzero(content.is_integer)[0]))
+            name = content.variable(int(np.flatnonzero(content.is_integer)[0]))
             raise UnsupportedModel(f"{name} is an integer variable; only continuous ones are taken")
         if content.logical_rows:
             raise UnsupportedModel(f"the model has {content.logical_rows} logical constraints; none are taken")
@@ -138,20 +134,12 @@ class FileStatement:
                 "model; correct one of them"
             )
 
-    def name(self, column: int) -> str:
-        """Return the name of a variable."""
-        return f"variable {column}" if self.content.names is None else self.content.names[column]
-
     @cached_property
     def right(self) -> FloatVector:
         """The right-hand sides of equations, 0 for those of defined variables."""
         right = np.zeros(self.expressions.offset.size)
         right[: self.m] = self.content.row_lower
         return right
-
-    def row(self, row: Any) -> str:
-        """Return the name of a row."""
-        return row_name(self.content, int(row))
 
     def _check_partners(self) -> None:
         """Raise where two rows go with one variable."""
@@ -161,10 +149,10 @@ class FileStatement:
         twice = np.flatnonzero(np.diff(columns[order]) == 0)
         if twice.size:
             first, second = rows[order[twice[0]]], rows[order[twice[0] + 1]]
-            both = f"{self.row(first)} and {self.row(second)}"
+            both = f"{content.row(first)} and {content.row(second)}"
             raise UnsupportedModel(
-                f"{both} are both complementary to {self.name(content.partners[first])}; give one of them a variable "
-                "of its own"
+                f"{both} are both complementary to {content.variable(content.partners[first])}; give one of them a "
+                "variable of its own"
             )
 
     def _known(self, leaves_out: BoolVector) -> FloatVector:
@@ -209,8 +197,6 @@ class FileStatement:
 
     def equilibrium_program(self) -> EquilibriumModel:
         """Return the program with complementarity constraints."""
-        from .equilibria import EquilibriumModel  # which loads what no other model needs
-
         content, rows = self.content, self.pairs
         program, sign, constant = self._program_of(np.flatnonzero(content.partners < 0))
         found = self.expressions
@@ -230,7 +216,7 @@ class FileStatement:
             self.expressions = Expressions(self.content, self.known, lifts=False)
         content, found, m = self.content, self.expressions, self.m
         if not self.is_affine.all():
-            row = self.row(np.flatnonzero(~self.is_affine)[0])
+            row = content.row(np.flatnonzero(~self.is_affine)[0])
             raise UnsupportedModel(
                 f"{row} is nonlinear: rows of an optimisation, and inequalities, must be affine; nonlinear are "
                 "complementarities, and equations, as many as variables without a complementarity, and no objective"
@@ -277,7 +263,9 @@ class FileStatement:
         constants = np.zeros(self.m)
         constants[spare] = found.offset[spare]
         of_pairs = PairRows(pairs, content.partners[pairs], *folded, constants)
-        return ComplementarityModel(content, arrangement, found.unknowns, self.known, of_pairs, beside)
+        return ComplementarityModel(
+            content, arrangement.problem, found.unknowns, self.known, arrangement, of_pairs, beside
+        )
 
     def _spare(self, pairs: Indices, equations: Indices) -> Indices:
         """Return the complementarity rows that hold no unknown, where there are as many equations too many.
@@ -293,14 +281,14 @@ class FileStatement:
 
     def _without_empty(self, equations: Indices) -> Indices:
         """Leave out the equations that hold no unknown; raise where they do not hold."""
-        found = self.expressions
+        content, found = self.content, self.expressions
         is_empty = np.diff(found.matrix.indptr)[equations] == 0
         offsets, right = found.offset[equations], self.right[equations]
         wrong = np.flatnonzero(is_empty & (np.abs(offsets) > ROUNDING * (1.0 + np.abs(right))))
         if wrong.size:
             raise UnsupportedModel(
-                f"{self.row(equations[wrong[0]])} holds no unknown, and its sides differ by {offsets[wrong[0]]:g}: no "
-                "point satisfies the model; correct it"
+                f"{content.row(equations[wrong[0]])} holds no unknown, and its sides differ by {offsets[wrong[0]]:g}: "
+                "no point satisfies the model; correct it"
             )
         left: Indices = equations[~is_empty]
         return left
@@ -377,7 +365,4 @@ class _Assembly(Assembly):
 
     def entry(self, column: np.int64) -> str:
         """Return the name of an unknown."""
-        variable, n = int(self.found.unknowns[column]), self.content.lower.size
-        if variable >= n:
-            return f"defined variable {variable - n}"
-        return f"variable {variable}" if self.content.names is None else self.content.names[variable]
+        return self.content.variable(int(self.found.unknowns[column]))

@@ -15,6 +15,7 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.errors import InvalidProblem, UnreadableFile
 from ..files.files import checked_path, write_whole
+from ..files.matrix_market import opened
 from .content import MOST_OPTIONS, WITH_TOLERANCE
 
 OPTIONS = "Options"
@@ -111,12 +112,8 @@ def read_sol(path: str | PathLike[str]) -> SolContent:
         Where it is missing, binary or damaged.
     """
     source = checked_path(path)
-    try:
-        lines = source.read_text(encoding="utf-8", errors="replace").splitlines()
-    except FileNotFoundError as error:
-        raise UnreadableFile(f"no such file: {source}") from error
-    except OSError as error:
-        raise UnreadableFile(f"cannot read {source}: {error.strerror or error}") from error
+    with opened(source, ".sol file") as file:
+        lines = file.read().decode("utf-8", errors="replace").splitlines()
     position = next((k for k, line in enumerate(lines) if line.strip() == OPTIONS), len(lines))
     message = "\n".join(line for line in lines[:position] if line.strip())
     rest = enumerate(lines[position + 1:], position + 2)

@@ -177,7 +177,7 @@ class Tokens:
         """Return what the tree around a token belongs to: row c[3], objective 1, defined variable 2."""
         tree, rows = bisect_right(self.starts, place) - 1, self.content.trees.size
         if tree < rows:
-            return row_name(self.content, tree)
+            return self.content.row(tree)
         return f"objective {tree - rows}" if tree < self.results else f"defined variable {self.number_of(tree)}"
 
     def value_of(self, number: int) -> float | None:
@@ -316,8 +316,3 @@ FOLDED: dict[Arithmetic, Any] = {
     Arithmetic.POWER: lambda a, b: np.float64(a) ** b,
     Arithmetic.SQUARE: lambda a: a * a,
 }
-
-
-def row_name(content: NLContent, row: int) -> str:
-    """Return the name of a row in its file, or its number."""
-    return f"row {row}" if content.row_names is None else f"row {content.row_names[row]}"

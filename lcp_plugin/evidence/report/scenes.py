@@ -1,4 +1,4 @@
-"""Scene by scene: error against time and work, a sketch, every figure, what was left out."""
+"""Scene by scene: error against time and work, every figure, what was left out."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from ...gallery import parse
 from ...gallery.scene import Scene
 from ..collecting import data_of
 from ..curves import Curve, Report
-from ..drawing import COLOURS
-from ..error_against_time import best_answer, error_against_time
+from ..drawing import COLOURS, OWN
+from ..error_against_time import error_against_time
 from ..exporting import csv_text
-from ..figures import OWN
-from ..pictures import draw_sketch, sketch_of
 from .section import PAGE_WIDTH, Collected, Part, ReportEffort, Say, Section, brief, count, figure, seconds
 
 SCENES = (
@@ -92,20 +90,14 @@ def _hash(scene: str | Scene) -> str:
 
 
 def measured(name: str, given: str | Scene, effort: ReportEffort, say: Say) -> dict[str, Any]:
-    """Return the curves of a scene and a sketch of its answer."""
+    """Return the curves of a scene."""
     scene = parse(given) if isinstance(given, str) else given
     max_work = effort.entries / max(scene.problem.nonzeros, 1)
     report = error_against_time(
         scene, None, REFERENCES, repeats=effort.repeats, max_seconds=effort.run_seconds, max_work=max_work,
         progress=say,
     )
-    say("sketch")
-    answer = best_answer(scene)
-    return {
-        "text": name,
-        "report": report.to_content(),
-        "sketch": None if answer is None else sketch_of(scene, answer),
-    }
+    return {"text": name, "report": report.to_content()}
 
 
 # --- What is shown --------------------------------------------------------------------------------------------
@@ -114,12 +106,8 @@ def measured(name: str, given: str | Scene, effort: ReportEffort, say: Say) -> d
 def _article(content: dict[str, Any]) -> dict[str, Any]:
     report, name = Report.from_content(content["report"]), re.sub(r"\W+", "-", content["text"])
     ranking = sorted(report.curves, key=lambda curve: (not curve.is_solved, curve.seconds))
-    sketch = content["sketch"]
     return {
         "name": name, "text": content["text"], "report": report,
-        "sketch": None if sketch is None else figure(
-            draw_sketch(sketch), f"{name}-sketch", f"{sketch['unknown']} of {content['text']}"
-        ),
         "seconds": figure(
             report.plot(width=PAGE_WIDTH), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
         ),

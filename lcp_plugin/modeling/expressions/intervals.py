@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON, UNIT
@@ -207,6 +208,34 @@ def _magnitudes(a: Interval) -> Interval:
     first, last = np.abs(a[0]), np.abs(a[1])
     holds_zero = (a[0] <= 0.0) & (a[1] >= 0.0)
     return np.where(holds_zero, 0.0, np.minimum(first, last)), np.maximum(first, last)
+
+
+class Enclosure(NDArrayOperatorsMixin):
+    """An interval in formulas that are written for arrays: operators and numpy's functions are those of `ENCLOSED`."""
+
+    def __init__(self, ends: Any) -> None:
+        self.ends: Interval = (ends[0], ends[1])
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any) -> Enclosure:
+        """Return the interval of a function; a number is an interval of one point."""
+        return Enclosure(ENCLOSED[ufunc.__name__](*(
+            one.ends if isinstance(one, Enclosure) else (one, one) for one in inputs
+        )))
+
+
+ENCLOSED: dict[str, Callable[..., Interval]] = {
+    "add": added, "subtract": lambda a, b: added(a, negated(b)), "multiply": multiplied, "divide": divided,
+    "negative": negated, "power": lambda a, b: power_of(a, b) if np.ndim(b[0]) else power(a, b[0]), "sqrt": root,
+    "hypot": lambda a, b: root(added(squared(a), squared(b))),
+    "exp": exponential, "log": logarithm, "log1p": logarithm_of_one_more, "logaddexp": log_add_exp, "expit": sigmoid,
+    "log10": lambda a: increasing(np.log10, a, 0.0),
+    "sin": lambda a: wave(np.sin, a, 0.5 * np.pi), "cos": lambda a: wave(np.cos, a, 0.0), "tan": tangent,
+    "sinh": lambda a: increasing(np.sinh, a), "cosh": hyperbolic_cosine, "tanh": lambda a: increasing(np.tanh, a),
+    "arcsin": lambda a: increasing(np.arcsin, a, -1.0, 1.0), "arctan": lambda a: increasing(np.arctan, a),
+    "arccos": lambda a: negated(increasing(lambda v: -np.arccos(v), a, -1.0, 1.0)),
+    "arcsinh": lambda a: increasing(np.arcsinh, a), "arccosh": lambda a: increasing(np.arccosh, a, 1.0),
+    "arctanh": lambda a: increasing(np.arctanh, a, -1.0, 1.0),
+}
 
 
 class EnclosedProduct:

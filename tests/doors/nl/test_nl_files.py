@@ -104,23 +104,23 @@ def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
         (b" 2 2 0 0 1 0", b" 2 x 0 0 1 0", 2, "whole numbers"),
         (b" 2 0 0 1 0 0", b" 2 0 0 2 0 0", 3, "complementarity rows"),
         (b" 4 0", b" 5 0", 8, "nonzeros"),
-        (b"V2 1 0", b"V2 9 0", 11, "announced"),
-        (b"0 -1.5", b"2 -1.5", 12, "not before it"),
+        (b"V2 1 0", b"V2 9 0", 13, "neither a number"),
+        (b"0 -1.5", b"2 -1.5", 12, "outside 0 … 1"),
         (b"o44", b"o99", 13, "no operator"),
-        (b"o44", b"v2", 13, "complete here"),
+        (b"o44", b"v2", 13, "2 variables that may stand here"),
         (b"C1\no2", b"C0\no2", 19, "second segment"),
         (b"C1\no2", b"C7\no2", 19, "0 to 1"),
         (b"n-2", b"v3", 18, "numbered from 0"),
-        (b"n-2\n", b"", 17, "lacks"),
+        (b"n-2\n", b"", 18, "part of an expression"),
         (b"5 1 1", b"5 1 3", 26, "from 1 to 2"),
-        (b"4 1.0", b"5 1 1", 3, "announced"),
-        (b"2 0\n3\n", b"2 0\n", 28, "2 are needed"),
+        (b"4 1.0", b"5 3 2", 3, "announced"),
+        (b"2 0\n3\n", b"2 0\n", 30, "neither a number"),
         (b"k1\n2", b"k1\n1", 31, "segments J"),
         (b"J1 2", b"J0 2", 36, "second segment"),
         (b"J0 2\n0 1", b"J0 2\n1 1", 35, "second entry"),
         (b"J0 2\n0 1", b"J0 2\n0 inf", 34, "finite"),
         (b"J0 2\n0 1", b"J0 2\n0 1x", 34, "neither a number"),
-        (b"x1\t", b"y1\t", 23, "neither a number"),
+        (b"x1\t", b"y1\t", 23, "no segment begins"),
     ],
 )
 def test_a_wrong_line_is_named(tmp_path: Path, old: bytes, new: bytes, line: int, words: str) -> None:
@@ -226,7 +226,7 @@ def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
     write_form(replace(read(tmp_path, SMALL), trees=trees), tmp_path / "m.nl", **FORMS[form])
     data = (tmp_path / "m.nl").read_bytes()
     assert read(tmp_path, data).trees.counts.sum() == levels
-    with pytest.raises(errors.UnreadableFile, match=r"lacks 1 operands|part of an expression is needed"):
+    with pytest.raises(errors.UnreadableFile, match=r"ends within a segment|part of an expression is needed"):
         read(tmp_path, data.replace(end, b""))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import derivatives as campaign
-from drawn_units import solved_in_units
+from drawn_units import solved_in_units, strict
 from exact import FREE, LOWER, UPPER, exact_solution
 from exact_derivatives import Change, Piece, distance, piece_at
 from hypothesis import given, settings
@@ -24,7 +24,7 @@ from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 from lcp_plugin.systems import free_systems
 from lcp_plugin.systems.free_systems import FreeSystem
 
-STRICT = {"degenerate": False}
+STRICT = strict(solved_lcps(bounds=True))
 ACCURACY = 1e-12
 KINK = LCP([[2.0, 1.0], [1.0, 3.0]], [-2.0, -1.0])  # z = (1, 0), w = 0
 
@@ -54,7 +54,7 @@ def check_against(piece: Piece, found: Derivative, seed: int = 0, accuracy: floa
 
 
 @settings.get_profile("few")
-@given(solved_lcps(bounds=True, **STRICT) | solved_lcps(h_plus_matrices(dense=False, density=0.5), **STRICT))
+@given(STRICT | strict(solved_lcps(h_plus_matrices(density=0.5).map(sp.csr_array))))
 def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
     """At the planted solution: by M, q and both bounds, plain, boxed, one-sided, free and fixed rows, dense, sparse."""
     problem, z = drawn
@@ -68,7 +68,7 @@ def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
 
 
 @settings.get_profile("few")
-@given(solved_in_units(solved_lcps(bounds=True, **STRICT), 20, 20), st.integers(0, 9))
+@given(solved_in_units(STRICT, 20, 20), st.integers(0, 9))
 def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
     """Rows and columns times 2^±20: each component of dz to 12 digits of the largest in its own unit."""
     problem, z = drawn
@@ -101,7 +101,7 @@ def test_the_campaign_finds_nothing(family: str, kind: str) -> None:
 
 
 @settings.get_profile("few")
-@given(solved_lcps(bounds=True, **STRICT), st.data())
+@given(STRICT, st.data())
 def test_differences_within_an_active_set_are_derivatives(drawn, data) -> None:
     """The solution is affine in q and the bounds: (z(t) − z)/t in fractions, t so small that no row changes."""
     problem, z = drawn
@@ -128,7 +128,7 @@ def test_the_derivative_by_one_entry_of_the_matrix() -> None:
 
 
 @settings.get_profile("few")
-@given(solved_lcps(bounds=True, **STRICT), st.integers(0, 9))
+@given(STRICT, st.integers(0, 9))
 def test_the_products_are_adjoint(drawn, seed) -> None:
     """⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ to 1e-13 of the terms, h any change of the data on M's pattern."""
     problem, _ = drawn
@@ -190,7 +190,7 @@ def test_a_free_row_has_no_part_in_what_w_tells() -> None:
 
 @settings.get_profile("few")
 @given(
-    solved_in_units(solved_lcps(bounds=True, **STRICT), 10, 10), st.integers(0, 99),
+    solved_in_units(STRICT, 10, 10), st.integers(0, 99),
     st.sampled_from([0.0, 1e-12, 1e-6, 1e-2]),
 )
 def test_no_error_exceeds_its_bound(drawn, seed, step) -> None:

@@ -1,23 +1,104 @@
-"""What stands beside the rows and unknowns of a complementarity problem, and is held against its answer afterwards.
+"""What an answer is held against: the rows of the file as they stand, and what stands beside the problem.
 
-An inequality without a partner, a bound that the complementarity of its variable does not state, one of a variable
-without a complementarity, a complementarity whose row holds no unknown: no unknown gives way to them, so that the
-problem has solutions without them.
+Rows are evaluated by Python's own functions, which share nothing with the programs that are solved but the file. Beside
+a complementarity problem stand inequalities without a partner, bounds that the complementarity of their variable does
+not state, those of variables without a complementarity, complementarities whose rows hold no unknown: no unknown gives
+way to them, so that the problem has solutions without them.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+import operator
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...core.checks import BoolVector, FloatVector
 from ...modeling.expressions.program import Program
-from .content import Indices, NLContent
+from .content import Indices, NLContent, Token, Trees
 from .expressions import UNKNOWNS, Expressions
-from .tokens import row_name
 
+DISAGREEMENT = 1e-9  # of the terms of a row
 FEASIBLE = 1e-6  # by which they may be violated, or by ten times the tolerance
+FUNCTIONS: dict[float, Callable[..., float]] = {
+    0: operator.add, 1: operator.sub, 2: operator.mul, 3: operator.truediv, 5: math.pow, 16: operator.neg,
+    37: math.tanh, 38: math.tan, 39: math.sqrt, 40: math.sinh, 41: math.sin, 42: math.log10, 43: math.log,
+    44: math.exp, 45: math.cosh, 46: math.cos, 47: math.atanh, 49: math.atan, 50: math.asinh, 51: math.asin,
+    52: math.acosh, 53: math.acos, 54: lambda *terms: math.fsum(terms), 76: math.pow, 77: lambda a: a * a,
+    78: math.pow,
+}
+
+
+def evaluated(content: NLContent, x: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return the values of the rows and of the objectives at x, shapes (m,) and (o,); NaN where there is none."""
+    values: list[float] = x.tolist()
+    linear, trees = content.defined_linear, content.defined_trees
+    for k in range(trees.size):
+        entries = slice(linear.indptr[k], linear.indptr[k + 1])
+        terms = zip(linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True)
+        values.append(sum(factor * values[column] for column, factor in terms) + _values(trees, values, k, k + 1)[0])
+    rows, objectives = (
+        matrix @ x + np.array(_values(own, values, 0, own.size), dtype=np.float64)
+        for matrix, own in ((content.linear, content.trees), (content.objective_linear, content.objective_trees))
+    )
+    return rows, objectives
+
+
+def contradiction(
+    content: NLContent, x: FloatVector, found: tuple[FloatVector, FloatVector], expected: FloatVector,
+    allowed: FloatVector, objective: tuple[float, float] | None = None,
+) -> str:
+    """Return which row, or the objective, is something else at x than was computed; nothing where all agree.
+
+    Parameters
+    ----------
+    content : NLContent
+    x : ndarray, shape (n,)
+    found : tuple of ndarray
+        What `evaluated` says of x.
+    expected : ndarray, shape (m,)
+        NaN for a row that is not asked.
+    allowed : ndarray, shape (m,)
+        What a row may differ by, beside the rounding of its linear terms.
+    objective : tuple of float, optional
+        The first objective, and the sum of the absolute values of its terms.
+    """
+    rows, objectives = found
+    size = 1.0 + np.abs(expected) + abs(content.linear) @ np.abs(x)
+    wrong = np.flatnonzero(~np.isnan(expected) & ~(np.abs(rows - expected) <= DISAGREEMENT * size + allowed))
+    if wrong.size:
+        k = int(wrong[0])
+        return f"{content.row(k)} is {rows[k]:.9g} at the answer, where {expected[k]:.9g} was computed"
+    if objective is not None and objectives.size:
+        computed, terms = objective
+        if not abs(objectives[0] - computed) <= DISAGREEMENT * (1.0 + terms):
+            return f"the objective is {objectives[0]:.9g} at the answer, where {computed:.9g} was computed"
+    return ""
+
+
+def _values(trees: Trees, values: list[float], first: int, last: int) -> list[float]:
+    """Return the values of the trees from `first` to `last`, read backwards, operands before operators."""
+    begin, end = int(trees.starts[first]), int(trees.starts[last])
+    stack: list[Any] = []
+    parts = (getattr(trees, name)[begin:end][::-1].tolist() for name in ("kinds", "values", "counts"))
+    for kind, value, count in zip(*parts, strict=True):
+        if kind == Token.NUMBER:
+            stack.append(value)
+        elif kind == Token.VARIABLE:
+            stack.append(values[int(value)])
+        else:
+            operands = stack[: -count - 1 : -1]
+            del stack[-count:]
+            try:
+                stack.append(FUNCTIONS[value](*operands))
+            except (ValueError, ZeroDivisionError, OverflowError):
+                stack.append(math.nan)
+    return stack[::-1]
+
+
+# --- Side conditions -----------------------------------------------------------------------------------------------
 
 
 class PairBounds(NamedTuple):
@@ -71,8 +152,7 @@ class SideConditions:
         """Return what they are called: inequalities, complementarities, variables."""
         content, rows = self.content, [*self.inequalities.tolist(), *self.loose.tolist()]
         columns = np.flatnonzero(self.bounded).tolist()
-        variables = [content.names[j] if content.names else f"variable {j}" for j in columns]
-        return [row_name(content, i) for i in rows] + variables
+        return [*map(content.row, rows), *map(content.variable, columns)]
 
     def violated(self, x: FloatVector, rows: FloatVector, tolerance: float) -> str:
         """Return what does not hold at x, nothing where all of it does.

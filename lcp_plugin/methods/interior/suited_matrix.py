@@ -79,6 +79,16 @@ class SuitedMatrix:
         """Whether some unknowns are multipliers."""
         return self.signs is not None and bool((self.signs < 0.0).any())
 
+    @cached_property
+    def parts(self) -> tuple[int, Any, Any]:
+        """How many parts of a sparse program do not meet, the number of each row's, and which parts have curvature."""
+        from scipy.sparse.csgraph import connected_components
+
+        count, part = connected_components(self.M, directed=False)
+        is_dual, rows, bends = np.asarray(self.signs) < 0.0, row_numbers(self.M), np.zeros(count, dtype=bool)
+        bends[part[rows[is_dual[rows] == is_dual[self.M.indices]]]] = True
+        return count, part, bends
+
 
 def _stored(M: Any, is_mirrored: bool | None = None) -> tuple[Any, FloatVector | None, bool]:
     """Return M, dense where it is symmetric and not too sparse for that, or else its signs; whether it is both."""
@@ -228,19 +238,15 @@ def sizes_of_parts(
     The units of parts of a program that do not meet are not those of M: in common ones the large would hide the small.
     M stays as it is. Where nothing in a part bends, its unknowns may have another unit than its multipliers.
     """
-    from scipy.sparse.csgraph import connected_components
-
     ones = np.ones(q.size)
     if not suited.is_program or not sp.issparse(suited.M):
         return ones, ones
-    count, part = connected_components(suited.M, directed=False)
+    count, part, bends = suited.parts
     if count == 1:
         return ones, ones
     is_dual = np.asarray(suited.signs) < 0.0
     limits = np.abs(np.where(is_dual, q, np.clip(0.0, lower, upper)))
     limits, costs = (_means(part, count, values) for values in (limits, np.where(is_dual, 0.0, np.abs(q))))
-    rows, bends = row_numbers(suited.M), np.zeros(count, dtype=bool)
-    bends[part[rows[is_dual[rows] == is_dual[suited.M.indices]]]] = True
     known = np.isfinite(limits) & np.isfinite(costs)
     mean = np.where(known, 0.5 * (limits + costs), np.where(np.isfinite(limits), limits, costs))
     size, ratio = (

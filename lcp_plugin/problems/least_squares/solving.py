@@ -209,7 +209,10 @@ class LeastSquaresResult(Answer):
     @property
     def advice(self) -> str:
         """What the status means, in a sentence."""
-        return ADVICE.get(self.status, self.status.value)
+        if not np.isfinite(self.cost):
+            return "A x is not finite: let the operator's products be finite doubles"
+        remark = "" if self.is_proved else OF_OPERATORS.get(self.status, "")
+        return ADVICE.get(self.status, self.status.value) + remark
 
     def _numbers(self) -> dict[str, float]:
         return {**super()._numbers(), "optimality": self.optimality, "tolerance": self.tolerance}
@@ -231,6 +234,10 @@ ADVICE = {
     Status.MAX_ITERATIONS: "the iteration limit came first: raise max_iterations, or go on from x0=result.x",
     Status.MAX_SECONDS: "the time limit came first: raise max_seconds, or go on from x0=result.x",
     Status.INTERRUPTED: "stopped by Ctrl-C; x is the best point so far",
+}
+OF_OPERATORS = {
+    Status.PRECISION_LIMIT: "; of an operator SOLVED asks for a gap below √tolerance · cost at the start, too",
+    Status.STALLED: "; or the operator's products are not to the 16 digits of doubles",
 }
 
 

@@ -520,6 +520,19 @@ def test_ctrl_c_keeps_the_best_point() -> None:
     assert 0.0 < result.cost < 0.5 * (b @ b)
 
 
+def test_advice_names_what_is_wrong_with_an_operator() -> None:
+    """Products that are not finite, or in single precision, are not blamed on the condition of A."""
+    A, b, _, _ = planted(random_rows(300, 60, 8))
+    adjoint = {"rmatvec": lambda y: A.T @ y, "dtype": float}
+    nan = bounded_least_squares(LinearOperator(A.shape, matvec=lambda x: np.full(300, np.nan), **adjoint), b)
+    assert nan.status is Status.STALLED
+    assert nan.advice == "A x is not finite: let the operator's products be finite doubles"
+    single = LinearOperator(A.shape, matvec=lambda x: (A @ x).astype(np.float32), **adjoint)
+    result = bounded_least_squares(single, b, tolerance=1e-12)
+    assert result.status is Status.STALLED
+    assert result.advice.endswith("16 digits of doubles")
+
+
 def test_the_callers_data_stay_as_they_are() -> None:
     """Nothing given is modified, and the answer is read-only."""
     A, b, upper, _ = planted(of_condition(40, 20, 10.0), boxed=0.3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,7 +18,7 @@ from ...core.crossovers import SWEEPS_FIRST_UP_TO
 from ...core.deadline import is_over
 from ...core.lcp import LCP
 from .dense_ends import newton_matrix
-from .newton_matrix import NewtonMatrix
+from .newton_matrix import NewtonMatrix, SparseNewtonMatrix
 from .predictor_corrector import PredictorCorrector, Standstill, Starts
 from .primal_active_set import PrimalActiveSet
 from .suited_matrix import known_before, sizes_of_parts, suited
@@ -28,9 +28,6 @@ MOST_SWEEPS = 60
 SETTLED = 0.005  # share of the rows that may still have changed sides when sweeping stops
 FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost less than a dozen interior steps
 LATER_GUESS = (10, 0.02)
-# Of a program: how much larger its multipliers are beside its distances at the start, and what is added to the diagonal
-# of its unknowns, in the units of the steps. Where the minimisers reach to infinity, the ridge chooses those near 0.
-ATTEMPTS = (1.0, 0.0), (1.0, 1e-10), (1e4, 0.0)
 EARLIEST_GUESS = 3
 MOST_ITERATIONS = 150
 AT_ONCE = 8  # steps between two looks at where they have come to
@@ -43,7 +40,31 @@ NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
 FINISHED = 1e-12  # of the residual of z°: what an active set that is solved for leaves
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
+MISSED, MISSED_FOR = 0.5, 12  # share of the infeasibility that solves leave, gap closed, until others are tried; steps
+MOST_TO_PIVOT = 1e7  # entries of L beyond which no factor with pivots is tried
 PINNED = 1e30  # a diagonal that leaves nothing of a row's unknown, beside entries of about 1
+
+
+class Attempt(NamedTuple):
+    """How steps of a program are made, where others before have not led to its minimum.
+
+    Attributes
+    ----------
+    weight : float
+        How much larger its multipliers are beside its distances at the start.
+    ridge : float
+        Added to the diagonal of its unknowns, in the units of the steps: where the minimisers reach to infinity, it
+        chooses those near 0.
+    is_pivoting : bool
+        LU with pivots instead of LDLᵀ, which loses a P of low rank behind many small pivots.
+    """
+
+    weight: float
+    ridge: float = 0.0
+    is_pivoting: bool = False
+
+
+ATTEMPTS = Attempt(1.0), Attempt(1.0, ridge=1e-10, is_pivoting=True), Attempt(1e4, is_pivoting=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,17 +264,23 @@ class Search:
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
         """Make interior steps and solve for the active sets they lead to; again, otherwise, where a program asks on."""
-        weight, M, symbolic = _weight_of(primal), self.M, self.suited.symbolic
-        for heavier, ridge in ATTEMPTS if self.suited.is_program else ATTEMPTS[:1]:
-            if ridge:
-                self.M = _ridged(M, np.where(np.asarray(self.signs) > 0.0, ridge, 0.0))
+        weight, M = _weight_of(primal), self.M
+        for attempt in ATTEMPTS if self.suited.is_program else ATTEMPTS[:1]:
+            if attempt.ridge:
+                self.M = _ridged(M, np.where(np.asarray(self.signs) > 0.0, attempt.ridge, 0.0))
                 self.best = self.least = self.product = np.inf
-            matrix = newton_matrix(self.M, primal is not None, self.signs, symbolic)
-            point = PredictorCorrector(matrix, self.q, self.lower, self.upper)
-            has_begun = yield from self._from(point, Starts(heavier * weight), primal)
+            point = PredictorCorrector(self._matrix(primal, attempt), self.q, self.lower, self.upper)
+            has_begun = yield from self._from(point, Starts(attempt.weight * weight), primal)
             self.M = M
             if not has_begun:
                 return
+
+    def _matrix(self, primal: PrimalActiveSet | None, attempt: Attempt) -> NewtonMatrix:
+        """Return the Newton matrix of an attempt, with the factor it asks for where that is not too large."""
+        symbolic = self.suited.symbolic
+        if attempt.is_pivoting and symbolic is not None and symbolic.entries <= MOST_TO_PIVOT:
+            return SparseNewtonMatrix(self.M, self.signs)
+        return newton_matrix(self.M, primal is not None, self.signs, symbolic)
 
     def _from(
         self, point: PredictorCorrector, starts: Starts, primal: PrimalActiveSet | None
@@ -262,7 +289,7 @@ class Search:
         if not point.start(starts.weight):
             return False
         standstill, first_gap, counted = Standstill(self.is_convex), point.gap, point.matrix.work
-        polishes, steps, held, small_gap = 0, 0, 0, POLISHED_GAP[self.at_once > 1] * point.gap
+        polishes, steps, held, missing, small_gap = 0, 0, 0, 0, POLISHED_GAP[self.at_once > 1] * point.gap
         while steps < MOST_ITERATIONS:
             made = point.advance(self.at_once if steps > 1 else min(self.at_once, 2), small_gap)
             if not made:
@@ -280,7 +307,9 @@ class Search:
                 if not point.start(starts.weight):
                     return False
                 continue
-            if standstill.is_reached(made, self.best, point.gap, point.infeasibility):
+            is_missed = point.matrix.missed >= MISSED * point.infeasibility and point.gap <= small_gap
+            missing = missing + made if is_missed and self.suited.is_program else 0
+            if missing >= MISSED_FOR or standstill.is_reached(made, self.best, point.gap, point.infeasibility):
                 break
             if primal is not None:
                 if steps >= EARLIEST_GUESS and point.changes <= self._limit(LATER_GUESS):

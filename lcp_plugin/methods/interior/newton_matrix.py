@@ -201,16 +201,20 @@ class SparseNewtonMatrix(NewtonMatrix):
     """LU by SuperLU, ordered once by the pattern of M + Mᵀ, pivots from the diagonal.
 
     The symmetric part of M + diag is positive definite, so every pivot on the diagonal is positive. Where a solve shows
-    a factor to be useless, pivoting is allowed.
+    a factor to be useless, pivoting is allowed. With signs it is from the start, and with full pivoting no factor is
+    called useless: what rounding leaves in rows of huge diagonals, which are at their bounds, hides the others.
     """
 
-    def __init__(self, M: sp.csr_array) -> None:
+    def __init__(self, M: sp.csr_array, signs: FloatVector | None = None) -> None:
         super().__init__(M.shape[0], M)
+        self._is_trusted = signs is not None
+        if signs is not None:
+            self.signs = read_only(signs)
         self._arrange(np.arange(self.n))
         self._factor: Any = None
         self._factor_order = self._order
         self._factor_work = 0.0
-        self._pivoting = 0
+        self._pivoting = 1 if self._is_trusted else 0
 
     def _arrange(self, order: Any) -> None:
         """Put rows and columns in this order, every entry of the diagonal stored."""
@@ -236,7 +240,7 @@ class SparseNewtonMatrix(NewtonMatrix):
                 self._factor_work = sparse_work(self._factor)
                 self._arrange(np.argsort(self._factor.perm_c))
             self.work += self._factor_work
-            if self.is_useful(diagonal):
+            if (self._is_trusted and pivoting == len(PIVOTS) - 1) or self.is_useful(diagonal):
                 self._pivoting = pivoting
                 return True
         return False

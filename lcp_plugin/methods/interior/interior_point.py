@@ -40,7 +40,7 @@ NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
 FINISHED = 1e-12  # of the residual of z°: what an active set that is solved for leaves
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
-MISSED, MISSED_FOR = 0.5, 12  # share of the infeasibility that solves leave, gap closed, until others are tried; steps
+MISSED, MISSED_FOR = 0.5, 12  # share of the infeasibility that solves leave, gap closed, until pivots are tried; steps
 MOST_TO_PIVOT = 1e7  # entries of L beyond which no factor with pivots is tried
 PINNED = 1e30  # a diagonal that leaves nothing of a row's unknown, beside entries of about 1
 
@@ -264,28 +264,32 @@ class Search:
 
     def interior(self, primal: PrimalActiveSet | None) -> Iterator[Step]:
         """Make interior steps and solve for the active sets they lead to; again, otherwise, where a program asks on."""
-        weight, M = _weight_of(primal), self.M
+        weight = _weight_of(primal)
         for attempt in ATTEMPTS if self.suited.is_program else ATTEMPTS[:1]:
             if attempt.ridge:
-                self.M = _ridged(M, np.where(np.asarray(self.signs) > 0.0, attempt.ridge, 0.0))
                 self.best = self.least = self.product = np.inf
             point = PredictorCorrector(self._matrix(primal, attempt), self.q, self.lower, self.upper)
-            has_begun = yield from self._from(point, Starts(attempt.weight * weight), primal)
-            self.M = M
+            patience = MOST_ITERATIONS if attempt.is_pivoting or not self.suited.is_program else MISSED_FOR
+            has_begun = yield from self._from(point, Starts(attempt.weight * weight), primal, patience)
             if not has_begun:
                 return
 
     def _matrix(self, primal: PrimalActiveSet | None, attempt: Attempt) -> NewtonMatrix:
         """Return the Newton matrix of an attempt, with the factor it asks for where that is not too large."""
-        symbolic = self.suited.symbolic
+        symbolic, M = self.suited.symbolic, self.M
+        if attempt.ridge:
+            M = _ridged(M, np.where(np.asarray(self.signs) > 0.0, attempt.ridge, 0.0))
         if attempt.is_pivoting and symbolic is not None and symbolic.entries <= MOST_TO_PIVOT:
-            return SparseNewtonMatrix(self.M, self.signs)
-        return newton_matrix(self.M, primal is not None, self.signs, symbolic)
+            return SparseNewtonMatrix(M, self.signs)
+        return newton_matrix(M, primal is not None, self.signs, symbolic)
 
     def _from(
-        self, point: PredictorCorrector, starts: Starts, primal: PrimalActiveSet | None
+        self, point: PredictorCorrector, starts: Starts, primal: PrimalActiveSet | None, patience: int
     ) -> Generator[Step, None, bool]:
-        """Make steps from a start of that weight until nothing improves; return whether there was a start."""
+        """Make steps from a start of that weight until nothing improves; return whether there was a start.
+
+        Nothing does, either, where for so many steps solves leave what is infeasible.
+        """
         if not point.start(starts.weight):
             return False
         standstill, first_gap, counted = Standstill(self.is_convex), point.gap, point.matrix.work
@@ -308,8 +312,8 @@ class Search:
                     return False
                 continue
             is_missed = point.matrix.missed >= MISSED * point.infeasibility and point.gap <= small_gap
-            missing = missing + made if is_missed and self.suited.is_program else 0
-            if missing >= MISSED_FOR or standstill.is_reached(made, self.best, point.gap, point.infeasibility):
+            missing = missing + made if is_missed else 0
+            if missing >= patience or standstill.is_reached(made, self.best, point.gap, point.infeasibility):
                 break
             if primal is not None:
                 if steps >= EARLIEST_GUESS and point.changes <= self._limit(LATER_GUESS):

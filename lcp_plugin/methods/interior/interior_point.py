@@ -128,7 +128,7 @@ class InteriorPoint(Algorithm):
 def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, float]]:
     """Yield better and better points of a program's problem whose relative residual is within the tolerance.
 
-    z, the steps taken so far, and their work in passes over M. Nobody watches single steps here: many are made between
+    And those at which nothing improves. z, the steps taken so far, and their work in passes over M. Nobody watches single steps here: many are made between
     two looks, and no limit is obeyed but between these.
     """
     with np.errstate(all="ignore"):
@@ -138,7 +138,7 @@ def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, f
         work += step.work
         if is_over():
             return
-        if search.best <= allowed:
+        if search.best <= allowed or (search.is_at_end and search.best < np.inf):
             is_exact = search.best <= FINISHED * search.reference
             with np.errstate(all="ignore"):
                 z = search.best_z if is_exact else search.finished(search.best_z)
@@ -157,10 +157,12 @@ class Search:
         Its residual, and that of z°.
     taken : int
         Interior steps.
+    is_at_end : bool
+        Whether nothing improves, but with another attempt.
     """
 
     def __init__(self, problem: LCP, at_once: int = 1) -> None:
-        self.problem, self.at_once, self.taken = problem, at_once, 0
+        self.problem, self.at_once, self.taken, self.is_at_end = problem, at_once, 0, False
         q, lower, upper, self.known = problem.q, problem.lower, problem.upper, known_before(problem)
         kept = np.flatnonzero(np.isnan(self.known))
         self.kept = None if kept.size == problem.n else kept
@@ -327,7 +329,9 @@ class Search:
                 yield from self.polished(point.z, *point.active(1.0))
         for threshold in CLASSIFICATIONS:
             yield from self.polished(point.z, *point.active(threshold))
+        self.is_at_end = True
         yield self.step(point.z, 0.0)
+        self.is_at_end = False
         return True
 
     def _limit(self, share: tuple[int, float]) -> int:

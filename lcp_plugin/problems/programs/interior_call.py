@@ -41,6 +41,10 @@ class InteriorAnswer:
     _work: float
     _because: str = BECAUSE
 
+    def is_enough(self, tolerance: float) -> bool:
+        """Return whether the residual of the complementarity problem is what was asked for, where that is asked."""
+        return tolerance >= REACHED or self.result(tolerance).residual <= tolerance
+
     def result(self, tolerance: float, algorithm: str = "auto") -> ProgramResult:
         """Return the same as the result of the complementarity problem of the program."""
         stage = StageRecord(self.name, self._because, self.steps, self._work)
@@ -57,8 +61,9 @@ def solved_by_interior_points(program: QuadraticProgram, tolerance: float) -> In
         return None
     for z, steps, work in points(problem, tolerance):
         solution = origin.recover(z)
-        if solution.is_stationary(goal):
-            return InteriorAnswer(solution, steps, clock.read(), origin, z, work)
+        found = InteriorAnswer(solution, steps, clock.read(), origin, z, work)
+        if solution.is_stationary(goal) and found.is_enough(tolerance):
+            return found
     return None
 
 
@@ -74,5 +79,4 @@ def solved_again(program: QuadraticProgram, guess: FloatVector, tolerance: float
     if not solution.is_stationary(program_goal(tolerance)):
         return None
     found = InteriorAnswer(solution, 1, clock.read(), origin, z, 1.0, AGAIN)
-    is_asked = tolerance < REACHED  # of the complementarity problem, too
-    return found if not is_asked or found.result(tolerance).residual <= tolerance else None
+    return found if found.is_enough(tolerance) else None

@@ -35,7 +35,7 @@ from .small_programs import MOST_STEPS
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
-SHARE = 0.5  # of a limit that interior points may take before there is a run
+SHARE = 0.75  # of a limit that interior points may take before there is a run
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop

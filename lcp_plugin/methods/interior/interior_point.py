@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,8 +17,9 @@ from ...core.checks import BoolVector, FloatVector
 from ...core.crossovers import SWEEPS_FIRST_UP_TO
 from ...core.deadline import is_over
 from ...core.lcp import LCP
+from .attempts import ATTEMPTS
 from .dense_ends import newton_matrix
-from .newton_matrix import NewtonMatrix, SparseNewtonMatrix
+from .newton_matrix import NewtonMatrix
 from .predictor_corrector import PredictorCorrector, Standstill, Starts
 from .primal_active_set import PrimalActiveSet
 from .suited_matrix import known_before, sizes_of_parts, suited
@@ -41,30 +42,7 @@ FINISHED = 1e-12  # of the residual of z°: what an active set that is solved fo
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
 MISSED, MISSED_FOR = 0.5, 12  # share of the infeasibility that solves leave, gap closed, until pivots are tried; steps
-MOST_TO_PIVOT = 1e7  # entries of L beyond which no factor with pivots is tried
 PINNED = 1e30  # a diagonal that leaves nothing of a row's unknown, beside entries of about 1
-
-
-class Attempt(NamedTuple):
-    """How steps of a program are made, where others before have not led to its minimum.
-
-    Attributes
-    ----------
-    weight : float
-        How much larger its multipliers are beside its distances at the start.
-    ridge : float
-        Added to the diagonal of its unknowns, in the units of the steps: where the minimisers reach to infinity, it
-        chooses those near 0.
-    is_pivoting : bool
-        LU with pivots instead of LDLᵀ, which loses a P of low rank behind many small pivots.
-    """
-
-    weight: float
-    ridge: float = 0.0
-    is_pivoting: bool = False
-
-
-ATTEMPTS = Attempt(1.0), Attempt(1.0, ridge=1e-10, is_pivoting=True), Attempt(1e4, is_pivoting=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,8 +106,8 @@ class InteriorPoint(Algorithm):
 def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, float]]:
     """Yield better and better points of a program's problem whose relative residual is within the tolerance.
 
-    And those at which nothing improves. z, the steps taken so far, and their work in passes over M. Nobody watches single steps here: many are made between
-    two looks, and no limit is obeyed but between these.
+    And those at which nothing improves. z, the steps taken so far, and their work in passes over M. Nobody watches
+    single steps here: many are made between two looks, and no limit is obeyed but between these.
     """
     with np.errstate(all="ignore"):
         search = Search(problem, AT_ONCE)
@@ -270,20 +248,12 @@ class Search:
         for attempt in ATTEMPTS if self.suited.is_program else ATTEMPTS[:1]:
             if attempt.ridge:
                 self.best = self.least = self.product = np.inf
-            point = PredictorCorrector(self._matrix(primal, attempt), self.q, self.lower, self.upper)
+            matrix = attempt.matrix(self.suited, primal is not None)
+            point = PredictorCorrector(matrix, self.q, self.lower, self.upper)
             patience = MOST_ITERATIONS if attempt.is_pivoting or not self.suited.is_program else MISSED_FOR
             has_begun = yield from self._from(point, Starts(attempt.weight * weight), primal, patience)
             if not has_begun:
                 return
-
-    def _matrix(self, primal: PrimalActiveSet | None, attempt: Attempt) -> NewtonMatrix:
-        """Return the Newton matrix of an attempt, with the factor it asks for where that is not too large."""
-        symbolic, M = self.suited.symbolic, self.M
-        if attempt.ridge:
-            M = _ridged(M, np.where(np.asarray(self.signs) > 0.0, attempt.ridge, 0.0))
-        if attempt.is_pivoting and symbolic is not None and symbolic.entries <= MOST_TO_PIVOT:
-            return SparseNewtonMatrix(M, self.signs)
-        return newton_matrix(M, primal is not None, self.signs, symbolic)
 
     def _from(
         self, point: PredictorCorrector, starts: Starts, primal: PrimalActiveSet | None, patience: int
@@ -393,11 +363,6 @@ class Search:
             step[kept] = system.solve(left[kept])
             y[free] -= step[free]
         return system.work
-
-
-def _ridged(M: Any, ridge: FloatVector) -> Any:
-    """Return M + diag(ridge), sparse or not as M is."""
-    return sp.csr_array(M + sp.diags_array(ridge)) if sp.issparse(M) else M + np.diag(ridge)
 
 
 def _weight_of(primal: PrimalActiveSet | None) -> float:

@@ -216,7 +216,7 @@ def judged_program(
         result = replace(result, status=status, infeasibility=proof)
         solution = QPSolution.without_multipliers(program, solution.x)
     return QuadraticProgramResult(
-        status, solution, goal, result.algorithm, result.iterations, result.seconds, result, proof
+        status, solution, goal, result.algorithm, result.iterations, clock.read(), result, proof
     )
 
 

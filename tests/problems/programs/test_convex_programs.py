@@ -176,6 +176,24 @@ def test_units_and_limits_that_nobody_reaches_cost_no_steps(
         assert result.iterations <= 40
 
 
+@pytest.mark.parametrize(("family", "seed", "case"), [
+    ("tiny P", 7001, 39), ("tiny P", 7001, 42),  # LDLᵀ, regularised, loses P behind many small pivots
+    ("huge bounds", 7001, 43),  # minimisers reach to 1e9
+    ("redundant, rounded", 7002, 29),  # equations that contradict one another by 2e-9 of their size
+])
+def test_programs_that_need_pivots_a_ridge_or_their_own_criterion_are_solved(
+    family: str, seed: int, case: int
+) -> None:
+    """Each took a limit of 20 s without an answer: the planted value, every row to 1e-6, without a run around steps."""
+    program, value = CAMPAIGN.case(family, seed, case, 2000)
+    result = solve(program)
+    assert result.is_solved
+    assert result.algorithm == "auto: interior_point"
+    assert result.iterations <= 200
+    assert result.solution.is_stationary(1e-6)
+    assert result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+
+
 def test_a_factor_that_magnifies_errors_is_not_used() -> None:
     """Redundant rows whose first factor answers with far too large numbers: a dozen steps."""
     problem = lcp_from_qp(CAMPAIGN.case("redundant, rounded", 131, 0, 120)[0])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,7 +32,6 @@ ARITY[list(TERNARY_OPERATORS)] = 3
 ARITY[list(NARY_OPERATORS)] = NARY
 ARITY[PIECEWISE_OPERATOR] = PIECEWISE
 SUFFIX_KIND, SUFFIX_IS_REAL = 3, 4  # bits of the first number of an S segment
-BOUND_WORDS = (2, 1, 1, 0, 1, 2)  # numbers behind the kind of a bound
 PARTNER = 5  # the kind of a complementarity row
 LINES = 10
 MOST_OPTIONS = 9
@@ -180,18 +179,13 @@ class NLContent:
 class Fault(ValueError):
     """What is wrong with a file, and in which line or at which byte."""
 
-    def __init__(self, place: int, what: str) -> None:
+    def __init__(self, place: Any, what: str) -> None:
         super().__init__(what)
         self.place = int(place)
 
 
 class HeadFault(Fault):
     """What is wrong with a line of the head, which is text in binary files too."""
-
-
-def fail(place: Any, what: str) -> NoReturn:
-    """Raise the Fault."""
-    raise Fault(int(place), what)
 
 
 @dataclass(frozen=True)
@@ -208,17 +202,13 @@ class Header:
     complementarities: int
     nonlinear: tuple[int, int, int]  # variables in rows, in objectives, in both
     functions: int
-    arithmetic: int
+    byteorder: str  # as struct writes it
     integers: tuple[int, int, int, int, int]  # binary, integer; nonlinear in both, in rows, in objectives
     nonzeros: int
     objective_nonzeros: int
     name_lengths: tuple[int, int]
     defined: int
 
-    @property
-    def byteorder(self) -> str:
-        """As struct writes it."""
-        return ">" if self.arithmetic == BIG_ENDIAN else "<"
 
 
 def read_header(data: bytes) -> tuple[Header, int]:
@@ -245,7 +235,8 @@ def read_header(data: bytes) -> tuple[Header, int]:
     return Header(
         is_binary=is_binary, options=options, tolerance=tolerance, variables=size[0], rows=size[1],
         objectives=size[2], logical_rows=size[5], complementarities=complementarity[2] + complementarity[3],
-        nonlinear=(numbers[5][0], numbers[5][1], numbers[5][2]), functions=numbers[6][1], arithmetic=arithmetic,
+        nonlinear=(numbers[5][0], numbers[5][1], numbers[5][2]), functions=numbers[6][1],
+        byteorder=">" if arithmetic == BIG_ENDIAN else "<",
         integers=(integers[0], integers[1], integers[2], integers[3], integers[4]), nonzeros=numbers[8][0],
         objective_nonzeros=numbers[8][1], name_lengths=(numbers[9][0], numbers[9][1]), defined=sum(numbers[10]),
     ), position
@@ -272,7 +263,7 @@ def _numbers(line: bytes, number: int) -> list[int]:
     """Return the numbers of a line, zeros for those that may be missing."""
     needed, possible = NEEDED[number]
     words = line.split(b"#")[0].split()
-    if len(words) < needed or not all(word.isdigit() for word in words[:possible]):
+    if len(words) < needed or not b"".join(words[:possible]).isdigit():
         count = needed if needed == possible else f"{needed} to {possible}"
         raise HeadFault(number, f"{count} whole numbers are needed ({MEANING[number]})")
     if max(map(len, words[:possible])) > 18:

@@ -1,12 +1,10 @@
-"""Reading ``.nl`` files: the segments of either form, each checked as it is read, become an `NLContent`."""
+"""Reading ``.nl`` files: the segments of either form, those of one letter at once, become an `NLContent`."""
 
 from __future__ import annotations
 
-import math
-from array import array
 from os import PathLike
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,6 +15,7 @@ from ..files.files import INFINITE_BOUND, checked_path
 from ..files.matrix_market import opened
 from .content import (
     ARITY,
+    LINES,
     NARY,
     NO_OPERATOR,
     PARTNER,
@@ -26,19 +25,28 @@ from .content import (
     Fault,
     Header,
     HeadFault,
+    Indices,
     NLContent,
     Suffix,
     Token,
     Trees,
-    fail,
     read_header,
 )
-from .sources import HEADS, Binary, Text, source_in
+from .sources import ALONE, NO_NUMBERS, NO_SEGMENT, WORDS, WRONG_KIND, Items, Segments, is_whole, items_of, runs_of
 
 ENDING = ".nl"
 SHOWN = 40  # bytes of a line that a message quotes
-ARITIES = ARITY.tolist()
-HAS_LOWER, HAS_UPPER, IS_AS_STATED = (0, 2, 4), (0, 1, 4), 4  # kinds of bounds; of the last 1e20 is a number
+NUMBER, VARIABLE, OPERATOR, CALL, STRING = map(int, Token)
+NO_PART = "a part of an expression is needed here"
+WRONG_PART = {  # of a kind, with how many there are
+    NUMBER: "a number is not finite", VARIABLE: "there are {:g} variables that may stand here, numbered from 0",
+    OPERATOR: "there is no operator of this number", CALL: "there are {:g} functions here, numbered from 0",
+}
+KINDS = np.zeros(256, dtype=np.uint8)
+KINDS[list(b"nlsvofh")] = [NUMBER, NUMBER, NUMBER, VARIABLE, OPERATOR, CALL, STRING]
+#: Of bounds by their kinds: how many numbers there are, and which.
+BOUND_NUMBERS, HAS_LOWER, HAS_UPPER = np.array([[2, 1, 1, 0, 1, 2], [1, 0, 1, 0, 1, 0], [1, 1, 0, 0, 1, 0]])
+IS_AS_STATED = 4  # a bound of this kind may be 1e20
 
 
 def source_of(path: str | PathLike[str]) -> Path:
@@ -68,7 +76,8 @@ def read_content(path: str | PathLike[str]) -> NLContent:
         data = file.read()
     try:
         header, begin = read_header(data)
-        return _Reader(header, source_in(data, begin, header)).content(source)
+        with np.errstate(invalid="ignore"):  # of a signalling NaN, which is refused
+            return _Reader(header, items_of(data, begin, header)).content(source)
     except Fault as fault:
         raise UnreadableFile(
             f"cannot read {source}, {_place(data, fault)}: {fault}; the file is damaged, or no .nl file: write it again"
@@ -77,294 +86,241 @@ def read_content(path: str | PathLike[str]) -> NLContent:
 
 def _place(data: bytes, fault: Fault) -> str:
     """Return where a fault is: the line and what it says, or the byte."""
-    if data[:1] == b"b" and not isinstance(fault, HeadFault):
-        return f"byte {fault.place}"
-    begin = 0
-    for _ in range(fault.place - 1):
-        begin = data.find(b"\n", begin) + 1 or len(data)
+    line, begin = fault.place, fault.place
+    if isinstance(fault, HeadFault):
+        begin = sum(len(one) + 1 for one in data.split(b"\n", LINES)[:line - 1])
+    elif data[:1] == b"b":
+        return f"byte {begin}"
+    else:
+        line = data.count(b"\n", 0, begin) + 1
     text = data[begin:begin + SHOWN].split(b"\n")[0].decode("ascii", errors="replace")
-    return f"line {fault.place} ({text!r})"
-
-
-class _Forest:
-    """Expression trees of one letter in the order of the file; the arrays of parts are those of `content.Trees`."""
-
-    def __init__(self) -> None:
-        self.owners, self.starts, self.counts = array("q"), array("q", [0]), array("q")
-        self.kinds, self.values = array("B"), array("d")
+    return f"line {line} ({text!r})"
 
 
 class _Reader:
-    """What has been read of a file."""
+    """The segments of a file, checked, and the arrays they become."""
 
-    def __init__(self, header: Header, source: Text | Binary) -> None:
-        self.header, self.source = header, source
-        n, m, d = header.variables, header.rows, header.defined
-        self.owners = {  # the numbers that segments of a letter may have
-            "C": range(m), "J": range(m), "O": range(header.objectives), "G": range(header.objectives),
-            "L": range(header.logical_rows), "V": range(n, n + d), "F": range(header.functions),
-        }
-        self.lengths = {"b": n, "r": m, "x": n, "d": m, "k": max(n - 1, 0)}
-        self.done = {letter: bytearray(len(self.owners.get(letter, "1"))) for letter in HEADS}
-        self.entries = {letter: (array("q"), array("q"), array("d")) for letter in "JGV"}  # rows, columns, values
-        self.forests = {letter: _Forest() for letter in "COVL"}
-        self.bounds: dict[str, tuple[Any, Any]] = {}
-        self.partners = array("q"), array("q"), array("q")  # rows, variables, which bounds are finite
-        self.has_row = bytearray(n)
-        self.starts: dict[str, tuple[list[int], list[float]]] = {"x": ([], []), "d": ([], [])}
-        self.maximized: list[int] = []
-        self.functions: dict[int, str] = {}
-        self.suffixes: list[Suffix] = []
-        self.column_counts: tuple[int, Any] | None = None
+    def __init__(self, header: Header, items: Items) -> None:
+        self.header, self.items = header, items
 
     def content(self, path: Path) -> NLContent:
-        """Read all segments and return the content."""
-        source = self.source
-        try:
-            while source.at < source.end:
-                self._segment(*source.head())
-        except Fault:
-            raise
-        except ValueError as error:
-            what = "this is neither a number nor a letter of the format, or there are not as many as are needed"
-            raise Fault(source.place, what) from error
+        """Return the content."""
         header, n, m, d = self.header, self.header.variables, self.header.rows, self.header.defined
         self._check_announced()
-        linear = self._matrix("J", m, n, 0, header.nonzeros)
+        _, lower, upper, _ = self._bounds("b", n)
+        row_lower, row_upper, partners, partner_bounds = self._row_bounds()
+        find = self.items.segments
+        rows, objectives, defined = find("C", m), find("O", header.objectives), find("V", d, n)
+        linear, _ = self._matrix(find("J", m), m, n, header.nonzeros)
         self._check_column_counts(linear)
-        partners, partner_bounds = np.full(m, -1, dtype=np.int64), np.zeros(m, dtype=np.int64)
-        rows, variables, finite = self.partners
-        partners[rows], partner_bounds[rows] = variables, finite
-        is_maximized = np.zeros(header.objectives, dtype=bool)
-        is_maximized[self.maximized] = True
-        (lower, upper), (row_lower, row_upper) = (map(np.array, self.bounds[letter]) for letter in "br")
-        start, has_start = self._start("x")
+        gradients = find("G", header.objectives)
+        objective_linear, _ = self._matrix(gradients, header.objectives, n, header.objective_nonzeros)
+        defined_linear, behind = self._matrix(defined, d, n + d, None)
+        logical = find("L", header.logical_rows)
+        self._trees(logical, logical.heads + 1, logical.heads.size)  # checked, not kept
+        senses = objectives.numbers[1]
+        self.items.require(is_whole(senses, 2), objectives.heads, "the sense of an objective is 0 or 1")
+        functions = find("F", header.functions)
+        self.items.alone(functions, 0)
+        named = functions.heads[np.argsort(functions.owners)].tolist()
+        start, has_start = self._start("x", n)
         return NLContent(
             lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, partners=partners,
-            partner_bounds=partner_bounds, linear=linear, trees=self._trees("C", m, 0), is_maximized=is_maximized,
-            objective_linear=self._matrix("G", header.objectives, n, 0, header.objective_nonzeros),
-            objective_trees=self._trees("O", header.objectives, 0),
-            defined_linear=self._matrix("V", d, n + d, n, None), defined_trees=self._trees("V", d, n),
+            partner_bounds=partner_bounds, linear=linear, trees=self._trees(rows, rows.heads + 1, m),
+            is_maximized=senses[np.argsort(objectives.owners)] > 0, objective_linear=objective_linear,
+            objective_trees=self._trees(objectives, objectives.heads + 1, header.objectives),
+            defined_linear=defined_linear, defined_trees=self._trees(defined, behind, d),
             is_integer=self._integers(), logical_rows=header.logical_rows,
-            functions=tuple(self.functions[k] for k in range(header.functions)), start=start,
-            dual_start=self._start("d")[0], has_start=has_start, suffixes=self.suffixes,
+            functions=tuple(self._name(head) or "?" for head in named), start=start,
+            dual_start=self._start("d", m)[0], has_start=has_start,
+            suffixes=self._suffixes() if b"S" in self.items.initials else [],
             names=_names(path.with_suffix(".col"), n, header.name_lengths[1]),
             row_names=_names(path.with_suffix(".row"), m, header.name_lengths[0]),
             options=header.options, tolerance=header.tolerance,
         )
 
-    # --- Segments ------------------------------------------------------------------------------------------------
+    def _matrix(self, segments: Segments, count: int, width: int, nonzeros: int | None) -> tuple[Any, Indices]:
+        """Return the linear terms, one row for each owner, and what comes behind them."""
+        letter, n = segments.letter, self.header.variables
+        limits = n + segments.owners if letter == "V" else np.full(segments.heads.size, n)
+        columns, values, behind = self.items.pairs(segments, limits)
+        given, may_lack = values.size, letter == "G" and values.size  # AMPL counts what simplifications removed later
+        if nonzeros is not None and (given > nonzeros or (given < nonzeros and not may_lack)):
+            raise HeadFault(8, f"{nonzeros} nonzeros are announced for the segments {letter}, {given} are there")
+        starts = np.zeros(count + 1, dtype=np.int64)
+        starts[segments.owners + 1] = behind - segments.heads - 1
+        kind = np.int32 if max(given, width) < 2**31 else np.int64
+        parts = values, columns.astype(kind), np.cumsum(starts).astype(kind)
+        return sp.csr_array(parts, shape=(count, width)), behind
 
-    def _segment(self, letter: str, numbers: list[int], name: bytes) -> None:
-        number = numbers[0] if letter in self.owners else 0
-        owners = self.owners.get(letter, range(1))
-        if number not in owners:
-            self._fail(f"a segment {letter} has a number from {owners[0]} to {owners[-1]}" if owners else
-                       f"the head announces nothing that a segment {letter} could belong to")
-        if letter != "S":
-            done = self.done["k" if letter == "K" else letter]
-            if done[number - owners[0]]:
-                self._fail(f"a second segment {letter}{number if letter in self.owners else ''}; a file has one")
-            done[number - owners[0]] = True
-        if letter in "JGV":
-            self._linear(letter, number, numbers[1])
-        if letter in "COVL":
-            if letter == "O" and self._checked(numbers[1], 1, "the sense of an objective"):
-                self.maximized.append(number)
-            self._tree(letter, number)
-        elif letter in "br":
-            self._bounds(letter)
-        elif letter in "xd":
-            self.starts[letter] = self._pairs(numbers[0], self.lengths[letter])
-        elif letter in "kK":
-            self._column_counts(max(numbers[0], 0), letter == "k")  # −1 without variables
-        elif letter == "F":
-            self.functions[number] = name.decode(errors="replace") or "?"
-        elif letter == "S":
-            self._suffix(numbers[0], numbers[1], name)
+    def _trees(self, segments: Segments, begins: Indices, count: int) -> Trees:
+        """Return one tree for each owner in their order; the number 0 where there is none."""
+        numbers, letters, first = self.items.numbers, self.items.letters, self.items.first
+        if not segments.heads.size:
+            zeros = np.zeros(count, dtype=np.int64)
+            return Trees(zeros.astype(np.uint8), zeros.astype(np.float64), zeros, np.arange(count + 1))
+        items = runs_of(begins, segments.ends - begins)
+        self.items.require(first[items + 1] - first[items] == WORDS[letters[items]], items, NO_NUMBERS)
+        is_part = letters[items] != ALONE
+        parts, others = items[is_part], items[~is_part]
+        del items, is_part  # as large as the file
+        starts = np.append(np.searchsorted(parts, begins), parts.size)
+        kinds, values = KINDS[letters[parts]], numbers[first[parts]]
+        if self.items.strings:
+            is_string = kinds == STRING
+            values[is_string] = np.searchsorted(np.flatnonzero(letters == ord("h")), parts[is_string])
+        self._check_parts(segments, parts, kinds, values, starts)
+        counts = self._operands(parts, others, kinds, values)
+        self._check_closed(segments, parts, counts, starts)
+        return _in_order(segments.owners, Trees(kinds, values, counts, starts, tuple(self.items.strings)), count)
 
-    def _fail(self, what: str) -> NoReturn:
-        fail(self.source.place, what)
+    def _check_parts(self, segments: Segments, parts: Indices, kinds: Any, values: Any, starts: Indices) -> None:
+        """Raise where a part refers to what the file does not have; a defined variable uses those before it."""
+        header, n = self.header, self.header.variables
+        most = np.array([0, n + header.defined, ARITY.size, header.functions, self.items.count], dtype=parts.dtype)
+        limits = most[kinds]
+        if segments.letter == "V":
+            limits = np.where(kinds == VARIABLE, np.repeat(n + segments.owners, np.diff(starts)), limits)
+        holds = np.where(kinds == NUMBER, np.isfinite(values), is_whole(values, limits))
+        if not holds.all():
+            k = np.argmin(holds)
+            self.items.fail(parts[k], WRONG_PART[kinds[k]].format(limits[k]))
 
-    def _checked(self, value: int, most: int, what: str) -> int:
-        """Return a number from 0 to `most`, or fail."""
-        if not 0 <= value <= most:
-            self._fail(f"{what} is {value}, and only 0 to {most} is possible here")
-        return value
+    def _operands(self, parts: Indices, others: Indices, kinds: Any, values: Any) -> Indices:
+        """Return how many operands each part has; of calls and some operators it is the number behind their own."""
+        counts = np.zeros(parts.size, dtype=np.int64)
+        is_operator = kinds == OPERATOR
+        counts[is_operator] = ARITY[values[is_operator].astype(np.int64)]
+        counts[kinds == CALL] = NARY
+        counted = np.flatnonzero(counts < 0)
+        if not (counted.size or others.size):
+            return counts
+        self.items.require(counts > NO_OPERATOR, parts, WRONG_PART[OPERATOR])
+        is_operator, given = is_operator[counted], self.items.numbers[self.items.first[parts[counted]] + 1]
+        behind = parts[counted[is_operator]] + 1
+        if not np.array_equal(behind, others):
+            wrong = np.setxor1d(behind, others)[0]
+            self.items.fail(wrong, NO_PART if wrong in others else NO_NUMBERS)
+        factor = np.where(counts[counted] == PIECEWISE, 2, 1)
+        self.items.require(is_whole(given, self.items.count) & (given >= factor * is_operator), parts[counted],
+                           f"it has {{:g}} operands, and a number up to {self.items.count} is possible here", given)
+        counts[counted] = factor * given
+        return counts
 
-    def _room(self, count: int, what: str) -> int:
-        return self._checked(count, self.source.end - self.source.at, f"the number of {what}")
+    def _check_closed(self, segments: Segments, parts: Indices, counts: Indices, starts: Indices) -> None:
+        """Raise where the last operand of a tree is not its last part.
 
-    def _pairs(
-        self, count: int, width: int, *, is_real: bool = True, is_suffix: bool = False
-    ) -> tuple[list[int], list[float]]:
-        """Return as many indices below `width` and values; whatever a suffix says is let pass."""
-        self._room(count, "pairs of an index and a value")
-        indices, values, places = self.source.pairs(count, is_real)
-        if not count:
-            return indices, values
-        if not 0 <= min(indices) <= max(indices) < width:
-            k = next(k for k, index in enumerate(indices) if not 0 <= index < width)
-            fail(places[k], f"the index {indices[k]} lies outside 0 … {width - 1}")
-        if not (is_suffix or all(map(math.isfinite, values))):
-            k = next(k for k, value in enumerate(values) if not math.isfinite(value))
-            fail(places[k], f"the value {values[k]} is not finite")
-        if not is_suffix and len(set(indices)) < count:
-            k = next(k for k, index in enumerate(indices) if index in indices[:k])
-            fail(places[k], f"a second entry of variable {indices[k]} in one segment")
-        return indices, values
+        Notes
+        -----
+        The sum of counts − 1 falls by one in all over a tree, and is below its earlier values there first at its end.
+        """
+        sums = counts - 1
+        lows = np.minimum.accumulate(np.cumsum(sums, out=sums), out=sums)
+        is_closed = lows < 0
+        is_closed[1:] &= lows[1:] < lows[:-1]
+        closed, last = np.flatnonzero(is_closed), starts[1:] - 1
+        if np.array_equal(closed, last):
+            return
+        closed = np.append(closed, np.full(last.size, parts.size))[:last.size]
+        tree = np.argmax(closed != last)
+        if closed[tree] < last[tree]:
+            self.items.fail(parts[closed[tree] + 1], NO_SEGMENT)
+        self.items.fail(segments.ends[tree], NO_PART)
 
-    def _linear(self, letter: str, owner: int, count: int) -> None:
-        """Read the linear terms of a row, or of a defined variable, which uses those before it."""
-        own = self._pairs(count, owner if letter == "V" else self.header.variables)
-        rows, columns, values = self.entries[letter]
-        rows.extend([owner] * count)
-        columns.extend(own[0])
-        values.extend(own[1])
-
-    def _tree(self, letter: str, owner: int) -> None:
-        """Read parts until every operand has come."""
-        forest, header, part = self.forests[letter], self.header, self.source.part
-        variables = owner if letter == "V" else header.variables + header.defined
-        add_kind, add_value, add_count = forest.kinds.append, forest.values.append, forest.counts.append
-        wanted = 1
-        while wanted:
-            kind, value, count = part()
-            if kind is Token.OPERATOR:
-                count = self._operands(int(value))
-            elif kind is Token.NUMBER:
-                if not math.isfinite(value):
-                    self._fail("a number is not finite")
-            elif kind is Token.VARIABLE:
-                if not 0 <= value < variables:
-                    self._fail(f"there are {variables} variables that may stand here, numbered from 0")
-            elif kind is Token.CALL:
-                self._room(count, "operands")
-                if not 0 <= value < header.functions:
-                    self._fail(f"there are {header.functions} functions here, numbered from 0")
-            add_kind(kind)
-            add_value(value)
-            add_count(count)
-            wanted += count - 1
-        forest.owners.append(owner)
-        forest.starts.append(len(forest.kinds))
-
-    def _operands(self, operator: int) -> int:
-        """Return how many operands an operator has; behind some of them stands a number that tells."""
-        arity = ARITIES[operator] if 0 <= operator < len(ARITIES) else NO_OPERATOR
-        if arity == NO_OPERATOR:
-            self._fail("there is no operator of this number")
-        if arity not in (NARY, PIECEWISE):
-            return int(arity)
-        count = self._room(self.source.integer(), "operands")
-        if count < 1 + (arity == PIECEWISE):
-            self._fail("an operator needs more operands")
-        return 2 * count if arity == PIECEWISE else count
-
-    def _bounds(self, letter: str) -> None:
-        lower, upper = array("d"), array("d")
-        for row in range(self.lengths[letter]):
-            kind, numbers = self.source.bound()
-            if any(map(math.isnan, numbers)):
-                self._fail("a bound is not a number")
-            if kind == PARTNER:
-                self._partner(letter, row, *numbers)
-            low = numbers[0] if kind in HAS_LOWER else -math.inf
-            high = numbers[-1] if kind in HAS_UPPER else math.inf
-            is_open = kind != IS_AS_STATED
-            lower.append(-math.inf if is_open and low <= -INFINITE_BOUND else low)
-            upper.append(math.inf if is_open and high >= INFINITE_BOUND else high)
-        self.bounds[letter] = lower, upper
-
-    def _partner(self, letter: str, row: int, finite: float, variable: float) -> None:
-        """Take a complementarity row: which bounds of its variable are finite, and the variable, numbered from 1."""
+    def _bounds(self, letter: str, count: int) -> tuple[Indices, FloatVector, FloatVector, tuple[Any, Any, Any]]:
+        """Return the kinds, lower and upper bounds, and the items with their numbers behind the kind."""
+        segments = self.items.segments(letter)
+        if count and not segments.heads.size:
+            raise HeadFault(2, f"the segment {letter} is missing: {count} bounds are needed")
+        items, _ = self.items.alone(segments, count)
+        first, numbers = self.items.first[items], self.items.numbers
+        kinds: Any = numbers[first]
+        self.items.require(is_whole(kinds, PARTNER + 1), items, WRONG_KIND)
+        kinds = kinds.astype(np.int64)
+        words = BOUND_NUMBERS[kinds]
+        self.items.require(self.items.first[items + 1] - first == words + 1, items, NO_NUMBERS)
+        one, two = numbers[first + 1], numbers[first + 2]
+        is_number = ~(np.isnan(one) & (words > 0) | np.isnan(two) & (words > 1))
+        self.items.require(is_number, items, "a bound is not a number")
+        lower = np.where(HAS_LOWER[kinds] > 0, one, -np.inf)
+        upper = np.where(HAS_UPPER[kinds] > 0, np.where(words > 1, two, one), np.inf)
+        lower[(lower <= -INFINITE_BOUND) & (kinds != IS_AS_STATED)] = -np.inf
+        upper[(upper >= INFINITE_BOUND) & (kinds != IS_AS_STATED)] = np.inf
         if letter == "b":
-            self._fail("a bound of kind 5 belongs to a row, not to a variable")
-        if not (0 <= finite <= 3 and finite == int(finite)):
-            self._fail("behind 5 stands which bounds are finite: 0 to 3")
-        if not (1 <= variable <= self.header.variables and variable == int(variable)):
-            self._fail(f"a row is complementary to a variable from 1 to {self.header.variables}")
-        if self.has_row[int(variable) - 1]:
-            self._fail(f"variable {variable:g} is complementary to an earlier row as well; one row is possible")
-        self.has_row[int(variable) - 1] = True
-        for part, value in zip(self.partners, (row, int(variable) - 1, int(finite)), strict=True):
-            part.append(value)
+            self.items.require(kinds != PARTNER, items, "a bound of kind 5 belongs to a row, not to a variable")
+        return kinds, lower, upper, (items, one, two)
 
-    def _column_counts(self, count: int, is_cumulative: bool) -> None:
-        place = self.source.place
-        if count != self.lengths["k"]:
-            self._fail(f"{count} counts of columns are given, and {self.lengths['k']} are needed")
-        counts = np.array([self.source.integer() for _ in range(count)], dtype=object)
-        self.column_counts = place, np.diff(counts, prepend=0) if is_cumulative else counts
-
-    def _suffix(self, bits: int, count: int, name: bytes) -> None:
+    def _row_bounds(self) -> tuple[FloatVector, FloatVector, Indices, Indices]:
+        """Return bounds of rows, the variable of each complementarity row, −1 elsewhere, and its finite bounds."""
         header = self.header
-        kind = self._checked(bits, 2 * SUFFIX_IS_REAL - 1, "the kind of a suffix") & SUFFIX_KIND
-        width = (header.variables, header.rows + header.logical_rows, header.objectives, 1)[kind]
-        is_real = bool(bits & SUFFIX_IS_REAL)
-        indices, numbers = self._pairs(count, width, is_real=is_real, is_suffix=True)
-        values: Any = np.array(numbers, dtype=np.float64)
-        if not is_real and (np.abs(values) < 2.0**53).all() and (values == np.floor(values)).all():
-            values = values.astype(np.int64)
-        self.suffixes.append(Suffix(name.decode(errors="replace"), kind, np.array(indices, dtype=np.int64), values))
+        kinds, lower, upper, raw = self._bounds("r", header.rows)
+        rows = np.flatnonzero(kinds == PARTNER)
+        items, finite, variables = (part[rows] for part in raw)
+        self.items.require(is_whole(finite, 4), items, "behind 5 stands which bounds are finite: 0 to 3")
+        self.items.require(is_whole(variables - 1, header.variables), items,
+                           f"a row is complementary to a variable from 1 to {header.variables}")
+        self.items.order(variables, items, "variable {:g} is complementary to an earlier row as well; one is possible",
+                         variables)
+        if rows.size != header.complementarities:
+            raise HeadFault(3, f"{header.complementarities} complementarity rows are announced, {rows.size} are there")
+        partners, partner_bounds = np.full(kinds.size, -1, dtype=np.int64), np.zeros(kinds.size, dtype=np.int64)
+        partners[rows], partner_bounds[rows] = variables - 1, finite
+        return lower, upper, partners, partner_bounds
 
-    # --- What the segments say together --------------------------------------------------------------------------
+    def _start(self, letter: str, count: int) -> tuple[FloatVector, Any]:
+        """Return the values of a segment x or d, and where there are some."""
+        segments = self.items.segments(letter)
+        indices, values, _ = self.items.pairs(segments, np.full(segments.heads.size, count))
+        start, has_start = np.zeros(count), np.zeros(count, dtype=bool)
+        start[indices], has_start[indices] = values, True
+        return start, has_start
+
+    def _suffixes(self) -> list[Suffix]:
+        header, segments = self.header, self.items.segments("S", self.items.count)
+        bits = segments.numbers[0]
+        self.items.require(is_whole(bits, 2 * SUFFIX_IS_REAL), segments.heads, "a suffix' kind is 0 to 7")
+        kinds = bits.astype(np.int64)
+        widths = np.array([header.variables, header.rows + header.logical_rows, header.objectives, 1])
+        indices, values, behind = self.items.pairs(segments, widths[kinds & SUFFIX_KIND])
+        ends = np.cumsum(behind - segments.heads - 1).tolist()
+        suffixes = []
+        for head, kind, begin, end in zip(segments.heads.tolist(), kinds.tolist(), [0, *ends], ends, strict=False):
+            own: Any = values[begin:end]
+            if not kind & SUFFIX_IS_REAL and (np.abs(own) < 2.0**53).all() and (own == np.floor(own)).all():
+                own = own.astype(np.int64)
+            suffixes.append(Suffix(self._name(head), kind & SUFFIX_KIND, indices[begin:end], own))
+        return suffixes
+
+    def _name(self, head: int) -> str:
+        return self.items.names[head].decode(errors="replace")
 
     def _check_announced(self) -> None:
         """Raise where the head announces what is not there, before anything of that size is allocated."""
-        header = self.header
-        for letter, needed in (("b", header.variables), ("r", header.rows)):
-            if letter not in self.bounds:
-                if needed:
-                    raise HeadFault(2, f"the segment {letter} is missing: {needed} bounds are needed")
-                self.bounds[letter] = [], []
-        given = {letter: len(forest.owners) for letter, forest in self.forests.items()}
-        for line, announced, what, count in (
-            (2, header.objectives, "objectives", given["O"]),
-            (3, header.complementarities, "complementarity rows", len(self.partners[0])),
-            (6, header.functions, "functions", len(self.functions)),
-            (10, header.defined, "defined variables", given["V"]),
-            (2, header.logical_rows if given["L"] else 0, "logical constraints", given["L"]),
+        header, letters = self.header, self.items.initials
+        for line, announced, what, letter in (
+            (2, header.objectives, "objectives", b"O"), (6, header.functions, "functions", b"F"),
+            (10, header.defined, "defined variables", b"V"),
+            (2, header.logical_rows if b"L" in letters else 0, "logical constraints", b"L"),
         ):
-            if announced != count:
-                raise HeadFault(line, f"{announced} {what} are announced, {count} are there")
-
-    def _matrix(self, letter: str, count: int, width: int, first: int, nonzeros: int | None) -> sp.csr_array:
-        """Return the linear terms of segments, one row for each owner."""
-        rows, columns, values = self.entries[letter]
-        given = len(values)
-        # AMPL counts for G what its simplifications removed later, too.
-        if nonzeros is not None and (given > nonzeros or (given < nonzeros and (letter == "J" or not given))):
-            raise HeadFault(8, f"{nonzeros} nonzeros are announced for the segments {letter}, {given} are there")
-        kind = np.int32 if max(given, count, width) < 2**31 else np.int64
-        places = np.array([rows, columns]).astype(kind) - np.array([[first], [0]], dtype=kind)
-        matrix = sp.csr_array((np.array(values), places), shape=(count, width))
-        matrix.sort_indices()
-        return matrix
+            if announced != (given := letters.count(letter)):
+                raise HeadFault(line, f"{announced} {what} are announced, {given} are there")
 
     def _check_column_counts(self, linear: sp.csr_array) -> None:
         """Raise where the segment k contradicts the segments J."""
-        if self.column_counts is None:
+        segments, n = self.items.segments("k"), self.header.variables
+        if not segments.heads.size:
             return
-        place, given = self.column_counts
-        counts = np.bincount(linear.indices, minlength=max(self.header.variables, 1))[:given.size]
-        wrong = np.flatnonzero(given != counts)
-        if wrong.size:
-            j = wrong[0]
-            fail(place, f"the segment says that variable {j} is in {given[j]} rows, and the segments J have it in "
-                 f"{counts[j]}")
-
-    def _trees(self, letter: str, count: int, first: int) -> Trees:
-        """Return one tree for each owner in their order; the number 0 where there is none."""
-        forest, strings = self.forests[letter], tuple(self.source.strings)
-        owners, begins = np.array(forest.owners, dtype=np.int64) - first, np.array(forest.starts, dtype=np.int64)
-        lengths = np.ones(count, dtype=np.int64)
-        lengths[owners] = np.diff(begins)
-        starts = np.concatenate([[0], np.cumsum(lengths)])
-        targets = np.repeat(starts[owners] - begins[:-1], np.diff(begins)) + np.arange(begins[-1])
-        kinds, values, counts = (np.zeros(starts[-1], dtype=kind) for kind in (np.uint8, np.float64, np.int64))
-        kinds[targets], values[targets], counts[targets] = forest.kinds, forest.values, forest.counts
-        return Trees(kinds, values, counts, starts, strings)
+        needed = max(n - 1, 0)
+        self.items.require(np.maximum(segments.numbers[0], 0) == needed, segments.heads,  # −1 without variables
+                           f"{needed} counts of columns are needed")
+        items, _ = self.items.alone(segments, needed)
+        given, = self.items.numbers_of(items, 1)
+        if self.items.letters[segments.heads[0]] == ord("k"):
+            given[1:] -= given[:-1].copy()
+        counts = np.bincount(linear.indices, minlength=n)[:needed]
+        what = "the segment says that variable {} is in {:g} rows, and the segments J have it in {}"
+        self.items.require(
+            given == counts, np.repeat(segments.heads, given.size), what, np.arange(given.size), given, counts)
 
     def _integers(self) -> Any:
         """Return which variables are integer: the last ones of each group in the order of the format."""
@@ -378,12 +334,19 @@ class _Reader:
             is_integer[end - count:end] = True
         return is_integer
 
-    def _start(self, letter: str) -> tuple[FloatVector, Any]:
-        """Return the values of a segment x or d, and where there are some."""
-        indices, values = self.starts[letter]
-        start, has_start = np.zeros(self.lengths[letter]), np.zeros(self.lengths[letter], dtype=bool)
-        start[indices], has_start[indices] = values, True
-        return start, has_start
+
+def _in_order(owners: Indices, trees: Trees, count: int) -> Trees:
+    """Return the trees in the order of their owners; of those without one, the number 0."""
+    if owners.size == count and (owners[1:] > owners[:-1]).all():
+        return trees
+    given = np.diff(trees.starts)
+    lengths = np.ones(count, dtype=np.int64)
+    lengths[owners] = given
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    targets = runs_of(starts[owners], given)
+    kinds, values, counts = (np.zeros(starts[-1], dtype=kind) for kind in (np.uint8, np.float64, np.int64))
+    kinds[targets], values[targets], counts[targets] = trees.kinds, trees.values, trees.counts
+    return Trees(kinds, values, counts, starts, trees.strings)
 
 
 def _names(path: Path, count: int, longest: int) -> list[str] | None:

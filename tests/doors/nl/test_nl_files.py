@@ -121,6 +121,9 @@ def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
         (b"J0 2\n0 1", b"J0 2\n0 inf", 34, "finite"),
         (b"J0 2\n0 1", b"J0 2\n0 1x", 34, "neither a number"),
         (b"x1\t", b"y1\t", 23, "no segment begins"),
+        (b"o2\nv0", b"o2\n\x01", 21, "neither a number"),
+        (b"o0\t#+", b"o54\n9", 20, "part of an expression"),
+        (b"o2\nv0", b"v0\nv0", 21, "no segment begins"),
     ],
 )
 def test_a_wrong_line_is_named(tmp_path: Path, old: bytes, new: bytes, line: int, words: str) -> None:

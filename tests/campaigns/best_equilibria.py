@@ -173,7 +173,8 @@ class Pieces:
         zero = np.zeros(self.columns.size) if cost is None else cost
         self.model.changeColsCost(self.columns.size, self.columns, zero)
         self.model.run()
-        if (status := self.model.getModelStatus()) == highspy.HighsModelStatus.kUnknown:
+        undecided = highspy.HighsModelStatus.kUnknown, highspy.HighsModelStatus.kNotset
+        if (status := self.model.getModelStatus()) in undecided:  # a start that HiGHS cannot go on from
             self.model.clearSolver()
             self.model.run()
             status = self.model.getModelStatus()

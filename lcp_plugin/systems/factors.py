@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -101,15 +101,17 @@ def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, 
     return _sparse_lu(matrix, is_symmetric)
 
 
-def made(factorisation: Callable[[], T], operations: float) -> T:
+def made(factorisation: Callable[[], T], operations: float, *, is_kept: bool = False) -> T:
     """Return a factorisation; where it may take so many operations that it is long, a limit and Ctrl-C are obeyed.
+
+    One that `is_kept` is dropped in the thread that makes it, as SuperLU asks: scipy frees its memory nowhere else.
 
     Raises
     ------
     OutOfTimeError
         Where an enforced limit passed first (:func:`lcp_plugin.systems.interruptible.interruptible`).
     """
-    return factorisation() if operations <= LONG else interruptible(factorisation)
+    return factorisation() if operations <= LONG else cast(T, interruptible(factorisation, is_kept=is_kept))
 
 
 def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
@@ -236,7 +238,7 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
     matrix = sp.csc_array(matrix)
     if not (matrix.diagonal() != 0.0).all() and not _is_structurally_regular(matrix):
         raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
-    return made(lambda: splu(matrix, **options), most_operations(matrix))
+    return made(lambda: splu(matrix, **options), most_operations(matrix), is_kept=True)
 
 
 def most_operations(matrix: sp.csc_array) -> float:

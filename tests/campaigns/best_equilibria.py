@@ -137,7 +137,7 @@ class Pieces:
         self.P = sp.csr_array(program.P)
         rows = sp.csr_array(sp.vstack([self.G, self.A]))
         model = highspy.Highs()
-        for option, value in (("output_flag", False), ("presolve", "off"), ("threads", 1)):
+        for option, value in (("output_flag", False), ("presolve", "off")):
             model.setOptionValue(option, value)
         lp = highspy.HighsLp()
         lp.num_col_, lp.num_row_ = program.n, rows.shape[0]
@@ -173,8 +173,7 @@ class Pieces:
         zero = np.zeros(self.columns.size) if cost is None else cost
         self.model.changeColsCost(self.columns.size, self.columns, zero)
         self.model.run()
-        undecided = highspy.HighsModelStatus.kUnknown, highspy.HighsModelStatus.kNotset
-        if (status := self.model.getModelStatus()) in undecided:  # a start that HiGHS cannot go on from
+        if (status := self.model.getModelStatus()) == highspy.HighsModelStatus.kUnknown:
             self.model.clearSolver()
             self.model.run()
             status = self.model.getModelStatus()

@@ -1,8 +1,12 @@
 """Limits and Ctrl-C are obeyed inside work of other libraries that cannot be divided into steps."""
 
+import os
 import signal
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -113,3 +117,39 @@ def test_without_another_thread_the_call_is_made_here(fails: bool, monkeypatch: 
     assert interruptible(lambda: made.append(threading.get_ident()) or 7) == 7
     assert made == [threading.get_ident()]
     assert waiting._under_way <= left_by_other_tests
+
+
+def resident():
+    """Return the bytes of memory that this process holds."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is told by /proc")
+def test_memory_of_long_factorisations_is_given_back():
+    """SuperLU's factor is dropped in the thread that made it: elsewhere scipy keeps its memory for ever."""
+    matrix = sp.csc_array(np.random.default_rng(1).standard_normal((600, 600)) + 30.0 * np.eye(600))
+    right = np.ones(600)
+
+    def factorise():
+        factor = factors.sparse_lu(matrix)
+        assert np.allclose(matrix @ factor.solve(right), right)
+        assert factor.nnz >= 600**2
+        return factor
+
+    assert isinstance(factorise(), waiting.Kept)
+    before = resident()
+    for _ in range(40):  # of 4 MB each
+        factorise()
+    assert resident() - before < 60e6
+
+
+def test_a_factor_that_is_kept_to_the_end_disturbs_no_end():
+    """The process ends in silence while a factor of another thread is alive."""
+    code = (
+        "import numpy as np, scipy.sparse as sp\n"
+        "from lcp_plugin.systems.factors import sparse_lu\n"
+        "factor = sparse_lu(sp.csc_array(np.random.default_rng(1).standard_normal((600, 600))))\n"
+        "print(factor.shape, type(factor).__name__)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "(600, 600) Kept\n", "")

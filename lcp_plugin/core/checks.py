@@ -28,8 +28,9 @@ def restored(thing: Any, state: dict[str, Any]) -> None:
     """Give a copied or unpickled object its state: unpickled arrays are writable again, and must not be."""
     vars(thing).update(state)
     for value in state.values():
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False
+        for array in (value, *(getattr(value, name, None) for name in ("data", "indices", "indptr"))):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
 
 
 def frozen(matrix: sp.csr_array) -> sp.csr_array:
@@ -187,8 +188,8 @@ def in_doubles(M: Any) -> Any:
 
 def _check_before_conversion(M: Any) -> None:
     """Raise where scipy's conversion to CSR would read or write outside its arrays."""
-    if M.format in ("csc", "bsr"):
-        _check_compressed(M)
+    if M.format in ("csc", "bsr"):  # a fresh array: scipy's check cuts off what its arrays have to spare
+        _check_compressed(type(M)((M.data, M.indices, M.indptr), shape=M.shape))
     elif M.format == "coo":
         if not M.row.size == M.col.size == M.data.size:
             raise ValueError("row, column and data arrays must have the same length")

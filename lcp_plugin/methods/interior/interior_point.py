@@ -103,11 +103,11 @@ class InteriorPoint(Algorithm):
             return z if left <= FINISHED * reference_residual(problem) else Search(problem).finished(z)
 
 
-def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, float]]:
+def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, float, bool]]:
     """Yield better and better points of a program's problem whose relative residual is within the tolerance.
 
-    And those at which nothing improves. z, the steps taken so far, and their work in passes over M. Nobody watches
-    single steps here: many are made between two looks, and no limit is obeyed but between these.
+    And those at which nothing improves. z, the steps taken so far, their work in passes over M, and whether an attempt
+    ends there. Nobody watches single steps: many are made between two looks, and no limit is obeyed but between these.
     """
     with np.errstate(all="ignore"):
         search = Search(problem, AT_ONCE)
@@ -120,7 +120,7 @@ def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, f
             is_exact = search.best <= FINISHED * search.reference
             with np.errstate(all="ignore"):
                 z = search.best_z if is_exact else search.finished(search.best_z)
-            yield z, search.taken, work
+            yield z, search.taken, work, search.is_at_end
             allowed = min(allowed, 0.5 * search.best)
 
 

@@ -145,7 +145,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
             vectors, facts, state, self.symbolic.pattern, self._signed, self._own_diagonal, self.signs,
             self._entries_of, (self._values, self._pivots), self._spare, is_active, small_gap, most, settled,
         )
-        self.regularisation, self._least, self.share, self._share_before = state[[0, 1, 5, 6]].tolist()
+        self.regularisation, self._least, self.missed, self.share, self._share_before = state[[0, 1, 4, 5, 6]].tolist()
         self._may_sharpen, self._is_easy = (state[[2, 3]] > 0.0).tolist()
         self.work += float(state[kernels.FACTORS]) * self.symbolic.work
         self.work += float(state[kernels.SOLVES]) * (self.symbolic.solve_work + self._entries)

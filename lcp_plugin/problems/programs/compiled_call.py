@@ -19,6 +19,7 @@ from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
 from .program import QuadraticProgram
 from .qp_certificates import with_bounds
 from .qp_forms import KKTForm, QPOrigin
+from .qp_proofs import QPInfeasibility
 from .qp_solution import QPSolution
 from .reductions import FoldedRows, Substitution, fold_simple_rows, substitute_definitions
 from .small_programs import ROWS_UP_TO, UP_TO, SmallAnswers, SmallPrograms, may_be_small, work_of_search
@@ -62,9 +63,15 @@ class CompiledAnswer:
 
 
 def solved_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswer | None:
-    """Return the answer to a small program by one compiled call, None where it finds none.
+    """Return the answer to a small program by one compiled call, None where it finds none."""
+    found = settled_at_once(program, tolerance)
+    return found if isinstance(found, CompiledAnswer) else None
 
-    Where it finds that constraints contradict each other, and exact arithmetic agrees, the program keeps the proof.
+
+def settled_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswer | QPInfeasibility | None:
+    """Return the answer to a small program by one compiled call, or a proof that there is none; None where it has none.
+
+    The proof, that constraints contradict each other, is checked in exact arithmetic, and the program keeps it.
     """
     clock, substitution, rows = Clock(ALONE), None, None
     reduced, goal = program, program_goal(tolerance)
@@ -80,8 +87,8 @@ def solved_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswe
     if (part := _FreePart.of(reduced)) is None:
         return None
     answers, contradicts = part.solved(min(max(tolerance, REACHED), PROGRAM_TOLERANCE))
-    if contradicts and reduced is program:
-        keep_contradiction(program, answers.y[0], goal)
+    if contradicts and reduced is program and (proof := contradiction(program, answers.y[0], goal)) is not None:
+        return proof
     if not answers.has_converged[0]:
         return None
     x, y, costs = part.whole(answers)
@@ -101,14 +108,16 @@ def solved_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswe
     return found
 
 
-def keep_contradiction(program: QuadraticProgram, y: FloatVector, goal: float) -> None:
-    """Let an infeasible program keep the proof that these multipliers of its rows are, checked exactly, if they are.
+def contradiction(program: QuadraticProgram, y: FloatVector, goal: float) -> QPInfeasibility | None:
+    """Return the proof that these multipliers of an infeasible program's rows are, checked exactly, if they are one.
 
     Those of bounds are what they leave.
     """
     proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y.tolist()) if value})
-    if proof.verify() and proof.excludes(goal):
-        program.__dict__["_proof"] = proof
+    if not (proof.verify() and proof.excludes(goal)):
+        return None
+    program.__dict__["_proof"] = proof
+    return proof
 
 
 def _worthwhile(program: QuadraticProgram) -> Substitution | None:

@@ -14,7 +14,9 @@ from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .program import QuadraticProgram
+from .qp_certificates import LARGEST
 from .qp_forms import QPOrigin
+from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
 
 BECAUSE = "the KKT form: multipliers have no diagonal entry to sweep with"
@@ -51,19 +53,29 @@ class InteriorAnswer:
         return ProgramResult.of(self._origin, self._z, stage, self.seconds, tolerance, algorithm)
 
 
-def solved_by_interior_points(program: QuadraticProgram, tolerance: float) -> InteriorAnswer | None:
-    """Return the answer by interior points; None where another form comes first, or where they find none."""
+def solved_by_interior_points(
+    program: QuadraticProgram, tolerance: float, *, refutes: bool = True
+) -> InteriorAnswer | QPInfeasibility | QPUnboundedness | None:
+    """Return the answer by interior points; None where another form comes first, or where they find none.
+
+    After a first attempt without one, a proof that there is none is looked for, and returned; of large programs by a
+    run, to which they are left.
+    """
     clock = Clock(ALONE)
     refuse_nonconvex(program)
     problem = next(attempts(program)).problem
     origin, goal = problem.origin, program_goal(tolerance)
     if origin.form != "kkt":
         return None
-    for z, steps, work in points(problem, tolerance):
+    for z, steps, work, is_at_end in points(problem, tolerance):
         solution = origin.recover(z)
         found = InteriorAnswer(solution, steps, clock.read(), origin, z, work)
         if solution.is_stationary(goal) and found.is_enough(tolerance):
             return found
+        if is_at_end and refutes:
+            proof = program.refutation(goal)
+            if proof is not None or sum(program.matrices.sizes) > LARGEST:
+                return proof
     return None
 
 

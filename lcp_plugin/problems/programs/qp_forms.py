@@ -34,7 +34,7 @@ CANCELS_MUCH = 1e3  # the same, where the residuals are small as it is: the sear
 ACTIVE = 1e-7  # of the unit of a row
 LARGEST = 5000  # variables and rows of a program that is worth a linear program
 LARGEST_IN_PASSING = 1500  # the same, where the residuals are small as it is
-LARGEST_DENSE = 1_000_000  # entries of a least squares problem; .1 s
+LARGEST_DENSE = 1_000_000  # entries of a least squares problem; .1 s; and of the active rows of a linear program
 EXACTLY = 1e-12  # of the gradient: what a vertex of a linear program leaves, as a rule
 RANK = 1e-12  # beside the largest singular value: what should depend on each other is independent by rounding
 
@@ -361,6 +361,8 @@ def least_multipliers(
         at_upper = program.upper - x <= ACTIVE * (1.0 + np.abs(x))
     listed, found = np.flatnonzero(active), np.zeros(count)
     columns = sp.csc_array(as_csr(rows)[listed].T)
+    if columns.nnz > LARGEST_DENSE:
+        return None
     identity = sp.eye_array(program.n, format="csc")
     free = is_equality[listed]
     parts = [columns, -columns[:, np.flatnonzero(free)],

@@ -22,7 +22,7 @@ from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result, Sample, StageRecord
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
-from .compiled_call import ACTIVE_SET, CompiledAnswer, solved_at_once
+from .compiled_call import ACTIVE_SET, CompiledAnswer, settled_at_once
 from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
@@ -197,16 +197,18 @@ def judged_program(
     guess = options.pop("guess", None)
     options = {name: wish for name, wish in options.items() if wish is not None}
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
-    goal, refutes, known = program_goal(tolerance), options.get("refute", True), program.known_proof
-    if is_one_call and (found := _at_once(program, tolerance, guess, options)) is not None:
+    goal, refutes = program_goal(tolerance), options.get("refute", True)
+    found = _at_once(program, tolerance, guess, options) if is_one_call else None
+    if isinstance(found, (CompiledAnswer, InteriorAnswer)):
         return QuadraticProgramResult(
             Status.SOLVED, found.solution, goal, f"auto: {found.name}", found.steps, found.seconds,
             partial(found.result, tolerance) if isinstance(found, CompiledAnswer) else found.result(tolerance),
         )
-    proof = program.known_proof  # found in this call: no other one is to change what it returns
-    if is_one_call and proof is not known and isinstance(proof, QPInfeasibility):
-        return _refuted(program, proof, tolerance, clock.read())
-    result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
+    if isinstance(found, QPInfeasibility):
+        return _refuted(program, found, tolerance, clock.read())
+    # What is asked between the stages of a run, and after it, knows of the limit by this.
+    with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
+        result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
     is_optimal = solution.is_stationary(goal)
     if proof is None and refutes and not ended_by_caller(result, options) and not is_optimal:
         proof = program.refutation(goal)
@@ -266,20 +268,19 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 
 def _at_once(
     program: QuadraticProgram, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
-) -> CompiledAnswer | InteriorAnswer | None:
-    """Return the answer by the active set of a guess, one compiled call or interior points; None where none does."""
-    known = program.known_proof
-    if guess is not None and (again := solved_again(program, guess, tolerance)) is not None:
-        return again
+) -> CompiledAnswer | InteriorAnswer | QPInfeasibility | QPUnboundedness | None:
+    """Return the answer by the active set of a guess, one compiled call or interior points, a proof or None."""
+    refutes = options.get("refute", True)
     try:
-        found: CompiledAnswer | InteriorAnswer | None = solved_at_once(program, tolerance)
-        if found is not None or "max_iterations" in options or program.known_proof is not known:
-            return found
+        if guess is not None and (again := solved_again(program, guess, tolerance)) is not None:
+            return again
+        if (at_once := settled_at_once(program, tolerance)) is not None or "max_iterations" in options:
+            return at_once
         if (limit := options.get("max_seconds", math.inf)) == math.inf:
-            return solved_by_interior_points(program, tolerance)
-        clock = Clock(ALONE)
+            return solved_by_interior_points(program, tolerance, refutes=refutes)
+        clock, found = Clock(ALONE), None
         with suppress(OutOfTimeError), time_limit(min(SHARE * limit, seconds_left()), is_enforced=True):
-            found = solved_by_interior_points(program, tolerance)
+            found = solved_by_interior_points(program, tolerance, refutes=refutes)
         options["max_seconds"] = max(limit - clock.read(), SHORTEST)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True

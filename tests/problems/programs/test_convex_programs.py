@@ -31,6 +31,7 @@ from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior.interior_point import InteriorPoint
 from lcp_plugin.modeling.registration import build
+from lcp_plugin.problems.programs import interior_call, solving
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.problems.programs.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
 from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
@@ -192,6 +193,17 @@ def test_programs_that_need_pivots_a_ridge_or_their_own_criterion_are_solved(
     assert result.iterations <= 200
     assert result.solution.is_stationary(1e-6)
     assert result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
+
+
+def test_rows_that_contradict_by_rounding_refute_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A proof by a margin of 1e-12, which holds for the stored doubles alone, is no answer."""
+    program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf])
+    monkeypatch.setattr(solving, "settled_at_once", lambda *_: None)
+    monkeypatch.setattr(interior_call, "points", lambda problem, _: iter([(problem.nearest_to_zero, 1, 1.0, True)]))
+    assert program.proof_of_no_minimum is not None
+    result = solve(program)
+    assert result.is_solved
+    assert result.x == pytest.approx([1.0, 3.0], abs=1e-6)
 
 
 def test_a_factor_that_magnifies_errors_is_not_used() -> None:

@@ -228,7 +228,7 @@ def test_ctrl_c_ends_in_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(solving, "solved_at_once", interrupted)
+    monkeypatch.setattr(solving, "settled_at_once", interrupted)
     result = judged_program(planted(5, 3, 1, 5, 2)[0])
     assert result.status.name == "INTERRUPTED"
 

@@ -1,5 +1,6 @@
 """Limits and Ctrl-C are obeyed inside work of other libraries that cannot be divided into steps."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -113,6 +114,7 @@ def test_without_another_thread_the_call_is_made_here(fails: bool, monkeypatch: 
             raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(waiting._thread, "start_new_thread", start)
+    gc.collect()  # factors of other tests are dropped now, not in between
     left_by_other_tests = set(waiting._under_way)
     assert interruptible(lambda: made.append(threading.get_ident()) or 7) == 7
     assert made == [threading.get_ident()]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 from .errors import InvalidOption, did_you_mean
@@ -123,8 +123,13 @@ def kinds() -> tuple[Kind, ...]:
 
 def kind_of(problem: Any) -> Kind | None:
     """Return the kind of a problem, None where it is none."""
-    names = {base.__name__ for base in type(problem).__mro__}
-    return next((kind for kind in kinds() if kind.word in names and isinstance(problem, kind.type)), None)
+    return _kind_of_type(type(problem))  # type: ignore[arg-type]  # typeshed takes types for unhashable
+
+
+@lru_cache(maxsize=64)  # kinds are those that the rooms here offer, and many problems are asked for theirs
+def _kind_of_type(given: type) -> Kind | None:
+    names = {base.__name__ for base in given.__mro__}
+    return next((kind for kind in kinds() if kind.word in names and issubclass(given, kind.type)), None)
 
 
 def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:

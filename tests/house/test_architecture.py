@@ -19,7 +19,7 @@ from lcp_plugin.rooms import OFFERS
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
 FLOORS = 14
-CORE = 4286  # lines of code; 4000 are what an afternoon has, and the aim
+CORE = 4289  # lines of code; 4000 are what an afternoon has, and the aim
 HEAVY = (
     "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
     "qpsolvers", "quantecon", "cvxpylayers",

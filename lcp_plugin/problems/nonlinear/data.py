@@ -329,7 +329,7 @@ def _pattern(pattern: Any) -> sp.csc_array:
     if pattern.ndim != 2 or pattern.shape[0] != pattern.shape[1]:
         raise InvalidProblem(f"pattern must be a square sparse array (n×n), got shape {pattern.shape}")
     places = sp.coo_array(pattern)
-    stored = sp.csc_array((np.ones(places.nnz), places.coords), shape=places.shape)
+    stored = sp.csc_array((np.ones(places.nnz), (places.row, places.col)), shape=places.shape)
     stored.sum_duplicates()
     return stored
 

@@ -96,7 +96,7 @@ def nonpositive_pair(M: Any) -> tuple[int, int] | None:
     ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
     suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
     for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:EXACT_PAIRS]:
-        i, j = int(ratios.coords[0][k]), int(ratios.coords[1][k])
+        i, j = int(ratios.row[k]), int(ratios.col[k])
         exact = [Fraction(float(M[place])) for place in ((i, i), (j, j), (i, j), (j, i))]
         if exact[0] * exact[1] - exact[2] * exact[3] <= 0:
             return i, j

@@ -82,6 +82,11 @@ class NPSplitting(ScaledByRows):
             splitting=splitting, is_part_of_matrix=isinstance(self.splitting, str),
         )
 
+    @property
+    def takes_scaled(self) -> bool:
+        """No: a splitting of somebody's own is one of the caller's matrix."""
+        return False
+
     def _scaling(self, problem: LCP) -> FloatVector:
         is_named = isinstance(self.splitting, str)
         return self.row_scaling(problem, lambda: split_factors(problem.matrix, self.splitting) if is_named else 1.0)

@@ -29,10 +29,9 @@ verdict stays undecided and a bound may be an estimate.
 tried as often as the run can afford it. ``tolerance_on="error"``: SOLVED means that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is
 proved; a matrix that allows no rigorous bound is refused before the first step.
 
-**Units.** SOLVED speaks of the residual in the units in which M is balanced, exact powers of two for rows and unknowns:
-multiply rows or unknowns by any powers of two, and status and ``certificate.relative_residual`` stay bit for bit. M
-keeps the units it is given in where its rows and columns are of one size (within 2¹⁰), or where its rows are diagonally
-dominant, as those of grids are however stiff; formula, theorem and what the criterion cannot see:
+**Units.** Units of rows change no residual. The unknowns keep the units that they are given in, unless an entry of M is
+more than 2⁴ times the diagonal entry of its row and sizes differ by more than 2¹⁰: then SOLVED speaks of the residual
+in others, exact powers of two. Formula, and what the criterion cannot see:
 ``help("lcp_plugin.core.certificates.criterion")``.
 
 **Without a bound.** SOLVED speaks of the residual; on stiff data a small one can go with a larger error in z.

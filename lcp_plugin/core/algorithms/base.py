@@ -107,6 +107,14 @@ class Algorithm(ABC):
     is_watched: ClassVar[bool] = False
     why_no_start: ClassVar[str] = ""
 
+    @property
+    def takes_scaled(self) -> bool:
+        """Whether the iteration may run in the units that M shows; otherwise it sees the caller's matrix.
+
+        True of what these units do not change, and of what they help: factorisations, pivots, interior points.
+        """
+        return True
+
     def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
         """Return whether the run depends on the start z0, shape (n,), where that is another than z°."""
         return True

@@ -1,29 +1,33 @@
-"""What SOLVED asks for: residuals in the units in which M is balanced, in each part beside the reference of that part.
+"""What SOLVED asks for: residuals in the units that M shows, in each part beside the reference of that part.
 
 In the units R, C of :mod:`lcp_plugin.core.matrix.units`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in each
 part P, a connected component of the graph of M,
 
     |r̂_i(z)| ≤ tolerance · ‖r̂_P(z°)‖∞ for each row i of P,  r̂_i = ẑ_i − mid(l̂_i, û_i, ẑ_i − ŵ_i / d̂_i),
 
-or |r_i| ≤ absolute tolerance, in the caller's unit of z_i.
+or |r_i| ≤ absolute tolerance, in the caller's unit of z_i; and every row is right in its own terms to √tolerance, in
+the caller's units (:mod:`lcp_plugin.core.certificates.own_terms`).
 
 In the caller's units r̂_i is r_i, with d̂_i / 2^(row_i + column_i) for d_i, times the *weight* 2^−column_i: this is how
-a certificate computes it, on the caller's data. A run works on the problem in these units, and there, with 2^k_P for
-each part, so that 2^k_P ‖r̂_P(z°)‖∞ lies in [1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm
-speaks of every part within a factor 2. Where ‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where a part falls into several
-components of the graph of rows and columns (zero diagonals: games, linear programs), M̂ leaves the unit of each open,
-and q̂ at z° decides: its largest entry in the rows of each lies in [½, 1). Where it is 0 in all of them, nothing does.
+a certificate computes it, on the caller's data. A run works on the problem in these units, or, where its algorithm
+wants to see the caller's matrix, on that. In both 2^k_P is chosen for each part, so that 2^k_P ‖r̂_P(z°)‖∞ lies in
+[1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm speaks of every part within a factor 2. Where
+‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where a part falls into several components of the graph of rows and columns
+(zero diagonals: games, linear programs), M̂ leaves the unit of each open, and q̂ at z° decides: its largest entry in the
+rows of each lies in [½, 1). Where it is 0 in all of them, nothing does.
 
-What it does not see: units that M cannot tell (an M of entries within 2¹⁰, a factor of 2⁸ between unknowns, rows that
-dominate, a row of zeros: such keep the units they are given in, so that beside the same M in mixed units the residual
-may differ), and jumps in mixed units, whose stiff part counts more than its share. Rows over ranks keep their units.
+What it does not see: units that M does not show (entries within 2¹⁰, none beyond 2⁴ times its diagonal entry, a factor
+of 2⁸ between unknowns, a row of zeros: such keep the units they are given in), and jumps in mixed units, whose stiff
+part counts more than its share. Units are found to a few powers of two, not to one, so that beside the same M in other
+units the residual may differ. Rows over ranks keep their units.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -42,6 +46,10 @@ from .row_residuals import (
     scaled_residual,
     sharp_residual_ends,
 )
+
+if TYPE_CHECKING:
+    from ..algorithms import Step
+    from ..policy.stages import Choice
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)
@@ -203,6 +211,8 @@ class CommonUnits:
         The rows of parts that z° solves, as far as double precision can tell; None where there are none.
     least : float
         No other reference counts for less than this, in the caller's units.
+    is_scaled : bool
+        Whether the run's matrix is M̂, another than the caller's.
     """
 
     stated: LCP
@@ -211,26 +221,32 @@ class CommonUnits:
     row_exponents: IntVector | None = None
     answered: BoolVector | None = None
     least: float = 0.0
+    is_scaled: bool = False
 
     @classmethod
     def of(cls, problem: LCP, least: float = 0.0) -> CommonUnits:
         """Return those of a problem; where a number would overflow in them, the problem's own."""
-        units, several = RowUnits.of(problem), parts(problem.matrix)
+        return cls._in(RowUnits.of(problem), problem, least)
+
+    @classmethod
+    def _in(cls, units: RowUnits | None, problem: LCP, least: float) -> CommonUnits:
+        several = parts(problem.matrix)
         run, columns, rows = problem, None, None
         if units is not None and (balanced := _scaled(problem, units.row, -units.column, units.matrix)) is not None:
             run, columns, rows = balanced, -units.column, units.row
+        is_scaled = run is not problem
         if several is None:
-            return cls(problem, run, columns, rows, None, least)
+            return cls(problem, run, columns, rows, None, least, is_scaled)
         most = own_references(run)[1]
         is_answered = (most == 0.0) | hold_at_zero(problem)
-        if run is problem:
+        if not is_scaled:
             most = np.maximum(most, least)
         exponents = _exponents(run, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
         has_units, has_answers = (problem.communicator.anywhere(side.any()) for side in (exponents, answered))
         if has_units and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
             run, columns, rows = alike, *(exponents if side is None else side + exponents for side in (columns, rows))
-        return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least)
+        return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least, is_scaled)
 
     @cached_property
     def references(self) -> VectorEnds:
@@ -257,6 +273,22 @@ class CommonUnits:
             return float(most.max(initial=0.0))
         smallest = -self.problem.communicator.largest(-least_reference(least, most))
         return smallest if smallest < np.inf else 0.0
+
+    @cached_property
+    def of_caller(self) -> CommonUnits:
+        """The same on the caller's matrix; itself where M shows no units."""
+        return self._in(None, self.stated, self.least) if self.is_scaled else self
+
+    def steps(self, choice: Choice, z: FloatVector) -> Iterator[Step]:
+        """Yield the steps of a choice from z in these units, taken where its algorithm wants to take them."""
+        here = self.of_caller
+        if here is self or choice.algorithm.takes_scaled:
+            yield from choice.iterates(self.problem, z)
+            return
+        for step in choice.iterates(here.problem, here.inward(self.outward(z))):
+            at, is_measured = self.inward(here.outward(step.z)), step.residual is not None
+            residual = measured_residual(self.problem, at) if is_measured else None  # the criterion's own
+            yield replace(step, z=at, residual=residual, work=step.work + is_measured)
 
     @property
     def is_identity(self) -> bool:

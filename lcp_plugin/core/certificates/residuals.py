@@ -17,6 +17,7 @@ from ..matrix.structure import parts
 from ..matrix.units import times_power
 from ..rounding import gamma
 from .criterion import RowUnits, VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
+from .own_terms import term_residuals
 from .row_residuals import (
     at_rounding_level,
     euclidean_norm,
@@ -57,7 +58,10 @@ class Certificate:
     relative_residual : float
         The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts P, the connected components of the graph of M, with
         r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the units
-        in which M is balanced (:mod:`lcp_plugin.core.certificates.criterion`): mixed units do not change it.
+        that M shows (:mod:`lcp_plugin.core.certificates.criterion`).
+    term_residual : float
+        How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`); 0 where M shows
+        no units, as it is no larger than the relative residual there.
     parts : int
         How many parts there are.
     natural_residual : float
@@ -185,6 +189,36 @@ class Certificate:
         return communicator.largest(largest_ratio(*self.residuals_of_parts))
 
     @property
+    def term_residual(self) -> float:
+        """How wrong the worst row is in its own terms; 0 where the relative residual says as much."""
+        return float(self.term_residuals.max(initial=0.0))
+
+    @cached_property
+    def term_residuals(self) -> FloatVector:
+        """How wrong each row is in its own terms, shape (n,); 0 where M shows no units (see that module)."""
+        if self._units is None:
+            return np.zeros(self.z.size)
+        return term_residuals(self.problem, self.z, self.w)
+
+    def is_right_row_by_row(self, goal: float, least: float) -> bool:
+        """Return whether every row is right in its own terms, or its residual at most goal · least in the unit of z."""
+        if self._units is None:
+            return True
+        wrong = np.flatnonzero(self.term_residuals > goal)
+        return not wrong.size or bool(least and (self._scaled_ends[1][wrong] <= goal * least).all())
+
+    @property
+    def wrong_row(self) -> str:
+        """Which row is the most wrong in its own terms, in words."""
+        i = int(np.argmax(self.term_residuals))
+        return f"w[{i}] = {self.w[i]:.1e} with z[{i}] = {self.z[i]:.1e}, where its terms are {self._terms[i]:.1e}"
+
+    @cached_property
+    def _terms(self) -> FloatVector:
+        """|M||z| + |q|."""
+        return magnitude(self.problem, self._whole)
+
+    @property
     def residuals_of_parts(self) -> VectorEnds:
         """Upper bounds of ‖r_P(z)‖∞ and lower ones of ‖r_P(z°)‖∞, shape (parts,) each."""
         return largest_of_parts(self.problem, self._proved_rows), self.references[0]
@@ -253,7 +287,7 @@ class Certificate:
         """max_i |r_i| / (|z_i| + (|M||z| + |q|)_i / d_i), invariant under row and column scaling."""
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            size = np.abs(self.z) + magnitude(self.problem, self._whole) / self._scale
+            size = np.abs(self.z) + self._terms / self._scale
             return self._largest(np.where(residual == 0.0, 0.0, residual / size))
 
     @cached_property
@@ -315,7 +349,7 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
         """
-        return rounding_floor(self.problem, magnitude(self.problem, self._whole), self._scale)
+        return rounding_floor(self.problem, self._terms, self._scale)
 
     @cached_property
     def scale_spread(self) -> float:

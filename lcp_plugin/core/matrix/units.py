@@ -1,19 +1,24 @@
-r"""The units in which M is balanced: exact powers of two for its rows and unknowns, found from M alone.
+r"""The units of rows and unknowns, where entries of M show them: exact powers of two, found from M alone.
 
-M̂ = R M C, R = diag(2^row), C = diag(2^column). A part (connected component) of M keeps its units where they are alike:
+M̂ = R M C, R = diag(2^row), C = diag(2^column). An entry far larger than the diagonal entry of its row is evidence of a
+unit; a small one is a weak coupling or a flow, and |m_ij| / |m_ji| may be a unit or a flow: M alone cannot tell. So a
+part (connected component) of M keeps its units where
 
 - the largest entries of all its rows and columns lie within 2¹⁰ of each other, zeros on the diagonal or not; or
-- its rows are diagonally dominant, Σ_{j≠i} |m_ij| ≤ |m_ii|: then the maximum norm in these units is the one in which
-  the projected iterations are a contraction, however stiff M is, so that grids with jumps keep theirs; or
+- no entry exceeds 2⁴ times the diagonal entry of its row, however different these are: dominant rows, grids with jumps,
+  convection, option prices; or
 - what follows would change its unknowns by less than 2⁸ beside each other: the units of rows change no residual.
 
-Else, where the diagonal can, it is brought to 1, and c minimises Σ (log₂|m̂_ij|)² over the other entries: c = d^(−1/2)
-where M is symmetric, the best conditioned scaling of a positive definite one up to the factor n (van der Sluis). Where
-the diagonal has zeros or nothing but noise, rows and columns are fitted together over all entries (Curtis, Reid).
+Else c are the greatest integers ≤ 0 with
 
-Both are the same for every D₁ M D₂, D₁ and D₂ positive diagonals: M̂ does not depend on the units of rows and unknowns,
-bit for bit where these are powers of two, since integers along a spanning forest of the entries take them out first.
-Where some D₁ M D₂ has symmetric sizes, |M̂| is symmetric: what is definite or monotone stays so.
+    |m_ij| 2^(c_j − c_i) ≤ 2^τ |m_ii|,  τ = 4, or 6, 8, 10 where there are none: shortest paths.
+
+With units u of the unknowns c + u is the largest function below u that grows by at most τ an entry. The smallest units
+hold it, so that it cannot drift along a flow, as what balances |m_ij| against |m_ji| does. Sweeps of balancing (least
+squares of the logarithms) within 2⁴ of c follow. Where |M| is symmetric as it is given, nothing flows, and
+c = d^(−1/2), the best conditioned scaling of a positive definite M up to the factor n (van der Sluis). Where the
+diagonal has zeros or nothing but noise, rows and columns are fitted together over all entries (Curtis, Reid).
+
 M̂ leaves one number open for each connected component of the graph of rows and columns: one a part, or several where
 the diagonal has zeros, as those of a game and of a linear program have two.
 
@@ -37,7 +42,10 @@ from .structure import IntVector, parts, row_numbers
 
 SPREAD = 10  # log2 of what entries in one unit differ by
 ALIKE = 8  # log2 of what unknowns in one unit differ by
-DOMINANT = 1.0 + 2.0**-20  # rounding of stored sums
+BESIDE_DIAGONAL = 4  # log2 of what an entry in one unit may exceed the diagonal entry of its row by
+WIDER = (BESIDE_DIAGONAL, 6, 8, 10)  # where units would have to fall for ever around a cycle of large entries
+BALANCED_WITHIN, BALANCING_SWEEPS = 4.0, 20  # log2: how far balancing may move the units of unknowns; there and back
+SYMMETRIC_WITHIN = 16  # log2: how far rows may leave the diagonal's units to make |M̂| symmetric
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
 ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding
 LARGEST_OFF = 2.0**SPREAD  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
@@ -81,7 +89,7 @@ class Units(NamedTuple):
 
 @fact
 def units_of(matrix: Matrix) -> Units | None:
-    """Return the units in which M is balanced; None where these are its own, and where rows are spread over ranks.
+    """Return the units that M shows; None where these are its own, and where rows are spread over ranks.
 
     Examples
     --------
@@ -110,17 +118,17 @@ def units_of(matrix: Matrix) -> Units | None:
 
 
 def are_in_one_unit(matrices: Any) -> BoolVector:
-    """Return which of several dense matrices, shape (k, n, n), are even or dominant as a whole, shape (k,)."""
+    """Return which dense matrices, shape (k, n, n), show no units as a whole: shape (k,)."""
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
     most = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD
     are: BoolVector = most <= pivots.min(axis=1, initial=np.inf)
     rest = np.flatnonzero(~are)
     if rest.size:
         left = sizes[rest] if rest.size < are.size else sizes
-        sides = np.concatenate([left.max(axis=1), left.max(axis=2)], axis=1)
-        with np.errstate(over="ignore"):
-            is_dominant = (left.sum(axis=2) <= (1.0 + DOMINANT) * pivots[rest]).all(axis=1)
-        are[rest] = is_dominant | (most[rest] <= sides.min(axis=1, initial=np.inf, where=sides > 0.0))
+        rows, columns = left.max(axis=2), left.max(axis=1)
+        shows_none = (rows * 2.0**-BESIDE_DIAGONAL <= pivots[rest]).all(axis=1)
+        sides = np.concatenate([rows, columns], axis=1)
+        are[rest] = shows_none | (most[rest] <= sides.min(axis=1, initial=np.inf, where=sides > 0.0))
     return are
 
 
@@ -167,34 +175,87 @@ def is_representable(scale: FloatVector) -> bool:
 
 
 def _uneven_parts(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> BoolVector:
-    """Return which parts, shape (parts,), are neither even nor dominant."""
+    """Return which parts, shape (parts,), have entries of several sizes, and some far beyond their diagonal."""
     rows, columns = largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))
     most, least = np.zeros(labels.max() + 1), np.full(labels.max() + 1, np.inf)
     for side in (rows, columns):
         np.maximum.at(most, labels, side)
         np.minimum.at(least, labels, np.where(side > 0.0, side, np.inf))
-    with np.errstate(over="ignore"):
-        is_dominant = np.asarray(abs(M).sum(axis=1)) <= (1.0 + DOMINANT) * pivots
-    dominates = np.ones(most.size, np.bool_)
-    np.logical_and.at(dominates, labels, is_dominant)
-    return (most * 2.0**-SPREAD > least) & ~dominates
+    shows_units = np.zeros(most.size, np.bool_)
+    np.logical_or.at(shows_units, labels, rows * 2.0**-BESIDE_DIAGONAL > pivots)
+    return (most * 2.0**-SPREAD > least) & shows_units
 
 
 def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
-    """Return the exponents that balance M, the square block of some parts, up to one number a component."""
-    pivots = np.abs(M.diagonal())
-    has_pivots = np.ones(labels.max() + 1, np.bool_)
-    np.logical_and.at(has_pivots, labels, pivots > 0.0)
-    whole, part = _with_unit_diagonal(M, pivots)
-    if has_pivots[labels].any():
-        off = largest_in_rows(scaled(M, Exponents(*_rounded(whole, part)))) <= LARGEST_OFF
-        np.logical_and.at(has_pivots, labels, off)
-    keeps = has_pivots[labels]
-    if not keeps.all():
-        other = _fitted_together(M)
-        whole, part = (np.where(keeps, one, two) for one, two in zip((whole, part), other, strict=True))
-    row, column = _rounded(whole, part)
+    """Return the exponents of M, the square block of some parts, up to one number a component."""
+    count, pivots = int(labels.max()) + 1, np.abs(M.diagonal())
     ratio, is_symmetric = _symmetrising(M, labels)
+    column, is_served = _one_sided(M, labels, pivots)
+    of_diagonal = 1 - np.frexp(np.where(pivots > 0.0, pivots, 1.0))[1].astype(np.int64)
+    # Where |M| is symmetric as it is given, d^(−1/2); an odd exponent of the first row is its rows' alone.
+    is_given = _all_of_parts(is_symmetric & (ratio == 0), labels, count) & _all_of_parts(pivots > 0.0, labels, count)
+    odd = np.zeros(count, np.int64)
+    roots = np.unique(labels, return_index=True)
+    odd[roots[0]] = of_diagonal[roots[1]] % 2
+    half = (of_diagonal - odd[labels]) // 2
+    given = Exponents(half + odd[labels], half)
+    is_given &= _all_of_parts(largest_in_rows(scaled(M, given)) <= LARGEST_OFF, labels, count)
+    row = of_diagonal - column
+    near = _all_of_parts(is_symmetric & (np.abs(column + ratio - row) <= SYMMETRIC_WITHIN), labels, count)
+    row = np.where(near[labels], column + ratio, row)
+    row, column = (np.where(is_given[labels], one, two) for one, two in zip(given, (row, column), strict=True))
+    is_found = (is_served | is_given)[labels]
+    if is_found.all():
+        return Exponents(row, column)
+    other = _together(M, labels, ratio, is_symmetric)
+    return Exponents(*(np.where(is_found, one, two) for one, two in zip((row, column), other, strict=True)))
+
+
+def _all_of_parts(claim: BoolVector, labels: IntVector, count: int) -> BoolVector:
+    """Return of which parts all rows are so, shape (parts,)."""
+    are = np.ones(count, np.bool_)
+    np.logical_and.at(are, labels, claim)
+    return are
+
+
+def _one_sided(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> tuple[IntVector, BoolVector]:
+    """Return c of the module's head, balanced within bounds, and which parts have one, shape (parts,)."""
+    from ..kernels import scaling
+
+    n, count, rows = M.shape[0], int(labels.max()) + 1, row_numbers(M)
+    column, serves = np.zeros(n, np.int64), _all_of_parts(pivots > 0.0, labels, count)
+    is_entry = (rows != M.indices) & (M.data != 0.0) & serves[labels[rows]]
+    pattern = sp.csr_array((M.data[is_entry], (rows[is_entry], M.indices[is_entry])), shape=(n, n))
+    pattern.sort_indices()
+    of_pivot, pivot = np.frexp(np.where(pivots > 0.0, pivots, 1.0))
+    of_entry, entry = np.frexp(np.abs(pattern.data))
+    here = row_numbers(pattern)
+    whole = (entry - pivot[here]).astype(np.int64)
+    sizes = whole + np.log2(of_entry) - np.log2(of_pivot)[here]
+    above = whole + (of_entry > of_pivot[here])  # ⌈log₂ |m_ij| / |m_ii|⌉
+    graph, work = (pattern.indptr, pattern.indices), (np.empty(n, np.int64), np.empty(n, np.bool_))
+    is_open = serves.copy()
+    for beside in WIDER:
+        if not is_open.any():
+            break
+        distance, is_cut = np.zeros(n, np.int64), ~is_open
+        scaling.shortest(*graph, beside - above, labels, is_cut, distance, *work)
+        found = is_open & ~is_cut
+        column = np.where(found[labels], distance, column)
+        is_open &= is_cut
+    mirror = sp.csr_array(sp.csr_array((sizes, pattern.indices, pattern.indptr), shape=(n, n)).T)
+    position = column.astype(np.float64)
+    ends = position - BALANCED_WITHIN, position + BALANCED_WITHIN
+    scaling.balance_within(
+        *graph, sizes, mirror.indptr, mirror.indices, mirror.data, *ends, position, 2 * BALANCING_SWEEPS
+    )
+    return np.rint(position).astype(np.int64), serves & ~is_open
+
+
+def _together(M: sp.csr_array, labels: IntVector, ratio: IntVector, is_symmetric: BoolVector) -> Exponents:
+    """Return the exponents of rows and columns fitted together, |M̂| symmetric where some D₁ M D₂ is."""
+    whole, part = _fitted_together(M)
+    row, column = whole + np.rint(part).astype(np.int64)
     # Rows beside columns by this ratio, so that |M̂| is symmetric; what M̂ leaves open decides between t and t + 1.
     total = whole[0] + whole[1] - ratio
     roots = np.unique(labels, return_index=True)
@@ -223,18 +284,6 @@ def _symmetrising(M: sp.csr_array, labels: IntVector) -> tuple[IntVector, BoolVe
     return ratio, are[labels]
 
 
-def _with_unit_diagonal(M: sp.csr_array, pivots: FloatVector) -> Fit:
-    """Return the exponents that make the diagonal 1 and the other entries even."""
-    rows = row_numbers(M)
-    off = (rows != M.indices) & (M.data != 0.0)
-    mantissas, exponents = np.frexp(np.abs(M.data[off]))
-    of_pivot, pivot = np.frexp(np.where(pivots > 0.0, pivots, 1.0))
-    rows, columns = rows[off], M.indices[off].astype(np.int64)
-    whole = exponents.astype(np.int64) - pivot[rows]
-    column, part = _fit(whole, np.log2(mantissas) - np.log2(of_pivot)[rows], rows, columns, M.shape[0])
-    return np.stack([1 - pivot.astype(np.int64) - column, column]), np.stack([-part, part])
-
-
 def _fitted_together(M: sp.csr_array) -> Fit:
     """Return the exponents of rows and of columns that make all entries even."""
     n, kept = M.shape[0], M.data != 0.0
@@ -242,10 +291,6 @@ def _fitted_together(M: sp.csr_array) -> Fit:
     rows, columns = row_numbers(M)[kept], M.indices[kept].astype(np.int64) + n
     whole, part = _fit(exponents.astype(np.int64), np.log2(mantissas), rows, columns, 2 * n)
     return np.stack([-whole[:n], whole[n:]]), np.stack([-part[:n], part[n:]])
-
-
-def _rounded(whole: Any, part: Any) -> Any:
-    return whole + np.rint(part).astype(np.int64)
 
 
 def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector, nodes: int) -> Fit:

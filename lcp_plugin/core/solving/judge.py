@@ -100,15 +100,17 @@ class Judge:
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for.
 
-        Whether it answers the program, if there is one, takes long to tell, and is not asked at every step.
+        Whether every row is right in its own terms, and whether it answers the program, if there is one, takes longer
+        to tell, and is not asked at every step.
         """
-        is_asked_in_vain = residual > 0.5 * self._asked_at and iteration < self._ask_again
-        if not residual <= self.settings.goal or is_asked_in_vain:
+        settings, is_asked_in_vain = self.settings, residual > 0.5 * self._asked_at and iteration < self._ask_again
+        if not residual <= settings.goal or is_asked_in_vain:
             return False
-        answers = answers_program(self.problem, self.settings, self.units.outward(z))
-        if answers is False:
+        passes = self.certificate_of(z).is_right_row_by_row(settings.goal, settings.least_reference)
+        passes = passes and answers_program(self.problem, settings, self.units.outward(z)) is not False
+        if not passes:
             self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
-        return answers is not False
+        return passes
 
     def require_rigorous_bounds(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""

@@ -74,7 +74,7 @@ class Run:
                     from_start = following.from_start or self.incumbent.z is None
                     self.state.open(Stage(following.algorithm, following.because, from_start))
                     z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
-                    reason, following = self._follow(iter(following.iterates(self.problem, z)))
+                    reason, following = self._follow(self.units.steps(following, z))
         except OutOfTimeError:
             return Status.MAX_SECONDS
         return reason
@@ -226,6 +226,11 @@ class Run:
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
             if status is not Status.SOLVED:
                 words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
+                if not certificate.is_right_row_by_row(settings.goal, settings.least_reference):
+                    words[Status.STALLED] = (
+                        f"a row is wrong in its own terms whatever the residual: {certificate.wrong_row}; state rows "
+                        "and unknowns in units in which the entries of M are of one size, or raise the tolerance"
+                    )
         if not settings.refute:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
             words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"

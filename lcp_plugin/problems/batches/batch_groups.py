@@ -112,7 +112,8 @@ def answers_in_common_units(group: Group, phases: Phases, settings: Settings) ->
     for k in np.flatnonzero(answers.has_converged).tolist():
         own = slice(ends[k], ends[k + 1])
         answers.residual[k] = largest_ratio(largest[own], least[own])
-        answers.has_converged[k] = answers.residual[k] <= settings.tolerance
+        is_right = not (certificate.term_residuals[k * n : (k + 1) * n] > settings.tolerance).any()
+        answers.has_converged[k] = is_right and answers.residual[k] <= settings.tolerance
     return answers
 
 

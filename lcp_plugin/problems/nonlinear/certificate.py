@@ -13,17 +13,8 @@ No affine F with the derivative F′(x) has a larger ‖r_P(x°)‖∞ than
 and so none is taken for the reference. Where F(x°) is undefined or solves the part, it is ‖x − x°‖∞: x° is an answer,
 but not of a run that does not go there.
 
-A reference in the unit of x says little where F flattens as x runs away: d → 0, or is the noise of differences. So
-every row is judged in its own terms as well. With q = F(x) − F′(x) x, row i is made of T_i = |q_i| + Σ_j |F′_ij x_j| at
-x. A row that must vanish there has terms of its own unless all its unknowns are 0 beside the unit U of x, the largest
-T_i/d_i of those of its part that must vanish and nearly do, but no larger than ‖x_P‖∞: neither slack at a bound nor a
-row along which x ran away is a unit of x. The *term residual* of a row is the least s² for which
-
-- the wrong part v_i of F_i(x) is at most s^(3/2) T_i, 1e-6 T_i at a tolerance of 1e-8, or
-- x_i is no farther than s max(|x_i|, s U) from a bound where the sign of F_i is right, or
-- |x_j| ≤ s² U for all unknowns of the row, and |q_i| ≪ T_i: it vanishes near 0, as it does not beside a pole.
-
-The relative residual is the largest of all these.
+A reference in the unit of x says little where F flattens as x runs away. So every row is judged in its own terms as
+well (:mod:`lcp_plugin.core.certificates.own_terms`); the relative residual is the largest of all.
 
 F(x) is taken as F returns it. What rounding does in there is estimated where progress stops: F is asked at a few points
 so near x that its curvature does not show, and what is left of F(x + δ) − F(x) − F′(x) δ is rounding.
@@ -39,13 +30,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_parts
+from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import largest_ratio, residual_ends_of, scaled_residual
 from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.structure import parts
 from .data import Linearisation, NonlinearProblem
 
@@ -132,47 +123,6 @@ class Reference:
             return ROUNDED * (largest_of_parts(problem, here) + largest_of_parts(problem, reached))
 
 
-def term_residuals(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
-    """Return how wrong each row is in its own terms, shape (n,): 0 where it is right, 1 where it vanishes nowhere near.
-
-    Parameters
-    ----------
-    problem : LCP
-        The linearisation at x.
-    x, value : array, shape (n,)
-        The point, and F there.
-
-    Examples
-    --------
-    >>> flat = NonlinearProblem(lambda x: 10.0 / x - 1.0, lambda x: np.diag(-10.0 / x**2))
-    >>> for x in (1e9, 10.0 + 1e-9):
-    ...     at = Linearisation(flat, np.array([x]))
-    ...     print(f"{term_residuals(at.lcp, at.x, at.value)[0]:.0e}")
-    1e+00
-    2e-14
-    """
-    scale, is_above = problem.residual_scale, value > 0.0
-    with np.errstate(all="ignore"):
-        distance = np.where(is_above, x - problem.lower, problem.upper - x)  # to where this sign is right
-        wrong = np.where(distance > 0.0, np.abs(value), 0.0)
-        moved = abs(problem.M) @ np.abs(x)
-        terms = np.abs(problem.q) + moved
-        is_unit = (distance > 0.0) & (wrong <= VANISHING * terms)
-        unit = largest_of_parts(problem, np.where(is_unit, terms / scale, 0.0))
-        unit = for_each_row(problem, np.minimum(unit, largest_of_parts(problem, np.abs(x))))
-        on_bound = np.abs(value) - problem.M.diagonal() * distance  # as far as the diagonal entry tells
-        stays_right = ~(on_bound < 0.0)
-        rows = problem.matrix.csr_rows
-        unknowns = largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0))  # of each row
-        ratios = np.stack([
-            (wrong / terms) ** (4.0 / 3.0),
-            np.where(stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf),
-            np.where(np.abs(problem.q) <= VANISHING * moved, unknowns / unit, np.inf),
-        ])
-        squares: FloatVector = np.fmin.reduce(ratios)
-    return np.where(wrong == 0.0, 0.0, np.where(np.isfinite(squares), squares, np.inf))
-
-
 @dataclass(frozen=True, eq=False)
 class NonlinearCertificate(Certificate):
     """Every measure of how far x is from solving a nonlinear problem.
@@ -230,19 +180,15 @@ class NonlinearCertificate(Certificate):
         return self.reference.ends(self.problem, self.z, self.value)
 
     @cached_property
-    def _term_residuals(self) -> FloatVector:
-        return term_residuals(self.problem, self.z, self.value)
-
-    @cached_property
-    def term_residual(self) -> float:
-        """How wrong the worst row is in its own terms."""
-        return float(self._term_residuals.max(initial=0.0))
+    def term_residuals(self) -> FloatVector:
+        """How wrong each row is in its own terms, shape (n,)."""
+        return term_residuals(self.problem, self.z, self.value, is_linear=False)
 
     def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
         """Return the relative residual with no part's reference, and no row's terms, taken for less than `least`."""
         if not least:
             return self.relative_residual
-        rows = np.fmin(self._term_residuals, np.abs(self._scaled_ends[1]) / least)
+        rows = np.fmin(self.term_residuals, np.abs(self._scaled_ends[1]) / least)
         return max(super().relative_above(least, answered), float(rows.max(initial=0.0)))
 
     @cached_property

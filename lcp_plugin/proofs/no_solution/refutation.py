@@ -151,7 +151,7 @@ class Refutation:
 
     @property
     def is_rounding(self) -> bool:
-        """Whether what contradicts is no more than rounding of the largest number in q, in balanced units."""
+        """Whether what contradicts is no more than rounding of the largest number in q, in the criterion's units."""
         return rounded_down(self._least[2]) <= rounding_of_data(self.problem)
 
     def excludes(

@@ -415,14 +415,14 @@ def test_a_singular_block_has_the_derivative_of_least_change(root: list[list[flo
     assert found.vjp(g).q == pytest.approx(-inverse.T @ g, rel=1e-12)
 
 
-def test_least_change_is_the_same_in_mixed_units() -> None:
-    """Bit for bit between powers of two, since M is balanced the same."""
+def test_least_change_is_the_same_in_any_units_of_a_symmetric_matrix() -> None:
+    """Bit for bit between powers of two, since its diagonal shows them."""
     M = np.array([[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]]) @ np.array([[1.0, 4.0, 7.0], [2.0, 5.0, 8.0]])
     answers = []
     for exponents in ([-20.0, 0.0, 20.0], [15.0, -24.0, 7.0]):
-        row, column = np.exp2(exponents), np.exp2(exponents[::-1])
-        found = found_of(LCP(M * row[:, None] * column, np.zeros(3), lower=-np.inf))
-        answers.append(found.vjp(np.array([1.0, 2.0, 5.0]) * column).q * row)
+        unit = np.exp2(exponents)
+        found = found_of(LCP(M * unit[:, None] * unit, np.zeros(3), lower=-np.inf))
+        answers.append(found.vjp(np.array([1.0, 2.0, 5.0]) * unit).q * unit)
     assert np.array_equal(*answers)
 
 

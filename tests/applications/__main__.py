@@ -40,7 +40,7 @@ def main() -> int:
         new = {}
         for case in cases(full=given.full, names=given.names):
             begin = time.perf_counter()
-            new.update(case.measure(all_runs()))
+            new.update(case.measure(all_runs(full=given.full)))
             print(f"{case.name} (n = {case.n}): {time.perf_counter() - begin:.1f} s", file=sys.stderr, flush=True)
         if given.names:  # the others stay as they are, in their places
             measured = {key.problem for key in new}

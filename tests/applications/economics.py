@@ -72,7 +72,10 @@ def bimatrix(rows: int) -> Application:
     problem = LCP.from_game(A, B)
 
     def regret(z: Any) -> float:
-        x, y = z[:rows] / z[:rows].sum(), z[rows:] / z[rows:].sum()
+        x, y = z[:rows], z[rows:]
+        if not min(x.sum(), y.sum()) > 0.0:
+            return np.inf
+        x, y = x / x.sum(), y / y.sum()
         return float(max((A @ y).max() - x @ A @ y, (x @ B).max() - x @ B @ y))
 
     return Application(problem.M, problem.q, error=regret)

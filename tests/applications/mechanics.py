@@ -90,15 +90,18 @@ def own_residual(problem: LCP) -> Application:
     return Application(problem.M, problem.q, error=lambda z: violation(data, np.maximum(z, 0.0)))
 
 
-@application(small=dict(contacts=8), full=[dict(contacts=8), dict(contacts=30)])
-def friction_low_rank(contacts: int) -> Application:
-    """One plate on many feet, six motions, friction .5 in a pyramid of four; Stewart, Trinkle (1996)."""
+@application(small=[dict(contacts=8, uneven=0.0), dict(contacts=8, uneven=0.01)],
+             full=[dict(contacts=30, uneven=0.0), dict(contacts=12, uneven=0.01)])
+def friction_low_rank(contacts: int, uneven: float) -> Application:
+    """A plate on many feet, six motions, friction .5, even ground or gaps of all sizes; Stewart, Trinkle (1996)."""
     rng = np.random.default_rng(24)
     arms = np.column_stack([rng.uniform(-0.5, 0.5, size=(contacts, 2)), np.full(contacts, -0.1)])
     rows = [np.hstack([np.tile(e, (contacts, 1)), np.cross(arms, e)]) for e in np.eye(3)]
     mass = np.diag([2.0, 2.0, 2.0, 0.17, 0.17, 0.33])
     pull = np.array([0.03, 0.01, -0.0981, 0.002, -0.001, 0.003])
-    return own_residual(LCP.from_contacts((mass, rows[2], np.stack(rows[:2], axis=1)), 0.5, pull))
+    velocities = np.stack([rows[2] @ pull, rows[0] @ pull, rows[1] @ pull], axis=1)
+    velocities[:, 0] += uneven * rng.random(contacts)  # a gap, by the time step
+    return own_residual(LCP.from_contacts((mass, rows[2], np.stack(rows[:2], axis=1)), 0.5, velocities))
 
 
 @application(small=dict(contacts=10), full=dict(contacts=60))

@@ -145,7 +145,7 @@ def rotated_anisotropy(side: int) -> Application:
     return Application(M, 2.0 - 12.0 * np.exp(-20.0 * ((x - 0.4) ** 2 + (y - 0.6) ** 2)))
 
 
-@application(small=dict(side=16), full=dict(side=60))
+@application(small=dict(side=16), full=[dict(side=40), dict(side=100)])
 def plate(side: int) -> Application:
     """A simply supported plate pressed on a stiff floor, the biharmonic operator as Δ²; Brézis, Stampacchia (1973)."""
     L = laplacian(side, side)

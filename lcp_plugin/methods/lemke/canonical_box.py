@@ -60,8 +60,8 @@ class CanonicalBox:
     @property
     def work(self) -> float:
         """Entries that the elimination touched: a factor, and solutions with it."""
-        g, k = self.elimination.shape
-        return g * g * (g / 3.0 + k) + float(g) * k * k
+        g, k = self.eliminated.size, float(self.q.size)
+        return g * (g * g / 3.0 + g * k + k * k)
 
     @property
     def is_finite(self) -> bool:

@@ -43,11 +43,9 @@ def main() -> int:
             new.update(case.measure(all_runs(full=given.full)))
             print(f"{case.name} (n = {case.n}): {time.perf_counter() - begin:.1f} s", file=sys.stderr, flush=True)
         if given.names:  # the others stay as they are, in their places
-            measured = {key.problem for key in new}
             kept = {key: row for key, row in old.items() if key.problem.partition(" ")[0] not in given.names}
             both, order = {**kept, **new}, list(entries())
             new = dict(sorted(both.items(), key=lambda row: order.index(row[0].problem.partition(" ")[0])))
-            assert measured
         if not given.dry_run:
             file.write_text(written(new), encoding="utf-8")
     print("\n".join([*differences(old, new), *summary(new)]))

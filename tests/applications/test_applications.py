@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -154,3 +157,30 @@ def test_references_are_checked() -> None:
         checked(problem, np.array([0.5, 1e-9]))
     with pytest.raises(NoReference):
         active_sets((sp.csr_array(-np.eye(1)), np.array([-1.0]), np.zeros(1), np.full(1, np.inf)), [])
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """What ``python tests/applications`` does with these arguments."""
+    return subprocess.run([sys.executable, str(Path(__file__).parent), *arguments], capture_output=True, text=True)
+
+
+def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
+    """Nothing changed since the table was written: a summary alone, and with --dry-run the file stays as it is."""
+    file = path_of(full=False)
+    before = file.read_bytes()
+    done = command("paper", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "→" not in done.stdout
+    assert "of 42 applications" in done.stdout
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"), [("papr", "unknown application 'papr'.*paper"), ("--against none", "no table in none")]
+)
+def test_what_is_wrong_is_said_without_a_traceback(arguments: str, told: str) -> None:
+    """A wrong name or commit: exit code 2, and what is wrong in words."""
+    done = command(*arguments.split())
+    assert done.returncode == 2
+    assert re.search(told, done.stderr)
+    assert "Traceback" not in done.stderr

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
+from applications import mechanics
 
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
@@ -41,30 +42,9 @@ class Comparison:
 
 
 def brick_wall(courses: int, width: int) -> LCP:
-    """Return a wall of bricks in running bond at rest: semidefinite, two contacts where one lies on another.
-
-    The bricks move up and down and turn. A course of `width` bricks carries one of `width` − 1, and that one of
-    `width`.
-    """
-    bricks = [(course, k + 0.5 * (course % 2)) for course in range(courses) for k in range(width - course % 2)]
-    contacts: list[tuple[int, int | None, float]] = [
-        (upper, None, arm) for upper, (course, _) in enumerate(bricks) if course == 0 for arm in (-0.5, 0.5)
-    ]
-    contacts += [
-        (upper, lower, (x + y) / 2.0 + side - x)
-        for upper, (above, x) in enumerate(bricks)
-        for lower, (below, y) in enumerate(bricks)
-        if above == below + 1 and abs(x - y) < 1.0
-        for side in (-0.25, 0.25)
-    ]
-    J = np.zeros((len(contacts), 2 * len(bricks)))
-    for row, (upper, lower, arm) in enumerate(contacts):
-        J[row, 2 * upper : 2 * upper + 2] = 1.0, arm
-        if lower is not None:
-            J[row, 2 * lower : 2 * lower + 2] = -1.0, bricks[lower][1] - bricks[upper][1] - arm
-    inertia = (1.0 + 0.5**2) / 12.0  # of a brick half as high as it is wide, its mass 1
-    fall = np.tile([-1.0, 0.0], len(bricks))
-    return LCP(sp.csr_array((J / np.tile([1.0, inertia], len(bricks))) @ J.T), J @ fall)
+    """Return a wall of bricks in running bond at rest: semidefinite, two contacts where one lies on another."""
+    wall = mechanics.brick_wall(courses, width)
+    return LCP(wall.M, wall.q)
 
 
 def lasso(samples: int, features: int) -> LCP:

@@ -178,6 +178,7 @@ class Lemke(Algorithm):
         if not box.is_finite:  # a solution, if there is one, is out of the reach of a tableau of doubles
             return
         path = Path(box.M, box.q, box.upper)
+        path.entries += box.work
         if not np.any(box.q < 0.0):
             yield from self._solution(part, box, path)
             return
@@ -209,7 +210,6 @@ class Lemke(Algorithm):
             path.fresh_for = min(usual, block) if block == CAREFUL_BLOCK else usual
             outcome = GOING_ON if start(path) else RAY
             while outcome == GOING_ON and path.pivots < limit:
-                before = path.entries
                 outcome = path.advance(min(block, limit - path.pivots))
                 if outcome == SOLVED:
                     if (yield from self._solution(part, box, path)):
@@ -217,7 +217,7 @@ class Lemke(Algorithm):
                     outcome = LOST
                     break
                 tells = outcome == RAY and bool(np.all(path.covering > 0.0))
-                yield box.recover(path.z), path.entries - before, box.direction(path.ray) if tells else None
+                yield box.recover(path.z), path.touched(), box.direction(path.ray) if tells else None
             if outcome != LOST:
                 break
         path.fresh_for = usual
@@ -228,7 +228,7 @@ class Lemke(Algorithm):
         from ..small.kernels.workspace import AT_LOWER, AT_UPPER
 
         z = np.clip(box.recover(path.z), part.lower, part.upper)
-        yield z, 0.0, None
+        yield z, path.touched(), None
         bounded = (part.lower > -np.inf) | (part.upper < np.inf)
         at_lower = part.lower == part.upper
         at_upper = np.zeros(part.n, dtype=bool)

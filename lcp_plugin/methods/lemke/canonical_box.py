@@ -58,6 +58,12 @@ class CanonicalBox:
     elimination: FloatMatrix
 
     @property
+    def work(self) -> float:
+        """Entries that the elimination touched: a factor, and solutions with it."""
+        g, k = self.eliminated.size, float(self.q.size)
+        return g * (g * g / 3.0 + g * k + k * k)
+
+    @property
     def is_finite(self) -> bool:
         """Whether nothing in it has left the range of doubles."""
         return all(bool(np.isfinite(part).all()) for part in (self.M, self.q, self.step, self.elimination, self.offset))

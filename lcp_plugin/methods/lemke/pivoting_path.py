@@ -62,7 +62,7 @@ class Path:
         self.real[WIDTH, :n] = upper
         self.basis, self.others, self.side = self.whole[BASIC, :n], self.whole[OTHER, :n + 1], self.whole[SIDE, :n]
         self.values, self.tableau = self.real[KEPT, :n], self.room[:n]
-        self.entries = 0.0  # touched so far
+        self.entries = self._told = 0.0  # touched so far, and up to when that was asked last
         self.fresh_for = max(FRESH_FOR, n)
         self.is_well_conditioned = True  # the basis, when the tableau was last computed
         self.pivots = self.age = 0
@@ -103,6 +103,11 @@ class Path:
         self.start_side = np.full(self.n, NOT_STARTED)
         self.pivots = 0
         return self._renew()
+
+    def touched(self) -> float:
+        """Return how many entries were touched since this was asked last."""
+        since, self._told = self.entries - self._told, self.entries
+        return since
 
     # --- moving -----------------------------------------------------------------------------------------
 

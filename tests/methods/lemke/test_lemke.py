@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from campaigns import small_lcps
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -294,6 +295,16 @@ def test_warm_start_shortens_the_path() -> None:
     path_work = len(steps(problem))
     assert len(near) <= path_work
     assert sum(step.work for step, _ in near) <= 2 * cold
+
+
+@pytest.mark.parametrize("lower", [0.0, -np.inf])
+def test_the_last_block_and_the_elimination_count_as_work(lower: float) -> None:
+    """A path that ends in its first block, and free rows that are eliminated before it, are no free lunch."""
+    n = 200
+    M = sp.diags_array([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    problem = LCP(M, np.where(np.arange(n) < 10, -1.0, 2.0), lower=np.where(np.arange(n) < n // 2, 0.0, lower))
+    result = solve(problem, "lemke").require_solved()
+    assert result.work * problem.nonzeros >= (n**3 / 24.0 if lower < 0.0 else 10.0 * n**2)
 
 
 def test_same_call_same_answer() -> None:

@@ -1,0 +1,312 @@
+"""Measure applications, compare two tables, and say what a summary needs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import warnings
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin import LCP, UnsuitableMatrix, UnsuitableProblem, solve
+
+from . import Application, entries
+from .references import NoReference, active_sets
+
+HERE = Path(__file__).parent
+UNITS = ("own", "one", "rows", "both")  # one unknown, or all rows, or rows and columns, times powers of two
+LARGEST_UNIT, ONE_UNIT = 20, 12  # exponents
+NAMED = ("npsor", "psor", "newton", "multigrid", "interior_point", "lemke", "banded", "program")
+
+MORE_WORK, LARGER_ERROR, NO_ERROR = 1.1, 10.0, 1e-12  # what fails; errors below the last are rounding
+FAR_BEHIND = 3.0  # times the work of the best named method: nobody's choice, and often chaotic, so not compared
+FALSE_FROM = 1e-3  # SOLVED with such an error is false
+TARGET = 1.5  # times the work of the best named method
+
+# A run ends here: no clock is asked.
+STEPS = {"auto": 10_000, "npsor": 2000, "psor": 2000, "multigrid": 150, "newton": 150, "interior_point": 100,
+         "banded": 100}  # fmt: skip
+ROWS = {"newton": 70_000, "interior_point": 30_000, "lemke": 500, "banded": 12_000, "program": 30_000}  # else hopeless
+PLACES = {"newton": 2e6, "interior_point": 2e6}  # entries of M
+BAND = 60  # rows from the diagonal, beyond 200 rows
+
+
+class Key(NamedTuple):
+    """What a row is about."""
+
+    problem: str
+    method: str
+    units: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A row: size, status, passes over M, error."""
+
+    n: int
+    status: str
+    work: float
+    error: float
+
+    @property
+    def is_solved(self) -> bool:
+        return self.status == "SOLVED" and self.error < FALSE_FROM
+
+    @property
+    def rank(self) -> int:
+        """0 for solved, 3 for called solved though it is not."""
+        return 0 if self.is_solved else 3 if self.status == "SOLVED" else 1 if self.status == "PRECISION_LIMIT" else 2
+
+    def __str__(self) -> str:
+        return f"{'falsely ' * (self.rank == 3)}{self.status}, work {self.work:g}, error {self.error:.1e}"
+
+
+Table = dict[Key, Measured]
+
+
+class Case:
+    """One size of an application, with its answer."""
+
+    def __init__(self, name: str, arguments: Mapping[str, Any]) -> None:
+        self.function = name
+        self.name = self.name_of(name, arguments)
+        self.stated: Application = entries()[name].build(**arguments)
+        one, q = self.stated, np.array(self.stated.q, dtype=float)
+        n = q.size
+        lower, upper = (np.broadcast_to(np.asarray(bound, dtype=float), n) for bound in (one.lower, one.upper))
+        self.is_dense = isinstance(one.M, np.ndarray)
+        self.data = (sp.csr_array(one.M), q, lower, upper)
+        self._reference: Any = None
+
+    @staticmethod
+    def name_of(name: str, arguments: Mapping[str, Any]) -> str:
+        """Return what a table calls the case."""
+        return " ".join([name, *(f"{key}={value}" for key, value in arguments.items())])
+
+    @property
+    def n(self) -> int:
+        return self.data[1].size
+
+    def in_units(self, units: str) -> tuple[LCP, Any]:
+        """Return the problem in units, and the exponents of these of its unknowns."""
+        M, q, lower, upper = self.data
+        rng = np.random.default_rng(zlib.crc32(f"{self.name} {units}".encode()))
+        r, c = rng.integers(-LARGEST_UNIT, LARGEST_UNIT + 1, size=(2, self.n))
+        r, c = r * (units in ("rows", "both")), c * (units == "both")
+        c[self.n // 2] += ONE_UNIT * (units == "one")
+        moved = M.copy()
+        moved.data = np.ldexp(M.data, np.repeat(r, np.diff(M.indptr)) + c[M.indices])
+        problem = LCP(moved.toarray() if self.is_dense else moved, np.ldexp(q, r),
+                      lower=np.ldexp(lower, -c), upper=np.ldexp(upper, -c))
+        return problem, c
+
+    def error(self, z: Any, starts: Iterable[Any]) -> float:
+        """Return the error of z, in own units, beside the independent answer, which is looked for from these points."""
+        if self.stated.error is not None:
+            return self.stated.error(z)
+        found, exact = self.stated.determined(z), self.stated.determined(self.reference(starts))
+        return max(float(abs(a - b).max() / abs(b).max()) for a, b in zip(found, exact, strict=True))
+
+    def reference(self, starts: Iterable[Any]) -> Any:
+        if self._reference is None:
+            answer = active_sets if self.stated.answer is None else self.stated.answer
+            try:
+                self._reference = answer(self.data, starts) if callable(answer) else answer
+            except NoReference as error:
+                raise NoReference(f"{self.name}: {error}") from error
+        return self._reference
+
+    def suits(self, method: str) -> bool:
+        """Return whether a method is worth a try by size."""
+        M, *_ = self.data
+        if method == "program":
+            return self.stated.program is not None
+        if method == "banded" and self.n > 200:
+            rows = np.repeat(np.arange(self.n), np.diff(M.indptr))
+            if abs(rows - M.indices).max(initial=0) > BAND:
+                return False
+        if method == "multigrid" and self.is_dense:
+            return False
+        return self.n <= ROWS.get(method, np.inf) and M.nnz <= PLACES.get(method, np.inf)
+
+    def run(self, method: str, units: str) -> tuple[Any, Any] | None:
+        """Return the result and z in own units, None where the method refuses the problem."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                if method == "program":
+                    result = solve(self.stated.program, max_iterations=STEPS["auto"])
+                    return result, np.append(result.x, np.zeros(self.n - result.x.size))
+                problem, c = self.in_units(units)
+                wishes = {} if method == "auto" else {"refute": False}
+                result = solve(problem, method, max_iterations=STEPS.get(method), **wishes)
+            except (UnsuitableMatrix, UnsuitableProblem):
+                return None
+        return result, np.ldexp(result.z, c)
+
+    def measure(self, wanted: Iterable[tuple[str, str]]) -> Iterator[tuple[Key, Measured]]:
+        """Yield a row for each (method, units): of named ones where they solve, in other units where falsely."""
+        runs = {}
+        for method, units in wanted:
+            if method == "auto" or self.suits(method):
+                ran = self.run(method, units)
+                if ran is not None:
+                    runs[method, units] = ran
+        starts = [z for result, z in sorted(runs.values(), key=lambda ran: ran[0].status.name != "SOLVED")
+                  if np.isfinite(z).all()]
+        for (method, units), (result, z) in runs.items():
+            work = sum(stage.work for stage in result.stages) if method == "program" else result.work
+            error = self._error_of(method, z, starts)
+            row = Measured(self.n, result.status.name, float(f"{work:.5g}"), float(f"{error:.1e}"))
+            if method == "auto" or (row.is_solved if units == "own" else row.rank == 3):
+                yield Key(self.name, method, units), row
+
+    def _error_of(self, method: str, z: Any, starts: Iterable[Any]) -> float:
+        if method == "program":  # x alone
+            size = self.stated.program.n
+            exact = self.reference(starts)[:size]
+            return float(abs(z[:size] - exact).max() / abs(exact).max())
+        return self.error(z, starts)
+
+
+def cases(*, full: bool, names: Iterable[str] = ()) -> Iterator[Case]:
+    """Yield the small or the large cases of these applications, of all without names."""
+    for name, entry in entries().items():
+        if not (chosen := list(names)) or name in chosen:
+            for arguments in entry.full if full else entry.small:
+                yield Case(name, arguments)
+
+
+def all_runs(*, full: bool) -> Iterator[tuple[str, str]]:
+    """Yield what is tried for a table: named methods in other units where that is quick."""
+    yield from (("auto", units) for units in UNITS)
+    yield from ((method, "own") for method in NAMED)
+    if not full:
+        yield from ((method, units) for method in NAMED[:-1] for units in UNITS[1:])
+
+
+# --- the file ---------------------------------------------------------------------------------------------------
+
+COLUMNS = ("problem", "method", "units", "n", "status", "work", "error")
+
+
+def path_of(*, full: bool) -> Path:
+    return HERE / ("full.csv" if full else "small.csv")
+
+
+def read(text: str) -> Table:
+    """Return the table that a file holds."""
+    return {
+        Key(row["problem"], row["method"], row["units"]):
+        Measured(int(row["n"]), row["status"], float(row["work"]), float(row["error"]))
+        for row in csv.DictReader(io.StringIO(text))
+    }
+
+
+def written(table: Table) -> str:
+    """Return the file of a table, a line a row."""
+    lines = [",".join(COLUMNS)]
+    lines += [f"{','.join(key)},{row.n},{row.status},{row.work:g},{row.error:.1e}" for key, row in table.items()]
+    return "\n".join(lines) + "\n"
+
+
+# --- comparisons ------------------------------------------------------------------------------------------------
+
+
+def regressions(old: Table, new: Table) -> list[str]:
+    """Return a line for each row of `old` that is worse in `new`, and for each that only `new` has falsely SOLVED."""
+    lines = [f"{' '.join(key)}: {row}" for key, row in new.items() if row.rank == 3 and key not in old]
+    least = best_of_named(old)
+    for key, before in old.items():
+        after = new.get(key)
+        if key.method != "auto" and (key.units != "own" or before.work > FAR_BEHIND * least[key.problem][1]):
+            continue
+        if after is None:
+            why = "no longer solved"
+        elif after.rank > before.rank:
+            why = "a worse status"
+        elif after.rank < before.rank or after.rank > 0:
+            continue  # better, or as unsolved as before
+        elif after.work > MORE_WORK * before.work:
+            why = f"{after.work / before.work:.2f} × the work"
+        elif after.error > LARGER_ERROR * max(before.error, NO_ERROR):
+            why = "a larger error"
+        else:
+            continue
+        lines.append(f"{' '.join(key)}: {before} → {after or 'nothing'}: {why}")
+    return lines
+
+
+def differences(old: Table, new: Table) -> Iterator[str]:
+    """Yield a line for each row that changed, for a commit's message."""
+    for key in {**old, **new}:
+        before, after = old.get(key), new.get(key)
+        if before and after and not _differ(before, after):
+            continue
+        yield f"{' '.join(key)}: {before or 'nothing'} → {after or 'nothing'}"
+
+
+def _differ(a: Measured, b: Measured) -> bool:
+    small = max(a.error, NO_ERROR), max(b.error, NO_ERROR)
+    return (a.status, a.rank, a.n, a.work) != (b.status, b.rank, b.n, b.work) or max(small) > 2.0 * min(small)
+
+
+class Standing(NamedTuple):
+    """auto beside the best named method on one problem, in its own units."""
+
+    problem: str
+    auto: Measured
+    best: str | None
+    ratio: float  # of work; ∞ where auto leaves unsolved what a method solves
+
+
+def best_of_named(table: Table) -> dict[str, tuple[str, float]]:
+    """Return the named method of least work on each problem that one solves in its own units, and that work."""
+    best: dict[str, tuple[str, float]] = {}
+    for key, row in table.items():
+        if key.method != "auto" and key.units == "own" and row.work < best.get(key.problem, ("", np.inf))[1]:
+            best[key.problem] = key.method, row.work
+    return best
+
+
+def standings(table: Table) -> list[Standing]:
+    """Return how auto stands on each problem."""
+    found, named = [], best_of_named(table)
+    for key, auto in table.items():
+        if (key.method, key.units) == ("auto", "own"):
+            best, least = named.get(key.problem, (None, np.inf))
+            ratio = auto.work / max(least, 1.0) if auto.is_solved else np.inf if best else 0.0
+            found.append(Standing(key.problem, auto, best, ratio))
+    return found
+
+
+def summary(table: Table) -> Iterator[str]:
+    """Yield what the table says of auto."""
+    worst: dict[str, float] = {}
+    found = standings(table)
+    for one in found:
+        name = one.problem.partition(" ")[0]
+        worst[name] = max(worst.get(name, 0.0), one.ratio)
+        if one.ratio > TARGET:
+            best = table[Key(one.problem, one.best or "", "own")].work
+            yield f"  {one.problem}: auto {one.auto}; {one.best} {best:g}: {one.ratio:.2f} ×"
+    false = [key for key, row in table.items() if row.rank == 3]
+    by_auto = sum(key.method == "auto" for key in false)
+    unsolved = [key for key, row in table.items() if key.method == "auto" and row.rank in (1, 2)]
+    for word, keys in (("falsely SOLVED", false), ("unsolved", unsolved)):
+        yield from (f"  {word}: {' '.join(key)}: {table[key]}" for key in keys)
+    finite = [one.ratio for one in found if one.ratio < np.inf]
+    good = sum(ratio <= TARGET for ratio in worst.values())
+    yield (
+        f"auto's work is at most {TARGET} × the best named method's on {good} of {len(worst)} applications; "
+        f"worst ratio {max(finite, default=0.0):.2f}; unsolved though a named method solves: "
+        f"{sum(one.ratio == np.inf for one in found)} of {len(found)} problems; in all units auto is unsolved in "
+        f"{len(unsolved)} of {sum(key.method == 'auto' for key in table)} rows, falsely SOLVED in "
+        f"{by_auto}, and named methods in {len(false) - by_auto}"
+    )

@@ -1,0 +1,186 @@
+"""What applications cost and how wrong their answers are is no worse than the table in the repository says."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from . import entries
+from .references import NoReference, active_sets, checked
+from .table import (
+    UNITS,
+    Case,
+    Key,
+    Measured,
+    all_runs,
+    best_of_named,
+    differences,
+    path_of,
+    read,
+    regressions,
+    standings,
+    summary,
+    written,
+)
+
+ROOMS = ("newton", "multigrid", "interior", "lemke", "banded", "small", "presolve", "direct", "search", "programs",
+         "proofs", "equilibria", "contact", "reformulations")  # fmt: skip
+
+
+def worse(*, full: bool, name: str) -> list[str]:
+    """Measure one application; return the rows of the table that became worse, with what to do."""
+    table = read(path_of(full=full).read_text(encoding="utf-8"))
+    entry, new = entries()[name], {}
+    for arguments in entry.full if full else entry.small:
+        case = Case(name, arguments)
+        of_table = [(key.method, key.units) for key in table if key.problem == case.name]
+        new.update(case.measure(of_table if full else all_runs(full=False)))  # other large ones take long to no end
+    old = {key: row for key, row in table.items() if key.problem.partition(" ")[0] == name}
+    assert {key.problem for key in new} == {key.problem for key in old}, rewriting(full, name)
+    lines = regressions(old, new)
+    return [*lines, rewriting(full, name)] if lines else []
+
+
+def rewriting(full: bool, name: str) -> str:
+    return f"to write the table anew, and to say why: python tests/applications {name}{' --full' * full}"
+
+
+@pytest.mark.needs(*ROOMS)
+@pytest.mark.parametrize("name", entries())
+def test_small_applications_cost_no_more_than_the_table_says(name: str) -> None:
+    """Status, counted work and error of auto in all units and of the best named methods; none more falsely SOLVED."""
+    assert not (lines := worse(full=False, name=name)), "\n".join(lines)
+
+
+@pytest.mark.full
+@pytest.mark.needs(*ROOMS)
+@pytest.mark.parametrize("name", entries())
+def test_large_applications_cost_no_more_than_the_table_says(name: str) -> None:
+    """The same of the large sizes."""
+    assert not (lines := worse(full=True, name=name)), "\n".join(lines)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_every_application_has_its_rows(full: bool) -> None:
+    """Both tables have auto's rows of each case in all units, no other problem, and read back what they say."""
+    text = path_of(full=full).read_text(encoding="utf-8")
+    table = read(text)
+    assert written(table) == text
+    names = [Case.name_of(name, arguments) for name, entry in entries().items()
+             for arguments in (entry.full if full else entry.small)]
+    assert [key.problem for key in table if key[1:] == ("auto", "own")] == names
+    assert len([key for key in table if key.method == "auto"]) == len(UNITS) * len(names)
+    assert {key.problem for key in table} == set(names)
+    assert len(entries()) >= 40
+
+
+@pytest.mark.parametrize("name", entries())
+def test_every_application_has_a_source(name: str) -> None:
+    """The docstring says what it is and where that stands."""
+    assert re.search(r"; .*\(\d{4}\)|Kumar, Deepmala, Das", entries()[name].build.__doc__ or "")
+
+
+KEY = Key("obstacle_2d side=30", "auto", "own")
+BEFORE = Measured(900, "SOLVED", 100.0, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("after", "told"),
+    [
+        (replace(BEFORE, work=111.0), "1.11 × the work"), (replace(BEFORE, status="STALLED"), "a worse status"),
+        (replace(BEFORE, error=1.1e-8), "a larger error"), (replace(BEFORE, error=0.1), "a worse status"),
+        (None, "no longer solved"), (replace(BEFORE, work=110.0, error=9e-9), ""), (replace(BEFORE, work=10.0), ""),
+    ],
+)  # fmt: skip
+def test_what_is_worse_is_told_and_nothing_else(after: Measured | None, told: str) -> None:
+    """Ten per cent more work, an error ten times as large, a worse status; old → new; what is better passes."""
+    lines = regressions({KEY: BEFORE}, {} if after is None else {KEY: after})
+    assert len(lines) == bool(told)
+    assert all(told in line and "→" in line and KEY.problem in line for line in lines)
+
+
+def test_rounding_and_improvements_are_no_regressions() -> None:
+    """Errors below 1e-12 are rounding; what was falsely SOLVED may become STALLED, and what was unsolved cost more."""
+    false, stalled = replace(BEFORE, error=0.5), replace(BEFORE, status="STALLED", work=50.0)
+    for before, after in (
+        (replace(BEFORE, error=1e-16), replace(BEFORE, error=9e-12)), (false, stalled), (stalled, BEFORE),
+        (stalled, replace(stalled, work=500.0)),
+    ):  # fmt: skip
+        assert regressions({KEY: before}, {KEY: after}) == []
+        assert list(differences({KEY: before}, {KEY: after})) != []
+    assert regressions({KEY: stalled}, {KEY: false}) != []
+
+
+def test_named_methods_are_compared_where_they_are_near_the_best() -> None:
+    """Who needs more than three times the best one's work may need more; a new false answer fails, whosever it is."""
+    psor, newton = KEY._replace(method="psor"), KEY._replace(method="newton")
+    old = {psor: BEFORE, newton: replace(BEFORE, work=301.0)}
+    assert best_of_named(old) == {KEY.problem: ("psor", 100.0)}
+    assert regressions(old, {psor: BEFORE}) == []
+    assert len(regressions(old, {newton: BEFORE})) == 1
+    assert len(regressions(old, {**old, psor._replace(units="one"): replace(BEFORE, error=0.5)})) == 1
+
+
+def test_the_summary_names_where_auto_is_behind() -> None:
+    """The ratio to the best named method, infinite where auto alone ends unsolved."""
+    multigrid = KEY._replace(method="multigrid")
+    table = {KEY: BEFORE, multigrid: replace(BEFORE, work=50.0)}
+    assert [one.ratio for one in standings(table)] == [2.0]
+    assert "multigrid 50: 2.00 ×" in "\n".join(summary(table))
+    assert [one.ratio for one in standings({**table, KEY: replace(BEFORE, status="STALLED")})] == [np.inf]
+
+
+def test_units_are_exact() -> None:
+    """A problem in other units is the same problem: its own answer, moved, has w that is moved to the last bit."""
+    case = Case("circuit", {"n": 30})
+    for units in UNITS[1:]:
+        problem, c = case.in_units(units)
+        assert np.count_nonzero(c) in {"one": [1], "rows": [0]}.get(units, range(20, 31))
+        z = np.ldexp(np.arange(30.0), -c)
+        moved = np.log2(problem.slack(z) / case.in_units("own")[0].slack(np.arange(30.0)))
+        np.testing.assert_array_equal(moved, np.round(moved))
+
+
+def test_references_are_checked() -> None:
+    """A wrong answer is no reference; active sets find one from any start, and say so where there is none."""
+    M = sp.csr_array(np.array([[2.0, -1.0], [-1.0, 2.0]]))
+    problem = (M, np.array([-1.0, 5.0]), np.zeros(2), np.full(2, np.inf))
+    np.testing.assert_array_equal(active_sets(problem, [np.array([0.0, 9.0])]), [0.5, 0.0])
+    with pytest.raises(NoReference, match="of a row's terms"):
+        checked(problem, np.array([0.5, 1e-9]))
+    with pytest.raises(NoReference):
+        active_sets((sp.csr_array(-np.eye(1)), np.array([-1.0]), np.zeros(1), np.full(1, np.inf)), [])
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """What ``python tests/applications`` does with these arguments."""
+    return subprocess.run([sys.executable, str(Path(__file__).parent), *arguments], capture_output=True, text=True)
+
+
+def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
+    """Nothing changed since the table was written: a summary alone, and with --dry-run the file stays as it is."""
+    file = path_of(full=False)
+    before = file.read_bytes()
+    done = command("paper", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "→" not in done.stdout
+    assert "of 42 applications" in done.stdout
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"), [("papr", "unknown application 'papr'.*paper"), ("--against none", "no table in none")]
+)
+def test_what_is_wrong_is_said_without_a_traceback(arguments: str, told: str) -> None:
+    """A wrong name or commit: exit code 2, and what is wrong in words."""
+    done = command(*arguments.split())
+    assert done.returncode == 2
+    assert re.search(told, done.stderr)
+    assert "Traceback" not in done.stderr

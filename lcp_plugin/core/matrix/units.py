@@ -201,8 +201,10 @@ def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
     given = Exponents(half + odd[labels], half)
     is_given &= _all_of_parts(largest_in_rows(scaled(M, given)) <= LARGEST_OFF, labels, count)
     row = of_diagonal - column
-    near = _all_of_parts(is_symmetric & (np.abs(column + ratio - row) <= SYMMETRIC_WITHIN), labels, count)
-    row = np.where(near[labels], column + ratio, row)
+    apart = column + ratio - row
+    most, least = (_extremes(apart, labels, side) for side in (np.maximum, np.minimum))
+    near = _all_of_parts(is_symmetric, labels, count) & (most - least <= 2 * SYMMETRIC_WITHIN)
+    row = np.where(near[labels], column + ratio - ((most + least) // 2)[labels], row)
     row, column = (np.where(is_given[labels], one, two) for one, two in zip(given, (row, column), strict=True))
     is_found = (is_served | is_given)[labels]
     if is_found.all():

@@ -9,15 +9,17 @@ part (connected component) of M keeps its units where
   convection, option prices; or
 - what follows would change its unknowns by less than 2⁸ beside each other: the units of rows change no residual.
 
-Else c are the greatest integers ≤ 0 with
+Else those c are looked for, integers, with
 
-    |m_ij| 2^(c_j − c_i) ≤ 2^τ |m_ii|,  τ = 4, or 6, 8, 10 where there are none: shortest paths.
+    |m_ij| 2^(c_j − c_i) ≤ 2^τ |m_ii|,  τ = 4, or 6, 8, 10 where there are none.
 
-With units u of the unknowns c + u is the largest function below u that grows by at most τ an entry. The smallest units
-hold it, so that it cannot drift along a flow, as what balances |m_ij| against |m_ji| does. Sweeps of balancing (least
-squares of the logarithms) within 2⁴ of c follow. Where |M| is symmetric as it is given, nothing flows, and
-c = d^(−1/2), the best conditioned scaling of a positive definite M up to the factor n (van der Sluis). Where the
-diagonal has zeros or nothing but noise, rows and columns are fitted together over all entries (Curtis, Reid).
+Shortest paths give the greatest of them ≤ 0 and the least ≥ 0. With units u of the unknowns c + u is the largest
+function below u, or the smallest above u, that changes by at most τ an entry in the wrong direction. Both are held by u
+itself, so that they cannot drift along a flow, as what balances |m_ij| against |m_ji| does. From their middle a few
+sweeps of balancing (least squares of the logarithms) go at most 4 beyond them. Where |M| is symmetric as it is given,
+nothing flows, and c = d^(−1/2), the best conditioned scaling of a positive definite M up to the factor n (van der
+Sluis). Where the diagonal has zeros or nothing but noise, rows and columns are fitted together over all entries
+(Curtis, Reid).
 
 M̂ leaves one number open for each connected component of the graph of rows and columns: one a part, or several where
 the diagonal has zeros, as those of a game and of a linear program have two.
@@ -44,7 +46,7 @@ SPREAD = 10  # log2 of what entries in one unit differ by
 ALIKE = 8  # log2 of what unknowns in one unit differ by
 BESIDE_DIAGONAL = 4  # log2 of what an entry in one unit may exceed the diagonal entry of its row by
 WIDER = (BESIDE_DIAGONAL, 6, 8, 10)  # where units would have to fall for ever around a cycle of large entries
-BALANCED_WITHIN, BALANCING_SWEEPS = 4.0, 20  # log2: how far balancing may move the units of unknowns; there and back
+BALANCED_BEYOND, BALANCING_SWEEPS = 4.0, 8  # log2, of the bounds; more sweeps would carry balance along a flow
 SYMMETRIC_WITHIN = 16  # log2: how far rows may leave the diagonal's units to make |M̂| symmetric
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
 ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding
@@ -190,7 +192,7 @@ def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
     """Return the exponents of M, the square block of some parts, up to one number a component."""
     count, pivots = int(labels.max()) + 1, np.abs(M.diagonal())
     ratio, is_symmetric = _symmetrising(M, labels)
-    column, is_served = _one_sided(M, labels, pivots)
+    column, is_served = _between_paths(M, labels, pivots)
     of_diagonal = 1 - np.frexp(np.where(pivots > 0.0, pivots, 1.0))[1].astype(np.int64)
     # Where |M| is symmetric as it is given, d^(−1/2); an odd exponent of the first row is its rows' alone.
     is_given = _all_of_parts(is_symmetric & (ratio == 0), labels, count) & _all_of_parts(pivots > 0.0, labels, count)
@@ -220,12 +222,12 @@ def _all_of_parts(claim: BoolVector, labels: IntVector, count: int) -> BoolVecto
     return are
 
 
-def _one_sided(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> tuple[IntVector, BoolVector]:
-    """Return c of the module's head, balanced within bounds, and which parts have one, shape (parts,)."""
+def _between_paths(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> tuple[IntVector, BoolVector]:
+    """Return c of the module's head, and which parts have one, shape (parts,)."""
     from ..kernels import scaling
 
     n, count, rows = M.shape[0], int(labels.max()) + 1, row_numbers(M)
-    column, serves = np.zeros(n, np.int64), _all_of_parts(pivots > 0.0, labels, count)
+    serves = _all_of_parts(pivots > 0.0, labels, count)
     is_entry = (rows != M.indices) & (M.data != 0.0) & serves[labels[rows]]
     pattern = sp.csr_array((M.data[is_entry], (rows[is_entry], M.indices[is_entry])), shape=(n, n))
     pattern.sort_indices()
@@ -233,24 +235,26 @@ def _one_sided(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> tuple
     of_entry, entry = np.frexp(np.abs(pattern.data))
     here = row_numbers(pattern)
     whole = (entry - pivot[here]).astype(np.int64)
-    sizes = whole + np.log2(of_entry) - np.log2(of_pivot)[here]
-    above = whole + (of_entry > of_pivot[here])  # ⌈log₂ |m_ij| / |m_ii|⌉
-    graph, work = (pattern.indptr, pattern.indices), (np.empty(n, np.int64), np.empty(n, np.bool_))
-    is_open = serves.copy()
+    sizes = whole + np.log2(of_entry) - np.log2(of_pivot)[here]  # log₂ |m_ij| / |m_ii|, and rounded up
+    pattern.data = whole + (of_entry > of_pivot[here]).astype(np.float64)
+    mirror = sp.csr_array(pattern.T)
+    below, above = np.zeros((2, n), np.int64)
+    work, is_open = (np.empty(n, np.int64), np.empty(n, np.bool_)), serves.copy()
     for beside in WIDER:
         if not is_open.any():
             break
-        distance, is_cut = np.zeros(n, np.int64), ~is_open
-        scaling.shortest(*graph, beside - above, labels, is_cut, distance, *work)
-        found = is_open & ~is_cut
-        column = np.where(found[labels], distance, column)
+        ends, is_cut = np.zeros((2, n), np.int64), ~is_open
+        for graph, distance in zip((pattern, mirror), ends, strict=True):
+            lengths = beside - graph.data.astype(np.int64)
+            scaling.shortest(graph.indptr, graph.indices, lengths, labels, is_cut, distance, *work)
+        is_found = (is_open & ~is_cut)[labels]
+        below, above = np.where(is_found, ends[0], below), np.where(is_found, -ends[1], above)
         is_open &= is_cut
-    mirror = sp.csr_array(sp.csr_array((sizes, pattern.indices, pattern.indptr), shape=(n, n)).T)
-    position = column.astype(np.float64)
-    ends = position - BALANCED_WITHIN, position + BALANCED_WITHIN
-    scaling.balance_within(
-        *graph, sizes, mirror.indptr, mirror.indices, mirror.data, *ends, position, 2 * BALANCING_SWEEPS
-    )
+    position = 0.5 * (below + above)
+    pattern.data = sizes
+    mirror = sp.csr_array(pattern.T)
+    arrays = [array for graph in (pattern, mirror) for array in (graph.indptr, graph.indices, graph.data)]
+    scaling.balance_within(*arrays, below - BALANCED_BEYOND, above + BALANCED_BEYOND, position, BALANCING_SWEEPS)
     return np.rint(position).astype(np.int64), serves & ~is_open
 
 

@@ -119,9 +119,12 @@ class Certificate:
 
     @classmethod
     def enclosed(cls, problem: LCP, z: FloatVector, relative_residual: float) -> Certificate:
-        """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed in the same way."""
+        """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed in the same way.
+
+        Of a problem whose matrix shows no units: kernels know of none.
+        """
         certificate = cls(problem, read_only(z))
-        certificate.__dict__["relative_residual"] = relative_residual
+        certificate.__dict__.update(relative_residual=relative_residual, _units=None)
         return certificate
 
     def _measure_at_once(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.optimize import nnls
 from scipy.sparse.linalg import splu
 
 ROUNDING = 1e-12  # of a row's own terms: what a right answer may leave
+LEAST_SQUARES = 1e-10  # and one of nonnegative least squares
 ROUNDS = 300
 PATIENCE = 8  # rounds without fewer wrong rows, until one row at a time is exchanged (Júdice and Pires)
 
@@ -79,19 +81,20 @@ def _with_sides(problem: Any, side: Any) -> tuple[Any, Any]:
 
 
 def semidefinite(problem: Any, starts: Iterable[Any]) -> Any:
-    """Return one of the z ≥ 0 of a symmetric semidefinite M, w being the same for all: nonnegative least squares."""
+    """Return one of the z ≥ 0 of a monotone M, w being the same for all: nonnegative least squares on idle rows.
+
+    Idle are rows whose w is 0; from a start that tells these, all of M z on them follows, and so on the others.
+    """
     M, q, *_ = problem
-    M = M.toarray()
-    for start in starts:
-        w = M @ start + q
-        for size in (1e-6, 1e-4, 1e-9):
-            idle = np.flatnonzero(w <= size * (abs(M) @ abs(start) + abs(q)))
-            z = np.zeros(q.size)
-            try:
-                z[idle] = nnls(M[:, idle], np.where(np.isin(np.arange(q.size), idle), -q, M[:, idle] @ start[idle]))[0]
-                return checked(problem, z, 1e-9)
-            except (NoReference, RuntimeError):
-                continue
+    M, sizes = M.toarray(), (1e-6, 1e-4, 1e-9)
+    for start, size in product(starts, sizes):
+        idle = np.flatnonzero(M @ start + q <= size * (abs(M) @ abs(start) + abs(q)))
+        z = np.zeros(q.size)
+        try:
+            z[idle] = nnls(M[np.ix_(idle, idle)], -q[idle])[0]
+            return checked(problem, z, LEAST_SQUARES)
+        except (NoReference, RuntimeError):
+            continue
     raise NoReference("no set of idle rows has an answer")
 
 

@@ -40,7 +40,7 @@ are reckoned on small M. psor's rate is that of all its sweeps, since each trial
 What sweeps have cost and still need must together stay below 1.5 times what the rival predicts, so that nothing that is
 always nearly there goes on for ever.
 
-The direct methods follow a multigrid that fails, or that still needs more, at the rate it shows, than their factors
+The direct methods follow a multigrid that fails, or has cost, and at its rate still needs, more than their factors
 are predicted to take. Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of
 the triangle is exact; where multigrid fails and a factor is predicted to be too large, psor goes on until it fails. No
 clock is asked: the same call
@@ -178,7 +178,7 @@ class Auto(Policy):
             passes = self._factor_passes(problem)
             if left.has_failed and passes == math.inf:
                 return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
-            if not (left.has_failed or left.sweeps > passes):
+            if not (left.has_failed or min(left.work, left.sweeps) > passes):
                 return None
         else:
             predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in _rivals(problem, stages)}

@@ -56,6 +56,7 @@ OFFERS = {
     "step of auto": {
         "small": "methods.small.small_dense:SmallDenseSolver",
         "direct methods": "methods.direct:Turns",
+        "factor passes": "methods.direct:factor_passes",
         "once more": "methods.direct:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },

@@ -25,6 +25,7 @@ leave a choice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -114,6 +115,20 @@ class Retries:
             if not is_dear and not any(stage.algorithm.name == name and stage.from_start for stage in stages):
                 return Choice(create(name, {}), f"{name} once more, from the start", from_start=True)
         return None
+
+
+def factor_passes(problem: LCP) -> float:
+    """Return about how many passes over a sparse M the factors of an interior point take; ∞ where one is too large.
+
+    The entries and the operations are those within the envelope of the order of Cuthill and McKee: nearly what a factor
+    in that order has, and more than one of minimum degree has on a grid.
+    """
+    from ..systems.factors import is_affordable, sizes_within_envelope
+
+    fill, operations = sizes_within_envelope(problem.matrix)
+    if not is_affordable(fill, operations):
+        return math.inf
+    return INTERIOR_STEPS * operations / max(problem.nonzeros, 1)
 
 
 def has_had_its_turn(stage: Stage, problem: LCP, goal: float) -> bool:

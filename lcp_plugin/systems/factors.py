@@ -315,7 +315,7 @@ def factor_fits(matrix: Any) -> bool:
     if n <= ALWAYS:
         return True
     rows = row_numbers(matrix)
-    return _is_affordable(*_sizes(_envelope(rows, matrix.indices, n))) or _is_affordable(*within_envelope(matrix))
+    return is_affordable(*_sizes(_envelope(rows, matrix.indices, n))) or is_affordable(*within_envelope(matrix))
 
 
 def within_envelope(matrix: Any) -> tuple[float, float]:
@@ -350,7 +350,8 @@ def _sizes(width: FloatVector) -> tuple[float, float]:
     return float(width.sum()), float(width @ width)
 
 
-def _is_affordable(fill: float, operations: float) -> bool:
+def is_affordable(fill: float, operations: float) -> bool:
+    """Return whether a factor of so many entries fits, and its operations take some ten seconds at most."""
     return fill <= LARGEST_FILL and operations <= LARGEST_OPERATIONS
 
 

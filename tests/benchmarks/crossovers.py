@@ -177,10 +177,6 @@ def _once(what: str, problem: LCP, work: Callable[[LCP], object]) -> str:
     return f"{seconds:.2f} s for {what} with n = {problem.n}"
 
 
-def _factor(repeats: int) -> str:
-    return _once("newton", _grid(141), lambda problem: solve(problem, "newton"))
-
-
 def _program(repeats: int) -> str:
     return _once("the linear program of feasibility", _grid(70), find_infeasibility)
 
@@ -348,7 +344,7 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "COMPILED_UP_TO": partial(_compiled, _dense, "COMPILED_UP_TO"),
     "COMPILED_SPARSE_UP_TO": partial(_compiled, _scattered, "COMPILED_SPARSE_UP_TO"),
     "PIVOTED_AT_ONCE_UP_TO": _path_or_interior_point, "CONTACTS_UP_TO": _contacts,
-    "DIRECT_UP_TO": _factor_or_multigrid, "SURE_FACTOR_UP_TO": _factor, "LINEAR_PROGRAM_UP_TO": _program,
+    "DIRECT_UP_TO": _factor_or_multigrid, "LINEAR_PROGRAM_UP_TO": _program,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
     "CHOLESKY_UP_TO": partial(_cholesky, crossovers.CHOLESKY_UP_TO, 0.01),
     "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, crossovers.FULL_CHOLESKY_UP_TO, crossovers.FULL_CHOLESKY_FROM),

@@ -285,11 +285,32 @@ def test_a_small_band_is_cheaper_than_the_calls_of_sweeps() -> None:
         assert Auto().first(LCP(M, -np.ones(side**2))).algorithm.name == first
 
 
-@pytest.mark.parametrize(("n", "second"), [(1001, "newton"), (20_001, "psor")])
-def test_after_multigrid(n: int, second: str) -> None:
-    """Where multigrid fails the direct methods come, and psor first where a factorisation may be too large."""
-    stage = after(create("multigrid", {}), 9, 1.0)
-    assert following(chain(n), stage, failed=True) == second
+@pytest.mark.parametrize("n", [1001, 20_001])
+def test_after_multigrid(n: int) -> None:
+    """Where multigrid fails the direct methods come, however many rows: what the factor takes decides, not n."""
+    assert following(chain(n), after(create("multigrid", {}), 9, 1.0), failed=True) == "newton"
+
+
+def test_sweeps_follow_multigrid_where_a_factor_is_too_large() -> None:
+    """Where a factor is predicted to be too large psor comes after multigrid, and says so."""
+    rng = np.random.default_rng(0)
+    n = 12_000
+    B = sp.csr_array(sp.random_array((n, n), density=3.0 / n, rng=rng))
+    problem = LCP(sp.csr_array(B + B.T + 20.0 * sp.eye_array(n)), -np.ones(n))
+    choice = Auto().next_step(problem, [after(create("multigrid", {}), 9, 1.0)], TARGET, True)
+    assert choice is not None
+    assert choice.algorithm.name == "psor"
+    assert "predicted to be too large" in choice.because
+
+
+@pytest.mark.parametrize(
+    ("work", "rate", "second"), [(200.0, 0.999, None), (2000.0, 0.999, "newton"), (2000.0, 0.5, None)]
+)
+def test_multigrid_is_held_to_its_rate(work: float, rate: float, second: str | None) -> None:
+    """Multigrid hands over once it has cost thrice its prediction and needs more than factors are predicted to."""
+    stage = after(create("multigrid", {}), 40, rate)
+    stage.work = work
+    assert following(chain(20_001), stage) == second
 
 
 def test_sweeps_that_fail_hand_over() -> None:

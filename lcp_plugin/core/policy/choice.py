@@ -25,6 +25,7 @@ soon as the rate of npsor is known, what it still needs is compared with what it
 | of npsor, M sparse | after 10 sweeps (from 3 on where two rates agree), then every 20 |
 | of npsor, M dense | from its first sweep on |
 | of psor | after 40 sweeps, then every 20: its first relaxation must have had its trial |
+| of multigrid | every 20 steps, once it has cost thrice what it predicted |
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
 
 The first sweeps are the quickest: they smooth what is left, and only then the slowest error shows. So of a symmetric M
@@ -39,8 +40,10 @@ are reckoned on small M. psor's rate is that of all its sweeps, since each trial
 What sweeps have cost and still need must together stay below 1.5 times what the rival predicts, so that nothing that is
 always nearly there goes on for ever.
 
-Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of the triangle is exact;
-where multigrid ends without an answer and n > 20 000, psor goes on until it fails. No clock is asked: the same call
+The direct methods follow a multigrid that fails, or has cost, and at its rate still needs, more than their factors
+are predicted to take. Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of
+the triangle is exact; where multigrid fails and a factor is predicted to be too large, psor goes on until it fails. No
+clock is asked: the same call
 gives the same answer bit for bit.
 """
 
@@ -56,7 +59,7 @@ import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.base import in_driven_sweeps
-from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, SURE_FACTOR_UP_TO
+from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..lcp import LCP
 from ..matrix.row_sums import has_positive_diagonal, row_blocks
@@ -171,17 +174,28 @@ class Auto(Policy):
         left = Remaining.of(problem, now, goal, failed=failed)
         if left is None:
             return None
-        if left.name == "multigrid" and problem.n > SURE_FACTOR_UP_TO:
-            return Choice(PSOR(), f"{left}, and a factorisation may be too large")
-        predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in _rivals(problem, stages)}
-        rival = min(predicted, key=lambda one: predicted[one], default=None)
-        if rival is None or not left.loses_to(rival, passes := predicted[rival]):
-            return None
-        if passes < math.inf and rival.name != DIRECT:
-            return Choice(rival, f"{left}, {rival.name} about {passes:.0f} passes over M")
+        if left.name == "multigrid":
+            passes = self._factor_passes(problem)
+            if left.has_failed and passes == math.inf:
+                return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
+            if not (left.has_failed or min(left.work, left.sweeps) > passes):
+                return None
+        else:
+            predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in _rivals(problem, stages)}
+            rival = min(predicted, key=lambda one: predicted[one], default=None)
+            if rival is None or not left.loses_to(rival, passes := predicted[rival]):
+                return None
+            if passes < math.inf and rival.name != DIRECT:
+                return Choice(rival, f"{left}, {rival.name} about {passes:.0f} passes over M")
         self._direct = self._turns(problem)
         first = None if self._direct is None else self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")
+
+    @staticmethod
+    def _factor_passes(problem: LCP) -> float:
+        """Return about how many passes factors take, ∞ where one is too large or their room is not here."""
+        passes = ask_or_none("step of auto", "factor passes")
+        return math.inf if passes is None else float(passes(problem))
 
     def _turns(self, problem: LCP) -> Turns | None:
         """Return the direct methods, where they are here."""

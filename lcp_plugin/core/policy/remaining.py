@@ -18,6 +18,7 @@ from .stages import Stage
 TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40
 ASKED_EVERY = 20  # sweeps
 PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple of what the rival predicts
+BROKEN_PROMISE = 3.0  # multigrid that has cost this multiple of its prediction is asked what it still needs
 NEAR = 1e-2  # of the largest unknown: so near to a bound is none that is free
 
 
@@ -53,6 +54,9 @@ class Remaining:
         is_asked, is_large = _is_asked(problem, now), problem.n > DIRECT_UP_TO and not problem.is_dense
         may_guess = isinstance(now.algorithm, NPSOR) and is_large and (is_asked or now.iterations == 1)
         sweeps = _least_sweeps(problem, now, goal) if may_guess else 0.0
+        if is_asked and now.algorithm.name == "multigrid":
+            passes = now.steps_to_go(goal) * now.work / now.iterations
+            return cls("multigrid", now.work, passes, False, False)
         if is_asked:
             return cls(now.algorithm.name, now.work, max(sweeps, now.steps_to_go(goal)), False, False)
         # After one sweep multigrid has to be clearly less than psor, which takes the root.
@@ -68,6 +72,8 @@ class Remaining:
         if self.has_failed:
             return f"{self.name} came to an end"
         known = self.sweeps < math.inf
+        if self.name == "multigrid" and known:
+            return f"multigrid has cost {self.work:.0f} passes and needs {self.sweeps:.0f} more"
         return f"{self.name} needs {self.sweeps:.0f} more sweeps" if known else f"{self.name} does not get nearer"
 
 
@@ -76,6 +82,9 @@ def _is_asked(problem: LCP, now: Stage) -> bool:
     k = now.iterations
     if isinstance(now.algorithm, PSOR):
         return k >= TRIAL_SWEEPS_PSOR and k % ASKED_EVERY == 0
+    if now.algorithm.name == "multigrid":
+        promised = now.algorithm.predicted_passes(problem, math.inf)
+        return k > 0 and k % ASKED_EVERY == 0 and now.work > BROKEN_PROMISE * promised
     if not isinstance(now.algorithm, NPSOR):
         return False
     if problem.is_dense:

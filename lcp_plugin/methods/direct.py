@@ -4,6 +4,7 @@
 |---|---|
 | sparse, the diagonal positive and nothing else | newton, then as below |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
+| the same, dense, diagonal not > 0: budget rows | some pivots of lemke, then as above |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
 | the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
@@ -52,6 +53,10 @@ from .lemke import has_parts_that_fit
 from .presolve import presolve
 
 CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
+# Turns of lemke, in pivots by n, and of newton, in steps.
+FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
+PIVOTS = 2.0
+GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
 
 
 def direct_methods(problem: LCP) -> Iterator[Choice]:
@@ -86,16 +91,15 @@ class Turns:
         stage = stages[-1]
         if failed and stage.least_residual > goal:  # all cases were looked at
             return None
-        is_overdue = self._now is not None and self._now.may_wait and has_had_its_turn(stage, self._problem, goal)
+        is_overdue = self._now is not None and has_had_its_turn(stage, self._now.turn, self._problem, goal)
         if not (failed or is_overdue):
             return None
-        following = next(self._coming, None)
+        following = next(self._coming, None) or (self._waiting.pop(0) if self._waiting else None)
         if following is not None:
             if self._now is not None and not failed:
-                self._waiting.append(replace(self._now, because="the others have had their turn", may_wait=False))
+                self._waiting.append(replace(self._now, because="the others have had their turn", turn=math.inf))
         elif failed:
-            following = self._waiting.pop(0) if self._waiting else self._retries.following(self._problem, stages)
-            following = following or next(self._last, None)
+            following = self._retries.following(self._problem, stages) or next(self._last, None)
         self._now = following or self._now
         return following
 
@@ -131,15 +135,14 @@ def factor_passes(problem: LCP) -> float:
     return INTERIOR_STEPS * operations / max(problem.nonzeros, 1)
 
 
-def has_had_its_turn(stage: Stage, problem: LCP, goal: float) -> bool:
-    """Return whether a method has cost what the one after it is predicted to cost, and shows no end.
+def has_had_its_turn(stage: Stage, turn: float, problem: LCP, goal: float) -> bool:
+    """Return whether a method has taken so many steps, or pivots by n, and shows no end; a pivot touches 2 n² entries.
 
-    Newton's steps are factorisations, as those of interior_point; a path of n pivots touches 2 n² entries with each,
-    and lemke follows two.
+    Newton's steps are factorisations, as those of interior_point.
     """
     if stage.algorithm.name == "lemke":
-        return stage.work * problem.nonzeros > 4.0 * problem.n**3
-    return stage.iterations >= INTERIOR_STEPS and stage.steps_to_go(goal) > INTERIOR_STEPS
+        return stage.work * problem.nonzeros > 2.0 * turn * problem.n**3
+    return stage.iterations >= turn and stage.steps_to_go(goal) > turn
 
 
 def may_be_searched(problem: LCP) -> bool:
@@ -194,10 +197,15 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
         left_out.append(newton.algorithm)
     if _seems_monotone(left, problem.origin):
         order = [interior, check, newton, lemke]
+        if left.is_dense and not has_positive_diagonal(left.matrix).all():
+            few = create("lemke", {"max_pivots": 10 + left.n // FIRST_PIVOTS, "restarts": 0})
+            order = [Choice(few, f"some pivots, before a factor of a dense M{about}", reduced), *order]
     else:
         interior = replace(interior, because=f"M is not shown to be monotone, but interior points may do{about}")
         may_be_p = bool(has_positive_diagonal(left.matrix).all())
-        newton, lemke = replace(newton, may_wait=may_be_p), replace(lemke, may_wait=True)
+        newton, lemke = (
+            replace(newton, turn=INTERIOR_STEPS), replace(lemke, turn=PIVOTS if may_be_p else GAME_PIVOTS)
+        )
         if left.is_dense or left.n <= PIVOTS_FIRST_UP_TO:
             order = [newton, lemke, interior, check] if may_be_p else [lemke, interior, check, newton]
         else:

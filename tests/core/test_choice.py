@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from applications.table import Case
 from benchmarks.auto import brick_wall
 from benchmarks.small import friction
 
@@ -341,13 +342,18 @@ def order(problem: LCP) -> list[str]:
         [[1.0, -2.0], [-2.0, 1.0]],  # symmetric, no more is asked
         [[2.0, -1.0], [-1.0 - 1e-13, 2.0]],
         [[1.0, 2.0], [-2.0, 1.0]],  # not symmetric, but positive semidefinite
-        [[0.0, 1.0], [-1.0, 0.0]],
     ],
 )
 def test_where_m_seems_monotone_the_interior_point_method_comes_first(M: list[list[float]]) -> None:
     """Symmetric up to rounding with a positive diagonal, or positive semidefinite."""
     problem = LCP(M, [-1.0, 1.0], upper=[np.inf, 9.0])
     assert order(problem) == ["interior_point", "feasibility", "newton", "lemke", "search"]
+
+
+def test_where_a_dense_m_lacks_a_diagonal_entry_some_pivots_come_first() -> None:
+    """A budget row: then what seems monotone goes its way."""
+    problem = LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0], upper=[np.inf, 9.0])
+    assert order(problem) == ["lemke", "interior_point", "feasibility", "newton", "lemke", "search"]
 
 
 def test_where_m_does_not_newton_comes_first() -> None:
@@ -419,7 +425,46 @@ def test_a_method_without_an_end_in_sight_waits_for_the_others() -> None:
 ])
 def test_a_method_that_pays_goes_on(name: str, steps: int, rate: float, work: float) -> None:
     """Newton before its twentieth step, and later where its residual falls; lemke within the work of two paths."""
-    assert not has_had_its_turn(replace(after(create(name, {}), steps, rate), work=work), cycle(25, 1.0), TARGET)
+    stage, turn = replace(after(create(name, {}), steps, rate), work=work), {"newton": 20.0, "lemke": 2.0}[name]
+    assert not has_had_its_turn(stage, turn, cycle(25, 1.0), TARGET)
+
+
+def test_a_game_is_left_to_its_pivots() -> None:
+    """Where no diagonal entry is positive lemke has 20 n pivots before others are tried: all that the game takes."""
+    rng = np.random.default_rng(4)
+    A, B = rng.random((2, 90, 90))
+    zero = np.zeros((90, 90))
+    game = LCP(np.block([[zero, A], [B.T, zero]]), -np.ones(180))
+    auto, lemke = solve(game), solve(game, "lemke")
+    assert auto.is_solved
+    assert lemke.is_solved
+    assert auto.work <= 1.1 * lemke.work + 10.0
+
+
+def test_a_budget_row_is_pivoted_before_it_is_factorised() -> None:
+    """A portfolio holds few of its assets: that is a tenth of an interior point's work."""
+    problem = Case("portfolio", {"assets": 200}).in_units("own")[0]
+    auto, interior = solve(problem), solve(problem, "interior_point")
+    assert auto.is_solved
+    assert auto.work <= 0.3 * interior.work
+
+
+def test_a_singular_wall_is_soon_left_by_rounds_on_its_band() -> None:
+    """Rounds that swap the same rows again end, and an interior point follows: no lots are drawn before others try."""
+    case = Case("brick_wall", {"courses": 8, "width": 6})
+    result = solve(case.in_units("own")[0])
+    assert result.is_solved
+    assert result.stages[0].name == "banded"
+    assert result.stages[0].iterations <= 30
+
+
+def test_what_a_stage_did_without_a_label_is_counted() -> None:
+    """The works of the stages sum up to that of the run, also where only some steps are labelled."""
+    rng = np.random.default_rng(4)
+    A, B = rng.random((2, 60, 60))
+    game = LCP(np.block([[np.zeros((60, 60)), A], [B.T, np.zeros((60, 60))]]), -np.ones(120))
+    result = solve(game)
+    assert sum(stage.work for stage in result.stages) == pytest.approx(result.work, abs=len(result.stages) + 1.0)
 
 
 # --- Presolved problems ------------------------------------------------------------------------------------------

@@ -215,6 +215,13 @@ def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf
         raise InvalidOption(f"{algorithm.name}: {option} must be a positive finite number{limit}, got {value!r}")
 
 
+def check_flag(algorithm: Algorithm, option: str) -> None:
+    """Raise unless the option is True or False."""
+    value = getattr(algorithm, option)
+    if not isinstance(value, bool):
+        raise InvalidOption(f"{algorithm.name}: {option} must be True or False, got {value!r}")
+
+
 def check_number(algorithm: Algorithm, option: str) -> None:
     """Raise unless the option is a finite number."""
     value = getattr(algorithm, option)

@@ -152,7 +152,7 @@ class Auto(Policy):
             self._direct = None
         if takes_the_small_dense_solver(problem):
             return Choice(_small(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
-        banded = method_or_none("banded")
+        banded = _banded()
         passes = math.inf if banded is None else in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
         narrow = PROJECTED_TYPE if banded is None else Choice(banded, f"a narrow band: about {passes:.0f} sweeps")
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
@@ -217,7 +217,7 @@ def takes_the_small_dense_solver(problem: LCP) -> bool:
     small = _small()
     if small is None or not small.takes(problem):
         return False
-    banded = None if problem.is_dense else method_or_none("banded")
+    banded = None if problem.is_dense else _banded()
     return banded is None or banded.predicted_passes(problem, math.inf) > TRIAL_SWEEPS
 
 
@@ -238,16 +238,16 @@ def _multigrid() -> Algorithm:
 
 
 @cache
+def _banded() -> Algorithm | None:
+    """Return the rounds on a narrow band, None where their room is not here."""
+    return create("banded", {"hands_over": True}) if "banded" in REGISTRY else None
+
+
+@cache
 def _small() -> Any:
     """Return the solver of small problems, None where its room is not here."""
     solver = ask_or_none("step of auto", "small")
     return solver and solver()
-
-
-@cache
-def method_or_none(name: str) -> Algorithm | None:
-    """Return the registered method with its own options, None where its room is not here."""
-    return create(name, {}) if name in REGISTRY else None
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:

@@ -28,14 +28,14 @@ RISING = 10
 class Choice:
     """An algorithm, the reason for it, and the smaller problem it is to run on, if any.
 
-    `may_wait` says that another one may have its turn before this one has come to its end; `from_start`, that it does
-    not go on from the best point so far but begins where the run began.
+    `turn` says after how many steps, or of lemke pivots divided by n, another one may have its turn before this one has
+    come to its end; `from_start`, that it does not go on from the best point so far but begins where the run began.
     """
 
     algorithm: Algorithm
     because: str = ""
     presolved: Presolved | None = None
-    may_wait: bool = False
+    turn: float = math.inf
     from_start: bool = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -72,6 +72,7 @@ class Stage:
         """Count iterations and work, for the part of that label where there is one."""
         self.iterations += iterations
         self.work += work
+        label = label or (self.algorithm.name if self.parts else "")
         if label and self.parts and self.parts[-1][0] == label:
             _, before, spent = self.parts.pop()
             self.parts.append((label, before + iterations, spent + work))

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.algorithms.base import Algorithm, FusedSolve, Step
+from ...core.algorithms.base import Algorithm, FusedSolve, Step, check_flag
 from ...core.certificates.row_residuals import ratio_upwards
 from ...core.checks import FloatVector
 from ...core.crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
@@ -40,6 +40,11 @@ class Banded(Algorithm):
     leave the other side, so that it ends. The direct part is the method of Brennan and Schwartz where the contact set
     is one interval at an end, Cryer's in general.
 
+    Parameters
+    ----------
+    hands_over : bool
+        Whether to end after a few changes by lot, as where another method is to follow.
+
     References
     ----------
     Cryer 1983, *ACM Trans. Math. Software* 9, 199–214, doi:10.1145/357456.357458. Brennan, Schwartz 1977, *J. Finance*
@@ -62,6 +67,11 @@ class Banded(Algorithm):
         "Cryer 1983, doi:10.1145/357456.357458; Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6"
     )
     is_monotone: ClassVar[bool] = False
+
+    hands_over: bool = False
+
+    def __post_init__(self) -> None:
+        check_flag(self, "hands_over")
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
         """Return those of as many rounds as there usually are; ∞ where M is dense."""
@@ -91,6 +101,7 @@ class Banded(Algorithm):
         given = (
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, problem.q,
             problem.lower, problem.upper, z0, vectors, sets, memory, np.empty((n, band.entries.shape[0])),
+            self._halves(),
         )
         while goes_on:
             residual, goes_on = kernels.step(*given)
@@ -130,8 +141,8 @@ class Banded(Algorithm):
             carried = [carry.indptr.astype(index), carry.indices.astype(index), carry.data]
         run_all(
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
-            M.data, *carried, Q, problem.lower, problem.upper, problem.nearest_to_zero, tolerance, max_iterations, Z,
-            rounds, ends,
+            M.data, *carried, Q, problem.lower, problem.upper, problem.nearest_to_zero, tolerance, max_iterations,
+            self._halves(), Z, rounds, ends,
         )
         costs = _costs(band, problem)
         Z.flags.writeable = False  # they are judged
@@ -178,6 +189,11 @@ class Banded(Algorithm):
             return FusedSolve(answers[march, step], ratio_upwards(largest, least), work, ((self.name, count, work),))
 
         return answers[:, :steps], solve_of
+
+    def _halves(self) -> int:
+        from .kernels import FEW_HALVES, HALVES
+
+        return FEW_HALVES if self.hands_over else HALVES
 
     def _bands(self, problem: LCP) -> Bands:
         band = bands(problem.matrix)

@@ -18,6 +18,7 @@ RIDGE = 1e-8  # of a row of size 1: stands for a negligible pivot, so that no z 
 TURNS = 30  # direct rounds that take the sides in turn, before one side is found directly to the end
 TRIES = 10  # changes of all wrong rows in which neither they nor the rows at bounds get fewer, then of half of them
 HALVES = 200  # changes of every other wrong row, by lot, before the end; what converges needed less than 100
+FEW_HALVES = 0  # the same where others are to have their turn: what converges soon needs none
 
 
 @compiled_part
@@ -154,11 +155,11 @@ def _goes_on(state, target, memory):  # type: ignore[no-untyped-def]
 
 @compiled
 def step(  # type: ignore[no-untyped-def]
-    bands, below, is_direct, weights, scale, q, lower, upper, z, vectors, sets, memory, rows
+    bands, below, is_direct, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, halves
 ):
     """Begin where memory[WAY] is BEGINNING, else make one round; return ‖r‖∞ of z, and whether to go on."""
     if memory[WAY] == BEGINNING:
-        _begin(is_direct, lower, upper, memory)
+        _begin(is_direct, lower, upper, memory, halves)
         memory[LAST_WAY] = BEGINNING
         return _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), True
     room = _room_for_contacts(z.size)
@@ -210,7 +211,7 @@ def _room_for_contacts(n):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
+def _begin(is_direct, lower, upper, memory, halves):  # type: ignore[no-untyped-def]
     """Fill the memory of a run that begins; the contacts of the side with most bounds are found directly at first."""
     n = lower.size
     lowers = uppers = 0
@@ -220,7 +221,7 @@ def _begin(is_direct, lower, upper, memory):  # type: ignore[no-untyped-def]
     memory[WAY], memory[SIDE] = DIRECT if is_direct else BLOCKS, 1 if lowers >= uppers else -1
     memory[TURNS_LEFT], memory[LEFT] = TURNS, n + 2
     memory[FEWEST_WRONG] = memory[FEWEST_HELD] = n + 1
-    memory[PATIENCE], memory[HALVES_LEFT], memory[IS_SETTLED] = TRIES, HALVES, 0
+    memory[PATIENCE], memory[HALVES_LEFT], memory[IS_SETTLED] = TRIES, halves, 0
 
 
 @compiled_part
@@ -246,7 +247,7 @@ def _largest(values):  # type: ignore[no-untyped-def]
 @interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
     bands, below, is_direct, weights, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data,
-    Q, lower, upper, nearest, tolerance, most_rounds, Z, rounds, ends
+    Q, lower, upper, nearest, tolerance, most_rounds, halves, Z, rounds, ends
 ):
     """Run rounds for one q after the other, each from its row of Z to its answer there.
 
@@ -263,6 +264,8 @@ def run_all(  # type: ignore[no-untyped-def]
         Offsets; starts, then answers.
     lower, upper, nearest : arrays, shape (n,)
         Bounds, and the point between them that is nearest to 0.
+    most_rounds, halves : int
+        Of each row, and how often half of the wrong rows change before the end.
     rounds : array of int, shape (k, 2)
         How many there were on the direct way and on the other; −1 where they did not converge.
     ends : array, shape (k, 2)
@@ -283,7 +286,7 @@ def run_all(  # type: ignore[no-untyped-def]
                 z[i] = min(max(z[i], lower[i]), upper[i])
         residual_ends(indptr, indices, data, 0, nearest, q, nearest, lower, upper, scale, smallest, largest)
         least, most = _largest(smallest), _largest(largest)
-        _begin(is_direct, lower, upper, memory)
+        _begin(is_direct, lower, upper, memory, halves)
         residual, goes_on = _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = _advanced(

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.algorithms.base import Algorithm, Step, check_choice, check_positive, require_positive_diagonal
+from ...core.algorithms.base import Algorithm, Step, check_choice, check_flag, check_positive, require_positive_diagonal
 from ...core.checks import FloatVector
 from ...core.crossovers import DIRECT_UP_TO, MULTIGRID_PASSES, MULTIGRID_ROWS
 from ...core.errors import InvalidOption
@@ -104,8 +104,7 @@ class Multigrid(Algorithm):
         check_choice(self, "smoother", SMOOTHERS)
         check_positive(self, "relaxation")
         for option in ("nested", "hands_over"):
-            if not isinstance(value := getattr(self, option), bool):
-                raise InvalidOption(f"multigrid: {option} must be True or False, got {value!r}")
+            check_flag(self, option)
         is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(self.coarsest, bool)
         if not is_count or self.coarsest < 1:
             raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")

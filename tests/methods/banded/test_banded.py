@@ -185,7 +185,7 @@ def test_one_side_alone_ends_too() -> None:
         vectors, sets, memory = np.empty((4, 30)), np.empty((2, 30), np.int8), np.empty(kernels.SLOTS, np.int64)
         data = problem.q, problem.lower, problem.upper
         now = rng.normal(scale=50.0, size=30)
-        given = band.entries, 1, True, band.weights, scale, *data, now, vectors, sets, memory, np.empty((30, 3))
+        given = band.entries, 1, True, band.weights, scale, *data, now, vectors, sets, memory, np.empty((30, 3)), 200
         memory[kernels.WAY] = kernels.BEGINNING
         kernels.step(*given)
         memory[kernels.TURNS_LEFT], side = 0, memory[kernels.SIDE]

@@ -122,17 +122,10 @@ class Retries:
 
 
 def factor_passes(problem: LCP) -> float:
-    """Return about how many passes over a sparse M the factors of an interior point take; ∞ where one is too large.
+    """Return about how many passes over a sparse M the factors of an interior point take; ∞ where one is too large."""
+    from ..systems.factors import sizes_of_factor
 
-    The entries and the operations are those within the envelope of the order of Cuthill and McKee: nearly what a factor
-    in that order has, and more than one of minimum degree has on a grid.
-    """
-    from ..systems.factors import is_affordable, sizes_within_envelope
-
-    fill, operations = sizes_within_envelope(problem.matrix)
-    if not is_affordable(fill, operations):
-        return math.inf
-    return INTERIOR_STEPS * operations / max(problem.nonzeros, 1)
+    return INTERIOR_STEPS * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
 
 
 def has_had_its_turn(stage: Stage, turn: float, problem: LCP, goal: float) -> bool:

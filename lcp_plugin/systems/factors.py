@@ -33,9 +33,8 @@ SYMMETRIC_SHARE = 0.8  # of the entries that have one across the diagonal, from 
 SYMMETRIC_PIVOT = 0.01  # SuperLU keeps the diagonal pivot where it is at least this share of the column's largest
 
 ALWAYS = 1_000  # rows; up to here any fill is cheap
-LARGEST_OPERATIONS = 4e10  # about ten seconds, a 3-D grid of 37³; a random graph's n³ exceeds it at some thousands
+LARGEST_OPERATIONS = 2e10  # Σ count² over columns: about ten seconds, a 3-D grid of 37³
 LARGEST_FILL = 2e8  # entries
-FULL = 10.0  # √n entries a row
 
 LONG = 1e8  # operations, from .05 s with SuperLU, beside which it costs nothing to wait for another thread
 
@@ -246,7 +245,9 @@ def most_operations(matrix: sp.csc_array) -> float:
     n = matrix.shape[0]
     if n**3 <= LONG:
         return float(n**3)
-    width = _envelope(row_numbers(matrix), matrix.indices, n)
+    first, others = np.arange(n), row_numbers(matrix)
+    np.minimum.at(first, np.maximum(others, matrix.indices), np.minimum(others, matrix.indices))
+    width = (np.arange(n) - first).astype(np.float64)
     return 2.0 * float(width @ width)
 
 
@@ -303,56 +304,18 @@ def positive_factor(matrix: Any) -> PositiveFactor | None:
 
 
 def factor_fits(matrix: Any) -> bool:
-    """Return whether a factorisation of a CSR or CSC array has its end in sight.
+    """Return whether a factorisation of a CSR or CSC array has its end in sight, by the counts of its columns."""
+    from .minimum_degree import factor_sizes  # numba, which many a question does without
 
-    Notes
-    -----
-    The factor in the order of Cuthill and McKee stays within an envelope, whose Σ width and Σ width² count its entries
-    and operations. The order used has less fill on grids, and none has much less on random graphs. Rows with more than
-    10 √n entries come last, as in orders of minimum degree: a dense row of constraints ties all unknowns together.
-    """
-    n = matrix.shape[0]
-    if n <= ALWAYS:
-        return True
-    rows = row_numbers(matrix)
-    return is_affordable(*_sizes(_envelope(rows, matrix.indices, n))) or is_affordable(*within_envelope(matrix))
-
-
-def within_envelope(matrix: Any) -> tuple[float, float]:
-    """Return the entries and the operations of a factor within the envelope of the order of Cuthill and McKee."""
-    n = matrix.shape[0]
-    pattern = sp.csr_array((np.ones(matrix.indices.size), matrix.indices, matrix.indptr), shape=matrix.shape)
-    rows = row_numbers(pattern)
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-    is_full = np.diff(pattern.indptr) + np.bincount(pattern.indices, minlength=n) > 2.0 * FULL * np.sqrt(n)
-    others, full = np.flatnonzero(~is_full), np.flatnonzero(is_full)
-    order = others[reverse_cuthill_mckee(pattern[others][:, others], symmetric_mode=False)] if others.size else others
-    position = np.empty(n, dtype=np.int64)
-    position[np.append(order, full)] = np.arange(n)
-    return _sizes(_envelope(position[rows], position[pattern.indices], n))
+    return matrix.shape[0] <= ALWAYS or factor_sizes(matrix, LARGEST_FILL, LARGEST_OPERATIONS)[0] < np.inf
 
 
 @fact
-def sizes_within_envelope(matrix: Matrix) -> tuple[float, float]:
-    """Return the same of M."""
-    return within_envelope(matrix.csr)
+def sizes_of_factor(matrix: Matrix) -> tuple[float, float]:
+    """Return the entries of L and the operations Σ count² of a factor of M; ∞ and ∞ where it is too large."""
+    from .minimum_degree import factor_sizes
 
-
-def _envelope(rows: Any, columns: Any, n: int) -> FloatVector:
-    """Return how far each row of the lower triangle of A + Aᵀ reaches from the diagonal, shape (n,)."""
-    first = np.arange(n)
-    np.minimum.at(first, np.maximum(rows, columns), np.minimum(rows, columns))
-    return (np.arange(n) - first).astype(np.float64)
-
-
-def _sizes(width: FloatVector) -> tuple[float, float]:
-    return float(width.sum()), float(width @ width)
-
-
-def is_affordable(fill: float, operations: float) -> bool:
-    """Return whether a factor of so many entries fits, and its operations take some ten seconds at most."""
-    return fill <= LARGEST_FILL and operations <= LARGEST_OPERATIONS
+    return factor_sizes(matrix.csr, LARGEST_FILL, LARGEST_OPERATIONS)
 
 
 class Bands(NamedTuple):

@@ -178,7 +178,7 @@ class Auto(Policy):
             passes = self._factor_passes(problem)
             if left.has_failed and passes == math.inf:
                 return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
-            if not (left.has_failed or min(left.work, left.sweeps) > passes):
+            if not (left.has_failed or min(2.0 * left.work, left.sweeps) > passes):
                 return None
         else:
             predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in _rivals(problem, stages)}

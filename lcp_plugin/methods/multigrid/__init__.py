@@ -122,11 +122,6 @@ class Multigrid(Algorithm):
             return math.inf
         return MULTIGRID_PASSES + MULTIGRID_ROWS / problem.n
 
-    @property
-    def takes_scaled(self) -> bool:
-        """No: coarse grids interpolate what is constant in the caller's units, or what sweeps leave over there."""
-        return False
-
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z after each sweep that follows a correction on the finest grid."""
         require_positive_diagonal(problem, self.name)

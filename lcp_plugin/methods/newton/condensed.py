@@ -17,7 +17,7 @@ from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
-from ...systems.factors import sizes_within_envelope
+from ...systems.factors import sizes_of_factor
 from ...systems.free_systems import FreeSystem
 from .semismooth_newton import Newton
 
@@ -118,5 +118,5 @@ def condensing_pays(problem: LCP, work: float) -> bool:
     count = int(np.count_nonzero(has_bound(problem)))
     if not 0 < count <= min(BOUNDED_UP_TO, BOUNDED_SHARE * problem.n) or problem.is_dense:
         return False
-    fill, operations = sizes_within_envelope(problem.matrix)
+    fill, operations = sizes_of_factor(problem.matrix)
     return operations + 2.0 * fill * count + count**3 <= work * problem.nonzeros

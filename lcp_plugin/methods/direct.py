@@ -94,11 +94,14 @@ class Turns:
         is_overdue = self._now is not None and has_had_its_turn(stage, self._now.turn, self._problem, goal)
         if not (failed or is_overdue):
             return None
-        following = next(self._coming, None) or (self._waiting.pop(0) if self._waiting else None)
+        is_refuted = any(one.refutes_nearby for one in stages)  # what lies that far out is worth one turn, at the most
+        following = next((one for one in self._coming if not (is_refuted and one.turn < math.inf)), None)
+        if following is None and self._waiting and not is_refuted:
+            following = self._waiting.pop(0)
         if following is not None:
             if self._now is not None and not failed:
                 self._waiting.append(replace(self._now, because="the others have had their turn", turn=math.inf))
-        elif failed:
+        elif failed and not is_refuted:
             following = self._retries.following(self._problem, stages) or next(self._last, None)
         self._now = following or self._now
         return following

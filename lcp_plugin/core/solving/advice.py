@@ -14,6 +14,7 @@ from ..settings import Status
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 EXCLUDED = "no solution was found, and as far as doubles tell there is none near any z"
+FAR_OUT = "no start leads to a solution within that size: check the data"
 ELSEWHERE = "auto has tried what suits this M: another start z0 may lead elsewhere"
 
 
@@ -51,8 +52,9 @@ def advice_of_run(
     goes_on = reached is None or chosen.uses_start(problem, reached)
     for status in LIMITS:
         said[status] += ", or go on from z0=result.z" * goes_on + f", or try {other}" * bool(other)
+    end = FAR_OUT if any(stage.refutes_nearby for stage in stages) else f"try {other}" if other else ELSEWHERE
     for status in WITHOUT_END:
-        said[status] = EXCLUDED if is_excluded else f"{said[status]}; {f'try {other}' if other else ELSEWHERE}"
+        said[status] = EXCLUDED if is_excluded else f"{said[status]}; {end}"
     return {**words, **said}
 
 

@@ -143,6 +143,7 @@ class Run:
         if step.proof is not None and reason is None:
             if self.judge.counts(step.proof):
                 return step.proof.status  # type: ignore[no-any-return]
+            state.stages[-1].refutes_nearby = getattr(self.judge.proof, "radius", math.inf) < math.inf
             if self.judge.misses_by_rounding(self.incumbent.z):
                 return Status.PRECISION_LIMIT
         return reason

@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector, read_only
+from ..core.crossovers import FACTOR_OPERATIONS_UP_TO
 from ..core.matrix.matrix import Matrix, fact, largest_in_rows
 from ..core.matrix.structure import row_numbers
 from .equilibration import power_of_two
@@ -33,7 +34,6 @@ SYMMETRIC_SHARE = 0.8  # of the entries that have one across the diagonal, from 
 SYMMETRIC_PIVOT = 0.01  # SuperLU keeps the diagonal pivot where it is at least this share of the column's largest
 
 ALWAYS = 1_000  # rows; up to here any fill is cheap
-LARGEST_OPERATIONS = 2e10  # Σ count² over columns: about ten seconds, a 3-D grid of 37³
 LARGEST_FILL = 2e8  # entries
 
 LONG = 1e8  # operations, from .05 s with SuperLU, beside which it costs nothing to wait for another thread
@@ -307,7 +307,7 @@ def factor_fits(matrix: Any) -> bool:
     """Return whether a factorisation of a CSR or CSC array has its end in sight, by the counts of its columns."""
     from .minimum_degree import factor_sizes  # numba, which many a question does without
 
-    return matrix.shape[0] <= ALWAYS or factor_sizes(matrix, LARGEST_FILL, LARGEST_OPERATIONS)[0] < np.inf
+    return matrix.shape[0] <= ALWAYS or factor_sizes(matrix, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)[0] < np.inf
 
 
 @fact
@@ -315,7 +315,7 @@ def sizes_of_factor(matrix: Matrix) -> tuple[float, float]:
     """Return the entries of L and the operations Σ count² of a factor of M; ∞ and ∞ where it is too large."""
     from .minimum_degree import factor_sizes
 
-    return factor_sizes(matrix.csr, LARGEST_FILL, LARGEST_OPERATIONS)
+    return factor_sizes(matrix.csr, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)
 
 
 class Bands(NamedTuple):
@@ -347,7 +347,7 @@ def bands(matrix: Matrix) -> Bands | None:
     offsets = M.indices - rows
     below, above = max(0, -int(offsets.min(initial=0))), max(0, int(offsets.max(initial=0)))
     width = below + above + 1.0
-    if matrix.n * width > LARGEST_FILL or matrix.n * width * below > LARGEST_OPERATIONS:
+    if matrix.n * width > LARGEST_FILL or matrix.n * width * below > FACTOR_OPERATIONS_UP_TO:
         return None
     if max(below, above) <= 1:
         below = above = 1

@@ -24,7 +24,7 @@ from lcp_plugin.methods.interior.quasidefinite import QuasidefiniteNewtonMatrix,
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.no_solution.infeasibility import find_infeasibility
 from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, symmetric_part
-from lcp_plugin.systems.factors import factorise, positive_factor, solver_of
+from lcp_plugin.systems.factors import factorise, positive_factor, sizes_of_factor, solver_of
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 
@@ -179,6 +179,18 @@ def _once(what: str, problem: LCP, work: Callable[[LCP], object]) -> str:
 
 def _program(repeats: int) -> str:
     return _once("the linear program of feasibility", _grid(70), find_infeasibility)
+
+
+def _operations(repeats: int) -> str:
+    """Return how long the largest factor takes, and what one operation of it takes beside an entry of a sweep."""
+    ratios, seconds_of_largest = [], 0.0
+    for size in (100, 300):
+        problem = _grid(size)
+        operations = sizes_of_factor(problem.matrix)[1]
+        seconds = medians({"factor": partial(factorise, problem.M, is_symmetric=True)}, repeats)["factor"]
+        ratios.append(seconds / operations * problem.nonzeros / _seconds_of_sweep(problem, "npgs", repeats))
+        seconds_of_largest = seconds / operations * crossovers.FACTOR_OPERATIONS_UP_TO
+    return f"{seconds_of_largest:.0f} s; an operation is {min(ratios):.2f} to {max(ratios):.2f} entries of a sweep"
 
 
 def _pivoted(repeats: int) -> str:
@@ -345,6 +357,7 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "COMPILED_SPARSE_UP_TO": partial(_compiled, _scattered, "COMPILED_SPARSE_UP_TO"),
     "PIVOTED_AT_ONCE_UP_TO": _path_or_interior_point, "CONTACTS_UP_TO": _contacts,
     "DIRECT_UP_TO": _factor_or_multigrid, "LINEAR_PROGRAM_UP_TO": _program,
+    "FACTOR_OPERATIONS_UP_TO": _operations,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
     "CHOLESKY_UP_TO": partial(_cholesky, crossovers.CHOLESKY_UP_TO, 0.01),
     "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, crossovers.FULL_CHOLESKY_UP_TO, crossovers.FULL_CHOLESKY_FROM),

@@ -14,14 +14,13 @@ Where the diagonal is negative throughout, as where M has the wrong sign, newton
 them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases
 in doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any
 other method takes; some ten milliseconds at the most. They run on the presolved problem, each until it ends; but where
-no theorem promises an end, a method that has cost as much as the next one is predicted to cost waits until all others
-have had their turn: so none costs more than twice what the right one would have (:class:`Turns`). What they leave open,
-newton and lemke try once more from the start: the best point may have led astray (:class:`Retries`). Where a factor
-is too large by the counts of its columns, newton and interior_point are left out, but not of programs. A row that contradicts
-its bounds by itself brings `feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000). lemke
-takes n ≤ 6000 (beyond, psor comes back at the end, until it stalls), `search` looks at the cases of problems with
-n ≤ 60 until a counted number of operations; what doubles leave open goes to exact arithmetic where at most 24 rows
-leave a choice.
+no theorem promises an end, newton and lemke have a turn of so many steps or pivots, and wait, where they need more,
+until all others have had theirs (:class:`Turns`). What they leave open, newton and lemke try once more from the start:
+the best point may have led astray (:class:`Retries`). Where a factor is too large by the counts of its columns, newton
+and interior_point are left out, but not of programs. A row that contradicts its bounds by itself brings `feasibility`
+to the front: it looks for a proof that there is no solution (n ≤ 5000). lemke takes n ≤ 6000 (beyond, psor comes back
+at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a counted number of operations;
+what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
 
 
 class Turns:
-    """The direct methods one after the other; those that may wait, and go on too long, once more before the search.
+    """The direct methods one after the other; those whose turn is over go on where all others have failed.
 
     Each has at most two turns, so that there is an end. Where `refutes` is False, nothing looks for proofs; where
     `looks_at_cases` is, nothing looks for solutions but those that lie near the start.

@@ -42,7 +42,6 @@ from .data import Linearisation, NonlinearProblem
 
 NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wrong by a half explains no residual
 ASKED = 4  # points
-VANISHING = 1e-3  # of its terms: more is no row that vanishes
 NEARLY_THERE = 1e-4  # of the way from the start to x°
 ROUNDED = 1.0 + 2.0**-40  # of sums of nonnegative terms: below it an affine F may not come
 

@@ -27,7 +27,7 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, LCPError
 from ..core.kinds import refusal
 from ..core.lcp import LCP
-from ..core.settings import Status
+from ..core.settings import Settings, Status
 from ..core.solving.driver import solve
 from ..core.solving.result import Result
 from ..problems.programs.certification import certify
@@ -252,7 +252,7 @@ def _judged(
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
     """Return whether the status holds for the certificate measured here."""
     if result.is_solved:
-        return ours.relative_residual <= result.tolerance
+        return Settings(tolerance=result.tolerance, absolute_tolerance=result.absolute_tolerance).accept(ours)
     return ours.is_at_rounding_level
 
 

@@ -21,7 +21,10 @@ import scipy.sparse as sp
 
 from ..core.kernels.compilation import compiled
 
-FULL = 10.0  # times √n: rows with more entries come last, as a row of constraints that ties all unknowns together
+# Rows with more entries than so many √n come last, as a row of constraints that ties all unknowns together: fewer rows
+# where counting takes too long otherwise.
+FULL = (10.0, 1.0)
+TOUCHED, TOUCHED_AT_LEAST = 6, 10_000_000  # of lists, beside their entries: grids take 2 to 10; no more than is counted
 
 
 def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: float = np.inf) -> tuple[float, float]:
@@ -32,7 +35,7 @@ def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: flo
     matrix : CSR or CSC array, shape (n, n)
         Its pattern counts, not its numbers.
     most_entries, most_operations : float
-        Where one of them is exceeded the count ends: both are ∞ then.
+        Where one of them is exceeded the count ends: both are ∞ then, as where counting itself takes too long.
 
     Examples
     --------
@@ -45,21 +48,24 @@ def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: flo
     pattern = sp.csr_array(pattern + pattern.T)
     pattern.setdiag(0)
     pattern.eliminate_zeros()
-    is_full = np.diff(pattern.indptr) > FULL * np.sqrt(n)
-    others, last = np.flatnonzero(~is_full), int(np.count_nonzero(is_full))
-    if last:
-        pattern = sp.csr_array(pattern[others][:, others])
-    begins, lists = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
-    room = np.empty(lists.size + 2 * others.size + 1, np.int64)
-    room[: lists.size] = lists
-    entries, operations = minimum_degree(begins, room, float(last), most_entries, most_operations)
-    ends = np.arange(1.0, last + 1.0)
-    return entries + float(ends.sum()), operations + float(ends @ ends)
+    most_touched, lengths = TOUCHED * pattern.nnz + TOUCHED_AT_LEAST, np.diff(pattern.indptr)
+    for full in FULL:
+        is_full = lengths > full * np.sqrt(n)
+        others, last = np.flatnonzero(~is_full), int(np.count_nonzero(is_full))
+        left = sp.csr_array(pattern[others][:, others]) if last else pattern
+        begins, lists = left.indptr.astype(np.int64), left.indices.astype(np.int64)
+        room = np.empty(lists.size + 2 * others.size + 1, np.int64)
+        room[: lists.size] = lists
+        counts = minimum_degree(begins, room, float(last), most_entries, most_operations, most_touched)
+        if counts[2] <= most_touched:
+            ends = np.arange(1.0, last + 1.0)
+            return counts[0] + float(ends.sum()), counts[1] + float(ends @ ends)
+    return np.inf, np.inf
 
 
 @compiled
-def minimum_degree(begins, room, last, most_entries, most_operations):  # type: ignore[no-untyped-def]
-    """Return Σ count and Σ count² of the columns of L; ∞ and ∞ beyond the limits.
+def minimum_degree(begins, room, last, most_entries, most_operations, most_touched):  # type: ignore[no-untyped-def]
+    """Return Σ count and Σ count² of the columns of L, ∞ and ∞ beyond the limits, and how much of lists was touched.
 
     Parameters
     ----------
@@ -83,7 +89,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations):  # type: 
         if after[i] >= 0:
             before[after[i]] = i
         head[degree[i]] = i
-    free, left, least, entries, operations = begins[n], n, 0, 0.0, 0.0
+    free, left, least, entries, operations, touched = begins[n], n, 0, 0.0, 0.0, 0
     while left > 0:
         while head[least] < 0:
             least += 1
@@ -104,6 +110,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations):  # type: 
             if is_element and is_gone[e]:
                 continue
             first, end = (begin[e], begin[e] + size[e]) if is_element else (k, k + 1)
+            touched += end - first
             for m in range(first, end):
                 i = room[m]
                 if weight[i] > 0 and mark[i] != tag:
@@ -123,6 +130,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations):  # type: 
         base = tag * (2 * n + 2)
         for m in range(start, free):
             i = room[m]
+            touched += size[i]
             for k in range(begin[i], begin[i] + elements[i]):
                 e = room[k]
                 if not is_gone[e]:
@@ -203,9 +211,9 @@ def minimum_degree(begins, room, last, most_entries, most_operations):  # type: 
         for k in range(together):
             height = reached + together - k + last
             entries, operations = entries + height, operations + height * height
-        if entries > most_entries or operations > most_operations:
-            return np.inf, np.inf
-    return entries, operations
+        if entries > most_entries or operations > most_operations or touched > most_touched:
+            return np.inf, np.inf, touched
+    return entries, operations, touched
 
 
 @compiled

@@ -15,6 +15,7 @@ from lcp_plugin.algorithms import create
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.units import units_of
 from lcp_plugin.core.settings import Settings
+from lcp_plugin.core.solving.advice import advice_beside_a_wrong_row, advice_of_run
 from lcp_plugin.problems.batches import batch_run
 
 FAR = 2.0**20  # the units of unknowns are powers of two between its inverse and it
@@ -129,6 +130,13 @@ def test_what_the_guard_refuses_is_said_with_its_row() -> None:
     i = int(np.argmax(certificate.term_residuals))
     assert certificate.term_residuals[i] > 1e-4
     assert f"w[{i}] = " in certificate.wrong_row
+    words = advice_beside_a_wrong_row(advice_of_run(problem, create("psor", {}), (), 1e-8, {}), certificate.wrong_row)
+    for status in (Status.STALLED, Status.MAX_ITERATIONS, Status.MAX_SECONDS):
+        assert words[status].startswith("the residual is small enough, but a row is wrong in its own terms: w[")
+        assert words[status].endswith('try algorithm="auto"')
+        assert "raise the tolerance" not in words[status]
+    assert "units" in words[Status.STALLED]
+    assert "raise max_iterations" in words[Status.MAX_ITERATIONS]
 
 
 def test_a_large_grid_in_mixed_units_goes_to_multigrid() -> None:

@@ -212,7 +212,9 @@ class Certificate:
 
     @property
     def wrong_row(self) -> str:
-        """Which row is the most wrong in its own terms, in words."""
+        """Which row is the most wrong in its own terms, in words; '' of a problem without rows."""
+        if not self.z.size:
+            return ""
         i = int(np.argmax(self.term_residuals))
         return f"w[{i}] = {self.w[i]:.1e} with z[{i}] = {self.z[i]:.1e}, where its terms are {self._terms[i]:.1e}"
 
@@ -409,6 +411,7 @@ class Certificate:
             ("slack violation", self.slack_violation, ""),
             ("complementarity", self.complementarity, self.large_product),
             ("backward error", self.backward_error, ""),
+            *([("term residual", self.term_residual, "")] if self._units is not None else []),
         ]
         return "\n".join(f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines)
 

@@ -58,6 +58,17 @@ def advice_of_run(
     return {**words, **said}
 
 
+def advice_beside_a_wrong_row(words: Mapping[Status, str], row: str) -> dict[Status, str]:
+    """Return the advice where the residual is small enough and a row, told in words, is wrong in its own terms."""
+    wrong = f"the residual is small enough, but a row is wrong in its own terms: {row}"
+    units = "state rows and unknowns in units in which the entries of M are of one size"
+    said = {status: f"{wrong}; {words[status]}" for status in LIMITS}
+    for status in WITHOUT_END:
+        _, _, end = words[status].partition("; ")
+        said[status] = "; ".join((wrong, units, end)) if end else f"{wrong}; {units}"
+    return {**words, **said}
+
+
 def _other_call(problem: LCP, chosen: Algorithm) -> str:
     """Return another call than the one that has failed: what its options lack, or auto."""
     is_unscaled = getattr(chosen, "scaling", "auto") is None and bool(has_positive_diagonal(problem.matrix).all())

@@ -21,7 +21,7 @@ from ..lcp import LCP
 from ..policy.choice import Policy, name_of
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage
 from ..settings import Settings, Status
-from .advice import advice_of_run, unused_start
+from .advice import advice_beside_a_wrong_row, advice_of_run, unused_start
 from .judge import Judge, judge_of
 from .result import BoundOrReason, Result, Sample, StageRecord
 from .run_log import RunLog
@@ -227,11 +227,9 @@ class Run:
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
             if status is not Status.SOLVED:
                 words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
-                if not certificate.is_right_row_by_row(settings.goal, settings.least_reference):
-                    words[Status.STALLED] = (
-                        f"a row is wrong in its own terms whatever the residual: {certificate.wrong_row}; state rows "
-                        "and unknowns in units in which the entries of M are of one size, or raise the tolerance"
-                    )
+                is_small = certificate.relative_above(settings.least_reference) <= settings.goal
+                if is_small and not certificate.is_right_row_by_row(settings.goal, settings.least_reference):
+                    words = advice_beside_a_wrong_row(words, certificate.wrong_row)
         if not settings.refute:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
             words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"

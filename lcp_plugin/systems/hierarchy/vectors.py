@@ -106,6 +106,7 @@ def _largest_product(one, other, first, end):  # type: ignore[no-untyped-def]
 LACKING = 0.1  # of the diagonal entry: how far a row may sum below zero before it contradicts the units
 NOTEWORTHY_LACKING = 0.02  # share of such rows from which on other units are tried
 GAINED = 0.5  # and kept, if they leave at most so many times as many
+FARTHEST = 2.0**400  # a unit from that of another unknown: their squares are divided by
 TRIAL_SWEEPS, SWEEPS = 3, 12  # there and back: to choose where to begin, and from there
 
 
@@ -137,7 +138,7 @@ def units_of(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
 
 
 def _are_units(v: FloatVector) -> bool:
-    return bool(v.min() > 0.0 and np.isfinite(1.0 / v).all() and np.isfinite(v).all())
+    return bool(v.min() >= 1.0 / FARTHEST and v.max() <= FARTHEST)
 
 
 @compiled

@@ -416,6 +416,17 @@ def test_an_indefinite_matrix_ends_the_run() -> None:
     assert np.isfinite(result.residual)
 
 
+@pytest.mark.parametrize("speed", [3.5, 3.625, 4.0, 4.5])
+def test_strong_convection_ends_without_a_warning(speed: float) -> None:
+    """Units that sweeps on M v = 0 drive beyond 1e±120 along a flow are none; their squares were divided by."""
+    m = 9
+    along = sp.diags_array([-1.0 - speed, 4.0, speed - 1.0], offsets=[-1, 0, 1], shape=(m, m))
+    across = sp.diags_array([-1.0, -1.0], offsets=[-1, 1], shape=(m, m))
+    M = sp.csr_array(sp.kron(sp.eye_array(m), along) + sp.kron(across, sp.eye_array(m)))
+    result = solve(LCP(M, -np.ones(m * m)), "multigrid", max_iterations=200)
+    assert result.status in (Status.SOLVED, Status.STALLED)
+
+
 @pytest.mark.parametrize("entry", [0.0, -1.0])
 def test_a_diagonal_entry_that_is_not_positive_is_refused(entry: float) -> None:
     """The row is named, before the first step."""

@@ -8,7 +8,9 @@ the part, and v_i the part of w_i that has the wrong sign (|w_i| where z_i is of
 - z_i is no farther than s max(|z_i|, s U) from a bound where its sign is right, and the step there keeps that sign.
 
 Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. The second term is for
-rows whose own terms are negligible beside those of the part, as in a far field.
+rows whose own terms are negligible beside those of the part, as in a far field. Where t_i |m_ij| are symmetric, U is
+also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i): neither in the caller's units nor in those of energy
+may a row be wrong, be it negligible in the other ones.
 
 In the caller's own units an LCP within the tolerance has no larger term residual: z° is nearer to 0 than z is, so that
 ‖r(z°)‖∞ ≤ U, and a row with |r_i| ≤ s² U passes. There nothing has to be computed.
@@ -29,6 +31,7 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..matrix.matrix import largest_in_rows
+from ..matrix.units import energy_scale
 from .criterion import for_each_row, largest_of_parts
 from .row_residuals import magnitude
 
@@ -67,6 +70,9 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector, *, is_linear: b
         terms = magnitude(problem, problem.matrix.whole(z))
         if is_linear:
             unit = for_each_row(problem, largest_of_parts(problem, terms / scale))
+            if (energy := energy_scale(problem.matrix)) is not None:
+                largest = largest_of_parts(problem, np.nan_to_num(terms / energy))
+                unit = np.fmin(unit, for_each_row(problem, largest) * energy / scale)
             own = (2.0 * wrong / (terms + np.sqrt(terms**2 + 4.0 * wrong * scale * unit))) ** 2
         else:
             tells = (distance > 0.0) & (wrong <= VANISHING * terms)

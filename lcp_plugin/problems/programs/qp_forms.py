@@ -99,7 +99,10 @@ class QPOrigin:
 
     def is_answered(self, z: FloatVector, tolerance: float) -> bool:
         """Return whether the program's own criteria hold at what z stands for, where a run has this tolerance."""
-        return bool(np.isfinite(z).all()) and self.recover(z).is_stationary(program_goal(tolerance))
+        goal = program_goal(tolerance)
+        if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
+            return False
+        return solution.is_sure(goal) or self.program.refutation(goal) is None
 
     def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers y, or of smaller ones that are as good."""
@@ -300,8 +303,9 @@ def _is_better_left(
     """
     size, bound = np.abs(reduced_cost), np.where(reduced_cost > 0.0, program.lower, program.upper)
     with np.errstate(invalid="ignore", over="ignore"):  # an infinite bound has no multiplier anyway
-        as_multiplier = size * np.abs(x - bound) / (1.0 + size * np.maximum(np.abs(x), np.abs(bound)))
-        as_residual = size / np.minimum(1.0 + terms, program.dual_unit)
+        unknown, objective = program.units.unknown, program.units.objective
+        as_multiplier = size * np.abs(x - bound) / (objective + size * np.maximum(np.abs(x), np.abs(bound)))
+        as_residual = size / np.minimum(objective / unknown + terms, program.dual_unit)
         return (program.lower < x) & (x < program.upper) & (as_residual < as_multiplier)
 
 
@@ -357,8 +361,8 @@ def least_multipliers(
     unit = program.constraints.unit[:count]
     with np.errstate(invalid="ignore"):
         active = is_equality | (limits - rows @ x <= ACTIVE * unit)
-        at_lower = x - program.lower <= ACTIVE * (1.0 + np.abs(x))
-        at_upper = program.upper - x <= ACTIVE * (1.0 + np.abs(x))
+        at_lower = x - program.lower <= ACTIVE * (program.units.unknown + np.abs(x))
+        at_upper = program.upper - x <= ACTIVE * (program.units.unknown + np.abs(x))
     listed, found = np.flatnonzero(active), np.zeros(count)
     columns = sp.csc_array(as_csr(rows)[listed].T)
     if columns.nnz > LARGEST_DENSE:

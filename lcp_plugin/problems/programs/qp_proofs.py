@@ -15,7 +15,7 @@ from ...core.kernels.floats import EPSILON
 from ...proofs.exact.rational import ZERO, Vector, products, rounded_down
 from ...proofs.no_solution.linear_constraints import Contradiction, within
 from .constraints import Constraints, stationarity
-from .criterion import constraint_tolerance
+from .criterion import SURE, constraint_tolerance
 from .program_matrices import as_csr
 
 if TYPE_CHECKING:
@@ -80,8 +80,8 @@ class QPInfeasibility:
         return self._found.miss(np.ones(len(self.multipliers))) if self.verify() else 0.0
 
     def excludes(self, tolerance: float) -> bool:
-        """Return whether no x at all is optimal at this tolerance."""
-        return self.margin > constraint_tolerance(tolerance)
+        """Return whether no x at all is optimal at this tolerance, or, where it speaks of all x, surely so."""
+        return self.margin > (SURE if self.is_exact else 1.0) * constraint_tolerance(tolerance)
 
     def __str__(self) -> str:
         how = f"multipliers checked exactly{within(self.radius, 'x')}"
@@ -163,29 +163,32 @@ class QPUnboundedness:
     def row_margin(self) -> float:
         """A lower bound of the row residual of every x and multipliers; 0 where terms along the direction may cancel.
 
-        What is left of component j of the gradient is at most s (1 + its largest term), no multiplier y_k is below −s.
-        With T_k = Σ_j |c_kj d_j| of constraint k, which loses at least T_k/κ along the direction d, and P d = 0 without
-        terms, |cᵀd| ≤ s (Σ_j |d_j| (1 + |c_j|) + 2 Σ_k T_k) where s ≤ 1/κ: a component of a small unit needs no other.
+        In units u of unknowns, a of rows and f of the objective what is left of component j of the gradient is at most
+        s (f/u_j + its largest term), no multiplier y_k is below −s f/a_k. With T_k = Σ_j |c_kj d_j| of constraint k,
+        which loses at least T_k/κ along the direction d, and P d = 0 without terms, |cᵀd| ≤
+        s (Σ_j |d_j| (f/u_j + |c_j|) + 2 f Σ_k T_k/a_k) where s ≤ 1/κ: a component of a small unit needs no other.
         """
         found, rows = self._found, self.program.constraints
         if not self.is_exact or found.left or as_csr(self.program.P)[list(found.y)].count_nonzero():
             return 0.0
-        size = sum((abs(d) * (1 + abs(Fraction(float(self.program.c[j])))) for j, d in found.y.items()), ZERO)
-        least = Fraction(1)
-        for row, limit, is_equality in zip(rows.exactly, rows.limit.tolist(), rows.is_equality.tolist(), strict=True):
+        costs, (coefficients, unknown, objective, _) = np.abs(self.program.c).tolist(), self.program.units
+        of_gradient = (objective / unknown).tolist()
+        size = sum((abs(d) * (Fraction(of_gradient[j]) + Fraction(costs[j])) for j, d in found.y.items()), ZERO)
+        least, data = Fraction(1), (rows.limit.tolist(), rows.is_equality.tolist(), (objective / coefficients).tolist())
+        for row, limit, is_equality, of_multiplier in zip(rows.exactly, *data, strict=True):
             terms = [value * found.y[j] for j, value in row.items() if j in found.y]
             if not terms:
                 continue
             total = sum(map(abs, terms), ZERO)
             if is_equality or limit < np.inf:
                 least = ZERO if is_equality else min(least, abs(sum(terms, ZERO)) / total)
-            size += 2 * total
+            size += 2 * total * Fraction(of_multiplier)
         return rounded_down(min(found.plain / size, least))
 
     def excludes(self, tolerance: float) -> bool:
-        """Return whether no x at all is optimal at this tolerance."""
-        is_wide = self.margin > tolerance or self.row_margin > tolerance
-        return is_wide and self.violation <= constraint_tolerance(tolerance)
+        """Return whether no x at all is optimal at this tolerance, or, where it is exact, surely so."""
+        least = (SURE if self.is_exact else 1.0) * tolerance
+        return max(self.margin, self.row_margin) > least and self.violation <= constraint_tolerance(tolerance)
 
     @cached_property
     def _is_rounding(self) -> bool:

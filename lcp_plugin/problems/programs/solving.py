@@ -29,7 +29,7 @@ from .criterion import program_goal
 from .interior_call import InteriorAnswer, solved_again, solved_by_interior_points
 from .program import QuadraticProgram
 from .qp_forms import QPOrigin
-from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from .qp_solution import QPSolution
 from .small_programs import MOST_STEPS
 
@@ -199,20 +199,22 @@ def judged_program(
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes = program_goal(tolerance), options.get("refute", True)
     found = _at_once(program, tolerance, guess, options) if is_one_call else None
+    by = found.name if isinstance(found, (CompiledAnswer, InteriorAnswer)) else _finder(found)
+    if isinstance(found, (CompiledAnswer, InteriorAnswer)) and refutes and not found.solution.is_sure(goal):
+        found = program.refutation(goal) or found
     if isinstance(found, (CompiledAnswer, InteriorAnswer)):
         return QuadraticProgramResult(
             Status.SOLVED, found.solution, goal, f"auto: {found.name}", found.steps, found.seconds,
             partial(found.result, tolerance) if isinstance(found, CompiledAnswer) else found.result(tolerance),
         )
-    if isinstance(found, QPInfeasibility):
-        return _refuted(program, found, tolerance, clock.read())
+    if found is not None:
+        return _refuted(program, found, by, tolerance, clock.read())
     # What is asked between the stages of a run, and after it, knows of the limit by this.
     with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
         result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
     is_optimal = solution.is_stationary(goal)
-    if proof is None and refutes and not ended_by_caller(result, options) and not is_optimal:
+    if proof is None and refutes and not ended_by_caller(result, options) and not solution.is_sure(goal):
         proof = program.refutation(goal)
-    proof = None if is_optimal else proof
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
     if proof is not None:
         result = replace(result, status=status, infeasibility=proof)
@@ -222,28 +224,36 @@ def judged_program(
     )
 
 
+def _finder(proof: QPInfeasibility | QPUnboundedness | None) -> str:
+    return InteriorPoint.name if isinstance(proof, QPUnboundedness) else ACTIVE_SET
+
+
 def _refuted(
-    program: QuadraticProgram, proof: QPInfeasibility, tolerance: float, seconds: float
+    program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, by: str, tolerance: float, seconds: float
 ) -> QuadraticProgramResult:
-    """Return the result of a program that the compiled call has found to be infeasible."""
-    solution = QPSolution.without_multipliers(program, np.clip(0.0, program.lower, program.upper))
+    """Return the result of a program that has no minimum, as was found without a run."""
+    x = np.clip(numbers(proof.point) if isinstance(proof, QPUnboundedness) else 0.0, program.lower, program.upper)
     return QuadraticProgramResult(
-        Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, seconds,
+        _verdict(proof), QPSolution.without_multipliers(program, x), program_goal(tolerance), f"auto: {by}", 0, seconds,
         partial(_refuted_run, program, proof, tolerance), proof,
     )
 
 
-def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float) -> Result:
+def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, tolerance: float) -> Result:
     """Return the run on the complementarity problem of a program that this proof refutes."""
     result = _by_forms(program, "auto", tolerance, None, {})[0]
-    return replace(result, status=Status.INFEASIBLE, infeasibility=proof)
+    return replace(result, status=_verdict(proof), infeasibility=proof)
+
+
+def _verdict(proof: QPInfeasibility | QPUnboundedness) -> Status:
+    return Status.UNBOUNDED if isinstance(proof, QPUnboundedness) else Status.INFEASIBLE
 
 
 def _status(
     result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
 ) -> Status:
     if proof is not None:
-        return Status.UNBOUNDED if isinstance(proof, QPUnboundedness) else Status.INFEASIBLE
+        return _verdict(proof)
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
         return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
     if result.status is Status.STALLED or result.is_refuted:  # in the run's units, not the program's

@@ -31,6 +31,7 @@ from .own_units import OwnUnits
 from .program_matrices import ProgramMatrices, as_csr, or_one
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .rescaled import Rescaled
 
 SYMMETRIC_TO = 1e-12
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # the convention of file formats, which may hold 9.999999999999999e19
@@ -193,7 +194,8 @@ class QuadraticProgram:
         It holds for the stored doubles, by however little: `margin` says by how much, `refutation` whether it counts.
         """
         if "_proof" not in self.__dict__:
-            found = proof_of_no_minimum(self)
+            own = self.rescaled
+            found = proof_of_no_minimum(self) if own is None else own.proof(own.program.proof_of_no_minimum)
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
@@ -222,6 +224,11 @@ class QuadraticProgram:
     def units(self) -> OwnUnits:
         """What rows, unknowns and the objective are measured in."""
         return OwnUnits.of(self)
+
+    @cached_property
+    def rescaled(self) -> Rescaled | None:
+        """The same in its own units, where its numbers are far from 1."""
+        return Rescaled.of(self)
 
     @cached_property
     def dual_unit(self) -> FloatVector:

@@ -12,7 +12,6 @@ import scipy.sparse as sp
 from ...core.checks import DENSE_UP_TO_SIZE, BoolVector, FloatVector, checked_answer
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.settings import Status
 from ...proofs.no_solution.farkas import linear_program
 from ...systems.definiteness import is_diagonal
 from ...systems.factors import factor_fits
@@ -152,9 +151,9 @@ class QPOrigin:
         self._proofs[:] = [proof]
 
     @property
-    def words_of_end(self) -> dict[Status, str]:
-        """What a run says of its end where a proof has ended it."""
-        return {Status.INTERRUPTED: f"ended by the proof that the program is {self._proofs[0]}"} if self._proofs else {}
+    def ended_by(self) -> QPInfeasibility | QPUnboundedness | None:
+        """The proof that has ended a run, if one has."""
+        return self._proofs[0] if self._proofs else None
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
+from ...core.settings import Status
 from ...proofs.exact.rational import ZERO, Vector, products, rounded_down
 from ...proofs.no_solution.linear_constraints import Contradiction, within
 from .constraints import Constraints, stationarity
@@ -41,6 +42,7 @@ class QPInfeasibility:
 
     program: QuadraticProgram = field(repr=False)
     verdict: ClassVar[str] = "infeasible"
+    status: ClassVar[Status] = Status.INFEASIBLE
     multipliers: tuple[Fraction, ...]
 
     def verify(self) -> bool:
@@ -107,6 +109,7 @@ class QPUnboundedness:
 
     program: QuadraticProgram = field(repr=False)
     verdict: ClassVar[str] = "unbounded"
+    status: ClassVar[Status] = Status.UNBOUNDED
     point: tuple[Fraction, ...]
     direction: tuple[Fraction, ...]
 

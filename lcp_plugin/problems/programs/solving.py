@@ -20,17 +20,20 @@ from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result, Sample, StageRecord
+from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
-from .compiled_call import ACTIVE_SET, CompiledAnswer, settled_at_once
+from .compiled_call import ACTIVE_SET, CompiledAnswer, ProgramResult, settled_at_once
 from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .interior_call import InteriorAnswer, solved_again, solved_by_interior_points
 from .program import QuadraticProgram
-from .qp_forms import QPOrigin
+from .qp_forms import KKTForm, QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from .qp_solution import QPSolution
+from .reductions import fold_simple_rows
+from .rescaled import Rescaled
 from .small_programs import MOST_STEPS
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
@@ -194,8 +197,10 @@ def judged_program(
             options["guess"] = checked_vector(start, "z0", None)
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
-    guess = options.pop("guess", None)
     options = {name: wish for name, wish in options.items() if wish is not None}
+    if program.rescaled is not None and "callback" not in options:  # which is shown the problem as it is stated
+        return _in_own_units(program.rescaled, algorithm, tolerance, options)
+    guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes = program_goal(tolerance), options.get("refute", True)
     found = _at_once(program, tolerance, guess, options) if is_one_call else None
@@ -216,12 +221,41 @@ def judged_program(
     if proof is None and refutes and not ended_by_caller(result, options) and not solution.is_sure(goal):
         proof = program.refutation(goal)
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
+    if options.get("verbose") and status is not result.status:
+        say(f"{status.name}: {ADVICE.get(status, status.value) if proof is None else proof}")
     if proof is not None:
         result = replace(result, status=status, infeasibility=proof)
         solution = QPSolution.without_multipliers(program, solution.x)
     return QuadraticProgramResult(
         status, solution, goal, result.algorithm, result.iterations, clock.read(), result, proof
     )
+
+
+def _in_own_units(
+    own: Rescaled, algorithm: Any, tolerance: float, options: dict[str, Any]
+) -> QuadraticProgramResult:
+    """Return the answer to a program that is solved in its own units, in those in which it was given."""
+    left = fold_simple_rows(own.given).left
+    if (guess := options.pop("guess", None)) is not None and guess.size == own.given.n + left.size:
+        options["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])
+    found = judged_program(own.program, algorithm, tolerance=tolerance, **options)
+    solution, proof = own.solution(found.solution), own.proof(found.proof)
+    if proof is not None:
+        own.given.__dict__["_proof"] = proof
+    return replace(found, solution=solution, proof=proof, _lcp_result=partial(_as_given, own.given, found, solution))
+
+
+def _as_given(program: QuadraticProgram, found: QuadraticProgramResult, solution: QPSolution) -> Result:
+    """Return the run as one on the KKT form of the program as it was given."""
+    run, rows = found.lcp_result, fold_simple_rows(program)
+    z = np.append(solution.x, np.nan_to_num(solution.multipliers[rows.left]))
+    stage = StageRecord(found.algorithm, "in the program's own units", run.iterations, run.work)
+    made = ProgramResult.of(KKTForm(rows), z, stage, run.seconds, run.tolerance, run.algorithm)
+    made.__dict__.update(
+        status=run.status, infeasibility=found.proof, stages=run.stages, history=run.history,
+        setup_seconds=run.setup_seconds, algorithm=run.algorithm, _advice=run._advice,
+    )
+    return made
 
 
 def _finder(proof: QPInfeasibility | QPUnboundedness | None) -> str:
@@ -234,7 +268,7 @@ def _refuted(
     """Return the result of a program that has no minimum, as was found without a run."""
     x = np.clip(numbers(proof.point) if isinstance(proof, QPUnboundedness) else 0.0, program.lower, program.upper)
     return QuadraticProgramResult(
-        _verdict(proof), QPSolution.without_multipliers(program, x), program_goal(tolerance), f"auto: {by}", 0, seconds,
+        proof.status, QPSolution.without_multipliers(program, x), program_goal(tolerance), f"auto: {by}", 0, seconds,
         partial(_refuted_run, program, proof, tolerance), proof,
     )
 
@@ -242,18 +276,14 @@ def _refuted(
 def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, tolerance: float) -> Result:
     """Return the run on the complementarity problem of a program that this proof refutes."""
     result = _by_forms(program, "auto", tolerance, None, {})[0]
-    return replace(result, status=_verdict(proof), infeasibility=proof)
-
-
-def _verdict(proof: QPInfeasibility | QPUnboundedness) -> Status:
-    return Status.UNBOUNDED if isinstance(proof, QPUnboundedness) else Status.INFEASIBLE
+    return replace(result, status=proof.status, infeasibility=proof)
 
 
 def _status(
     result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
 ) -> Status:
     if proof is not None:
-        return _verdict(proof)
+        return proof.status
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
         return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
     if result.status is Status.STALLED or result.is_refuted:  # in the run's units, not the program's

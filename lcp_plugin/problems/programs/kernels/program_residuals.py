@@ -118,8 +118,8 @@ def _far_gain(left, x, bound, curvature, largest):  # type: ignore[no-untyped-de
 
 @interpreted_while_small
 def program_residuals(  # type: ignore[no-untyped-def]
-    of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, coefficients, dual_units, objective, x, y, columns,
-    worst,
+    of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, coefficients, dual_units,
+    objective, x, y, columns, worst,
 ):
     """Fill `worst` with the largest errors of any condition and the gap; NaN where one is not finite.
 

@@ -221,7 +221,7 @@ class Run:
         """Return the result, whose status the certificate names."""
         state, settings, stages = self.state, self.settings, self.state.records()
         certificate, status = self.ended(start, reason)
-        words, proof = self.judge.words, self.judge.proof
+        words, proof = dict(self.judge.words), self.judge.proof
         if reason is Status.INTERRUPTED and (ended_by := getattr(self.judge.problem.origin, "ended_by", None)):
             status, proof = ended_by.status, ended_by
             words = {**words, status: f"the program is {proof}"}

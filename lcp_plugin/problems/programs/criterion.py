@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
 SHARE = 0.1  # of a larger tolerance
-SURE = 1e-3  # of what is called optimal: an exact proof that there is no minimum does not beat an answer within that
+SURE = 1e-3  # of what is called optimal: no exact proof of unboundedness beats an answer whose gradient is within that
 STRICT = 1e3  # times a tolerance below 1e-9: what is asked of a program's own residuals
 OBJECTIVE = 1e-6  # what the duality gap may be at any smaller tolerance: rounding of large terms stays in it
 
@@ -28,16 +28,19 @@ class Errors(NamedTuple):
     rows: float
     gap: float
 
-    def meet(self, goal: float, share: float = 1.0) -> Any:
+    def meet(self, goal: float) -> Any:
         """Return whether all are small: constraints, then multipliers, products and rows, then the gap.
 
-        The criterion, of everybody who calls a program optimal; of arrays of errors, an entry each. With a share, they
-        are so small beside what is asked for.
+        The criterion, of everybody who calls a program optimal; of arrays of errors, an entry each.
         """
-        is_small = self.primal <= share * constraint_tolerance(goal)
+        is_small = self.primal <= constraint_tolerance(goal)
         for error in self[:4]:
-            is_small = is_small & (error <= share * goal)
-        return is_small & (self.gap <= share * max(OBJECTIVE, goal))
+            is_small = is_small & (error <= goal)
+        return is_small & (self.gap <= max(OBJECTIVE, goal))
+
+    def are_sure(self, goal: float) -> bool:
+        """Return whether they meet the goal, and no exact proof of unboundedness may beat them."""
+        return bool(self.meet(goal)) and max(self.dual, self.rows) <= SURE * goal
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
@@ -48,7 +51,7 @@ class Errors(NamedTuple):
         errors = _measured(program, x, multipliers)
         if wrong <= 0.0:
             return errors
-        coefficient, unknown, objective, _ = program.units
+        coefficient, unknown, objective, _, _ = program.units
         excess = float(((signed - multipliers) * coefficient).max(initial=0.0))
         dual = _measured(program, x, signed).dual + excess / (objective + np.abs(program.c * unknown).max(initial=0.0))
         return errors._replace(dual=float(dual))
@@ -61,8 +64,8 @@ def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVecto
     worst, columns = np.zeros(7), np.zeros((4, program.n))
     program_residuals(
         *matrices.rows_of_hessian, matrices.rows.indptr, matrices.rows.indices, matrices.rows.data, program.h.size,
-        program.c, rows.limit, rows.unit, rows.coefficient, program.dual_unit, program.units.objective, x, multipliers,
-        columns, worst,
+        program.c, rows.limit, rows.unit, rows.coefficient, program.dual_unit, np.array(program.units[2:4]), x,
+        multipliers, columns, worst,
     )
     return Errors(*worst[: len(Errors._fields)].tolist())
 

@@ -26,6 +26,7 @@ from .program_matrices import as_csr, or_one, vertically
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
+ROUNDING = -44.0  # log2: smaller ones are rounding
 MOST = 900  # no exponent is larger in size
 
 
@@ -38,8 +39,8 @@ class OwnUnits(NamedTuple):
         The largest |coefficient| of each constraint times the unit of its unknown; 1 where there is none.
     unknown : ndarray, shape (n,)
         Powers of two; the last coefficients, those of bounds, are the same.
-    objective : float
-        A power of two.
+    objective, least : float
+        What most costs are near, and the smallest one: powers of two.
     are_the_users : bool
         Whether unknowns are in the unit that they are given in.
     """
@@ -47,6 +48,7 @@ class OwnUnits(NamedTuple):
     coefficient: FloatVector
     unknown: FloatVector
     objective: float
+    least: float
     are_the_users: bool
 
     @classmethod
@@ -56,36 +58,38 @@ class OwnUnits(NamedTuple):
         diagonal = program.P.diagonal()
         exponents = _fitted(program)
         if exponents is None:
-            return cls(matrices.row_sizes, np.ones(n), float(objective_size(program.c, diagonal)), True)
+            return cls(matrices.row_sizes, np.ones(n), *objective_sizes(program.c, diagonal).tolist(), True)
         unknown = np.ldexp(1.0, exponents)
         rows = matrices.rows
         of_rows = or_one(largest_in_rows(rows, np.abs(rows.data) * unknown[rows.indices]))
-        size = float(objective_size(program.c * unknown, diagonal * unknown * unknown))
-        return cls(np.concatenate([of_rows, unknown, unknown]), unknown, size, False)
+        sizes = objective_sizes(program.c * unknown, diagonal * unknown * unknown)
+        return cls(np.concatenate([of_rows, unknown, unknown]), unknown, *sizes.tolist(), False)
 
 
-def objective_size(c: Any, diagonal: Any) -> Any:
-    """Return the power of two that most |c_j| are near, or most p_jj, if these are larger; 1 where all are 0.
+def objective_sizes(c: Any, diagonal: Any) -> Any:
+    """Return powers of two: what most |c_j| are near, or most p_jj if these are larger, and the smallest |c_j|.
 
-    Shapes (…, n) to (…). An average of exponents: neither one huge coefficient nor rounding in the place of zeros
-    changes it much.
+    Shapes (…, n) to (…, 2); 1 where all are 0. The first is an average of exponents. Neither one huge coefficient nor
+    rounding in the place of zeros changes it much, nor does such rounding the second.
 
     Examples
     --------
-    >>> objective_size(np.array([[3e6, 2e6, 0.0], [0.0, 1e-9, 1e-25]]), np.zeros(3)).tolist()
-    [2097152.0, 9.313225746154785e-10]
+    >>> objective_sizes(np.array([[3e6, 2e3, 0.0], [0.0, 1e-9, 1e-25]]), np.zeros(3)).tolist()
+    [[32768.0, 1024.0], [9.313225746154785e-10, 9.313225746154785e-10]]
     """
-    exponent = np.maximum(_middle(c), _middle(diagonal))
-    return np.ldexp(1.0, np.where(np.isfinite(exponent), exponent, 0.0).astype(np.int64))
+    (middle, least), (of_P, least_of_P) = _exponents(c), _exponents(diagonal)
+    exponents = np.stack([np.maximum(middle, of_P), np.where(least > -np.inf, least, least_of_P)], axis=-1)
+    return np.ldexp(1.0, np.where(np.isfinite(exponents), exponents, 0.0).astype(np.int64))
 
 
-def _middle(values: Any) -> Any:
-    """Return the mean of floor(log2 |values|), rounded down, along the last axis; −∞ where all are 0."""
+def _exponents(values: Any) -> tuple[Any, Any]:
+    """Return the mean and the smallest floor(log2 |value|) along the last axis; −∞ where all are 0."""
     sizes = np.abs(values)
     used = (sizes > 0.0) & (sizes >= 2.0**NOISE * sizes.max(axis=-1, initial=0.0)[..., np.newaxis])
-    count = used.sum(axis=-1)
-    total = np.where(used, np.frexp(sizes)[1] - 1, 0).sum(axis=-1)
-    return np.where(count > 0, np.floor(total / np.maximum(count, 1)), -np.inf)
+    count, exponents = used.sum(axis=-1), np.frexp(sizes)[1] - 1
+    mean = np.floor(np.where(used, exponents, 0).sum(axis=-1) / np.maximum(count, 1))
+    least = np.where(used, exponents, 2 * MOST).min(axis=-1, initial=2 * MOST)
+    return np.where(count > 0, mean, -np.inf), np.where(count > 0, least, -np.inf)
 
 
 def size_of_unknowns(
@@ -114,6 +118,7 @@ def size_of_unknowns(
     sizes = exponent - 1.0
     sizes[..., : beside.shape[-1]] -= beside
     used = (mantissa != 0.0) & np.isfinite(values) & np.isfinite(sizes)
+    used &= np.where(used, sizes, 0.0) >= ROUNDING
     sizes = np.where(used, sizes, 0.0)
     is_violated = np.concatenate([limits < 0.0, np.zeros(c.shape, bool), lower > 0.0, upper < 0.0], axis=-1)
     is_violated[..., : is_equality.size] |= is_equality
@@ -146,7 +151,7 @@ def units_of_stacks(
         counts = counts + is_entry.sum(axis=1)
     spread = np.abs(sums / np.maximum(counts, 1)).max(axis=1)
     beside = size_of_unknowns(*means, is_equality, d, c, lower, upper)[0]
-    sizes = objective_size(c, np.broadcast_to(np.diagonal(P, axis1=1, axis2=2), c.shape))
+    sizes = objective_sizes(c, np.broadcast_to(np.diagonal(P, axis1=1, axis2=2), c.shape))
     return sizes, (spread <= ALIKE) & (np.abs(beside) <= ALIKE)
 
 
@@ -163,7 +168,13 @@ def _fitted(program: QuadraticProgram) -> Any:
     identity = sp.eye_array(n, format="csr")
     matrix = vertically(matrices.rows, as_csr(program.P), identity, identity)
     column = np.where(say, np.concatenate([limits, program.c, program.lower, program.upper]), 0.0)
+    of_costs = slice(limits.size, limits.size + n)
+    is_relative = bool(say[of_costs].any())  # minima of rows of P are of all unknowns together: one may be an outlier
+    column[of_costs] = 0.0
     is_used = say | (np.arange(column.size) < column.size - 2 * n)
     exponents = fitted_columns(sp.csr_array(sp.hstack([matrix, column[:, np.newaxis]], format="csr"))[is_used])
-    unknown = np.clip(exponents[:-1] - exponents[-1], -MOST, MOST)
+    unknown = exponents[:-1] - exponents[-1]
+    if is_relative:
+        unknown += np.int64(np.floor(size)) - np.int64(np.floor(unknown.mean()))
+    unknown = np.clip(unknown, -MOST, MOST)
     return unknown if np.abs(unknown).max(initial=0) > ALIKE else None

@@ -209,8 +209,9 @@ class QuadraticProgram:
     def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
         """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none.
 
-        A proof that verifies exactly is stronger than an answer within a tolerance: it counts where it excludes all
-        answers within a thousandth of the tolerance.
+        A proof of unboundedness that verifies exactly is stronger than an answer within a tolerance: it counts where it
+        excludes all answers within a thousandth of it. Constraints that contradict by less than the tolerance are
+        those of rounded data: they count as consistent.
         """
         proof = self.proof_of_no_minimum
         return proof if proof is not None and proof.excludes(tolerance) else None
@@ -250,7 +251,7 @@ class QuadraticProgram:
     @cached_property
     def column_sizes(self) -> FloatVector:
         """The largest |entry| of each column of P, G and A in the program's own units, 1 where there is none."""
-        matrices, (coefficient, unknown, objective, are_the_users) = self.matrices, self.units
+        matrices, (coefficient, unknown, objective, _, are_the_users) = self.matrices, self.units
         if are_the_users:
             return or_one(np.maximum(largest_in_rows(self.P) / objective, matrices.columns_of_rows))
         of_rows = matrices.columns_beside(coefficient, unknown)
@@ -261,7 +262,7 @@ class QuadraticProgram:
     @cached_property
     def size_of_multipliers(self) -> float:
         """1 + the largest |c_j| ÷ the size of its column, or right-hand side that acts on x, in its own units."""
-        (m, p, _, _), (coefficient, unknown, objective, _) = self.matrices.sizes, self.units
+        (m, p, _, _), (coefficient, unknown, objective, _, _) = self.matrices.sizes, self.units
         with np.errstate(over="ignore"):
             slope = float(np.abs(self.c * unknown / objective / self.column_sizes).max(initial=0.0))
             violated = (-self.h / coefficient[:m]).max(initial=0.0)

@@ -82,8 +82,8 @@ class QPInfeasibility:
         return self._found.miss(np.ones(len(self.multipliers))) if self.verify() else 0.0
 
     def excludes(self, tolerance: float) -> bool:
-        """Return whether no x at all is optimal at this tolerance, or, where it speaks of all x, surely so."""
-        return self.margin > (SURE if self.is_exact else 1.0) * constraint_tolerance(tolerance)
+        """Return whether no x at all is optimal at this tolerance."""
+        return self.margin > constraint_tolerance(tolerance)
 
     def __str__(self) -> str:
         how = f"multipliers checked exactly{within(self.radius, 'x')}"
@@ -166,7 +166,7 @@ class QPUnboundedness:
     def row_margin(self) -> float:
         """A lower bound of the row residual of every x and multipliers; 0 where terms along the direction may cancel.
 
-        In units u of unknowns, a of rows and f of the objective what is left of component j of the gradient is at most
+        In units u of unknowns and a of rows, f the smallest cost, what is left of component j of the gradient is at most
         s (f/u_j + its largest term), no multiplier y_k is below −s f/a_k. With T_k = Σ_j |c_kj d_j| of constraint k,
         which loses at least T_k/κ along the direction d, and P d = 0 without terms, |cᵀd| ≤
         s (Σ_j |d_j| (f/u_j + |c_j|) + 2 f Σ_k T_k/a_k) where s ≤ 1/κ: a component of a small unit needs no other.
@@ -174,10 +174,10 @@ class QPUnboundedness:
         found, rows = self._found, self.program.constraints
         if not self.is_exact or found.left or as_csr(self.program.P)[list(found.y)].count_nonzero():
             return 0.0
-        costs, (coefficients, unknown, objective, _) = np.abs(self.program.c).tolist(), self.program.units
-        of_gradient = (objective / unknown).tolist()
+        costs, (coefficients, unknown, _, least_cost, _) = np.abs(self.program.c).tolist(), self.program.units
+        of_gradient = (least_cost / unknown).tolist()
         size = sum((abs(d) * (Fraction(of_gradient[j]) + Fraction(costs[j])) for j, d in found.y.items()), ZERO)
-        least, data = Fraction(1), (rows.limit.tolist(), rows.is_equality.tolist(), (objective / coefficients).tolist())
+        least, data = Fraction(1), (rows.limit.tolist(), rows.is_equality.tolist(), (least_cost / coefficients).tolist())
         for row, limit, is_equality, of_multiplier in zip(rows.exactly, *data, strict=True):
             terms = [value * found.y[j] for j, value in row.items() if j in found.y]
             if not terms:
@@ -189,7 +189,7 @@ class QPUnboundedness:
         return rounded_down(min(found.plain / size, least))
 
     def excludes(self, tolerance: float) -> bool:
-        """Return whether no x at all is optimal at this tolerance, or, where it is exact, surely so."""
+        """Return whether no x at all is optimal at this tolerance; where it is exact, at a thousandth of it."""
         least = (SURE if self.is_exact else 1.0) * tolerance
         return max(self.margin, self.row_margin) > least and self.violation <= constraint_tolerance(tolerance)
 

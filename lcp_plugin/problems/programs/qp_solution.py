@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
-from .criterion import SURE, Errors
+from .criterion import Errors
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -173,8 +173,8 @@ class QPSolution:
         return bool(self._errors.meet(float(tolerance)))
 
     def is_sure(self, tolerance: float = 1e-6) -> bool:
-        """Return whether all errors are below a thousandth of what `is_stationary` asks: no proof is looked for."""
-        return bool(self._errors.meet(tolerance, SURE))
+        """Return whether x is stationary, the gradient to a thousandth of the tolerance: no proof is looked for."""
+        return self._errors.are_sure(tolerance)
 
     @property
     def duality_gap(self) -> float:

@@ -44,7 +44,7 @@ class Rescaled:
     @classmethod
     def of(cls, program: QuadraticProgram) -> Rescaled | None:
         """Return that of a program; None where its numbers are near 1 as they are."""
-        coefficient, unknown, objective, are_the_users = program.units
+        coefficient, unknown, objective, _, are_the_users = program.units
         rows = np.ldexp(1.0, np.frexp(coefficient)[1] - 1)
         far = 2.0**FAR
         of_matrices = rows[: program.constraints.rows]

@@ -25,8 +25,8 @@ class SmallPrograms(NamedTuple):
     d : ndarray, shape (count, m)
         ∞ where a row says nothing.
     is_equality : ndarray of bool, shape (m,)
-    objective : ndarray, shape (count,)
-        The size of each objective.
+    objective : ndarray, shape (count, 2)
+        The size of each objective, and its smallest cost.
     """
 
     P: FloatVector

@@ -18,7 +18,7 @@ TOTAL, ERRORS, LOST, TERM = range(4)  # rows of `columns`, an entry a variable
 ROUNDED = 16.0 * EPSILON
 PRIMAL, DUAL, PRODUCT, ROW, GAP, PRODUCT_SIZE, OBJECTIVE = range(7)  # of `worst`; the last two are sizes
 MEASURES = 5
-CANCELLED = 2.0**-10  # of the size of the objective: what terms that cancel leave of it is held to no less than that
+CANCELLED = 2.0**-20  # of the size of the objective: what terms that cancel leave of it is held to no less than that
 SUM, SIZE, LARGEST, UNIT = range(4)  # rows of the room of `measure`: of a column of [C; P], and of its residual
 
 
@@ -51,11 +51,11 @@ def _rounded(total, errors, lost, terms):  # type: ignore[no-untyped-def]
 
 @compiled_into_others
 def judge_row(  # type: ignore[no-untyped-def]
-    worst, slack, error, limit, term, y, unit, coefficient, objective, is_equation
+    worst, slack, error, limit, term, y, unit, coefficient, least, is_equation
 ):
     """Hold a row with Σ a_j x_j − limit within slack ± error, its largest term and its multiplier against the worst.
 
-    `coefficient` is its largest one and `objective` the size of the objective, in the program's own units.
+    `coefficient` is its largest one and `least` the smallest cost, in the program's own units.
     """
     if abs(limit) < np.inf:
         over = abs(slack) if is_equation else slack
@@ -67,13 +67,13 @@ def judge_row(  # type: ignore[no-untyped-def]
         worst[GAP] += abs(y * slack)
         if is_equation:
             return
-        wrong = -y * coefficient / objective if not y >= 0.0 else 0.0
+        wrong = -y * coefficient / least if not y >= 0.0 else 0.0
         product = abs(y) * (abs(slack) + error)
-        worst[ROW] = _larger(_larger(worst[ROW], product / (objective + abs(y) * size)), wrong)
+        worst[ROW] = _larger(_larger(worst[ROW], product / (least + abs(y) * size)), wrong)
         worst[PRODUCT] = _larger(worst[PRODUCT], product)
         worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], _larger(abs(y * limit), abs(y * (slack + limit))))
     elif y != 0.0:  # a multiplier of an infinite limit can never be right
-        worst[ROW] = _larger(worst[ROW], abs(y) * coefficient / objective)
+        worst[ROW] = _larger(worst[ROW], abs(y) * coefficient / least)
         worst[PRODUCT] = _larger(worst[PRODUCT], abs(y) * coefficient)
         worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], abs(y * slack))
 
@@ -84,7 +84,7 @@ def judge_column(  # type: ignore[no-untyped-def]
 ):
     """Hold what is `left` ± error of the gradient at x_j, its largest term and (P x)_j against the worst.
 
-    `size` is that of the objective beside the unit of x_j.
+    `size` is the smallest cost beside the unit of x_j.
     """
     worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / unit)
     worst[ROW] = _larger(worst[ROW], (abs(left) + error) / (size + term))
@@ -132,7 +132,7 @@ def program_residuals(  # type: ignore[no-untyped-def]
     limits, units, coefficients, y
         Of all constraints, the lower and upper bounds after the rows; a bound's coefficient is the unit of its unknown.
     dual_units, objective
-        What each component of the gradient is relative to, and the size of the objective.
+        What each component of the gradient is relative to; the size of the objective and its smallest cost.
     columns, worst
         Zeros of shape (4, n), overwritten, and of shape (7,).
     """
@@ -151,7 +151,7 @@ def program_residuals(  # type: ignore[no-untyped-def]
                 )
                 columns[TERM, j] = _larger(columns[TERM, j], abs(a * of_row))
         slack, error = _rounded(total, errors, lost, terms)
-        judge_row(worst, slack, error, limit, largest, of_row, units[i], coefficients[i], objective, i >= equations)
+        judge_row(worst, slack, error, limit, largest, of_row, units[i], coefficients[i], objective[1], i >= equations)
     for j in range(n):
         total, errors, lost, largest = columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j], columns[TERM, j]
         for side in range(2):
@@ -160,7 +160,7 @@ def program_residuals(  # type: ignore[no-untyped-def]
             value, low = split_sum(sign * x[j], -limit if abs(limit) < np.inf else 0.0)
             slack, error = _rounded(value, low, 0.0, terms)
             judge_row(
-                worst, slack, error, limit, abs(x[j]), of_bound, units[place], coefficients[place], objective, False
+                worst, slack, error, limit, abs(x[j]), of_bound, units[place], coefficients[place], objective[1], False
             )
             total, errors, lost = _added(total, errors, lost, sign, of_bound)
             largest = _larger(largest, abs(of_bound))
@@ -177,9 +177,9 @@ def program_residuals(  # type: ignore[no-untyped-def]
         left, error = _rounded(total, errors, lost, terms)
         judge_column(
             worst, left, error, x[j], c[j], product, curvature, -limits[rows + j], limits[rows + n + j], largest,
-            dual_units[j], objective / coefficients[rows + j],
+            dual_units[j], objective[1] / coefficients[rows + j],
         )
-    beside_sizes(worst, objective)
+    beside_sizes(worst, objective[0])
 
 
 @compiled_part
@@ -189,9 +189,10 @@ def measure(  # type: ignore[no-untyped-def]
     """Write upper bounds of the same of program k, in dense arrays; return the largest.
 
     Of a bound that x is at the multiplier is what stationarity leaves; `reduced` is that of the lower one less that of
-    the upper one. `room` has four rows of n numbers; objective[k] is the size of the objective.
+    the upper one. `room` has four rows of n numbers; objective[k] the size of the objective and its
+    smallest cost.
     """
-    size_of_all = objective[k]
+    size_of_all, least = objective[k, 0], objective[k, 1]
     m, n = C.shape[1], C.shape[2]
     margin, worst = 2.0 * (n + m + 8) * EPSILON, measures[k]
     worst[:] = 0.0
@@ -221,7 +222,7 @@ def measure(  # type: ignore[no-untyped-def]
             room[UNIT, j] = max(room[UNIT, j], abs(C[at_C, i, j]) / coefficient)
         unit, error = coefficient + abs(limit), margin * (size + abs(limit))
         judge_row(
-            worst, value - limit, error, limit, largest, multiplier, unit, coefficient, size_of_all, is_equality[i]
+            worst, value - limit, error, limit, largest, multiplier, unit, coefficient, least, is_equality[i]
         )
         if is_equality[i]:
             right = max(right, abs(limit) / coefficient)
@@ -246,6 +247,6 @@ def measure(  # type: ignore[no-untyped-def]
             reduced[k, j], left = left, 0.0
         judge_column(
             worst, left, error, x[k, j], c[k, j], value, P[at_P, j, j], lower[k, j], upper[k, j], largest,
-            size_of_all * room[UNIT, j] * unit, size_of_all,
+            size_of_all * room[UNIT, j] * unit, least,
         )
     return beside_sizes(worst, size_of_all)

@@ -48,6 +48,8 @@ class Remaining:
     @classmethod
     def of(cls, problem: LCP, now: Stage, goal: float, *, failed: bool) -> Remaining | None:
         """Return what a stage still needs, None where it is too early to ask."""
+        if now.algorithm.name == "multigrid":
+            now.watch_bounds(problem, ASKED_EVERY)
         failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
         if failed:
             return cls(now.algorithm.name, now.work, math.inf, True, False)

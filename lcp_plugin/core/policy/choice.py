@@ -26,7 +26,7 @@ soon as the rate of npsor is known, what it still needs is compared with what it
 | of npsor, M sparse | after 10 sweeps (from 3 on where two rates agree), then every 20 |
 | of npsor, M dense | from its first sweep on |
 | of psor | after 40 sweeps, then every 20: its first relaxation must have had its trial |
-| of multigrid | every 20 steps, once it has cost thrice what it predicted |
+| of multigrid | every 20 steps, once it has cost 270 passes |
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
 
 The first sweeps are the quickest: they smooth what is left, and only then the slowest error shows. So of a symmetric M

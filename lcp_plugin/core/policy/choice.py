@@ -45,8 +45,8 @@ Along a strong flow sweeps are quick, which the first ones of npsor do not show:
 at most 0.8 on every row, psor may cost as much as multigrid is predicted to before it gives way.
 
 The direct methods follow a multigrid that fails, or that at its rate still needs more than their factors are predicted
-to take and either has cost half as much or does not settle: as many unknowns come to bounds and leave them in 20 steps
-as in the 20 before, or half. Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the
+to take and either has cost half as much or does not settle: twice, at least half as many unknowns have come to bounds
+or left them in 20 steps as in the 20 before. Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the
 order of the triangle is exact; where multigrid fails and a factor is predicted to be too large, psor goes on until it
 fails. No clock is asked: the same call gives the same answer bit for bit.
 """
@@ -187,7 +187,8 @@ class Auto(Policy):
             if not (left.has_failed or is_behind):
                 return None
         else:
-            predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in _rivals(problem, stages, left)}
+            rivals = _rivals(problem, stages, left)
+            predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in rivals}
             rival = min(predicted, key=lambda one: predicted[one], default=None)
             if rival is None or not left.loses_to(rival, passes := predicted[rival]):
                 return None

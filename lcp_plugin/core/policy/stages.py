@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -104,11 +105,12 @@ class Stage:
         self._at_bounds = at_bounds
 
     def is_unsettled(self) -> bool:
-        """Return whether as many unknowns came to bounds and left them in the last window as in that before, or half.
+        """Return whether in each of the last two windows at least half as many came and left as in the one before.
 
-        What gets nearer settles: each window has far fewer than the one before.
+        What gets nearer settles: after a front has moved, each window has far fewer than the one before.
         """
-        return len(self.moves) > 1 and 2 * self.moves[-1] > self.moves[-2] > 0
+        last = self.moves[-3:]
+        return len(last) == 3 and all(2 * after > before > 0 for before, after in pairwise(last))
 
     def rate(self) -> float:
         """Return the contraction of the residual a sweep, over the second half of the stage.

@@ -357,7 +357,8 @@ def _dense_end(constant: str, repeats: int) -> str:
 
 MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct_dense, "DIRECT_ROWS": _direct_in_rows,
-    "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small, "SWEEP_ENTRIES": _calls_of_a_sweep, "MULTIGRID_PASSES": _multigrid, "MULTIGRID_ROWS": _multigrid_small,
+    "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small, "SWEEP_ENTRIES": _calls_of_a_sweep,
+    "MULTIGRID_PASSES": _multigrid, "MULTIGRID_ROWS": _multigrid_small,
     "BANDED_PASSES": _small_band, "PSOR_GAIN": _gain,
     "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
     "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),

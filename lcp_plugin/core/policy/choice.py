@@ -46,9 +46,9 @@ at most 0.8 on every row, psor may cost as much as multigrid is predicted to bef
 
 The direct methods follow a multigrid that fails, or that at its rate still needs more than their factors are predicted
 to take and either has cost half as much or does not settle: twice, at least half as many unknowns have come to bounds
-or left them in 20 steps as in the 20 before. Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the
-order of the triangle is exact; where multigrid fails and a factor is predicted to be too large, psor goes on until it
-fails. No clock is asked: the same call gives the same answer bit for bit.
+or left them in 20 steps as in the 20 before. Two exceptions: after one sweep on a triangular M with a positive
+diagonal, pgs in the order of the triangle is exact; where multigrid fails and a factor is predicted to be too large,
+psor goes on until it fails. No clock is asked: the same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations

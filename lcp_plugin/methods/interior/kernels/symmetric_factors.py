@@ -7,9 +7,9 @@ Row by row: row k of L solves with the rows before it, as in qdldl. `order`, `st
 from __future__ import annotations
 
 import numpy as np
-from numba import uintp
 
 from ....core.kernels.compilation import compiled
+from ....core.kernels.compiler import uintp
 from ....systems.refinement import REFINED, ROUGH
 
 

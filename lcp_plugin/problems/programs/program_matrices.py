@@ -115,7 +115,7 @@ class ProgramMatrices:
                 means.append(np.bincount(rows, sizes, part.shape[0]) / np.diff(part.indptr))
             sums += np.bincount(part.indices, sizes - means[-1][rows], sums.size)
             counts += np.bincount(part.indices, minlength=sums.size)
-        return *means, float(np.abs(sums / np.maximum(counts, 1.0)).max(initial=0.0))
+        return means[0], means[1], float(np.abs(sums / np.maximum(counts, 1.0)).max(initial=0.0))
 
     @cached_property
     def columns_of_rows(self) -> FloatVector:

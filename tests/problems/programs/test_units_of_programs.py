@@ -34,7 +34,7 @@ def test_what_falls_for_ever_is_unbounded_in_any_unit(c: list[float], rows: dict
 
 
 def test_a_small_slope_is_followed_to_its_bound() -> None:
-    """min −1e-9 x over x ≤ 1 is at x = 1, alone and in a batch, not at 0 within a tolerance."""
+    """Minimising −1e-9 x over x ≤ 1 is at x = 1, alone and in a batch, not at 0 within a tolerance."""
     assert solve(QuadraticProgram(None, [-1e-9], upper=1.0)).x.tolist() == [1.0]
     answers = solve_batch(QuadraticProgramBatch(np.zeros((1, 1)), [[-1e-9], [-1e-6]], upper=1.0))
     assert answers.x.tolist() == [[1.0], [1.0]]

@@ -36,6 +36,7 @@ OFFERS = {
         "an LCP in .nl": "doors.nl.model:lcp_in_nl",
         "a program in .nl": "doors.nl.model:program_in_nl",
     },
+    "global solver": {"SCIP": "doors.scip:minimize_or_none"},
     "ranks": {
         "matrix": "ranks.on_ranks:matrix_of_rows",
         "require_same_numbers": "ranks.on_ranks:require_same_numbers",

@@ -69,7 +69,7 @@ sides; variables may be ``integer`` or ``boolean``. SCIP searches where it is in
 (True, True, 'proof', True)
 >>> income = cp.Problem(cp.Maximize(cp.multiply(price, sold)), [follower, price <= 4])
 >>> _ = income.solve(method="LCP")
->>> round(income.value, 6), round(float(price.value), 3), income.solver_stats.extra_stats.bound_by
+>>> round(float(income.value), 6), round(float(price.value), 3), income.solver_stats.extra_stats.bound_by
 (4.0, 2.0, 'SCIP')
 
 - "optimal" is said only with a gap of ``tolerance`` (1e-6), beside max(1, |value|). ``extra_stats.bound_by`` says

@@ -28,7 +28,7 @@ DESCENT = 1e-9  # of 1 + |f|
 MOST_BIACTIVE = 12
 NEAR, MOST_DOUBTFUL = 1e-5, 6  # beside 1 + ‖x‖∞: pairs of another solver's point whose case is in doubt
 MOST_NEIGHBOURS = 50
-MOST_CORNERS = 6  # leaders whose bounds are tried one by one
+MOST_CORNERS = 4  # leaders of whose bounds all combinations are tried
 UNBOUNDED = 1.0  # from the one bound that a leader has: where a start lies
 
 
@@ -192,9 +192,8 @@ def followers_solved(problem: EquilibriumProgram, guess: FloatVector | None) -> 
     wishes = [middle, low, high]
     if guess is not None:
         wishes.insert(0, np.clip(guess[is_leader], lower, upper))
-    for k in range(min(low.size, MOST_CORNERS) if low.size > 1 else 0):
-        for end in (low, high):
-            wishes.append(np.where(np.arange(low.size) == k, end, middle))
+    if 1 < low.size <= MOST_CORNERS:
+        wishes += [np.where(high_ones, high, low) for high_ones in itertools.product((False, True), repeat=low.size)]
     is_whole = np.zeros(is_leader.size, dtype=bool)
     is_whole[problem.integers] = True
     for wish in wishes:

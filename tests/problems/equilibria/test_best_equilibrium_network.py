@@ -52,7 +52,7 @@ def monopolist() -> tuple[cp.Problem, cp.Variable]:
 
 def test_a_bilinear_leader_without_scip_gets_a_point_and_advice(without_scip: None) -> None:
     """The followed advice, the extra, solves it: 12.5 at x = 5."""
-    problem, x = monopolist()
+    problem, _ = monopolist()
     problem.solve(method="LCP")
     result = problem.solver_stats.extra_stats
     assert (result.status, result.bound_by, result.x is None) == (Status.STALLED, None, False)
@@ -61,7 +61,7 @@ def test_a_bilinear_leader_without_scip_gets_a_point_and_advice(without_scip: No
 
 
 def test_a_bilinear_leader_is_solved_by_scip() -> None:
-    """max (p − 1) x with y = (8 − x)/2 for x ≤ 6 and p = (12 − x)/2: x = 5, 12.5."""
+    """Income (p − 1) x with y = (8 − x)/2 for x ≤ 6 and p = (12 − x)/2: x = 5, 12.5."""
     problem, x = monopolist()
     assert problem.solve(method="LCP") == pytest.approx(12.5, abs=1e-6)
     assert float(x.value) == pytest.approx(5.0, abs=1e-3)

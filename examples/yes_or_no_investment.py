@@ -19,7 +19,7 @@ import typer
 from lcp_plugin import complements
 from lcp_plugin.evidence.drawing import STYLE
 
-COST, CAPACITY, FIXED = np.array([2.0, 4.0, 3.0, 6.0]), np.array([5.0, 8.0, 4.0, 9.0]), np.array([20.0, 45.0, 12.0, 30.0])
+COST, CAPACITY, FIXED = map(np.array, ([2.0, 4.0, 3.0, 6.0], [5.0, 8.0, 4.0, 9.0], [20.0, 45.0, 12.0, 30.0]))
 
 
 def market(built: cp.Expression | np.ndarray, *rows: cp.Constraint) -> tuple[float, cp.Variable]:

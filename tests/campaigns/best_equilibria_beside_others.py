@@ -150,7 +150,7 @@ def of_products(model: Any) -> tuple[bool, float, float, str]:
     pe.TransformationFactory("mpec.simple_nonlinear").apply_to(model)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "m.nl")
-        _, symbols = model.write(str(path), io_options={"symbolic_solver_labels": True})
+        model.write(str(path), io_options={"symbolic_solver_labels": True})
         scip = pyscipopt.Model()
         scip.hideOutput()
         scip.readProblem(str(path))
@@ -196,7 +196,7 @@ def main() -> int:
             seconds[solver] += time.perf_counter() - begin
             solved[solver] += found[solver][0]
         sense = 1.0 if make().goal.sense == pe.minimize else -1.0
-        done, value, bound, by = found["ours"]
+        done, value = found["ours"][:2]
         room = ROOM * max(1.0, abs(value))
         rival_done, rival = found["products, SCIP"][:2]
         is_wrong = done and rival_done and sense * (value - rival) > room

@@ -105,6 +105,9 @@ def minimize(
     """
     model = _Model(problem)
     found = model.solved(tolerance, max_nodes, start, ends)
+    if found.status.startswith("SCIP:"):  # at its own feasibility tolerance its linear programs may do better
+        model = _Model(problem)
+        found = model.solved(tolerance, max_nodes, start, ends, 1e-6)
     if found.x is None or found.bound == -math.inf or not model.fell:
         return found
     within = _Model(problem, FAR).solved(tolerance, max_nodes - found.nodes, found.x, ends)
@@ -146,20 +149,26 @@ class _Model:
         """Whether the first relaxation had no least objective."""
         return bool(self.model.getNTotalNodes() > 1 and self.model.getDualboundRoot() <= -LARGEST)
 
-    def solved(self, tolerance: float, max_nodes: float, start: FloatVector | None, ends: Watcher | None) -> Found:
+    def solved(
+        self, tolerance: float, max_nodes: float, start: FloatVector | None, ends: Watcher | None,
+        feasible: float = FEASIBLE,
+    ) -> Found:
         """Return what SCIP finds."""
         if self._excludes:
             return Found("infeasible", None, math.inf, math.inf, 0)
         model = self.model
         model.setParams({
             "limits/time": min(seconds_left(), LONGEST), "limits/gap": SHARE * tolerance,
-            "limits/absgap": SHARE * tolerance, "numerics/feastol": FEASIBLE, "timing/clocktype": 2,
+            "limits/absgap": SHARE * tolerance, "numerics/feastol": feasible, "timing/clocktype": 2,
             "limits/totalnodes": int(max_nodes) if max_nodes < 2**62 else -1,
         })
         if start is not None:
             self._begin_with(start)
         watcher = None if ends is None else self._watched_by(ends)
-        model.optimize()
+        try:
+            model.optimize()
+        except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
+            return Found(str(error), None, math.inf, -math.inf, 0)
         if watcher is not None and watcher.error is not None:
             raise watcher.error
         status, x, value = model.getStatus(), None, math.inf

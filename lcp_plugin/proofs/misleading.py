@@ -50,7 +50,7 @@ def _stiffness(result: Result) -> str:
     if not spread > STIFF_SPREAD:
         return _nearness_to_singular(result)
     return (f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "
-            "error; error_bound=True bounds it")
+            f"error{_advised(result)}")
 
 
 def _nearness_to_singular(result: Result) -> str:
@@ -64,4 +64,9 @@ def _nearness_to_singular(result: Result) -> str:
         return ""
     known = f"of up to about {error:.0e}" if error < np.inf else "of any size"
     return (f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error {known}, and "
-            f"‖z‖∞ = {size:.0e}; error_bound=True bounds it")
+            f"‖z‖∞ = {size:.0e}{_advised(result)}")
+
+
+def _advised(result: Result) -> str:
+    """Return the advice to ask for a bound, where it was not asked for in vain."""
+    return "" if result.no_error_bound else "; error_bound=True bounds it where M allows it"

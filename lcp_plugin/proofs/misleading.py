@@ -55,7 +55,7 @@ def _stiffness(result: Result) -> str:
         return _nearness_to_singular(result)
     stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"
     if not _is_bound_cheap(result):
-        return f"{stiff} of z; error_bound=True bounds it"
+        return f"{stiff} of z{_advised(result)}"
     bound = _bound(result)
     if bound is None:
         return f"{stiff} of z, and nothing about M allows a bound of it"
@@ -94,4 +94,9 @@ def _nearness_to_singular(result: Result) -> str:
                 f"{same.size} rows, and {shared} entries of z are not determined, as how contacts share a load")
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     return (f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
-            f"residual of {residual:.0e} goes with an error of z {known}, and ‖z‖∞ = {size:.0e}")
+            f"residual of {residual:.0e} goes with an error of z {known}, and ‖z‖∞ = {size:.0e}{_advised(result)}")
+
+
+def _advised(result: Result) -> str:
+    """Return the advice to ask for a bound, where it was not asked for in vain."""
+    return "" if result.no_error_bound else "; error_bound=True bounds it where M allows it"

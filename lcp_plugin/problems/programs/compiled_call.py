@@ -167,7 +167,7 @@ class _FreePart:
         vectors = c[np.newaxis], d[np.newaxis], lower[np.newaxis], upper[np.newaxis]
         is_equality = matrices.is_equality[: m + p]
         arrays = SmallPrograms(
-            P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3], np.array([[program.units.objective, program.units.least]])
+            P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3], np.array([program.units[2:4]])
         )
         return cls(program, arrays, x)
 

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.units import ALIKE, NOISE, fitted_columns
-from .program_matrices import as_csr, or_one, vertically
+from .program_matrices import or_one, vertically
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -163,10 +163,10 @@ def _fitted(program: QuadraticProgram) -> Any:
     size, say = size_of_unknowns(
         of_rows, of_hessian, matrices.is_equality[: limits.size], limits, program.c, program.lower, program.upper
     )
-    if spread <= ALIKE and abs(size) <= ALIKE:
+    if (spread <= ALIKE and abs(size) <= ALIKE) or not np.isfinite([spread, size]).all():
         return None
     identity = sp.eye_array(n, format="csr")
-    matrix = vertically(matrices.rows, as_csr(program.P), identity, identity)
+    matrix = vertically(matrices.rows, matrices.curved, identity, identity)
     column = np.where(say, np.concatenate([limits, program.c, program.lower, program.upper]), 0.0)
     of_costs = slice(limits.size, limits.size + n)
     is_relative = bool(say[of_costs].any())  # minima of rows of P are of all unknowns together: one may be an outlier

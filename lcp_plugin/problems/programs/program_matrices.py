@@ -99,16 +99,23 @@ class ProgramMatrices:
         return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
 
     @cached_property
+    def curved(self) -> sp.csr_array:
+        """P without rows and columns whose diagonal entry is 0: what a semidefinite P has there is rounding."""
+        P, has_diagonal = as_csr(self.P), self.P.diagonal() > 0.0
+        kept = has_diagonal[row_numbers(P)] & has_diagonal[P.indices]
+        return P if kept.all() else sp.csr_array((P.data[kept], (row_numbers(P)[kept], P.indices[kept])), shape=P.shape)
+
+    @cached_property
     def exponents(self) -> tuple[FloatVector, FloatVector, float]:
         """The mean log2 |entry| of each row of [G; A] and of P, NaN of an empty one; how far columns are from these."""
         sums, counts, means = np.zeros(self.P.shape[0]), np.zeros(self.P.shape[0]), list[FloatVector]()
-        for part in (self.rows, as_csr(self.P)):
+        for part in (self.rows, self.curved):
             rows, sizes = row_numbers(part), np.frexp(part.data)[1] - 1.0
             with np.errstate(invalid="ignore"):
                 means.append(np.bincount(rows, sizes, part.shape[0]) / np.diff(part.indptr))
             sums += np.bincount(part.indices, sizes - means[-1][rows], sums.size)
             counts += np.bincount(part.indices, minlength=sums.size)
-        return *means, float(np.abs(sums / np.maximum(counts, 1.0)).max(initial=0.0))
+        return means[0], means[1], float(np.abs(sums / np.maximum(counts, 1.0)).max(initial=0.0))
 
     @cached_property
     def columns_of_rows(self) -> FloatVector:

@@ -166,7 +166,7 @@ class QPUnboundedness:
     def row_margin(self) -> float:
         """A lower bound of the row residual of every x and multipliers; 0 where terms along the direction may cancel.
 
-        In units u of unknowns and a of rows, f the smallest cost, what is left of component j of the gradient is at most
+        In units u of unknowns and a of rows, f the smallest cost, component j of the gradient is left with at most
         s (f/u_j + its largest term), no multiplier y_k is below −s f/a_k. With T_k = Σ_j |c_kj d_j| of constraint k,
         which loses at least T_k/κ along the direction d, and P d = 0 without terms, |cᵀd| ≤
         s (Σ_j |d_j| (f/u_j + |c_j|) + 2 f Σ_k T_k/a_k) where s ≤ 1/κ: a component of a small unit needs no other.
@@ -177,7 +177,8 @@ class QPUnboundedness:
         costs, (coefficients, unknown, _, least_cost, _) = np.abs(self.program.c).tolist(), self.program.units
         of_gradient = (least_cost / unknown).tolist()
         size = sum((abs(d) * (Fraction(of_gradient[j]) + Fraction(costs[j])) for j, d in found.y.items()), ZERO)
-        least, data = Fraction(1), (rows.limit.tolist(), rows.is_equality.tolist(), (least_cost / coefficients).tolist())
+        data = rows.limit.tolist(), rows.is_equality.tolist(), (least_cost / coefficients).tolist()
+        least = Fraction(1)
         for row, limit, is_equality, of_multiplier in zip(rows.exactly, *data, strict=True):
             terms = [value * found.y[j] for j, value in row.items() if j in found.y]
             if not terms:

@@ -42,8 +42,8 @@ class QPSolution:
     -----
     The primal and the dual residual are in units of the data (``unit`` and ``dual_unit`` in
     :mod:`lcp_plugin.problems.programs.constraints`), never relative to x: what is optimal in them cannot be refuted.
-    Complementarity is relative to 1 + its largest term. ``row_residual`` compares each row with its own terms only, so
-    that a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing in another.
+    Complementarity is relative to the size of the objective + its largest term. ``row_residual`` compares each row with
+    its own terms only, so that a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing in another.
 
     Raises
     ------
@@ -122,7 +122,7 @@ class QPSolution:
 
     @property
     def row_residual(self) -> float:
-        """The largest error of any condition, each relative to 1 + the largest term of its own row."""
+        """The largest error of any condition, each relative to its own row's largest term and unit."""
         return self._errors.rows
 
     @property
@@ -178,7 +178,7 @@ class QPSolution:
 
     @property
     def duality_gap(self) -> float:
-        """By how much the errors of all conditions together may change the objective, beside 1 + its size.
+        """By how much the errors of all conditions together may change the objective, beside its size.
 
         Σ |x_j left_j| + Σ |y_i (d_i − c_i x)|, of what is left of the gradient and of all constraints c_i x ≤ d_i: far
         out along a direction in which the objective hardly changes each error is small beside its own terms, and not

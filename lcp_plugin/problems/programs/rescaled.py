@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector, assembled, read_only
 from ...core.matrix.structure import row_numbers
-from .program_matrices import ProgramMatrices
+from .program_matrices import ProgramMatrices, as_csr
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
 
@@ -59,7 +59,8 @@ class Rescaled:
             )
             vectors = (program.c * unknown / objective, program.h / rows[:m], program.b / rows[m : m + p],
                        program.lower / unknown, program.upper / unknown)
-        if not np.isfinite(np.concatenate([vectors[0], vectors[2]])).all():
+        stored = [as_csr(one).data for one in (matrices.P, matrices.G, matrices.A)]
+        if not np.isfinite(np.concatenate([*stored, vectors[0], vectors[2]])).all() or np.isnan(vectors[1]).any():
             return None
         made = program.with_matrices(matrices, *map(read_only, vectors))
         made.__dict__.update(asymmetry=0.0, ranges=None, rescaled=None)

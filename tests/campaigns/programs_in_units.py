@@ -1,0 +1,205 @@
+"""The same program in euros and in millions: one status, one objective, and no answer with an exact proof against it.
+
+Run ``python tests/campaigns/programs_in_units.py --cases 3000 --seed 0``; ``--show`` prints each failure, ``--others``
+asks Clarabel, and HiGHS where the program is linear. A third of the programs has a planted minimum, a third
+contradictory constraints, a third a planted direction of endless descent; dense, sparse, degenerate, rank deficient and
+linear ones in turn. Each is solved as it is drawn, then with its objective, its rows, its unknowns, and all of these
+multiplied by 10^±6, ±9 or ±12, each row and each unknown by its own. Claimed:
+
+- the planted status in every unit;
+- the planted objective, to 1e-6 of its terms;
+- where an exact proof says that there is no minimum, nothing is SOLVED but within a thousandth of the tolerance.
+
+Exit code 1 where one fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from collections import Counter
+from functools import partial
+from multiprocessing import Pool
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin import QuadraticProgram, Status, solve
+
+KINDS = ("dense", "sparse", "degenerate", "rank deficient", "linear")
+OUTCOMES = (Status.SOLVED, Status.INFEASIBLE, Status.UNBOUNDED)
+WHAT = ("as drawn", "objective", "rows", "unknowns", "together")
+EXPONENTS = (6, 9, 12)
+CLOSE = 1e-6  # of the objective's terms
+SURE = 1e-9  # a thousandth of what residuals may be
+INF = np.inf
+
+
+class Planted(NamedTuple):
+    """A program whose status is known, and its minimum; None where there is none."""
+
+    program: QuadraticProgram
+    status: Status
+    value: float | None
+
+
+def planted(case: int, rng: np.random.Generator, largest: int = 24) -> Planted:
+    """Draw the program of this number."""
+    kind, outcome = KINDS[case % len(KINDS)], OUTCOMES[case // len(KINDS) % len(OUTCOMES)]
+    n = int(rng.integers(2, largest))
+    m, p = int(rng.integers(1, n + 2)), int(rng.integers(0, (n + 1) // 2))
+    share = 0.2 if kind == "sparse" else 0.9
+    C = _entries(rng, (m + p, n), share)
+    B = _entries(rng, (0 if kind == "linear" else n // 2 if kind == "rank deficient" else n, n), share)
+    x, is_low = rng.normal(size=n), rng.random(n) < 0.4
+    d = None
+    if outcome is Status.UNBOUNDED:
+        d = np.where(is_low, np.abs(rng.normal(size=n)), rng.normal(size=n)).round(1)
+        d[int(rng.integers(n))] += 1.0
+        d = np.where(is_low, np.abs(d), d)
+        C[m:], B = _across(C[m:], d), _across(B, d)
+        B[np.abs(B) < 1e-12] = 0.0  # rounding, which a small P would be made of
+        C[:m] *= np.where(C[:m] @ d > 0.0, -1.0, 1.0)[:, None]
+    meets = rng.random(m) < 0.5
+    y = np.where(meets & ((rng.random(m) < 0.5) | (kind != "degenerate")), rng.uniform(0.5, 2.0, m), 0.0)
+    v, low = rng.normal(size=p), np.where(is_low, rng.uniform(0.5, 2.0, n) * (rng.random(n) < 0.7), 0.0)
+    if kind in ("degenerate", "rank deficient") and p:  # rows twice
+        C, v, p = np.vstack([C, 2.0 * C[m:]]), np.append(v, 0.0 * v), 2 * p
+    G, A, P = C[:m], C[m:], B.T @ B
+    h, b = G @ x + np.where(meets, 0.0, rng.uniform(0.1, 1.0, m)), A @ x
+    lower = np.where(is_low, x, -INF)
+    c, value = -P @ x - G.T @ y - A.T @ v + low, None
+    if outcome is Status.SOLVED:
+        value = float(0.5 * x @ P @ x + c @ x)
+    elif outcome is Status.INFEASIBLE:
+        y = rng.uniform(0.5, 2.0, m)
+        G, h = np.vstack([G, -y @ G]), np.append(h, -y @ h - rng.uniform(0.5, 2.0))
+    elif d is not None:
+        c = rng.normal(size=n)
+        c -= d * (c @ d + rng.uniform(0.5, 2.0)) / (d @ d)
+    matrices = [sp.csr_array(one) if kind == "sparse" else one for one in (P, G, A)]
+    program = QuadraticProgram(matrices[0], c, matrices[1], h, matrices[2], b, lower)
+    return Planted(program, outcome, value)
+
+
+def _entries(rng: np.random.Generator, shape: tuple[int, int], share: float) -> Any:
+    """Draw rows of which none is empty."""
+    drawn = rng.normal(size=shape) * (rng.random(shape) < share)
+    if shape[0]:
+        drawn[np.arange(shape[0]), rng.integers(0, shape[1], shape[0])] += 1.0
+    return drawn
+
+
+def _across(rows: Any, d: Any) -> Any:
+    """Return the rows, but for what they have along d."""
+    return rows - np.outer(rows @ d, d) / (d @ d)
+
+
+def in_units(program: QuadraticProgram, what: str, rng: np.random.Generator) -> tuple[QuadraticProgram, float]:
+    """Return the program in other units, and what its objective is multiplied by."""
+    size = int(rng.choice(EXPONENTS))
+    m, p, n = program.h.size, program.b.size, program.n
+
+    def drawn(count: int, asked: str) -> Any:
+        return 10.0 ** (size * rng.choice([-1, 1], count)) if what in (asked, "together") else np.ones(count)
+
+    objective, rows, unknowns = float(drawn(1, "objective")[0]), drawn(m + p, "rows"), drawn(n, "unknowns")
+
+    def scaled(matrix: Any, of_rows: Any) -> Any:
+        made = sp.diags_array(of_rows) @ sp.csr_array(matrix) @ sp.diags_array(unknowns)
+        return made if sp.issparse(matrix) else made.toarray()
+
+    P = objective * scaled(program.P, unknowns)
+    return QuadraticProgram(
+        (P + P.T) * 0.5, objective * unknowns * program.c, scaled(program.G, rows[:m]), rows[:m] * program.h,
+        scaled(program.A, rows[m:]), rows[m:] * program.b, program.lower / unknowns, program.upper / unknowns,
+    ), objective
+
+
+def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str, list[str]]:
+    """Return what is said of the program in some units, and what is wrong with it."""
+    result = solve(program)
+    bad = [f"{result.status.name} for {case.status.name}"] * (result.status is not case.status)
+    if result.status is Status.SOLVED:
+        x, c = result.x, program.c
+        terms = float(np.abs(c) @ np.abs(x) + 0.5 * np.abs(x) @ (abs(program.P) @ np.abs(x)))
+        if case.value is not None and not abs(result.objective - size * case.value) <= CLOSE * terms:
+            bad.append(f"objective {result.objective / size:.9g} for {case.value:.9g}")
+        solution = result.solution
+        if max(solution.residual, solution.row_residual) > SURE:
+            proof = program.proof_of_no_minimum
+            bad += ["SOLVED, and an exact proof against it"] * (proof is not None and proof.is_exact)
+    elif result.proof is not None and not result.proof.verify():
+        bad.append("a proof that does not verify")
+    return result.status.name, bad
+
+
+def said_by_others(program: QuadraticProgram, is_linear: bool) -> dict[str, str]:
+    """Return what Clarabel says, and HiGHS of linear programs."""
+    import clarabel
+
+    rows, n = program.constraints, program.n
+    matrix, limit = rows.matrix[rows.finite], rows.limit[rows.finite]
+    is_equation = rows.is_equality[rows.finite]
+    order = np.concatenate([np.flatnonzero(is_equation), np.flatnonzero(~is_equation)])
+    cones = [clarabel.ZeroConeT(int(is_equation.sum())), clarabel.NonnegativeConeT(int((~is_equation).sum()))]
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    P = sp.csc_matrix(sp.triu(sp.csc_array(program.P)))
+    found = clarabel.DefaultSolver(P, program.c, sp.csc_matrix(matrix[order]), limit[order], cones, settings).solve()
+    names = {"Solved": "SOLVED", "PrimalInfeasible": "INFEASIBLE", "DualInfeasible": "UNBOUNDED"}
+    said = {"Clarabel": names.get(str(found.status), str(found.status))}
+    if is_linear:
+        from scipy.optimize import linprog
+
+        b = program.b if program.b.size else None
+        answer = linprog(program.c, program.G, program.h, program.A if b is not None else None, b,
+                         np.column_stack([program.lower, np.full(n, INF)]), method="highs")
+        said["HiGHS"] = {0: "SOLVED", 2: "INFEASIBLE", 3: "UNBOUNDED"}.get(answer.status, "none")
+    return said
+
+
+def one(seed: int, others: bool, case: int) -> tuple[list[str], list[tuple[str, str, bool]]]:
+    """Return what is wrong with a case in any units, and who was right in which."""
+    rng = np.random.default_rng([seed, case])
+    drawn, bad, lines = planted(case, rng), list[str](), list[tuple[str, str, bool]]()
+    for what in WHAT:
+        program, size = (drawn.program, 1.0) if what == "as drawn" else in_units(drawn.program, what, rng)
+        _, wrong = failures(drawn, program, size)
+        bad += [f"{KINDS[case % len(KINDS)]}, {what}: {word}" for word in wrong]
+        lines.append(("lcp_plugin", what, not wrong))
+        if others:
+            said = said_by_others(program, case % len(KINDS) == KINDS.index("linear"))
+            lines += [(name, what, status == drawn.status.name) for name, status in said.items()]
+    return bad, lines
+
+
+def main(cases: int, seed: int, workers: int, show: bool, others: bool) -> int:
+    """Run them, print who had which share right, and return the exit code."""
+    right, asked, failed = Counter[tuple[str, str]](), Counter[tuple[str, str]](), Counter[str]()
+    with Pool(workers, initializer=warnings.simplefilter, initargs=("ignore",)) as pool:
+        for case, (bad, lines) in enumerate(pool.imap(partial(one, seed, others), range(cases), chunksize=10)):
+            for name, what, is_right in lines:
+                asked[name, what] += 1
+                right[name, what] += is_right
+            failed.update(word.split(": ", 1)[1].split(" for ")[0] for word in bad)
+            for complaint in bad if show else ():
+                print(f"case {case} (seed {seed}): {complaint}", flush=True)
+    print(f"{'right of ' + str(cases):<16}{''.join(f'{what:>12}' for what in WHAT)}")
+    for name in dict.fromkeys(name for name, _ in asked):
+        print(f"{name:<16}{''.join(f'{right[name, what]:>7}/{asked[name, what]:<4}' for what in WHAT)}")
+    print("wrong:", dict(failed) or "nothing")
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--show", action="store_true")
+    parser.add_argument("--others", action="store_true")
+    given = parser.parse_args()
+    sys.exit(main(given.cases, given.seed, given.workers, given.show, given.others))

@@ -1,0 +1,107 @@
+"""No answer to a program depends on its units: one criterion, and exact proofs that no tolerance overrules."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from campaigns import programs_in_units
+
+from lcp_plugin import QuadraticProgram, Status, solve
+from lcp_plugin.problems.batches.batch import solve_batch
+from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
+
+NAMES = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
+
+
+@pytest.mark.parametrize("tolerance", [1e-8, 1e-12])
+@pytest.mark.parametrize(("c", "rows"), [
+    ([-1e-6], {"lower": -1.0}),
+    ([-1.0], {"G": [[-1e6]], "h": [1e6]}),
+    ([-1e12, 0.0], {"A": [[1.0, -1.0]], "b": [0.0]}),
+    *(([-1.0, 0.0], {"A": [[s, -s]], "b": [0.0]}) for s in (1e-12, 1e-9, 1e-6, 1e6, 1e9, 1e12)),
+])
+def test_what_falls_for_ever_is_unbounded_in_any_unit(c: list[float], rows: dict[str, Any], tolerance: float) -> None:
+    """However small the slope, however large the row: UNBOUNDED, with a proof that verifies exactly."""
+    result = solve(QuadraticProgram(None, c, **rows), tolerance=tolerance)
+    assert result.status is Status.UNBOUNDED
+    assert result.proof is not None
+    assert result.proof.is_exact
+    assert result.proof.verify()
+
+
+def test_a_small_slope_is_followed_to_its_bound() -> None:
+    """Minimising −1e-9 x over x ≤ 1 is at x = 1, alone and in a batch, not at 0 within a tolerance."""
+    assert solve(QuadraticProgram(None, [-1e-9], upper=1.0)).x.tolist() == [1.0]
+    answers = solve_batch(QuadraticProgramBatch(np.zeros((1, 1)), [[-1e-9], [-1e-6]], upper=1.0))
+    assert answers.x.tolist() == [[1.0], [1.0]]
+
+
+def test_errors_are_the_same_bits_in_units_of_rows_and_of_the_objective() -> None:
+    """Powers of two that multiply the objective and each row change no error of the same answer by a bit."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        n, m, p = 6, 5, 2
+        factor, G, A = rng.normal(size=(n, n)), rng.normal(size=(m, n)), rng.normal(size=(p, n))
+        P, c, h, b = factor @ factor.T, rng.normal(size=n), rng.normal(size=m), rng.normal(size=p)
+        P = (P + P.T) / 2
+        x, y, v = rng.normal(size=n), np.abs(rng.normal(size=m)), rng.normal(size=p)
+        low = np.abs(rng.normal(size=n))
+        size, rows = 2.0 ** rng.integers(-30, 31), 2.0 ** rng.integers(-30, 31, m + p)
+        first = QPSolution(QuadraticProgram(P, c, G, h, A, b, lower=-1.0), x, y, v, low, np.zeros(n))
+        other = QuadraticProgram(
+            size * P, size * c, rows[:m, None] * G, rows[:m] * h, rows[m:, None] * A, rows[m:] * b, lower=-1.0
+        )
+        second = QPSolution(other, x, size * y / rows[:m], size * v / rows[m:], size * low, np.zeros(n))
+        assert [getattr(first, name) for name in NAMES] == [getattr(second, name) for name in NAMES]
+
+
+def test_errors_are_the_same_in_units_of_unknowns_far_apart() -> None:
+    """Unknowns in units of 2^±30 are judged in those that the data show: errors of the same size within 2^8."""
+    rng = np.random.default_rng(0)
+    n, m = 8, 6
+    factor, G, x, y = rng.normal(size=(n, n)), rng.normal(size=(m, n)), rng.normal(size=n), np.abs(rng.normal(size=m))
+    P, h, c = factor @ factor.T, -1.0 - np.abs(rng.normal(size=m)), rng.normal(size=n)
+    P = (P + P.T) / 2
+    units = 2.0 ** rng.choice([-30, 30], n)
+    first = QPSolution(QuadraticProgram(P, c, G, h), x, y, [], np.zeros(n), np.zeros(n))
+    far = QuadraticProgram(units[:, None] * P * units, units * c, G * units, h)
+    second = QPSolution(far, x / units, y, [], np.zeros(n), np.zeros(n))
+    for name in NAMES:
+        one, other = getattr(first, name), getattr(second, name)
+        assert 2.0**-8 * one <= other <= 2.0**8 * one
+
+
+@pytest.mark.parametrize(("program", "status"), [
+    (QuadraticProgram(None, [-1.0], lower=-1.0), Status.UNBOUNDED),
+    (QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, 0.5]), Status.INFEASIBLE),
+])
+def test_the_table_ends_in_the_verdict(
+    program: QuadraticProgram, status: Status, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The last line of verbose=True names what the result says; INTERRUPTED stands nowhere."""
+    assert solve(program, verbose=True).status is status
+    printed = capsys.readouterr().out
+    assert printed.splitlines()[-1].startswith(f"{status.name}: ")
+    assert not re.search("INTERRUPTED", printed)
+
+
+def test_a_small_tolerance_is_asked_of_the_program_too() -> None:
+    """What is SOLVED at tolerance=1e-12 has residuals of at most 1e-9."""
+    for case in range(0, 60, 15):
+        for kind in range(3):
+            drawn = programs_in_units.planted(case + kind, np.random.default_rng([9, case + kind]))
+            result = solve(drawn.program, tolerance=1e-12)
+            if result.is_solved:
+                assert max(result.solution.residual, result.solution.row_residual) <= 1e-9
+
+
+@pytest.mark.parametrize("case", range(15))
+def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
+    """Dense, sparse, degenerate, rank deficient, linear; with a minimum, infeasible, unbounded; units of 10^±12."""
+    bad, lines = programs_in_units.one(5, False, case)
+    assert not bad
+    assert len(lines) == len(programs_in_units.WHAT)

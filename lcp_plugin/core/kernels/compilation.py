@@ -27,29 +27,35 @@ import numpy as np
 from platformdirs import user_cache_path
 
 from ..deadline import NEW_KERNELS, Lock, compiling
-
-with compiling():  # loading the compiler takes most of a second
-    from numba import config, njit, types, vectorize
-    from numba.core import event
-    from numba.core.caching import FunctionCache
-    from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import Compiler
-    from numba.core.runtime.nrt import rtsys
-    from numba.core.sigutils import normalize_signature
+from .compiler import (
+    Compiler,
+    FunctionCache,
+    JITCodeLibrary,
+    config,
+    event,
+    njit,
+    normalize_signature,
+    rtsys,
+    types,
+    vectorize,
+)
 
 FEW = 2**12  # numbers in the arrays of a call
 _lock = Lock()
 
 
 class _StoppedClocks(event.Listener):
-    """Stops the clocks of all runs around while numba compiles, whatever the kernel; both events have the same data."""
+    """Stops the clocks of all runs around while numba compiles, whatever the kernel; both events have the same data.
+
+    Where Ctrl-C came after its registration, and this file is loaded again, there are two of them.
+    """
 
     def on_start(self, event: Any) -> None:
-        event.data["clocks"] = NEW_KERNELS.compiling()
-        event.data["clocks"].__enter__()
+        event.data[self] = NEW_KERNELS.compiling()
+        event.data[self].__enter__()
 
     def on_end(self, event: Any) -> None:
-        event.data["clocks"].__exit__(None, None, None)
+        event.data[self].__exit__(None, None, None)
 
 
 event.register("numba:compile", _StoppedClocks())  # type: ignore[no-untyped-call]

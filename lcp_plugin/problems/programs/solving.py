@@ -77,6 +77,8 @@ class QuadraticProgramResult(Answer):
         Of the whole run, seconds in wall-clock time.
     proof : QPInfeasibility or QPUnboundedness or None
         Of INFEASIBLE or UNBOUNDED.
+    begun : str
+        As of :class:`lcp_plugin.Result`.
     """
 
     status: Status
@@ -87,6 +89,7 @@ class QuadraticProgramResult(Answer):
     seconds: float
     _lcp_result: Result | Callable[[], Result]
     proof: QPInfeasibility | QPUnboundedness | None = None
+    begun: str = ""
 
     __setstate__ = restored
 

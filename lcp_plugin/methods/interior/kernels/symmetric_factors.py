@@ -8,9 +8,9 @@ Row by row: row k of L solves with the rows before it (Davis 2005, doi:10.1145/1
 from __future__ import annotations
 
 import numpy as np
-from numba import uintp
 
 from ....core.kernels.compilation import compiled, interpreted_while_small
+from ....core.kernels.compiler import uintp
 from ....systems.refinement import REFINED, ROUGH
 
 

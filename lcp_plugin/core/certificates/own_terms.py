@@ -9,7 +9,7 @@ the part, and v_i the part of w_i that has the wrong sign (|w_i| where z_i is of
 
 Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. The second term is for
 rows whose own terms are negligible beside those of the part, as in a far field. Where t_i |m_ij| are symmetric, U is
-also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i), d_i the diagonal entry, however small beside its row:
+also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i), d_i the diagonal entry, however small it is:
 neither in the caller's units nor in those of energy may a row be wrong, be it negligible in the other ones.
 
 In the caller's own units an LCP within the tolerance has no larger term residual: z° is nearer to 0 than z is, so that

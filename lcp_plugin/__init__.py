@@ -22,6 +22,9 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from importlib.abc import FileLoader
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from . import rooms as rooms
@@ -181,6 +184,41 @@ def _solve_model(problem: Any, *args: Any, **options: Any) -> Any:
     return registration.solve_model(problem, *args, **options)
 
 
-if (_problem := getattr(sys.modules.get("cvxpy"), "Problem", None)) is not None:
-    for _method in ("LCP", "lcp"):  # a program needs no name of ours but its method's
-        _problem.register_solve(_method, _solve_model)
+def _offer_to(cvxpy: Any) -> bool:
+    """Register the method with cvxpy, where it is loaded, and return whether it is."""
+    problem = getattr(cvxpy, "Problem", None)
+    if problem is not None:
+        for method in ("LCP", "lcp"):
+            problem.register_solve(method, _solve_model)
+    return problem is not None
+
+
+class _UntilCvxpy:
+    """Stands in ``sys.meta_path`` until cvxpy is imported, registers the method, and leaves.
+
+    Other imports are none of its business, and cvxpy comes from where it would, by its own loader. Nothing smaller
+    hears of it: cvxpy has no entry points, and who writes method="LCP" need use no name of ours.
+    """
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """Return what the other finders find, its loader being told to call us once."""
+        if name != "cvxpy":
+            return None
+        found = (finder.find_spec(name, path, target) for finder in [*sys.meta_path] if finder is not self)
+        spec = next((spec for spec in found if spec is not None), None)
+        if spec is None or not isinstance(spec.loader, FileLoader):
+            return spec
+        loader, load = spec.loader, spec.loader.exec_module
+
+        def exec_module(module: ModuleType) -> None:
+            del loader.exec_module  # which hid the method of its class
+            load(module)
+            if _offer_to(module) and self in sys.meta_path:
+                sys.meta_path.remove(self)
+
+        loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
+
+
+if not _offer_to(sys.modules.get("cvxpy")):
+    sys.meta_path.insert(0, _UntilCvxpy())

@@ -34,8 +34,10 @@ of equations. **An objective beside complementarities**, convex quadratic or lin
 found with a proved gap; then everything else is affine, inequalities and bounds are constraints, and there may be any
 number of equations.
 
-- Without an objective, bounds that a variable has of its own, and inequalities beside complementarities, are no part of
-  a pair: they are looked at afterwards, and where one does not hold the answer is not optimal and the message names it.
+- Without an objective, bounds that a variable has of its own belong to its pair, stated there or not, as PATH and AMPL
+  take them: at an upper one the row may be < 0. The message names such a bound where a variable stops at it.
+- Inequalities beside complementarities, and bounds of a variable that no pair holds, are looked at afterwards: where
+  one does not hold the answer is not optimal, and the message names it.
 - A pair whose variable is fixed is looked at afterwards too, as that of a price which is the unit.
 - Refused in words: nonlinear rows beside an objective, objectives that are not convex, integers, disjunctions,
   functions that are not smooth.
@@ -44,9 +46,10 @@ number of equations.
 
 **Options** are those of :func:`lcp_plugin.solve`: ``solver.options["algorithm"] = "newton"``, or
 ``solve(model, options={"tolerance": 1e-10})``; ``timelimit`` is ``max_seconds``, ``tee=True`` prints the run. With
-``keepfiles=True`` the ``.nl`` file stays. With an objective beside complementarities ``tolerance`` is that of the gap,
-1e-6 unless given, and ``max_iterations`` limits the nodes of branch and bound; ``algorithm`` is refused. The newer
-interface of Pyomo knows the solver by the same name; in both it is ``"lcp-plugin"``, too.
+``keepfiles=True`` the ``.nl`` file stays; ``lcp_plugin.pyomo.write_nl(model, "model.nl")`` writes one without a solve,
+where ``model.write`` knows no complementarities. With an objective beside complementarities ``tolerance`` is that of
+the gap, 1e-6 unless given, and ``max_iterations`` limits the nodes of branch and bound; ``algorithm`` is refused. The
+newer interface of Pyomo knows the solver by the same name; in both it is ``"lcp-plugin"``, too.
 
 **Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
 and ``unbounded`` only with a proof; ``noSolution``: none found, none refuted; ``other``: no better in double precision
@@ -73,6 +76,7 @@ except ImportError as error:
 from . import __version__
 from .core.errors import InvalidOption, did_you_mean
 from .core.settings import Status
+from .doors.nl.writing import write_nl  # noqa: F401 - offered beside the solver
 from .doors.pyomo.answers import PyomoAnswer, answered, imported
 
 NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable that is called so

@@ -35,6 +35,8 @@ OFFERS = {
         "load": "doors.files.files:load",
         "an LCP in .nl": "doors.nl.model:lcp_in_nl",
         "a program in .nl": "doors.nl.model:program_in_nl",
+        "a Pyomo model in .nl": "doors.pyomo.answers:content_of",
+        "write .nl": "doors.nl.writing:write_nl",
     },
     "ranks": {
         "matrix": "ranks.on_ranks:matrix_of_rows",

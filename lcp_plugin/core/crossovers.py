@@ -7,7 +7,8 @@ precision of a double, fixes stands beside its proof, not here.
 from __future__ import annotations
 
 # What an answer costs in passes over M, for the policy of ``auto``.
-DIRECT_PASSES = 10.0  # newton or interior_point on a dense M: a third of what is measured, as npsor promises too much
+DIRECT_PASSES = 10.0  # interior_point on a dense symmetric M: a third of what is measured, as npsor promises too much
+DIRECT_ROWS = 0.25  # by n: newton or interior_point where a dense M is not symmetric
 DIRECT_ENTRIES = 12_500.0  # entries that the same touches for a row of a sparse M
 DIRECT_CUBE = 0.06  # and beside n³ at the most, where M is small
 SWEEP_ENTRIES = 10_000.0  # what one driven sweep costs besides its pass, in entries of M

@@ -8,7 +8,7 @@ problems of each kind.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any
@@ -101,6 +101,32 @@ class Kind:
             if default is inspect.Parameter.empty and name not in wishes:
                 raise InvalidOption(f"solve needs {name} for {article}: write solve(problem, {name}=…)")
         return at(self.solver)(problem, **wishes)
+
+
+def changes_by_name(origin: Any, named: Mapping[str, Any], known: Sequence[str], elsewhere: str = "") -> dict[str, Any]:
+    """Return what changes of the data that a problem was made from are in its M and q, as ``{"dM": …, "dq": …}``.
+
+    Parameters
+    ----------
+    origin : object
+        That of the problem: it may list `names`, and have `changes`.
+    named : mapping
+        The changes.
+    known : sequence of str
+        What else a derivative takes; for the message.
+    elsewhere : str
+        What to say of names of contacts that this derivative does not take.
+
+    Raises
+    ------
+    InvalidOption
+        Where a name is none of these.
+    """
+    names = getattr(origin, "names", ())
+    for name in named:
+        if name not in names:
+            raise InvalidOption(f"a derivative takes no {name} here{did_you_mean(name, [*known, *names])}{elsewhere}")
+    return dict(origin.changes(**named)) if named else {}
 
 
 LINEAR_COMPLEMENTARITY_PROBLEM = Kind(

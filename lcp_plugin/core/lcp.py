@@ -326,9 +326,14 @@ class LCP:
         return cast(LCP, ask("conversion", "from_game")(A, B))
 
     @classmethod
-    def from_contacts(cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4) -> LCP:
+    def from_contacts(
+        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
+        gaps: ArrayLike | None = None, time_step: float | None = None,
+    ) -> LCP:
         """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 
+        ``origin.start_from(before, same)`` is a start z0 from the answer of the step before, where contacts come and
+        go; ``derivative(result).jvp(dfriction=0.1)`` differentiates by friction, velocities, gaps and mass.
         See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units, errors, and for batches.
 
         Parameters
@@ -339,8 +344,13 @@ class LCP:
             Without the impulses.
         directions : int
             Edges of each friction pyramid.
+        gaps : number or array, shape (k,), optional
+            Distances at the beginning of the step, in m. Add none to `velocities`.
+        time_step : float, optional
+            In s, beside `gaps`: a contact may close by gap / time step.
         """
-        return cast(LCP, ask("conversion", "from_contacts")(contacts, friction, velocities, directions))
+        convert = ask("conversion", "from_contacts")
+        return cast(LCP, convert(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step))
 
     def to_qp(self) -> Any:
         """Return a quadratic program that this problem is; see ``problems.programs.conversion.qp_from_lcp``."""

@@ -2,7 +2,7 @@
 
 | M | direct methods, in this order |
 |---|---|
-| sparse, the diagonal positive and nothing else | newton, then as below |
+| the diagonal positive and nothing else, M not dense and symmetric | newton, then as below |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | the same, dense, diagonal not > 0: budget rows | some pivots of lemke, then as above |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
@@ -190,7 +190,7 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     row = contradictory_row(problem) if refutes else None
     if row is not None and row.excludes(EPSILON):
         yield replace(check, because="one row contradicts its bounds by itself")
-    elif newton.algorithm not in left_out and not left.is_dense and _suits_newton(left):
+    elif newton.algorithm not in left_out and _suits_newton(left):
         yield newton
         left_out.append(newton.algorithm)
     if _seems_monotone(left, problem.origin):
@@ -225,7 +225,10 @@ def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
 
 def _suits_newton(problem: LCP) -> bool:
     from ..proofs.verdicts import analyze
+    from ..systems.symmetry import is_nearly_symmetric
 
+    if problem.is_dense and is_nearly_symmetric(problem.matrix):  # interior_point has dense active sets for it
+        return False
     return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
 
 

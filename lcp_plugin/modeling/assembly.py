@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
-from ..core.errors import InvalidOption, InvalidProblem, UnsupportedModel
+from ..core.errors import InvalidOption, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.driver import solve
 from ..core.solving.result import Result
@@ -22,6 +22,7 @@ from .equations import Affine, Elimination, eliminate_definitions, known_ranges,
 from .expressions.program import Program
 from .expressions.rows import Compiler, Rows, assembled
 
+BEGUN = "begun from the values of the variables, which are the last answer where nobody has set others"
 UNCERTAIN = 1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
 
 
@@ -242,38 +243,16 @@ def solve_from(problem: LCP | NonlinearProblem, start: FloatVector | None, optio
         Of `solve` or of `solve_nonlinear`.
     """
     if not isinstance(problem, NonlinearProblem):
-        is_known = start is not None and bool(np.isfinite(start).all())
-        return solve(problem, **{**({"z0": start} if is_known else {}), **options})
+        if "z0" in options or start is None or not np.isfinite(start).all():
+            return solve(problem, **options)
+        return replace(solve(problem, z0=start, **options), begun=BEGUN)
     known = list(inspect.signature(solve_nonlinear).parameters)[2:]
     for name in options:
         if name not in (*known, "z0"):
             raise InvalidOption(f"a nonlinear model has no option {name!r}; it has z0, {', '.join(known)}")
-    x0 = options["z0"] if "z0" in options else start_of(problem, start)
     # The derivative is ours; what the language itself evaluates is compared at the end.
-    own = {name: value for name, value in options.items() if name != "z0"}
-    return solve_nonlinear(problem, x0, **{"check_jacobian": False, **own})
-
-
-def start_of(problem: NonlinearProblem, values: FloatVector | None) -> FloatVector:
-    """Return where to begin: the values, or the points within the bounds nearest to 0 and to 1, where F is smooth.
-
-    Parameters
-    ----------
-    problem : NonlinearProblem
-    values : array, shape (n,), or None
-        The present values of the variables, where all have one.
-    """
-    given = [] if values is None or not np.isfinite(values).all() else [values]
-    zero, one = np.zeros_like(problem.lower), np.ones_like(problem.lower)
-    points: list[FloatVector] = [np.clip(point, problem.lower, problem.upper) for point in (*given, zero, one)]
-    return next((point for point in points if _is_smooth_at(problem, point)), points[0])
-
-
-def _is_smooth_at(problem: NonlinearProblem, point: FloatVector) -> bool:
-    if not np.isfinite(problem.value(point)).all():
-        return False
-    try:
-        problem.derivative(point)
-    except InvalidProblem:  # it is not finite
-        return False
-    return True
+    own = {"check_jacobian": False, **{name: value for name, value in options.items() if name != "z0"}}
+    if "z0" in options or start is None or not np.isfinite(start).all():
+        return solve_nonlinear(problem, options.get("z0", np.zeros_like(problem.lower)), **own)
+    result = solve_nonlinear(problem, start, **own)
+    return replace(result, begun=result.begun or BEGUN)

@@ -113,7 +113,7 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
     if x is None:  # nothing can be said of an x that the program does not show
         own = proofs.own_solution
         blind = np.zeros(reduced.program.n) if own is None else own.x
-        return replace(found.certification(proofs, blind, complaint), distance=None)
+        return replace(found.certification(proofs, blind, complaint, np.zeros(0, np.intp)), distance=None)
     said = found.certification(proofs, x, complaint, reduced.columns)
     if said.distance is None:
         return said

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -30,6 +30,7 @@ from .user_terms import FAR, FAR_NUMBERS, UserAnswer, accompany
 
 MATRICES = "lcp_plugin.matrices"  # the key of P, F and A, checked, in the program's data
 SOLVE_OPTIONS = {"tolerance": 1e-9}
+BEGUN = "begun from the last answer; warm_start=False begins anew"
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
 
 
@@ -118,6 +119,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
         found = judged_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
+        if guess is not None and "z0" not in options and not found.is_compiled:
+            found = replace(found, begun=BEGUN)
         # What was solved at once begins anew, and is not asked for the z of a problem that nobody has made.
         cache[self.name()] = compiled._replace(z=None if found.is_compiled else found.z)
         if verbose:

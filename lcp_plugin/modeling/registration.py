@@ -44,7 +44,7 @@ CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend",
 def register() -> None:
     """Make ``problem.solve(method="LCP")`` known to cvxpy; done on the first use of any modelling name.
 
-    A program solves without one, where cvxpy was imported before lcp_plugin.
+    ``import lcp_plugin`` and ``import cvxpy`` do, in either order; this is for a cvxpy that came from no file.
     """
     for name in METHODS:
         cp.Problem.register_solve(name, solve_model)

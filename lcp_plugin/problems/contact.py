@@ -10,6 +10,14 @@ impulses, and those that the bodies would have without them, W = J m⁻¹ Jᵀ (
 tangents, m the mass matrix), and z = (p of all contacts, β contact by contact, λ of all). Of velocities J u with no gap
 there is a solution, and Lemke's path ends in one (Anitescu and Potra).
 
+A simulation takes a few calls a step; ``start_from`` begins the next solve from the answer before:
+
+    problem = LCP.from_contacts((mass, normals, tangents), friction, velocities, gaps=gaps, time_step=dt)
+    result = solve(problem, z0=problem.origin.start_from(before, same))
+    velocities = problem.origin.recover(result).body_velocities + dt * accelerations
+
+``derivative(result)`` of such a problem knows changes of friction, velocities, gaps and mass by these names.
+
 References
 ----------
 D. E. Stewart, J. C. Trinkle, *An implicit time-stepping scheme for rigid body dynamics with inelastic collisions and
@@ -20,15 +28,17 @@ doi:10.1023/A:1008292328909.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import real_array
-from ..core.errors import InvalidProblem
+from ..core.checks import is_number, real_array
+from ..core.errors import InvalidOption, InvalidProblem, ModelWarning
 from ..core.lcp import LCP
 from ..core.solving.result import Result
 
@@ -37,6 +47,7 @@ FloatArray = NDArray[np.float64]
 SYMMETRIC = 1e-8  # of the largest entry
 STILL = 1e-8  # of the largest velocity given: what is slower sticks
 UNIT = 1e-6  # by which the length of a direction may differ from 1
+MOST_FRICTION = 5.0  # of soft rubber it is some 2; what is larger is probably an angle or a percentage
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +68,9 @@ class ContactMotion:
         Whether the contact presses.
     sticks : array of bool, shape (k,)
         Whether it presses and does not slip: no faster than 1e-8 of the largest velocity given.
+    body_velocities : ndarray, shape (v,), or None
+        Those of the bodies after the impulses, u + m⁻¹ Jᵀ impulses. None where the contacts were stated without a mass
+        matrix and the bodies' velocities u, and of ``problem.with_q(q)``, whose q does not tell u.
     """
 
     normal: FloatArray
@@ -65,6 +79,70 @@ class ContactMotion:
     slip: FloatArray
     touches: NDArray[np.bool_]
     sticks: NDArray[np.bool_]
+    body_velocities: FloatArray | None = None
+
+
+class Bodies(NamedTuple):
+    """The bodies behind contacts: mass, shape (v, v), rows J, (d k, v), and velocities, (v,) or None if not given."""
+
+    mass: FloatArray
+    rows: FloatArray
+    velocities: FloatArray | None
+
+    @property
+    def by_impulse(self) -> FloatArray:
+        """What a unit impulse of each row adds to the velocities, m⁻¹ Jᵀ, shape (v, d k)."""
+        return np.asarray(np.linalg.solve(self.mass, np.swapaxes(self.rows, -1, -2)), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactGradient:
+    """What a function of the answer has for gradients by the data that state contacts; of a batch one axis in front.
+
+    Attributes
+    ----------
+    friction : ndarray, shape (k,)
+    velocities : ndarray, shape (k, d), or (v,)
+        As they were given: those of the contacts, or of the bodies.
+    gaps : ndarray, shape (k,), or None
+        None where the contacts were stated without `gaps`.
+    mass : ndarray, shape (v, v), or None
+        Symmetric: the change of the function is ``np.sum(mass * dmass)``. None where W was given.
+    W : ndarray, shape (d k, d k)
+        Symmetric likewise.
+    of_lcp : Gradient or BatchGradient
+        By M, q and the bounds; also ``self.q, self.lower, self.upper, self.M``.
+    """
+
+    friction: FloatArray
+    velocities: FloatArray
+    gaps: FloatArray | None
+    mass: FloatArray | None
+    W: FloatArray
+    of_lcp: Any = field(repr=False)
+
+    @property
+    def q(self) -> Any:
+        """By the entries of q."""
+        return self.of_lcp.q
+
+    @property
+    def lower(self) -> Any:
+        """By the lower bounds."""
+        return self.of_lcp.lower
+
+    @property
+    def upper(self) -> Any:
+        """By the upper bounds."""
+        return self.of_lcp.upper
+
+    @property
+    def M(self) -> Any:
+        """By the entries of M."""
+        return self.of_lcp.M
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.q, self.lower, self.upper, self.M))  # as a Gradient unpacks
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +158,21 @@ class Contacts:
         Without the impulses, in m/s.
     edges : ndarray, shape (m, t)
         Those of the pyramids, by the tangents.
+    gaps : ndarray, shape (k,), or None
+        Distances at the beginning of the step, in m.
+    time_step : float or None
+        In s, where gaps are given.
+    bodies : Bodies or None
+        Where W was made of a mass matrix, normals and tangents.
     """
 
     W: FloatArray = field(repr=False)
     friction: FloatArray
     velocities: FloatArray = field(repr=False)
     edges: FloatArray = field(repr=False)
+    gaps: FloatArray | None = field(default=None, repr=False)
+    time_step: float | None = None
+    bodies: Bodies | None = field(default=None, repr=False)
 
     @property
     def count(self) -> int:
@@ -96,18 +183,140 @@ class Contacts:
     def arrays(self) -> tuple[FloatArray, FloatArray]:
         """M, shape (n, n), and q, shape (n,), n = k (m + 2); of a batch (B, n, n) and (B, n)."""
         k, m = self.count, len(self.edges)
-        d, pressing = self.velocities.shape[-1], k * (1 + m)
-        rows, contact = np.zeros((pressing, k * d)), np.arange(k)  # normals and edges by normals and tangents
+        M = self._in_matrix(self.W, self.friction)
+        steepest = k * (1 + m) + np.arange(k)
+        edge = (k + m * np.arange(k)[:, None]) + np.arange(m)
+        M[..., edge, steepest[:, None]], M[..., steepest[:, None], edge] = 1.0, -1.0
+        return M, self._in_vector(self.velocities, self.gaps)
+
+    @property
+    def _by_edges(self) -> FloatArray:
+        """The normals and edges by normals and tangents, shape (k (1 + m), k d)."""
+        k, m, d = self.count, len(self.edges), self.velocities.shape[-1]
+        rows, contact = np.zeros((k * (1 + m), k * d)), np.arange(k)
         rows[contact, d * contact] = 1.0
         for c in range(k):
             rows[k + m * c:k + m * (c + 1), d * c + 1:d * (c + 1)] = self.edges
-        M = np.zeros((*self.W.shape[:-2], k * (m + 2), k * (m + 2)))
-        M[..., :pressing, :pressing] = rows @ self.W @ rows.T
-        steepest, edge = pressing + contact, (k + m * contact[:, None]) + np.arange(m)
-        M[..., edge, steepest[:, None]], M[..., steepest[:, None], edge] = 1.0, -1.0
-        M[..., steepest, contact] = self.friction
-        moving = self.velocities.reshape(*self.velocities.shape[:-2], k * d) @ rows.T
-        return M, np.concatenate([moving, np.zeros((*moving.shape[:-1], k))], axis=-1)
+        return rows
+
+    def _in_matrix(self, W: FloatArray, friction: FloatArray) -> FloatArray:
+        """Return what W and the coefficients, or changes of them, are in M, which is linear in them."""
+        k, rows = self.count, self._by_edges
+        pressing = len(rows)
+        M = np.zeros((*np.broadcast_shapes(W.shape[:-2], friction.shape[:-1]), pressing + k, pressing + k))
+        M[..., :pressing, :pressing] = rows @ W @ rows.T
+        M[..., pressing + np.arange(k), np.arange(k)] = friction
+        return M
+
+    def _in_vector(self, velocities: FloatArray, gaps: FloatArray | None) -> FloatArray:
+        """Return what velocities, shape (k, d), and gaps, or changes of them, are in q, which is linear in them."""
+        k = self.count
+        if gaps is not None and self.time_step is not None:
+            approach = np.zeros((*gaps.shape, velocities.shape[-1]))
+            approach[..., 0] = gaps / self.time_step
+            velocities = velocities + approach
+        moving = velocities.reshape(*velocities.shape[:-2], -1) @ self._by_edges.T
+        return np.concatenate([moving, np.zeros((*moving.shape[:-1], k))], axis=-1)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The changes that :meth:`changes` takes."""
+        has_gaps, has_mass = ("dgaps",) * (self.gaps is not None), ("dmass",) * (self.bodies is not None)
+        return ("dfriction", "dvelocities", *has_gaps, *has_mass, "dW")
+
+    def changes(
+        self, *, dfriction: ArrayLike | None = None, dvelocities: ArrayLike | None = None,
+        dgaps: ArrayLike | None = None, dmass: ArrayLike | None = None, dW: ArrayLike | None = None,
+    ) -> dict[str, FloatArray]:
+        """Return what changes of the data that state contacts are in M and q: ``{"dM": …, "dq": …}``, or one of these.
+
+        ``derivative(batch).jvp(**data.changes(dfriction=0.1))`` differentiates a batch; that of one result calls this.
+
+        Parameters
+        ----------
+        dfriction : number or array, shape (k,), optional
+        dvelocities : array, shape (k, d) or (v,), optional
+            Of the contacts, or of the bodies where theirs were given.
+        dgaps : number or array, shape (k,), optional
+        dmass : array, shape (v, v), optional
+            Symmetric.
+        dW : array, shape (d k, d k), optional
+            Symmetric.
+
+        Raises
+        ------
+        InvalidProblem
+            For other shapes, numbers that are not finite, or what is not symmetric.
+        InvalidOption
+            For `dgaps` or `dmass` of contacts that were stated without gaps or without a mass matrix.
+        """
+        k, d, found = self.count, self.velocities.shape[-1], dict[str, FloatArray]()
+        bent, slid = np.zeros(self.W.shape[-2:]), np.zeros(k)
+        if dW is not None:
+            bent = _change(dW, "dW", (d * k, d * k), is_symmetric=True)
+        if dmass is not None:
+            if self.bodies is None:
+                raise InvalidOption(
+                    "dmass needs contacts stated by (mass matrix, normals, tangents), and these were by W; give "
+                    "dW = −J m⁻¹ dmass m⁻¹ Jᵀ"
+                )
+            by_impulse, v = self.bodies.by_impulse, self.bodies.mass.shape[-1]
+            moved = _change(dmass, "dmass", (v, v), is_symmetric=True)
+            bent = bent - np.swapaxes(by_impulse, -1, -2) @ moved @ by_impulse
+        if dfriction is not None:
+            slid = _change(dfriction, "dfriction", (k,))
+        if not (dW is None and dmass is None and dfriction is None):
+            found["dM"] = self._in_matrix(bent, slid)
+        if dvelocities is not None or dgaps is not None:
+            found["dq"] = self._in_vector(self._change_of_velocities(dvelocities), self._change_of_gaps(dgaps))
+        return found
+
+    def _change_of_velocities(self, dvelocities: ArrayLike | None) -> FloatArray:
+        """Return a change of the contacts' velocities, shape (k, d), by that of what was given."""
+        shape = self.velocities.shape[-2:]
+        if dvelocities is None:
+            return np.zeros(shape)
+        if self.bodies is None or self.bodies.velocities is None:
+            return _change(dvelocities, "dvelocities", shape)
+        moved = _change(dvelocities, "dvelocities", self.bodies.mass.shape[-1:])
+        along = _product(moved, np.swapaxes(self.bodies.rows, -1, -2))
+        return along.reshape(*along.shape[:-1], *shape)
+
+    def _change_of_gaps(self, dgaps: ArrayLike | None) -> FloatArray | None:
+        if dgaps is None:
+            return None
+        if self.gaps is None:
+            raise InvalidOption(
+                "dgaps needs contacts stated with gaps=… and time_step=…, and these were without; state them so, or "
+                "give dvelocities with dgap / time step along the normals"
+            )
+        return _change(dgaps, "dgaps", (self.count,))
+
+    def gradient(self, of_lcp: Any, z: ArrayLike) -> ContactGradient:
+        """Return the gradients by friction, velocities, gaps and mass that belong to one by M and q.
+
+        ``data.gradient(found.vjp(g), found.z)`` with ``found = derivative(batch)`` is that of a batch; ``vjp`` of one
+        result returns its own.
+
+        Parameters
+        ----------
+        of_lcp : Gradient or BatchGradient
+        z : array, shape (n,), or (B, n)
+            At which it was taken.
+        """
+        k, rows = self.count, self._by_edges
+        by_q, z = np.asarray(of_lcp.q), np.asarray(z)
+        moving, impulses = by_q[..., :-k or None] @ rows, z[..., :-k or None] @ rows  # by normals and tangents
+        by_velocities = moving.reshape(*moving.shape[:-1], k, -1)
+        by_mass = None
+        if self.bodies is not None:
+            by_impulse = np.swapaxes(self.bodies.by_impulse, -1, -2)
+            by_mass = -_symmetric_product(_product(moving, by_impulse), _product(impulses, by_impulse))
+        gaps = None if self.time_step is None else by_velocities[..., 0] / self.time_step
+        if self.bodies is not None and self.bodies.velocities is not None:
+            by_velocities = _product(moving, self.bodies.rows)
+        friction = by_q[..., by_q.shape[-1] - k:] * z[..., :k]
+        return ContactGradient(friction, by_velocities, gaps, by_mass, _symmetric_product(moving, impulses), of_lcp)
 
     def recover(self, answer: Any) -> ContactMotion:
         """Return the impulses and velocities that an answer of the complementarity problem stands for.
@@ -127,12 +336,15 @@ class Contacts:
         impulses = np.empty((*z.shape[:-1], *self.velocities.shape[-2:]))
         impulses[..., 0] = z[..., :k]
         impulses[..., 1:] = z[..., k:-k].reshape(*z.shape[:-1], k, m) @ self.edges
-        given = self._velocities_of(answer)
+        given, bodies = self._velocities_of(answer), self.bodies
         moved = (self.W @ impulses.reshape(*z.shape[:-1], -1, 1)).reshape(impulses.shape) + given
         slip, touches = moved[..., 1:], z[..., :k] > 0.0
         still = STILL * np.abs(given).max(axis=(-2, -1), initial=0.0)
         sticks = touches & (np.abs(slip).max(axis=-1) <= np.expand_dims(still, -1))
-        return ContactMotion(impulses[..., 0], impulses[..., 1:], moved[..., 0], slip, touches, sticks)
+        after = None
+        if bodies is not None and bodies.velocities is not None and given is self.velocities:
+            after = bodies.velocities + (bodies.by_impulse @ impulses.reshape(*z.shape[:-1], -1, 1))[..., 0]
+        return ContactMotion(impulses[..., 0], impulses[..., 1:], moved[..., 0], slip, touches, sticks, after)
 
     def _velocities_of(self, answer: Any) -> FloatArray:
         """Return the velocities without impulses, of the problem that a Result answers where that has another q."""
@@ -141,10 +353,15 @@ class Contacts:
             return self.velocities
         k, along_edges = self.count, np.linalg.pinv(self.edges)
         tangential = problem.q[k:-k or None].reshape(k, -1) @ along_edges.T
-        return np.concatenate([problem.q[:k, np.newaxis], tangential], axis=1)
+        normal = problem.q[:k]
+        if self.gaps is not None and self.time_step is not None:
+            normal = normal - self.gaps / self.time_step
+        return np.concatenate([normal[:, np.newaxis], tangential], axis=1)
 
     def start_from(self, answer: Any, same: ArrayLike) -> FloatArray:
         """Return a start z0, shape (n,), from the answer before, of contacts some of which have come or gone.
+
+        ``solve(problem, z0=problem.origin.start_from(before, same))`` begins there.
 
         Parameters
         ----------
@@ -182,12 +399,15 @@ class Contacts:
         return array
 
 
-def lcp_from_contacts(contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4) -> LCP:
+def lcp_from_contacts(
+    contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
+    gaps: ArrayLike | None = None, time_step: float | None = None,
+) -> LCP:
     """Return the complementarity problem of contacts with friction, see the module; ``origin.recover`` leads back.
 
     Parameters
     ----------
-    contacts, friction, velocities, directions
+    contacts, friction, velocities, directions, gaps, time_step
         As in `contact_data`, without an axis in front.
 
     Returns
@@ -213,19 +433,36 @@ def lcp_from_contacts(contacts: Any, friction: ArrayLike, velocities: ArrayLike,
     ...     print(motion.normal.round(5), motion.tangential.round(5), motion.slip.round(5), motion.sticks)
     [0.1962] [[-0.07848]] [[0.]] [ True]
     [0.1962] [[-0.05886]] [[0.00981]] [False]
+
+    It falls with 1 m/s, 4 mm above the ground; a step takes 0.01 s. It may lose the 4 mm, so it keeps 0.4 m/s, and the
+    ground takes the other 0.6 m/s; the derivative says how the impulse changes with the gap, by −m / time step:
+
+    >>> from lcp_plugin import derivative
+    >>> block = 2.0 * np.eye(2), [[0, 1]], [[1, 0]]  # mass matrix, normals, tangents; its velocities: along, up
+    >>> problem = lcp_from_contacts(block, 0.5, [0.0, -1.0], gaps=0.004, time_step=0.01)
+    >>> result = solve(problem)
+    >>> motion = problem.origin.recover(result)
+    >>> motion.normal.round(6), motion.separation.round(6), motion.body_velocities.round(6)
+    (array([1.2]), array([-0.4]), array([ 0. , -0.4]))
+    >>> derivative(result).jvp(dgaps=1.0)[0].round(6)
+    np.float64(-200.0)
     """
-    given = contact_data(contacts, friction, velocities, directions)
+    given = _checked_data(contacts, friction, velocities, directions, gaps, time_step)
     if given.W.ndim != 2:
         raise InvalidProblem(
             "LCP.from_contacts makes one problem, got arrays of a batch; write contact_data(…) from "
             "lcp_plugin.problems.contact, and solve_batch(*data.arrays)"
         )
+    _warn_of_much_friction(given.friction, 4)
     problem = LCP(*given.arrays)
     problem.origin = given
     return problem
 
 
-def contact_data(contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4) -> Contacts:
+def contact_data(
+    contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
+    gaps: ArrayLike | None = None, time_step: float | None = None,
+) -> Contacts:
     """Return contacts with friction, checked; any array may have an axis in front, one item a problem of a batch.
 
     ``solve_batch(*data.arrays)`` solves them all, and ``data.recover(batch)`` leads back.
@@ -239,12 +476,18 @@ def contact_data(contacts: Any, friction: ArrayLike, velocities: ArrayLike, dire
         positive where it opens, and along two directions. These are orthogonal unit vectors: of a free body's
         translations (columns where the mass matrix is m times the identity) that is checked; of joints nobody can.
     friction : number or array, shape (k,)
-        Coefficients μ ≥ 0.
+        Coefficients μ ≥ 0; a ModelWarning is issued above 5.
     velocities : array, shape (k, d), or (v,) beside a mass matrix
         What they would be at the end of the step without contact impulses, in m/s: along normal and tangents of each
-        contact, or of the bodies. To a normal velocity may be added gap / time step, and restitution.
+        contact, or of the bodies. Restitution is added to normal velocities, for which it takes the shape (k, d).
     directions : int
         Edges of a pyramid in space, even, at least 4; the first along the first tangent. In the plane there are two.
+    gaps : number or array, shape (k,), optional
+        Distances at the beginning of the step, in m, negative where bodies overlap; with `time_step`. A contact may
+        close by gap / time step then, before it presses. It does not matter whether W or a mass matrix is given: add
+        nothing to `velocities` yourself.
+    time_step : float, optional
+        In s, > 0.
 
     Returns
     -------
@@ -263,9 +506,19 @@ def contact_data(contacts: Any, friction: ArrayLike, velocities: ArrayLike, dire
     >>> data.recover(solve_batch(*data.arrays)).tangential.round(6).tolist()
     [[[-0.3, 0.0]], [[-0.5, 0.0]]]
     """
+    data = _checked_data(contacts, friction, velocities, directions, gaps, time_step)
+    _warn_of_much_friction(data.friction, 3)
+    return data
+
+
+def _checked_data(
+    contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int, gaps: ArrayLike | None,
+    time_step: float | None,
+) -> Contacts:
+    bodies = None
     given = _array(velocities, "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane")
     if isinstance(contacts, tuple) or (isinstance(contacts, list) and len(contacts) == 3 and np.ndim(contacts[0]) == 2):
-        W, given = _of_bodies(tuple(contacts), given)
+        W, given, bodies = _of_bodies(tuple(contacts), given)
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         _check_symmetric(W, "W")
@@ -280,16 +533,71 @@ def contact_data(contacts: Any, friction: ArrayLike, velocities: ArrayLike, dire
         at = tuple(np.argwhere(mu < 0.0)[0].tolist())
         where = f"friction{list(at)}" if at else "friction"
         raise InvalidProblem(f"friction must not be negative, but {where} = {mu[at]}; give μ ≥ 0, 0 for none")
-    counts = {part.shape[0] for part, ndim in ((W, 3), (given, 3), (mu, 2)) if part.ndim == ndim}
+    distances = None if gaps is None and time_step is None else _distances(gaps, time_step, k)
+    several = (W, 3), (given, 3), (mu, 2), (np.empty(k) if distances is None else distances, 2)
+    counts = {part.shape[0] for part, ndim in several if part.ndim == ndim}
     if len(counts) > 1:
         raise InvalidProblem(f"all arrays with an axis for the problems must be equally long, got {sorted(counts)}")
     for count in counts:
         W, given = np.broadcast_to(W, (count, *W.shape[-2:])), np.broadcast_to(given, (count, *given.shape[-2:]))
-    return Contacts(W, np.broadcast_to(mu, given.shape[:-1]), given, edges)
+    mu = np.broadcast_to(mu, given.shape[:-1])
+    distances = None if distances is None else np.broadcast_to(distances, given.shape[:-1])
+    return Contacts(W, mu, given, edges, distances, None if distances is None else time_step, bodies)
 
 
-def _of_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return W and the contacts' velocities from (mass matrix, normals, tangents) and velocities of either kind."""
+def _distances(gaps: ArrayLike | None, time_step: float | None, k: int) -> FloatArray:
+    """Return the gaps, checked with the time step."""
+    if gaps is None or time_step is None:
+        missing = "gaps" if gaps is None else "time_step"
+        raise InvalidProblem(f"gaps and time_step go together, but {missing} is missing; give both, in m and in s")
+    if not is_number(time_step) or not 0.0 < time_step < np.inf:
+        raise InvalidProblem(f"time_step must be a number of seconds > 0, got {time_step!r}")
+    need = f"gaps must be a number, or a finite array of shape ({k},): one a contact"
+    distances = _array(gaps, need)
+    if distances.ndim > 2 or (distances.ndim and distances.shape[-1] != k):
+        raise InvalidProblem(f"{need}, got shape {distances.shape}")
+    return distances
+
+
+def _warn_of_much_friction(friction: FloatArray, level: int) -> None:
+    """Warn the caller so many frames up where a coefficient is larger than those of any material."""
+    if not friction.max(initial=0.0) > MOST_FRICTION:
+        return
+    at = np.unravel_index(int(friction.argmax()), friction.shape)
+    warnings.warn(
+        f"friction{[int(i) for i in at]} = {friction[at]:g} is more than {MOST_FRICTION:g}, which no two materials "
+        "have: of soft rubber it is some 2; if it is an angle, give its tangent, if a percentage, divide by 100",
+        ModelWarning, stacklevel=level,
+    )
+
+
+def _change(values: ArrayLike, name: str, shape: tuple[int, ...], *, is_symmetric: bool = False) -> FloatArray:
+    """Return a change of that shape, which may have one axis in front; a number stands for all entries of a vector."""
+    need = f"{name} must be a finite array of shape {shape}"
+    array = _array(values, need)
+    if array.ndim == 0 and len(shape) == 1:
+        array = np.full(shape, float(array))
+    if array.shape[-len(shape):] != shape or array.ndim > 1 + len(shape):
+        raise InvalidProblem(f"{need}, got {array.shape}")
+    if is_symmetric:
+        _check_symmetric(array, name)
+    return array
+
+
+def _product(x: FloatArray, A: FloatArray) -> FloatArray:
+    """Return xᵀA, of a batch one by one."""
+    product: FloatArray = (x[..., None, :] @ A)[..., 0, :]
+    return product
+
+
+def _symmetric_product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return ½ (a bᵀ + b aᵀ)."""
+    product = a[..., :, None] * b[..., None, :]
+    return 0.5 * (product + np.swapaxes(product, -1, -2))
+
+
+def _of_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[FloatArray, FloatArray, Bodies]:
+    """Return W, the contacts' velocities and the bodies from (mass matrix, normals, tangents) and velocities."""
     if len(contacts) != 3:
         raise InvalidProblem(f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays")
     mass = _array(contacts[0], "the mass matrix must be a finite array of shape (v, v)")
@@ -317,16 +625,17 @@ def _of_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[Float
             "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out "
             "bodies that do not move, or give W"
         ) from error
-    W = np.swapaxes(half, -1, -2) @ half
+    W, own = np.swapaxes(half, -1, -2) @ half, None
     if velocities.shape[-1:] == (v,) and (velocities.ndim == 1 or velocities.shape[-2] != k or d != v):
-        velocities = (velocities[..., None, :] @ np.swapaxes(J, -1, -2)).reshape(*velocities.shape[:-1], k, d)
+        own, velocities = velocities, _product(velocities, np.swapaxes(J, -1, -2))
+        velocities = velocities.reshape(*velocities.shape[:-1], k, d)
     elif velocities.ndim == 1:
         raise InvalidProblem(
             f"velocities must have shape ({v},), those of the bodies, or ({k}, {d}), those of the contacts, got "
             f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}; give one for each row of the mass "
             "matrix"
         )
-    return 0.5 * (W + np.swapaxes(W, -1, -2)), velocities
+    return 0.5 * (W + np.swapaxes(W, -1, -2)), velocities, Bodies(mass, J, own)
 
 
 def _check_directions(rows: FloatArray, mass: FloatArray) -> None:

@@ -130,6 +130,15 @@ def test_named_methods_are_compared_where_they_are_near_the_best() -> None:
     assert len(regressions(old, {**old, psor._replace(units="one"): replace(BEFORE, error=0.5)})) == 1
 
 
+def test_paths_that_depend_on_rounding_are_not_compared_by_work() -> None:
+    """In other units, where auto needs a hundred times the best named method's work: by status and error alone."""
+    psor, rows = KEY._replace(method="psor"), KEY._replace(units="rows")
+    for work, count in ((9e3, 1), (2e4, 0)):
+        old = {psor: BEFORE, rows: replace(BEFORE, work=work)}
+        assert len(regressions(old, {psor: BEFORE, rows: replace(BEFORE, work=3 * work)})) == count
+        assert len(regressions(old, {psor: BEFORE, rows: replace(BEFORE, work=work, error=0.5)})) == 1
+
+
 def test_the_summary_names_where_auto_is_behind() -> None:
     """The ratio to the best named method, infinite where auto alone ends unsolved."""
     multigrid = KEY._replace(method="multigrid")

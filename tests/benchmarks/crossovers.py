@@ -102,6 +102,14 @@ def _direct_dense(repeats: int) -> str:
     return _passes(_dense(300), "interior_point", repeats)
 
 
+def _direct_in_rows(repeats: int) -> str:
+    """Return the same where M is dense and not symmetric, of what moves farther to one side than to the other."""
+    k = np.arange(300)
+    jumps = np.exp(-0.02 * np.abs(k[:, None] - k)) * np.where(k[:, None] > k, 1.5, 0.5)
+    problem = LCP(np.diag(1.001 * jumps.sum(1)) - jumps, np.where(k % 3 == 0, 1.0, -1.0))
+    return "; ".join(f"{_passes(problem, name, repeats)}" for name in ("newton", "interior_point"))
+
+
 def _multigrid(repeats: int) -> str:
     return _passes(_grid(150), "multigrid", repeats)
 
@@ -348,8 +356,9 @@ def _dense_end(constant: str, repeats: int) -> str:
 
 
 MEASURED: dict[str, Callable[[int], str]] = {
-    "DIRECT_PASSES": _direct_dense, "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small,
-    "SWEEP_ENTRIES": _calls_of_a_sweep, "MULTIGRID_PASSES": _multigrid, "MULTIGRID_ROWS": _multigrid_small,
+    "DIRECT_PASSES": _direct_dense, "DIRECT_ROWS": _direct_in_rows,
+    "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small, "SWEEP_ENTRIES": _calls_of_a_sweep,
+    "MULTIGRID_PASSES": _multigrid, "MULTIGRID_ROWS": _multigrid_small,
     "BANDED_PASSES": _small_band, "PSOR_GAIN": _gain,
     "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
     "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),

@@ -13,10 +13,12 @@ from benchmarks.small import friction
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.algorithms import Algorithm, create
+from lcp_plugin.core.matrix.matrix import Matrix
+from lcp_plugin.core.matrix.symmetry import mean_coupling
 from lcp_plugin.core.policy.choice import Auto
 from lcp_plugin.core.policy.stages import Choice, Stage
 from lcp_plugin.gallery.stencil import stencil_matrix
-from lcp_plugin.methods.direct import direct_methods, has_had_its_turn
+from lcp_plugin.methods.direct import direct_methods, factor_passes, has_had_its_turn
 from lcp_plugin.methods.search import is_searchable
 from lcp_plugin.methods.search.stages import ExhaustiveSearch
 from lcp_plugin.problems.programs.conversion import lcp_from_lp
@@ -312,6 +314,79 @@ def test_multigrid_is_held_to_its_rate(work: float, rate: float, second: str | N
     stage = after(create("multigrid", {}), 40, rate)
     stage.work = work
     assert following(chain(20_001), stage) == second
+
+
+@pytest.mark.parametrize(
+    ("moves", "second"), [([50, 60, 58], "newton"), ([60, 60, 12], None), ([60, 12, 11], None), ([60, 60], None)]
+)
+def test_multigrid_that_does_not_settle_hands_over(moves: list[int], second: str | None) -> None:
+    """Slow, and as many unknowns come to bounds and leave them in each 20 steps as in those before: it gives way."""
+    problem = LCP(stencil_matrix((150, 150), 4.0, (-1.0, -1.0), (-1.0, -1.0)), -np.ones(150**2))
+    work = 0.4 * factor_passes(problem)
+    stage = replace(after(create("multigrid", {}), 40, 0.9999), work=work, moves=moves)
+    assert following(problem, stage) == second
+
+
+def test_a_stage_counts_what_comes_to_bounds_and_leaves_them() -> None:
+    """Window by window; nothing before there are two iterates."""
+    problem, stage = LCP(np.eye(3), -np.ones(3)), Stage(create("multigrid", {}))
+    for stage.iterations, z in enumerate(([0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 0, 0])):
+        stage.z = np.array(z, float)
+        stage.watch_bounds(problem, 2)
+    assert stage.moves == [2, 1]
+    assert stage.is_unsettled() is False
+
+
+def upwind(side: int, flow: float) -> LCP:
+    """Diffusion and an upwind flow of that cell Péclet number, on a grid without any order."""
+    M = scattered(stencil_matrix((side, side), 4.0 + 2.0 * flow, (-1.0, -1.0), (-1.0 - flow, -1.0 - flow)))
+    return LCP(M, np.where(np.arange(side**2) % 3 == 0, 1.0, -1.0))
+
+
+@pytest.mark.parametrize(("flow", "second"), [(0.0, "multigrid"), (0.1, "multigrid"), (20.0, "psor")])
+def test_sweeps_go_along_a_flow(flow: float, second: str) -> None:
+    """Where a flow is strong psor comes before multigrid, however slow npsor's first sweeps are."""
+    problem = upwind(40, flow)
+    assert following(problem, after(create("npsor", {}), 10, 0.999)) == second
+
+
+def test_psor_along_a_flow_has_a_turn() -> None:
+    """It may cost what multigrid is predicted to; one that fails gives way at once."""
+    problem, promised = upwind(40, 20.0), create("multigrid", {}).predicted_passes(upwind(40, 20.0), np.inf)
+    for work, second in ((0.9 * promised, None), (1.1 * promised, "multigrid")):
+        assert following(problem, replace(after(create("psor", {}), 40, 0.999), work=work)) == second
+    assert following(problem, after(create("psor", {}), 40, 0.999), failed=True) == "multigrid"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_scaling_changes_the_mean_coupling(seed: int) -> None:
+    """Rows and columns by powers of two: the same to rounding; beside √(a c) of a tridiagonal M, ρ(J) is no larger."""
+    rng = np.random.default_rng(seed)
+    M = np.diag(rng.uniform(3, 4, 30)) - np.diag(rng.uniform(0, 5, 29), 1) - np.diag(rng.uniform(0, 0.2, 29), -1)
+    R, C = np.exp2(rng.integers(-30, 31, (2, 30)))
+    here, there = mean_coupling(Matrix(M)), mean_coupling(Matrix(R[:, None] * M * C))
+    assert here == pytest.approx(there, rel=1e-12)
+    J = np.eye(30) - M / M.diagonal()[:, None]
+    assert np.abs(np.linalg.eigvals(J)).max() <= here * (1 + 1e-9)
+
+
+def asymmetric(n: int) -> LCP:
+    """Dense, dominated by 1/1.2, and not symmetric."""
+    rng = np.random.default_rng(0)
+    M = -rng.random((n, n))
+    np.fill_diagonal(M, 0.0)
+    np.fill_diagonal(M, -1.2 * M.sum(1))
+    z = np.maximum(rng.normal(size=n), 0.0)
+    return LCP(M, np.where(z > 0, 0.0, rng.random(n)) - M @ z)
+
+
+def test_a_dense_matrix_that_is_not_symmetric_is_left_to_sweeps() -> None:
+    """Its factors cost 0.25 n passes: quick sweeps go on, and newton, not an interior point, follows slow ones."""
+    problem = asymmetric(400)
+    assert following(problem, after(create("npsor", {}), 1, 0.3)) is None
+    assert following(problem, after(create("npsor", {}), 1, 0.9)) == "psor"
+    assert following(problem, after(create("psor", {}), 40, 0.999)) == "newton"
+    assert solve(problem).work < 20
 
 
 def test_sweeps_that_fail_hand_over() -> None:

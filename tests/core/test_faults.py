@@ -158,6 +158,38 @@ def test_ctrl_c_at_any_moment_leaves_everything_whole() -> None:
     assert done.stdout.count("INTERRUPTED") >= 5, done.stdout
 
 
+WHILE_LOADING = """
+    import signal, sys
+    from lcp_plugin import LCP, QuadraticProgram, Status, analyze, gallery, solve
+    first = {
+        "small": lambda: solve(LCP([[2, 1], [1, 2]], [-1, 1])),
+        "large": lambda: solve(gallery.build("obstacle_2d", size=30).problem),
+        "program": lambda: solve(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])),
+        "analyze": lambda: analyze([[2, 1], [1, 2]]),
+    }[sys.argv[1]]
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.setitimer(signal.ITIMER_REAL, float(sys.argv[2]))
+    try:
+        first()
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+    except KeyboardInterrupt:
+        pass
+    for _ in range(2):
+        found = first()
+        print(found.is_h_plus if sys.argv[1] == "analyze" else found.is_solved)
+"""
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("seconds", [0.01 + 0.04 * k for k in range(15)])
+@pytest.mark.parametrize("call", ["small", "large", "program", "analyze"])
+def test_ctrl_c_while_a_first_call_loads_breaks_no_later_call(call: str, seconds: float) -> None:
+    """Ctrl-C at many moments while numba and our own modules are imported: the next two calls succeed."""
+    code = f"import sys\nsys.argv[1:] = {[call, str(seconds)]!r}\n"
+    done = in_a_process(code + textwrap.dedent(WHILE_LOADING))
+    assert done.stdout.split() == ["True", "True"], done.stdout + done.stderr
+
+
 @pytest.mark.parametrize("factorisation", [
     lambda: dpotrf(np.asfortranarray(np.eye(3))), lambda: dgbtrf(np.asfortranarray(np.ones((4, 5))), 1, 1),
 ])  # fmt: skip

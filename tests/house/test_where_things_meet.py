@@ -7,9 +7,11 @@ import pickle
 import signal
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from kinds_of_problems import SAMPLES, Sample
@@ -19,8 +21,10 @@ from typer.testing import CliRunner
 from lcp_plugin import (
     LCP,
     Certificate,
+    ComplementarityProblem,
     InvalidOption,
     LCPError,
+    NonlinearProblem,
     NotConverged,
     QuadraticProgram,
     QuadraticProgramBatch,
@@ -30,6 +34,7 @@ from lcp_plugin import (
     all_solutions,
     analyze,
     certify,
+    complements,
     convergence_guarantee,
     cross_validate,
     derivative,
@@ -49,7 +54,7 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.core.kinds import COMMANDS, WAYS, kind_of, kinds
 from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.answer import Answer
-from lcp_plugin.doors.nl import read_sol, write_nl
+from lcp_plugin.doors.nl import read_nl, read_sol, write_nl
 from lcp_plugin.doors.nl.answers import CODES
 from lcp_plugin.methods.presolve import presolve
 from lcp_plugin.modeling._compat import CVXPY_STATUS
@@ -586,3 +591,37 @@ def test_a_start_is_refused_in_words_that_say_what_it_is_called() -> None:
     for name in ("LCP", "QP"):
         with pytest.raises(InvalidOption, match=r"z0 must be finite|z0\[0\] = nan"):
             solve(by_name[name], z0=[np.nan, 1.0])
+
+
+def begun_in_python() -> Any:
+    return solve(NonlinearProblem(lambda x: np.log(x) + 1.0), x0=[-1.0])
+
+
+def begun_in_cvxpy() -> Any:
+    x = cp.Variable(value=[-1.0], shape=1)
+    problem = ComplementarityProblem(complements(x >= 0, cp.log(x) + 1 >= 0))
+    problem.solve()
+    return problem.solver_stats.extra_stats
+
+
+def begun_in_pyomo(through_a_file: Path | None = None) -> Any:
+    pyo, mpec = pytest.importorskip("pyomo.environ"), pytest.importorskip("pyomo.mpec")
+    pytest.importorskip("lcp_plugin.pyomo")
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=-1.0)
+    m.pair = mpec.Complementarity(expr=mpec.complements(m.x >= 0, pyo.log(m.x) + 1 >= 0))
+    if through_a_file is not None:
+        write_nl(m, through_a_file)
+        return read_nl(through_a_file).solve().result
+    solver = pyo.SolverFactory("lcp_plugin")
+    solver.solve(m)
+    return solver.result
+
+
+def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
+    """From x = −1, outside x ≥ 0, where log is −∞: each begins at 1, solves log x + 1 = 0, and says where it began."""
+    for begun in (begun_in_python, begun_in_cvxpy, begun_in_pyomo, partial(begun_in_pyomo, tmp_path / "m.nl")):
+        result = begun()
+        assert result.is_solved
+        assert float(result.x[0]) == pytest.approx(np.exp(-1.0))
+        assert "begun at the point of the bounds nearest to 1: F or its derivative is not finite" in str(result)

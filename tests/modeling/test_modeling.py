@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
@@ -340,6 +341,58 @@ def test_method_is_known_after_any_modelling_name() -> None:
         "print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS)"
     )
     assert printed_by(code) == "True"
+
+
+LATER = """
+import sys, warnings, lcp_plugin
+assert 'cvxpy' not in sys.modules
+before = list(sys.meta_path)
+import importlib.util
+importlib.util.find_spec('cvxpy')  # somebody looks whether it is there
+import cvxpy as cp
+assert sys.meta_path == before[1:], 'what waited has gone'
+assert vars(cp.__loader__).keys() == {'name', 'path'}, 'and left nothing behind'
+x = cp.Variable(2)
+for method in ('LCP', 'lcp'):
+    print(cp.Problem(cp.Minimize(cp.sum_squares(x - 1)), [x >= 0]).solve(method=method) < 1e-12, x.value.round(6))
+"""
+
+
+def test_method_is_known_whichever_comes_first() -> None:
+    """lcp_plugin before cvxpy and no name of ours: the method is there, and nothing of ours stays with imports."""
+    assert printed_by(LATER).splitlines() == 2 * ["True [1. 1.]"]
+    earlier = "import cvxpy as cp, sys\nbefore = list(sys.meta_path)\nimport lcp_plugin\n"
+    asked = "print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS, sys.meta_path == before)"
+    assert printed_by(earlier + asked) == "True True"
+
+
+def test_a_cvxpy_that_cannot_be_imported_is_waited_for(tmp_path: Path) -> None:
+    """What an import raises is raised, and the method is registered once one succeeds."""
+    (tmp_path / "cvxpy.py").write_text("raise ImportError('broken')\n")
+    code = (
+        f"import sys\nsys.path.insert(0, {str(tmp_path)!r})\nimport lcp_plugin\n"
+        "try:\n    import cvxpy\nexcept ImportError as error:\n    print(error)\n"
+        "sys.path.pop(0)\nsys.path_importer_cache.clear()\n"
+        "import cvxpy as cp\nprint('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS)"
+    )
+    assert printed_by(code).splitlines() == ["broken", "True"]
+
+
+def test_a_run_says_that_it_began_from_the_last_answer() -> None:
+    """A second solve says where it began, of models and of programs; the first does not, nor one that began anew."""
+    x, weights = cp.Variable(3), np.random.default_rng(0).standard_normal((3, 3))
+    affine = ComplementarityProblem([complements(x >= 0, M @ x + Q >= 0)])
+    smooth = ComplementarityProblem([complements(x >= 0, cp.exp(x) + M @ x + Q >= 0)])
+    program = cp.Problem(cp.Minimize(cp.sum_squares(weights @ x) + Q @ x), [x >= 0])
+    for problem, first in ((affine, None), (smooth, None), (program, "psor")):
+        x.value, wishes = None, {} if first is None else {"algorithm": first, "max_iterations": 100_000}
+        told = []
+        for start in (True, True, False):
+            problem.solve(method="LCP", warm_start=start, **wishes)
+            told.append("begun from" in str(problem.solver_stats.extra_stats))
+        assert told == [False, True, False], problem
+    affine.solve(z0=np.ones(3))
+    assert "begun from" not in str(affine.solver_stats.extra_stats)
 
 
 ROUND_TRIPS = {

@@ -13,13 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..deadline import compiling
 from .compilation import compiled_into_others, compiled_part, interpreted_while_small
+from .compiler import float32, float64, lower_builtin, type_callable, types, uintp
 from .floats import EPSILON, TINY, UNIT
-
-with compiling():
-    from numba import float32, float64, types, uintp
-    from numba.extending import lower_builtin, type_callable
 
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 ROWS_AT_ONCE = 1024

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from numba import uintp
-
 from .compilation import compiled
+from .compiler import uintp
 
 FEW = 8  # entries that are read one after the other
 

@@ -18,9 +18,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import uintp
 
 from .compilation import compiled, compiled_into_others
+from .compiler import uintp
 
 ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache
 

@@ -1,4 +1,4 @@
-"""Whether a matrix is its transpose, entry by entry to rounding: what conjugate gradients and sweeps ask."""
+"""Whether a matrix is its transpose, entry by entry to rounding, and how strong couplings are both ways together."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
 from ..kernels.threads import share
@@ -53,3 +54,27 @@ def has_symmetric_entries(matrix: Matrix) -> bool:
     if matrix.communicator.size > 1:
         return bool(ask("ranks", "has_symmetric_products")(matrix))
     return is_symmetric_entrywise(matrix.csr_rows)
+
+
+@fact
+def mean_coupling(matrix: Matrix) -> float:
+    """Return max_i Σ_{j≠i} √(|m_ij m_ji| / (m_ii m_jj)); ∞ without a positive diagonal, and on several ranks.
+
+    No scaling of rows or columns changes it. Of a tridiagonal M, and of any whose |m_ij / m_ji| are those of a scaling
+    D, it is the largest row sum of D⁻¹J D for some D, J = |I − diag(M)⁻¹M|: no less than the spectral radius of J,
+    however strong a flow makes m_ij beside m_ji.
+
+    Examples
+    --------
+    >>> flow = np.array([[20.0, -1.0, 0.0], [-19.0, 20.0, -1.0], [0.0, -19.0, 20.0]])
+    >>> round(mean_coupling(Matrix(flow)), 3)
+    0.436
+    """
+    diagonal = matrix.diagonal
+    if matrix.communicator.size > 1 or not (diagonal > 0.0).all():
+        return np.inf
+    with np.errstate(all="ignore"):
+        M, root = matrix.csr, np.sqrt(diagonal)
+        both = sp.csr_array(abs(M).multiply(abs(M).T))
+        both.setdiag(0.0)
+        return float(((np.sqrt(both) @ (1.0 / root)) / root).max(initial=0.0))

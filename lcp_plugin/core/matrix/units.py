@@ -280,7 +280,7 @@ def _between_paths(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> t
 
 def _together(M: sp.csr_array, labels: IntVector, ratio: IntVector, is_symmetric: BoolVector) -> Exponents:
     """Return the exponents of rows and columns fitted together, |M̂| symmetric where some D₁ M D₂ is."""
-    whole, part = _fitted_together(M)
+    whole, part = map(np.stack, _fitted_together(M))
     row, column = whole + np.rint(part).astype(np.int64)
     # Rows beside columns by this ratio, so that |M̂| is symmetric; what M̂ leaves open decides between t and t + 1.
     total = whole[0] + whole[1] - ratio
@@ -312,13 +312,28 @@ def _symmetrising(M: sp.csr_array, labels: IntVector) -> tuple[IntVector, BoolVe
     return ratio, are[labels]
 
 
-def _fitted_together(M: sp.csr_array) -> Fit:
+def fitted_columns(M: sp.csr_array) -> IntVector:
+    """Return the exponents of the columns that make all entries even, where rows are in any unit; shape (n,).
+
+    Powers of two that multiply columns are found again, but for one number a connected component.
+
+    Examples
+    --------
+    >>> fitted_columns(sp.csr_array([[1.0, 1024.0], [8.0, 8192.0]])).tolist()
+    [10, 0]
+    """
+    whole, part = _fitted_together(M)
+    exponents: IntVector = whole[1] + np.rint(part[1]).astype(np.int64)
+    return exponents
+
+
+def _fitted_together(M: sp.csr_array) -> tuple[Any, Any]:
     """Return the exponents of rows and of columns that make all entries even."""
     n, kept = M.shape[0], M.data != 0.0
     mantissas, exponents = np.frexp(np.abs(M.data[kept]))
     rows, columns = row_numbers(M)[kept], M.indices[kept].astype(np.int64) + n
-    whole, part = _fit(exponents.astype(np.int64), np.log2(mantissas), rows, columns, 2 * n)
-    return np.stack([-whole[:n], whole[n:]]), np.stack([-part[:n], part[n:]])
+    whole, part = _fit(exponents.astype(np.int64), np.log2(mantissas), rows, columns, sum(M.shape))
+    return (-whole[:n], whole[n:]), (-part[:n], part[n:])
 
 
 def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector, nodes: int) -> Fit:

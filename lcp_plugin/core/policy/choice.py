@@ -14,9 +14,10 @@ soon as the rate of npsor is known, what it still needs is compared with what it
 
 | rival | where | predicts |
 |---|---|---|
-| psor with automatic relaxation | after npsor; sparse, positive diagonal | 3 √(npsor's sweeps), or 20 |
+| psor with automatic relaxation | after npsor; positive diagonal | 3 √(npsor's sweeps), or 20 |
 | multigrid | once; sparse, n > 1000, positive diagonal | 90 passes, and 350 000 rows of passes |
-| the direct methods | M is dense, or its diagonal not positive | 10 passes |
+| the direct methods | M is dense and symmetric, or its diagonal not positive | 10 passes |
+| the direct methods | M is dense, but not symmetric | 0.25 n passes, or 10 |
 | the direct methods | n ≤ 1000 | 12 500 n entries, 0.06 n³ at most, or 10 passes |
 | the direct methods | otherwise | only when nothing else is left |
 
@@ -25,7 +26,7 @@ soon as the rate of npsor is known, what it still needs is compared with what it
 | of npsor, M sparse | after 10 sweeps (from 3 on where two rates agree), then every 20 |
 | of npsor, M dense | from its first sweep on |
 | of psor | after 40 sweeps, then every 20: its first relaxation must have had its trial |
-| of multigrid | every 20 steps, once it has cost thrice what it predicted |
+| of multigrid | every 20 steps, once it has cost 270 passes |
 | of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
 
 The first sweeps are the quickest: they smooth what is left, and only then the slowest error shows. So of a symmetric M
@@ -40,11 +41,14 @@ are reckoned on small M. psor's rate is that of all its sweeps, since each trial
 What sweeps have cost and still need must together stay below 1.5 times what the rival predicts, so that nothing that is
 always nearly there goes on for ever.
 
-The direct methods follow a multigrid that fails, or has cost, and at its rate still needs, more than their factors
-are predicted to take. Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of
-the triangle is exact; where multigrid fails and a factor is predicted to be too large, psor goes on until it fails. No
-clock is asked: the same call
-gives the same answer bit for bit.
+Along a strong flow sweeps are quick, which the first ones of npsor do not show: where Σ_j √(m_ij m_ji / (m_ii m_jj)) is
+at most 0.8 on every row, psor may cost as much as multigrid is predicted to before it gives way.
+
+The direct methods follow a multigrid that fails, or that at its rate still needs more than their factors are predicted
+to take and either has cost half as much or does not settle: twice, at least half as many unknowns have come to bounds
+or left them in 20 steps as in the 20 before. Two exceptions: after one sweep on a triangular M with a positive
+diagonal, pgs in the order of the triangle is exact; where multigrid fails and a factor is predicted to be too large,
+psor goes on until it fails. No clock is asked: the same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations
@@ -63,6 +67,7 @@ from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..lcp import LCP
 from ..matrix.row_sums import has_positive_diagonal, row_blocks
+from ..matrix.symmetry import mean_coupling
 from ..registry import ask, ask_or_none
 from ..settings import OF_SOLVE
 from ..splittings.projected_relaxation import PGS, PSOR
@@ -178,10 +183,12 @@ class Auto(Policy):
             passes = self._factor_passes(problem)
             if left.has_failed and passes == math.inf:
                 return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
-            if not (left.has_failed or min(2.0 * left.work, left.sweeps) > passes):
+            is_behind = left.sweeps > passes and (2.0 * left.work > passes or now.is_unsettled())
+            if not (left.has_failed or is_behind):
                 return None
         else:
-            predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in _rivals(problem, stages)}
+            rivals = _rivals(problem, stages, left)
+            predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in rivals}
             rival = min(predicted, key=lambda one: predicted[one], default=None)
             if rival is None or not left.loses_to(rival, passes := predicted[rival]):
                 return None
@@ -221,15 +228,19 @@ def takes_the_small_dense_solver(problem: LCP) -> bool:
     return banded is None or banded.predicted_passes(problem, math.inf) > TRIAL_SWEEPS
 
 
-def _rivals(problem: LCP, stages: Sequence[Stage]) -> list[Algorithm]:
+def _rivals(problem: LCP, stages: Sequence[Stage], left: Remaining) -> list[Algorithm]:
     """Return what could take over, in the order in which a tie is decided."""
     now = stages[-1].algorithm
     rivals: list[Algorithm] = []
-    if not problem.is_dense and has_positive_diagonal(problem.matrix).all():
+    if has_positive_diagonal(problem.matrix).all():
         rivals += [PSOR()] if isinstance(now, NPSOR) else []
         was_tried = any(stage.algorithm.name == "multigrid" for stage in stages)
-        if isinstance(now, (NPSOR, PSOR)) and not was_tried and "multigrid" in REGISTRY:
-            rivals.append(_multigrid())
+        is_suited = not (problem.is_dense or was_tried) and isinstance(now, (NPSOR, PSOR))
+        if is_suited and "multigrid" in REGISTRY:
+            multigrid = _multigrid()
+            has_had_its_turn = isinstance(now, PSOR) and left.work > multigrid.predicted_passes(problem, left.sweeps)
+            if left.has_failed or has_had_its_turn or mean_coupling(problem.matrix) > CLEARLY_DOMINANT:
+                rivals.append(multigrid)
     return [*rivals, *([create(DIRECT, {})] if DIRECT in REGISTRY else [])]
 
 

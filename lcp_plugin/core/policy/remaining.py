@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..algorithms import Algorithm
-from ..crossovers import DIRECT_UP_TO
+from ..crossovers import DIRECT_UP_TO, MULTIGRID_PASSES
 from ..lcp import LCP
 from ..matrix.symmetry import has_symmetric_entries
 from ..splittings.projected_relaxation import PGS, PSOR
@@ -18,7 +18,7 @@ from .stages import Stage
 TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40
 ASKED_EVERY = 20  # sweeps
 PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple of what the rival predicts
-BROKEN_PROMISE = 3.0  # multigrid that has cost this multiple of its prediction is asked what it still needs
+BROKEN_PROMISE = 3.0  # multigrid that has cost this multiple of what it takes on grids is asked what it still needs
 NEAR = 1e-2  # of the largest unknown: so near to a bound is none that is free
 
 
@@ -48,6 +48,8 @@ class Remaining:
     @classmethod
     def of(cls, problem: LCP, now: Stage, goal: float, *, failed: bool) -> Remaining | None:
         """Return what a stage still needs, None where it is too early to ask."""
+        if now.algorithm.name == "multigrid":
+            now.watch_bounds(problem, ASKED_EVERY)
         failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
         if failed:
             return cls(now.algorithm.name, now.work, math.inf, True, False)
@@ -83,8 +85,7 @@ def _is_asked(problem: LCP, now: Stage) -> bool:
     if isinstance(now.algorithm, PSOR):
         return k >= TRIAL_SWEEPS_PSOR and k % ASKED_EVERY == 0
     if now.algorithm.name == "multigrid":
-        promised = now.algorithm.predicted_passes(problem, math.inf)
-        return k > 0 and k % ASKED_EVERY == 0 and now.work > BROKEN_PROMISE * promised
+        return k > 0 and k % ASKED_EVERY == 0 and now.work > BROKEN_PROMISE * MULTIGRID_PASSES
     if not isinstance(now.algorithm, NPSOR):
         return False
     if problem.is_dense:

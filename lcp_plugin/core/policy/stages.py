@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..algorithms import Algorithm, Step
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..lcp import LCP
 
 if TYPE_CHECKING:
@@ -52,8 +55,9 @@ class Stage:
     `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
     several; `from_start` says that it began where the run began; `least_residual` is that of its steps; `settles`, that
     steps have said their residuals may rise for a while; `refutes_nearby`, that a step has proved that no z within a
-    radius, far beyond the data, is a solution; `z` is the latest iterate, as long as the stage lasts;
-    `successor`, what its algorithm would be with all that it has learned.
+    radius, far beyond the data, is a solution; `z` is the latest iterate, as long as the stage lasts; `moves` counts
+    the unknowns that came to a bound or left it, window by window, where the policy watches them; `successor`, what
+    its algorithm would be with all that it has learned.
     """
 
     algorithm: Algorithm
@@ -69,6 +73,8 @@ class Stage:
     successor: Algorithm | None = None
     residuals: list[tuple[int, float]] = field(default_factory=list)
     parts: list[tuple[str, int, float]] = field(default_factory=list)
+    moves: list[int] = field(default_factory=list)
+    _at_bounds: BoolVector | None = None
 
     def take(self, label: str, iterations: int, work: float) -> None:
         """Count iterations and work, for the part of that label where there is one."""
@@ -86,6 +92,25 @@ class Stage:
         if len(self.residuals) >= KEPT_RESIDUALS:
             self.residuals.pop()
         self.residuals.append((self.iterations, residual))
+
+    def watch_bounds(self, problem: LCP, window: int) -> None:
+        """Count the unknowns that have come to a bound, or left it, with this step; a window is so many steps."""
+        if self.z is None:
+            return
+        at_bounds = (self.z <= problem.lower) | (self.z >= problem.upper)
+        if self._at_bounds is not None:
+            if (self.iterations - 1) % window == 0 or not self.moves:
+                self.moves.append(0)
+            self.moves[-1] += int(problem.communicator.total(np.count_nonzero(at_bounds != self._at_bounds)))
+        self._at_bounds = at_bounds
+
+    def is_unsettled(self) -> bool:
+        """Return whether in each of the last two windows at least half as many came and left as in the one before.
+
+        What gets nearer settles: after a front has moved, each window has far fewer than the one before.
+        """
+        last = self.moves[-3:]
+        return len(last) == 3 and all(2 * after > before > 0 for before, after in pairwise(last))
 
     def rate(self) -> float:
         """Return the contraction of the residual a sweep, over the second half of the stage.

@@ -27,7 +27,11 @@ class Answer:
     algorithm : str
         What ran.
     iterations : int
+    begun : str
+        Where the run began, in words, where another than the caller chose that; else empty.
     """
+
+    begun: str = ""
 
     if TYPE_CHECKING:  # fields of the dataclasses that answers are
 
@@ -82,7 +86,11 @@ class Answer:
 
     def explain(self) -> str:
         """Return the story of the run in a few lines."""
-        return f"{self.status.name}: {self.advice}.\n{self.reached()}\n{self._effort()}"
+        return "\n".join([f"{self.status.name}: {self.advice}.", self.reached(), *self._course()])
+
+    def _course(self) -> list[str]:
+        """Return what ran, what it took, and where it began if somebody else chose that."""
+        return [self._effort(), *([self.begun] if self.begun else [])]
 
     def _effort(self) -> str:
         """Return what ran, and what it took."""
@@ -126,7 +134,8 @@ class Answer:
         Parameters
         ----------
         **how
-            Of :func:`lcp_plugin.evidence.plots.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns' grid.
+            Of :func:`lcp_plugin.evidence.plots.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns' grid,
+            or ``rows`` and their coordinates ``over``, for z and w.
         """
         return ask("picture", "answer")(self, **how)
 

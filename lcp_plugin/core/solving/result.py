@@ -81,6 +81,8 @@ class Result(Answer):
         Of the whole run; see :class:`Sample` for the units.
     tolerance, tolerance_on, absolute_tolerance
         As given to :func:`lcp_plugin.solve`.
+    begun : str
+        Where the run began, in words, where another than the caller chose that; else empty.
     history : tuple of Sample
         Empty unless asked for with ``record=True``.
     stages : tuple of StageRecord
@@ -106,6 +108,7 @@ class Result(Answer):
     infeasibility: Any = field(default=None, repr=False)
     tolerance_on: str = "residual"
     absolute_tolerance: float = 0.0
+    begun: str = ""
     _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
     # The error bound, or how it is computed once somebody looks at it.
     _bound: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
@@ -180,7 +183,7 @@ class Result(Answer):
         lines = [
             f"{self.status.name}: {self.advice}.",
             self.reached(),
-            self._effort(),
+            *self._course(),
         ]
         if len(self.stages) > 1:
             total = sum(stage.work for stage in self.stages) or 1.0

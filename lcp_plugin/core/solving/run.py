@@ -221,7 +221,10 @@ class Run:
         """Return the result, whose status the certificate names."""
         state, settings, stages = self.state, self.settings, self.state.records()
         certificate, status = self.ended(start, reason)
-        words = {**self.judge.words, **getattr(self.judge.problem.origin, "words_of_end", {})}
+        words, proof = dict(self.judge.words), self.judge.proof
+        if reason is Status.INTERRUPTED and (ended_by := getattr(self.judge.problem.origin, "ended_by", None)):
+            status, proof = ended_by.status, ended_by
+            words = {**words, status: f"the program is {proof}"}
         if isinstance(self.judge.asked, LCP):
             if unused := unused_start(self.problem, self.policy.chosen, start):
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
@@ -239,7 +242,7 @@ class Run:
             absolute_tolerance=settings.absolute_tolerance,
             algorithm=name_of(self.policy, stages), iterations=max(state.iteration, 0), work=state.work,
             seconds=self.clock.read(), setup_seconds=state.setup_seconds, history=tuple(state.samples),
-            stages=stages, infeasibility=self.judge.proof, _asked=self.policy.chosen,
+            stages=stages, infeasibility=proof, _asked=self.policy.chosen,
             _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
             _advice={**words, **self.judge.advice},
         )

@@ -80,5 +80,10 @@ class RunLog:
 
     def _write(self, line: str) -> None:
         if not self._is_silent:
-            encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
-            print(line.encode(encoding, "replace").decode(encoding), flush=True)
+            say(line)
+
+
+def say(line: str) -> None:
+    """Print a line, whatever the terminal can show of it."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    print(line.encode(encoding, "replace").decode(encoding), flush=True)

@@ -30,8 +30,11 @@ LAYOUT = "an LCP file holds M (or its CSR arrays data, indices, indptr, shape), 
 
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
-    """Write the problem to a ``.npz`` file or, for any other path, into a folder of Matrix Market files."""
+    """Write the problem to a ``.npz`` or ``.nl`` file or, for any other path, into a folder of Matrix Market files."""
     target = checked_path(path)
+    if target.suffix.lower() == ".nl":
+        ask("file format", "write .nl")(problem, target)
+        return
     _refuse_huge_bounds(problem)
     if target.suffix.lower() == ".npz":
         arrays = arrays_of(problem, problem.csr)
@@ -51,8 +54,8 @@ def checked_folder(target: Path) -> Path:
     # A number behind a dot is a part of the name, as in "size=0.5".
     if target.suffix[1:2].isalpha() and not target.is_dir():
         raise UnreadableFile(
-            f"cannot write {target}: a problem becomes one .npz file or a folder of files, not a {target.suffix} file; "
-            f"write {target.stem}.npz, or {target.stem} for a folder"
+            f"cannot write {target}: a problem becomes one .npz or .nl file or a folder of files, not a "
+            f"{target.suffix} file; write {target.stem}.npz, or {target.stem} for a folder"
         )
     return target
 

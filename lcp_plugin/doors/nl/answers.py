@@ -181,6 +181,8 @@ class ComplementarityModel(NLModel):
         status, words = found.status, STUCK if result.is_solved and not found.is_solved else found.status.name.lower()
         if status is Status.SOLVED and (wrong := self._wrong(x, duals, found, options)):
             status, words = Status.STALLED, wrong
+        elif status is Status.SOLVED and (bound := self.beside.at_bounds_of_their_own(x)):
+            words = f"{words}; {bound}"
         message = self._message(words, found.residual, found.iterations)
         return NLAnswer(x, duals, status, message, found, None, CODES[status])
 

@@ -1,9 +1,9 @@
 """What an answer is held against: the rows of the file as they stand, and what stands beside the problem.
 
 Rows are evaluated by Python's own functions, which share nothing with the programs that are solved but the file. Beside
-a complementarity problem stand inequalities without a partner, bounds that the complementarity of their variable does
-not state, those of variables without a complementarity, complementarities whose rows hold no unknown: no unknown gives
-way to them, so that the problem has solutions without them.
+a complementarity problem stand inequalities without a partner, bounds of variables without a complementarity,
+complementarities whose rows hold no unknown: no unknown gives way to them, so that the problem has solutions without
+them. Bounds of a variable with a complementarity all belong to it, stated there or not, as PATH and AMPL take them.
 """
 
 from __future__ import annotations
@@ -134,23 +134,18 @@ class SideConditions:
 
     Attributes
     ----------
-    loose : array of int
-        Those left out, and those whose variable has bounds that they do not speak of.
     bounded : array of bool, shape (n,)
         The variables without a complementarity that have bounds; none where nothing is complementary.
     """
 
     def __init__(self, content: NLContent, pairs: Indices, inequalities: Indices, spare: Indices) -> None:
-        self.content, self.inequalities, self.spare = content, inequalities, spare
-        columns = content.partners[pairs]
-        is_finite = np.isfinite(content.lower) + 2 * np.isfinite(content.upper)
-        self.loose = np.append(spare, pairs[(is_finite[columns] & ~content.partner_bounds[pairs]) != 0])
-        self.bounded: BoolVector = (is_finite != 0) & bool(pairs.size)
-        self.bounded[columns] = False
+        self.content, self.pairs, self.inequalities, self.spare = content, pairs, inequalities, spare
+        self.bounded: BoolVector = (np.isfinite(content.lower) | np.isfinite(content.upper)) & bool(pairs.size)
+        self.bounded[content.partners[pairs]] = False
 
     def names(self) -> list[str]:
         """Return what they are called: inequalities, complementarities, variables."""
-        content, rows = self.content, [*self.inequalities.tolist(), *self.loose.tolist()]
+        content, rows = self.content, [*self.inequalities.tolist(), *self.spare.tolist()]
         columns = np.flatnonzero(self.bounded).tolist()
         return [*map(content.row, rows), *map(content.variable, columns)]
 
@@ -167,7 +162,7 @@ class SideConditions:
         content, inner = self.content, self.inequalities
         if not (names := self.names()):
             return ""
-        units = slopes(content, x, np.append(inner, self.loose))
+        units = slopes(content, x, np.append(inner, self.spare))
         excesses = np.concatenate([
             _excess(rows[inner], content.row_lower[inner], content.row_upper[inner], units[: inner.size]),
             self._pair_excess(x, rows, units[inner.size:]),
@@ -183,11 +178,25 @@ class SideConditions:
             "complementarities, and no unknown gives way to it; with an objective all solutions are searched"
         )
 
+    def at_bounds_of_their_own(self, x: FloatVector) -> str:
+        """Return which variable stops at a bound that its complementarity does not state; nothing where none does."""
+        content, rows = self.content, self.pairs
+        columns, told = content.partners[rows], content.partner_bounds[rows]
+        for bit, word, bounds in ((1, "lower", content.lower), (2, "upper", content.upper)):
+            bound = bounds[columns]
+            is_there = np.isfinite(bound) & (np.abs(x[columns] - bound) <= FEASIBLE * np.maximum(1.0, np.abs(bound)))
+            for k in np.flatnonzero(is_there & (told & bit == 0)).tolist():
+                return (
+                    f"{content.variable(columns[k])} stops at its own {word} bound {bound[k]:g}, which counts although "
+                    f"its complementarity, {content.row(rows[k])}, does not state it"
+                )
+        return ""
+
     def _pair_excess(self, x: FloatVector, rows: FloatVector, units: FloatVector) -> FloatVector:
-        """Return |x − mid(lower, upper, x − w/unit)| of the pairs that were solved within other bounds."""
-        own = x[self.content.partners[self.loose]]
-        moved = own - rows[self.loose] / np.where(units > 0.0, np.minimum(units, 1.0), 1.0)
-        bounds = pair_bounds(self.content, self.loose)
+        """Return |x − mid(lower, upper, x − w/unit)| of the pairs that were left out."""
+        own = x[self.content.partners[self.spare]]
+        moved = own - rows[self.spare] / np.where(units > 0.0, np.minimum(units, 1.0), 1.0)
+        bounds = pair_bounds(self.content, self.spare)
         excess: FloatVector = np.abs(own - np.clip(moved, bounds.lower, bounds.upper)) / np.maximum(1.0, np.abs(own))
         return excess
 

@@ -10,30 +10,45 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.errors import InvalidProblem
+from ...core.lcp import LCP
+from ...core.registry import ask
+from ...problems.programs.program import QuadraticProgram
 from ..files.files import checked_path, write_whole
 from .content import ARITY, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL, NLContent, Token, Trees
 
 LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o", Token.CALL: b"f", Token.STRING: b"h"}
 ANY_COUNT = -1  # of the operands of an external function, which the content does not keep
+PLUS, TIMES, SUM = 0, 2, 54  # numbers of operators
 ALSO_STRINGS = 1  # its type: it takes texts as well
 
 
-def write_nl(content: NLContent, path: str | PathLike[str]) -> None:
-    """Write the content as a text ``.nl`` file, with ``.col`` and ``.row`` files of the names beside it.
+def write_nl(problem: Any, path: str | PathLike[str]) -> None:
+    """Write a problem or a model as a text ``.nl`` file, with ``.col`` and ``.row`` files of the names beside it.
 
     Parameters
     ----------
-    content : NLContent
+    problem : LCP, QuadraticProgram, NLContent, NLModel, or a Pyomo model
+        A Pyomo model may hold complementarities, which ``model.write`` refuses. The file states it as it is solved:
+        what is only held against the answer afterwards is not in it, and a ``ModelWarning`` names it.
     path : str or Path
 
     Raises
     ------
     InvalidProblem
-        Where the format cannot say it: integer variables that are not the last ones.
+        Where the format cannot say it: a function written in Python, integer variables that are not the last ones.
+    UnsupportedModel
+        Naming the component of a Pyomo model that is not taken.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from lcp_plugin import LCP
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_nl(LCP([[2, 1], [1, 2]], [-5, 1]), f"{folder}/m.nl")
+    ...     LCP.load(f"{folder}/m.nl")
+    LCP(n=2, nonzeros=4, bounds 0 ≤ z)
     """
-    if not isinstance(content, NLContent):
-        raise InvalidProblem(f"content must be an NLContent, as read_content returns it, got {type(content).__name__}")
-    target = checked_path(path)
+    target, content = checked_path(path), _content_of(problem)
     parts = TextWriter(content).parts()
     contents = {target: lambda file: file.writelines(parts)}
     for ending, names in ((".col", content.names), (".row", content.row_names)):
@@ -41,6 +56,87 @@ def write_nl(content: NLContent, path: str | PathLike[str]) -> None:
             text = "".join(f"{name}\n" for name in names).encode()
             contents[target.with_suffix(ending)] = lambda file, text=text: file.write(text)  # type: ignore[misc]
     write_whole(contents)
+
+
+def _content_of(problem: Any) -> NLContent:
+    """Return what a file of the problem holds."""
+    if hasattr(problem, "component_data_objects"):
+        found: NLContent = ask("file format", "a Pyomo model in .nl")(problem)
+        return found
+    if isinstance(problem, LCP):
+        return _content_of_lcp(problem)
+    if isinstance(problem, QuadraticProgram):
+        return _content_of_program(problem)
+    content = getattr(problem, "content", problem)
+    if not isinstance(content, NLContent):
+        why = ", whose F is written in Python" if type(problem).__name__ == "NonlinearProblem" else ""
+        raise InvalidProblem(
+            "an .nl file is written of an LCP, a QuadraticProgram, a Pyomo model, or of what read_content and read_nl "
+            f"return, got {type(problem).__name__}{why}"
+        )
+    return content
+
+
+def _content_of_lcp(problem: LCP) -> NLContent:
+    """Return rows M z + q, each complementary to its own z."""
+    n = problem.n
+    free = np.full(n, np.inf)
+    told = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
+    return _stating(
+        problem.lower, problem.upper, problem.csr, _numbers(problem.q), (-free, free), np.arange(n), told
+    )
+
+
+def _content_of_program(program: QuadraticProgram) -> NLContent:
+    """Return ½ xᵀP x + cᵀx, the sum of its products as a tree, and the rows G x ≤ h, A x = b."""
+    n, m = program.n, program.h.size + program.b.size
+    P = sp.triu(sp.coo_array(program.P), format="coo")
+    columns = np.flatnonzero((program.c != 0.0) | np.isin(np.arange(n), np.append(P.row, P.col)))
+    slopes = sp.csr_array((program.c[columns], columns, [0, columns.size]), shape=(1, n))
+    limits = np.append(np.full(program.h.size, -np.inf), program.b), np.append(program.h, program.b)
+    rows = sp.csr_array(sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)]))
+    return _stating(
+        program.lower, program.upper, rows, _numbers(np.zeros(m)), limits, np.full(m, -1), np.zeros(m, dtype=np.int64),
+        _sum_of_products(np.where(P.row == P.col, 0.5, 1.0) * P.data, P.row, P.col), slopes,
+    )
+
+
+def _sum_of_products(factors: Any, first: Any, second: Any) -> Trees:
+    """Return Σ factor · (x_first · x_second) as a tree."""
+    k = factors.size
+    if not k:
+        return _numbers(np.zeros(1))
+    heads = [k] if k > 2 else [2] * (k - 1)  # AMPL's sum has three terms or more
+    kinds = [Token.OPERATOR, Token.NUMBER, Token.OPERATOR, Token.VARIABLE, Token.VARIABLE]
+    products = np.column_stack([np.full(k, TIMES), factors, np.full(k, TIMES), first, second])
+    return Trees(
+        np.array([Token.OPERATOR] * len(heads) + kinds * k, dtype=np.uint8),
+        np.append([SUM if k > 2 else PLUS] * len(heads), products),
+        np.array(heads + [2, 0, 2, 0, 0] * k, dtype=np.int64), np.array([0, len(heads) + 5 * k]),
+    )
+
+
+def _stating(
+    lower: Any, upper: Any, linear: Any, trees: Trees, limits: tuple[Any, Any], partners: Any, told: Any,
+    objective: Trees | None = None, objective_linear: Any = None,
+) -> NLContent:
+    """Return the content with these rows, and an objective to be minimised where there is one."""
+    n, m, nothing = lower.size, trees.size, np.zeros(0)
+    objectives = 0 if objective is None else 1
+    return NLContent(
+        lower=lower, upper=upper, row_lower=limits[0], row_upper=limits[1], partners=partners, partner_bounds=told,
+        linear=linear, trees=trees, is_maximized=np.zeros(objectives, dtype=bool),
+        objective_linear=sp.csr_array((0, n)) if objective is None else objective_linear,
+        objective_trees=objective or _numbers(nothing), defined_linear=sp.csr_array((0, n)),
+        defined_trees=_numbers(nothing), is_integer=np.zeros(n, dtype=bool), logical_rows=0, functions=(),
+        start=np.zeros(n), dual_start=np.zeros(m), has_start=np.zeros(n, dtype=bool), suffixes=[],
+    )
+
+
+def _numbers(values: Any) -> Trees:
+    """Return a tree a number."""
+    k = values.size
+    return Trees(np.full(k, Token.NUMBER, np.uint8), values, np.zeros(k, dtype=np.int64), np.arange(k + 1))
 
 
 class TextWriter:

@@ -6,6 +6,7 @@ Pyomo's newer solver interface, ``pyomo.contrib.solver``, stands over the same a
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ from pyomo.core.staleflag import StaleFlagManager
 
 from ... import __version__
 from ...core.checks import FloatVector
-from ...core.errors import UnsupportedModel
+from ...core.errors import ModelWarning, UnsupportedModel
 from ...core.settings import Settings, Status
 from ...modeling.expressions.program import Program
 from ..nl.answers import NLAnswer, NLModel, ProgramModel
@@ -115,8 +116,22 @@ class PyomoAnswer:
 
     def keep(self, path: Path, labels: bool) -> None:
         """Write the ``.nl`` file as it was solved, with names beside it where they are asked for."""
-        content = self.statement.content
+        content = self.statement.in_a_file
         write_nl(content if labels else replace(content, names=None, row_names=None), path)
+
+
+def content_of(model: Any) -> NLContent:
+    """Return what a file of a Pyomo model holds: the model as it is solved."""
+    with TemporaryDirectory() as folder:
+        statement = stated(model, Path(folder) / "model.nl")
+    if statement.beside:
+        names = [beside.name for beside in statement.beside]
+        others = ", …" if len(names) > SOME else ""
+        warnings.warn(
+            f"the file does not hold {', '.join(names[:SOME])}{others}, which no unknown gives way to; solve holds it "
+            "against the answer, another reader of the file cannot", ModelWarning, stacklevel=4,
+        )
+    return statement.in_a_file
 
 
 def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:

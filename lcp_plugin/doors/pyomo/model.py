@@ -87,6 +87,16 @@ class Statement:
     beside: list[Beside]
 
     @property
+    def in_a_file(self) -> NLContent:
+        """The content as other readers of ``.nl`` files take it: of a pair's variable all finite bounds are its own."""
+        content = self.content
+        if content.is_maximized.size:
+            return content
+        told = np.isfinite(content.lower) + 2 * np.isfinite(content.upper)
+        told = np.where(content.partners >= 0, told[content.partners], content.partner_bounds)
+        return replace(content, partner_bounds=told)
+
+    @property
     def is_nonlinear(self) -> bool:
         """True where a row has a nonlinear term."""
         return self.content.trees.kinds.size > self.content.trees.size
@@ -270,8 +280,9 @@ class _Draft:
             lower[:], upper[:] = np.transpose([_own_bounds(variable) for variable in variables])
         for i in np.flatnonzero(content.partners >= 0).tolist():
             j = content.partners[i]
-            lower[j] = content.lower[j] if partner_bounds[i] & 1 else -np.inf
-            upper[j] = content.upper[j] if partner_bounds[i] & 2 else np.inf
+            counts = 3 if not self.takes_inequalities else partner_bounds[i]
+            lower[j] = content.lower[j] if counts & 1 else -np.inf
+            upper[j] = content.upper[j] if counts & 2 else np.inf
         held_by = {id(pair): variable for variable, pair in self.partners.values()}
         for i, pair in enumerate(rows):
             variable = held_by.get(id(pair))
@@ -281,7 +292,8 @@ class _Draft:
             constants[i] = -row_lower[i]
             row_lower[i], row_upper[i], partners[i] = -np.inf, np.inf, j
             lower[j], upper[j] = self._within(variable, pair)
-            partner_bounds[i] = np.isfinite(lower[j]) + 2 * np.isfinite(upper[j])
+            is_told = lower[j] == pair.held.lower, upper[j] == pair.held.upper
+            partner_bounds[i] = (is_told[0] & np.isfinite(lower[j])) + 2 * (is_told[1] & np.isfinite(upper[j]))
         if not self.takes_inequalities:
             self._look_at_bounds(variables, set(partners.tolist()))
         return replace(
@@ -290,13 +302,11 @@ class _Draft:
         )
 
     def _within(self, variable: Any, pair: Pair) -> tuple[float, float]:
-        """Return the bounds of a pair within the variable's own: where these alone hold it, the pair is looked at."""
+        """Return the bounds of a pair within the variable's own, which count as if it stated them."""
         own_lower, own_upper = _own_bounds(variable)
         lower, upper = max(pair.held.lower, own_lower), min(pair.held.upper, own_upper)
-        if self.takes_inequalities or (lower, upper) == (pair.held.lower, pair.held.upper):
+        if self.takes_inequalities:  # all solutions are searched, and bounds are constraints
             return pair.held.lower, pair.held.upper
-        why = f"meets bounds that {variable.name} has of its own and the pair does not state"
-        self.beside.append(Beside(pair.stated.name, partial(_pair_excess, pair), why))
         if lower <= upper:
             return lower, upper
         self.look_at(variable.name, variable, own_lower, own_upper)

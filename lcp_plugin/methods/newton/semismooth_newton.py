@@ -12,11 +12,12 @@ import scipy.sparse as sp
 
 from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, in_driven_sweeps, without_warnings
 from ...core.checks import FloatVector
-from ...core.crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_UP_TO
+from ...core.crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_ROWS, DIRECT_UP_TO
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal
 from ...systems.factors import factorise
 from ...systems.graph import bandwidth
+from ...systems.symmetry import is_nearly_symmetric
 from ..small.small_dense import ROUNDS_ONLY, is_short, solve_fused, steps
 from .active_set import LARGE_PATIENCE, NewtonState, classify
 
@@ -338,8 +339,10 @@ def phi_jacobian(problem: LCP, phi: Linearised, shift: float, scale: FloatVector
 
 def direct_passes(problem: LCP) -> float:
     """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
-    if problem.is_dense or not has_positive_diagonal(problem.matrix).all():
+    if not has_positive_diagonal(problem.matrix).all() or (problem.is_dense and is_nearly_symmetric(problem.matrix)):
         return DIRECT_PASSES
+    if problem.is_dense:
+        return max(DIRECT_PASSES, DIRECT_ROWS * problem.n)
     if problem.n > DIRECT_UP_TO:
         return math.inf
     entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)

@@ -12,6 +12,7 @@ from ...core.settings import Status
 from ...core.solving.result import Result
 from ..programs.compiled_call import ACTIVE_SET
 from ..programs.criterion import PROGRAM_TOLERANCE, Errors, program_goal
+from ..programs.own_units import units_of_stacks
 from ..programs.program import QuadraticProgram
 from ..programs.qp_solution import QPSolution
 from ..programs.small_programs import MOST_STEPS, SmallAnswers, SmallPrograms, may_be_small
@@ -56,7 +57,9 @@ class ProgramBatchRun(BatchLoop):
         is_small, may_run = may_be_small(n, m + p, n * (n + m + p)), self.settings.max_iterations >= MOST_STEPS
         if self.algorithm != "auto" or not (may_run and is_small):
             return
-        small, answers = SmallPrograms(*self.programs.arrays), self.answers
+        P, c, C, d, is_equality, lower, upper = self.programs.arrays
+        objective, are_the_users = units_of_stacks(P, c, C, d, is_equality, lower, upper)
+        small, answers = SmallPrograms(P, c, C, d, is_equality, lower, upper, objective), self.answers
         tolerance, contradicts = min(self.settings.tolerance, PROGRAM_TOLERANCE), np.zeros(len(self.status), np.bool_)
 
         def solve_chunk(first: int, end: int) -> None:
@@ -66,7 +69,7 @@ class ProgramBatchRun(BatchLoop):
             self._in_chunks(solve_chunk, len(self.status))
         finally:
             is_optimal = Errors(*answers.measures[:, :5].T).meet(program_goal(self.settings.tolerance))
-            is_solved = answers.has_converged & is_optimal & self.programs.may_be_stated
+            is_solved = answers.has_converged & is_optimal & self.programs.may_be_stated & are_the_users
             self.is_open, self.status[is_solved] = ~is_solved, Status.SOLVED
             self.residual[is_solved] = answers.measures[is_solved, :4].max(axis=1)
             self.at_bounds[:] = np.maximum(answers.reduced, 0.0), np.maximum(-answers.reduced, 0.0)

@@ -16,7 +16,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import FloatVector, finite_vector, is_number, real_array, rectangular_matrix
-from ...core.errors import InvalidProblem, UnsuitableProblem
+from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...core.kinds import changes_by_name
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
@@ -26,6 +27,8 @@ from . import BLOCK, March
 
 if TYPE_CHECKING:
     from ..sensitivity import Derivative
+
+CHANGES = ("dM", "dforcing", "dcarry", "dz0", "dlower", "dupper", "only_last")
 
 
 class Sums(NamedTuple):
@@ -237,7 +240,7 @@ class MarchDerivative:
 
     def jvp(
         self, *, dM: Any = None, dforcing: ArrayLike | None = None, dcarry: Any = None, dz0: ArrayLike | None = None,
-        dlower: ArrayLike | None = None, dupper: ArrayLike | None = None, only_last: bool = False,
+        dlower: ArrayLike | None = None, dupper: ArrayLike | None = None, only_last: bool = False, **named: Any,
     ) -> FloatVector:
         """Return how the answers change with the data, dz; one-sided where rows are degenerate.
 
@@ -254,6 +257,8 @@ class MarchDerivative:
             The change of the bounds; only those that hold matter.
         only_last : bool
             Return that of the last answer alone.
+        **named
+            Of a problem that ``LCP.from_contacts`` made, dfriction, dmass or dW, which change M.
 
         Returns
         -------
@@ -266,6 +271,8 @@ class MarchDerivative:
             For another shape, or numbers that are not finite.
         UnsuitableProblem
             As that of a step's Derivative.
+        InvalidOption
+            For a name that this march does not know.
 
         Examples
         --------
@@ -276,8 +283,15 @@ class MarchDerivative:
                [0.15625, 0.09375]])
         """
         n, steps = self.march.problem.n, len(self)
+        more = changes_by_name(self.march.problem.origin, named, CHANGES)
+        if "dq" in more:
+            raise InvalidOption(
+                f"{' and '.join(named)} would change q, which a march takes from its forcing; write "
+                f"dforcing=problem.origin.changes({', '.join(f'{name}=…' for name in named)})[\"dq\"]"
+            )
         rows = np.atleast_2d(_rows(np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"))
         dM, dcarry = _matrix(dM, "dM", n), _matrix(dcarry, "dcarry", n)
+        dM = sp.csr_array(dM + more["dM"]) if "dM" in more else dM
         low, high = _vector(dlower, "dlower", n), _vector(dupper, "dupper", n)
         before, dz = _vector(dz0, "dz0", n, may_be_number=False).copy(), np.empty((1 if only_last else steps, n))
         for part in self._parts():

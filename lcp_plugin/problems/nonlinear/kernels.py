@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import uintp
 
 from ...core.kernels.compilation import compiled
+from ...core.kernels.compiler import uintp
 
 
 @compiled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -30,6 +31,7 @@ from .josephy_newton import JosephyNewton
 STEP = 2.0**-20
 OTHERS = 2.0**-30, 2.0**-40, 2.0**-10  # what is curved is not wrong on shorter ones, nor on a longer one what is rough
 WRONG = 1e-2  # of the terms of a row
+ELSEWHERE = "F or its derivative is not finite at the start given, projected onto them"
 UNSURE = 10.0  # times what differences of two lengths disagree by
 
 
@@ -55,7 +57,8 @@ def solve_nonlinear(
     ----------
     problem : NonlinearProblem
     x0 : array, shape (n,), or a number for n = 1
-        Where to begin, projected onto the bounds. F must be defined there; it is given an array in any case.
+        Where to begin, projected onto the bounds; where F or its derivative is not finite there, at the point of the
+        bounds nearest to 0, or else to 1, which ``explain()`` tells. F is given an array in any case.
     algorithm : str or Algorithm
         What solves the linear complementarity problem of each step.
     tolerance : float
@@ -93,7 +96,7 @@ def solve_nonlinear(
     Raises
     ------
     InvalidProblem
-        Where F or its derivative is not finite at the start, has another shape, or `jacobian` is clearly wrong.
+        Where F or its derivative is finite at no start, has another shape, or `jacobian` is clearly wrong.
     InvalidOption, UnknownAlgorithm
         For a wrong option.
 
@@ -128,6 +131,7 @@ def solve_nonlinear(
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with np.errstate(), threads_for(settings.threads):
         points = Linearisations(problem)
+        start, begun = begun_at(points, start)
         reference = Reference.of(problem, start)
         first = points.at(start)
         asked = settings.goal
@@ -137,9 +141,24 @@ def solve_nonlinear(
         try:
             if check_jacobian and problem.jacobian is not None:
                 require_true_jacobian(first)
-            return run.judged(start, run.drive(start, Choice(newton)))
+            return replace(run.judged(start, run.drive(start, Choice(newton))), begun=begun)
         except KeyboardInterrupt:
-            return run.judged(start, Status.INTERRUPTED)
+            return replace(run.judged(start, Status.INTERRUPTED), begun=begun)
+
+
+def begun_at(points: Linearisations, start: FloatVector) -> tuple[FloatVector, str]:
+    """Return where a run begins, and what is to be said of it: at the start, or nearest to 0 or 1 where F is defined.
+
+    Where F is defined nowhere there it is the start, whose refusal says so.
+    """
+    lower, upper = points.problem.lower, points.problem.upper
+    if points.at(start).is_defined:
+        return start, ""
+    for near in (0.0, 1.0):
+        point = read_only(np.clip(np.full(start.size, near), lower, upper))
+        if points.at(point).is_defined:
+            return point, f"begun at the point of the bounds nearest to {near:g}: {ELSEWHERE}"
+    return start, ""
 
 
 def _checked_start(problem: NonlinearProblem, x0: ArrayLike) -> FloatVector:

@@ -74,10 +74,11 @@ def certify(
     Notes
     -----
     Refuted is: x that is proved to violate a constraint by more than the tolerance; a feasible point with an objective
-    lower by more than tolerance (1 + |f|), or for ever; a lower bound above f(x) by as much; "infeasible" beside a
-    feasible point; "unbounded" beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas
-    vector and by a direction of descent, checked in rational arithmetic. A P that is positive semidefinite only to
-    rounding gives bounds where the constraints bound x. Constraints that contradict by less than the tolerance may be
+    lower by more than tolerance (1 + |f|), or for ever; a lower bound above f(x) by as much; x that is proved to be
+    farther than 10 · tolerance (1 + ‖x‖∞) from every optimal one; "infeasible" beside a feasible point; "unbounded"
+    beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a direction of
+    descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives bounds where the
+    constraints bound x. Constraints that contradict by less than the tolerance may be
     met to it: neither is such an x refuted nor "infeasible" proved.
 
     An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have

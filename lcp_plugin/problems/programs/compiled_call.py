@@ -98,7 +98,7 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnsw
     if substitution is not None:
         x, every = substitution.restored(x, every)
     solution = QPSolution.of_rows(program, x, every)
-    if reduced is program and part.x is None:
+    if reduced is program and part.x is None and program.units.are_the_users:
         solution.__dict__["_errors"] = Errors(*answers.measures[0, :5].tolist())
     if not solution.is_stationary(goal):
         return None
@@ -166,7 +166,9 @@ class _FreePart:
             P, C = np.ascontiguousarray(P[:, free][:, :, free]), np.ascontiguousarray(C[:, :, free])
         vectors = c[np.newaxis], d[np.newaxis], lower[np.newaxis], upper[np.newaxis]
         is_equality = matrices.is_equality[: m + p]
-        arrays = SmallPrograms(P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3])
+        arrays = SmallPrograms(
+            P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3], np.array([[program.units.objective, program.units.least]])
+        )
         return cls(program, arrays, x)
 
     def solved(self, tolerance: float) -> tuple[SmallAnswers, bool]:

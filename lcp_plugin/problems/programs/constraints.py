@@ -29,15 +29,19 @@ class Constraints:
     matrices : ProgramMatrices
     limit : ndarray
         d.
+    coefficient : ndarray
+        The largest one of each in the program's own units.
     """
 
     matrices: ProgramMatrices
     limit: FloatVector
+    coefficient: FloatVector
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> Constraints:
         """Return the constraints of a program."""
-        return cls(program.matrices, np.concatenate([program.h, program.b, -program.lower, program.upper]))
+        limit = np.concatenate([program.h, program.b, -program.lower, program.upper])
+        return cls(program.matrices, limit, program.units.coefficient)
 
     @property
     def matrix(self) -> sp.csr_array:
@@ -73,14 +77,13 @@ class Constraints:
     def unit(self) -> FloatVector:
         """What the residual of each row is relative to: sizes of its data, the same for every x.
 
-        The largest coefficient (1 where the row is empty) times 1 + the right-hand side ÷ that coefficient: the row's
-        own, so that no large number elsewhere excuses it. Where multipliers y contradict by c, every x violates some
-        row by (c / Σ|y_i| unit_i) · unit_i at least: "optimal" and "infeasible" exclude each other.
+        The largest coefficient in the program's own units plus the right-hand side: the row's own, so that no large
+        number elsewhere excuses it. Where multipliers y contradict by c, every x violates some row by
+        (c / Σ|y_i| unit_i) · unit_i at least: "optimal" and "infeasible" exclude each other.
         """
-        coefficient = self.matrices.row_sizes
+        right = np.abs(self.limit)
         with np.errstate(over="ignore"):
-            right = np.abs(self.limit / coefficient)
-            return np.asarray(coefficient * (1.0 + np.where(np.isfinite(right), right, 0.0)))
+            return np.asarray(self.coefficient + np.where(np.isfinite(right), right, 0.0))
 
     @cached_property
     def as_rows(self) -> LinearConstraints:
@@ -118,18 +121,13 @@ class Constraints:
 def dual_unit(program: QuadraticProgram) -> FloatVector:
     """Return what each component of a program's dual residual is relative to: sizes of its data.
 
-    The largest entry of each column of P, G and A (1 where there is none) times 1 + the largest |c_j| ÷ that; where
-    there is a P, the largest |b_i| ÷ coefficient of an equation, and of an inequality that x = 0 violates, if that is
-    larger. Along a direction d of descent some component of the dual residual is at least
-    (−cᵀd / Σ|d_j| dual_j) · dual_j, whatever x and the multipliers are.
+    In the program's own units, where the largest coefficient of a row is 1: the largest entry of each column of P, G
+    and A (1 where there is none) times 1 + the largest |c_j| ÷ that; where there is a P, the largest right-hand side
+    of an equation, and of an inequality that x = 0 violates, if that is larger. Along a direction d of descent some
+    component of the dual residual is at least (−cᵀd / Σ|d_j| dual_j) · dual_j, whatever x and the multipliers are.
     """
-    matrices, column = program.matrices, program.matrices.column_sizes
-    m, p = matrices.sizes[:2]
-    rows, equations = matrices.row_sizes[:m], matrices.row_sizes[m : m + p]
-    with np.errstate(over="ignore"):
-        violated, right = (-program.h / rows).max(initial=0.0), np.abs(program.b / equations).max(initial=0.0)
-        slope = float(np.abs(program.c / column).max(initial=0.0))
-        return np.asarray(column * (1.0 + (max(slope, right, violated) if matrices.entries[0] else slope)))
+    column, size = program.column_sizes, program.size_of_multipliers
+    return np.asarray(program.units.objective * (column * size) / program.units.unknown)
 
 
 def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
 SHARE = 0.1  # of a larger tolerance
+SURE = 1e-3  # of what is called optimal: no exact proof of unboundedness beats an answer whose gradient is within that
+STRICT = 1e3  # times a tolerance below 1e-9: what is asked of a program's own residuals
 OBJECTIVE = 1e-6  # what the duality gap may be at any smaller tolerance: rounding of large terms stays in it
 
 
@@ -36,6 +38,10 @@ class Errors(NamedTuple):
             is_small = is_small & (error <= goal)
         return is_small & (self.gap <= max(OBJECTIVE, goal))
 
+    def are_sure(self, goal: float) -> bool:
+        """Return whether they meet the goal, and no exact proof of unboundedness may beat them."""
+        return bool(self.meet(goal)) and max(self.dual, self.rows) <= SURE * goal
+
     @classmethod
     def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
         """Return the errors of x and of the multipliers of all constraints, in units of the program's data."""
@@ -45,7 +51,9 @@ class Errors(NamedTuple):
         errors = _measured(program, x, multipliers)
         if wrong <= 0.0:
             return errors
-        dual = _measured(program, x, signed).dual + wrong / (1.0 + np.abs(program.c).max(initial=0.0))
+        coefficient, unknown, objective, _, _ = program.units
+        excess = float(((signed - multipliers) * coefficient).max(initial=0.0))
+        dual = _measured(program, x, signed).dual + excess / (objective + np.abs(program.c * unknown).max(initial=0.0))
         return errors._replace(dual=float(dual))
 
 
@@ -56,7 +64,8 @@ def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVecto
     worst, columns = np.zeros(7), np.zeros((4, program.n))
     program_residuals(
         *matrices.rows_of_hessian, matrices.rows.indptr, matrices.rows.indices, matrices.rows.data, program.h.size,
-        program.c, rows.limit, rows.unit, program.dual_unit, x, multipliers, columns, worst,
+        program.c, rows.limit, rows.unit, rows.coefficient, program.dual_unit, np.array(program.units[2:4]), x,
+        multipliers, columns, worst,
     )
     return Errors(*worst[: len(Errors._fields)].tolist())
 
@@ -66,10 +75,10 @@ def program_goal(tolerance: float) -> float:
 
     Examples
     --------
-    >>> program_goal(1e-8), program_goal(1e-4)
-    (1e-06, 0.001)
+    >>> program_goal(1e-8), program_goal(1e-4), program_goal(1e-12)
+    (1e-06, 0.001, 1e-09)
     """
-    return max(PROGRAM_TOLERANCE, 10.0 * tolerance)
+    return max(min(PROGRAM_TOLERANCE, STRICT * tolerance), 10.0 * tolerance)
 
 
 def constraint_tolerance(tolerance: float) -> float:

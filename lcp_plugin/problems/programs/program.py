@@ -27,9 +27,11 @@ from ...core.matrix.matrix import largest_in_rows
 from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
-from .program_matrices import ProgramMatrices, as_csr
+from .own_units import OwnUnits
+from .program_matrices import ProgramMatrices, as_csr, or_one
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .rescaled import Rescaled
 
 SYMMETRIC_TO = 1e-12
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # the convention of file formats, which may hold 9.999999999999999e19
@@ -192,7 +194,8 @@ class QuadraticProgram:
         It holds for the stored doubles, by however little: `margin` says by how much, `refutation` whether it counts.
         """
         if "_proof" not in self.__dict__:
-            found = proof_of_no_minimum(self)
+            own = self.rescaled
+            found = proof_of_no_minimum(self) if own is None else own.proof(own.program.proof_of_no_minimum)
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
@@ -204,7 +207,12 @@ class QuadraticProgram:
         return self.__dict__.get("_proof")
 
     def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
-        """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none."""
+        """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none.
+
+        A proof of unboundedness that verifies exactly is stronger than an answer within a tolerance: it counts where it
+        excludes all answers within a thousandth of it. Constraints that contradict by less than the tolerance are
+        those of rounded data: they count as consistent.
+        """
         proof = self.proof_of_no_minimum
         return proof if proof is not None and proof.excludes(tolerance) else None
 
@@ -212,6 +220,16 @@ class QuadraticProgram:
     def constraints(self) -> Constraints:
         """All constraints as rows of one matrix, with the units in which they are judged."""
         return Constraints.of(self)
+
+    @cached_property
+    def units(self) -> OwnUnits:
+        """What rows, unknowns and the objective are measured in."""
+        return OwnUnits.of(self)
+
+    @cached_property
+    def rescaled(self) -> Rescaled | None:
+        """The same in its own units, where its numbers are far from 1."""
+        return Rescaled.of(self)
 
     @cached_property
     def dual_unit(self) -> FloatVector:
@@ -222,12 +240,34 @@ class QuadraticProgram:
     def primal_size(self) -> float:
         """1 + the largest limit ÷ the largest coefficient of its row: a size of x that the data name."""
         rows = self.constraints
-        return float((rows.unit / self.matrices.row_sizes).max(initial=1.0))
+        return float((rows.unit / rows.coefficient).max(initial=1.0) * self.units.unknown.max(initial=0.0))
 
     @property
     def dual_size(self) -> float:
         """The same of multipliers, and of x where there is a P."""
-        return float((self.dual_unit / self.matrices.column_sizes).max(initial=1.0))
+        of_x = float(self.units.unknown.max(initial=0.0)) if self.matrices.entries[0] else 0.0
+        return self.size_of_multipliers * max(self.units.objective, of_x)
+
+    @cached_property
+    def column_sizes(self) -> FloatVector:
+        """The largest |entry| of each column of P, G and A in the program's own units, 1 where there is none."""
+        matrices, (coefficient, unknown, objective, _, are_the_users) = self.matrices, self.units
+        if are_the_users:
+            return or_one(np.maximum(largest_in_rows(self.P) / objective, matrices.columns_of_rows))
+        of_rows = matrices.columns_beside(coefficient, unknown)
+        P = as_csr(self.P)
+        of_P = largest_in_rows(P, np.abs(P.data) * unknown[P.indices])
+        return or_one(np.maximum(of_P * unknown / objective, of_rows))
+
+    @cached_property
+    def size_of_multipliers(self) -> float:
+        """1 + the largest |c_j| ÷ the size of its column, or right-hand side that acts on x, in its own units."""
+        (m, p, _, _), (coefficient, unknown, objective, _, _) = self.matrices.sizes, self.units
+        with np.errstate(over="ignore"):
+            slope = float(np.abs(self.c * unknown / objective / self.column_sizes).max(initial=0.0))
+            violated = (-self.h / coefficient[:m]).max(initial=0.0)
+            right = np.abs(self.b / coefficient[m : m + p]).max(initial=0.0)
+            return 1.0 + float(max(slope, right, violated) if self.matrices.entries[0] else slope)
 
     def with_vectors(
         self, c: ArrayLike | None = None, h: ArrayLike | None = None, b: ArrayLike | None = None,

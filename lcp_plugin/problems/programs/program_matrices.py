@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, read_only
 from ...core.communicator import ALONE
 from ...core.matrix.matrix import Matrix, largest_in_rows
+from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
 
 Indices = NDArray[np.intp]
@@ -98,11 +99,27 @@ class ProgramMatrices:
         return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
 
     @cached_property
-    def column_sizes(self) -> FloatVector:
-        """The largest |entry| of each column of P, G and A, 1 where there is none."""
-        largest = largest_in_rows(self.P)
-        np.maximum.at(largest, self.rows.indices, np.abs(self.rows.data))
-        return or_one(largest)
+    def exponents(self) -> tuple[FloatVector, FloatVector, float]:
+        """The mean log2 |entry| of each row of [G; A] and of P, NaN of an empty one; how far columns are from these."""
+        sums, counts, means = np.zeros(self.P.shape[0]), np.zeros(self.P.shape[0]), list[FloatVector]()
+        for part in (self.rows, as_csr(self.P)):
+            rows, sizes = row_numbers(part), np.frexp(part.data)[1] - 1.0
+            with np.errstate(invalid="ignore"):
+                means.append(np.bincount(rows, sizes, part.shape[0]) / np.diff(part.indptr))
+            sums += np.bincount(part.indices, sizes - means[-1][rows], sums.size)
+            counts += np.bincount(part.indices, minlength=sums.size)
+        return *means, float(np.abs(sums / np.maximum(counts, 1.0)).max(initial=0.0))
+
+    @cached_property
+    def columns_of_rows(self) -> FloatVector:
+        """The largest |entry| of each column of [G; A], each row divided by its own; 0 where there is none."""
+        return self.columns_beside(self.row_sizes, np.ones(self.P.shape[0]))
+
+    def columns_beside(self, coefficients: FloatVector, units: FloatVector) -> FloatVector:
+        """Return the largest |entry| of each column of [G; A] in these units of rows and of columns."""
+        rows, largest = self.rows, np.zeros(self.P.shape[0])
+        np.maximum.at(largest, rows.indices, np.abs(rows.data) / coefficients[row_numbers(rows)])
+        return largest * units
 
     @cached_property
     def entries(self) -> tuple[int, int]:

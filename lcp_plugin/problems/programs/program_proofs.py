@@ -262,12 +262,16 @@ class Proved:
         self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
     ) -> Certification:
         """Return the verdict and its numbers; distances in some of the columns."""
-        near, far = distances(proofs, x, self.points, self.lower, columns)
+        near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
         refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
+        refuted = refuted or self._error_of_x(x, far_in_columns, "x")
         verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
         reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
-        if verdict == "proved" and (complaint := self._error_of_x(x, far) or complaint):
-            verdict, reason = "unproved", f"{complaint}, though the objective is proved to be optimal"
+        complaint = self._error_of_x(x, far, "x, with the variables that cvxpy added,") or complaint
+        if verdict == "proved" and complaint:
+            verdict, reason = "unproved", complaint
+        if is_proved and verdict != "proved":
+            reason += ", though the objective is proved to be optimal"
         return Certification(
             verdict, "optimal", self.violation[1], _if_finite(self.lower), _if_finite(self.upper),
             _if_finite(self.gap), _if_finite(near), reason,
@@ -279,14 +283,15 @@ class Proved:
         is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
         return f"the program is {proof}" if is_endless else ""
 
-    def _error_of_x(self, x: FloatVector, far: float) -> str:
-        """Return what proves that x is not optimal although its value is, or nothing."""
+    def _error_of_x(self, x: FloatVector, far: float, what: str) -> str:
+        """Return what proves that x is not optimal although its value may be, or nothing."""
         is_far = far > LOOSE * self.tolerance * (1.0 + float(np.abs(x).max(initial=0.0)))
-        return f"x is proved to be at least {far:.3g} from every optimal one" if is_far else ""
+        return f"{what} is proved to be at least {far:.3g} from every optimal one" if is_far else ""
 
     def _reason(self, evidence: str, is_proved: bool) -> str:
         if is_proved:
-            return f"{evidence}; weak duality"
+            return (f"no feasible x has an objective lower than this one's by more than {self.gap:.2g}, which the "
+                    f"multipliers prove by weak duality: {evidence}")
         if not math.isfinite(self.lower):
             return f"{NOTHING}: {evidence}, and no multipliers give a finite bound"
         if self.violation[1] > self.tolerance:
@@ -297,10 +302,10 @@ class Proved:
 @np.errstate(all="ignore")  # what overflows bounds nothing
 def distances(
     proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Return bounds, from above and from below, of ‖x − x*‖₂ for every optimal x*; ∞ where that is not the only one.
 
-    The bound from above is that of some columns.
+    The bound from above is that of some columns, and a third one bounds these from below.
 
     Notes
     -----
@@ -309,9 +314,9 @@ def distances(
 
         ‖Q u‖‖e‖ ≥ uᵀQ e = uᵀQ u + uᵀQ (y − x*) ≥ uᵀQ u − √(uᵀQ u · g).
     """
-    curvature, near, far = proofs.bounds.curvature, math.inf, 0.0
+    curvature, near, far, far_in_columns = proofs.bounds.curvature, math.inf, 0.0, 0.0
     if lower == -math.inf or not curvature.is_semidefinite:
-        return near, far
+        return near, far, far_in_columns
     least = float(curvature.weights[columns].min(initial=math.inf))
     for point in points:
         u, gap = x - point.near, 2.0 * max(float(sum_above(point.value, -lower)), 0.0)
@@ -321,8 +326,10 @@ def distances(
             blur += math.sqrt(float(quotient_above(gap, least))) * OUTWARD
             length = float(norm_above(np.abs(u[columns])))
             near = min(near, (length + blur) * OUTWARD)
-            far = max(far, length / OUTWARD**2 - blur * OUTWARD)
-    return near, far
+            far_in_columns = max(far_in_columns, length / OUTWARD**2 - blur * OUTWARD)
+    is_all = np.unique(np.arange(x.size)[columns]).size == x.size
+    far = max(far, far_in_columns)
+    return near, far, far if is_all else far_in_columns
 
 
 def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:

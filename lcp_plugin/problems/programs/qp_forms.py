@@ -12,7 +12,6 @@ import scipy.sparse as sp
 from ...core.checks import DENSE_UP_TO_SIZE, BoolVector, FloatVector, checked_answer
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.settings import Status
 from ...proofs.no_solution.farkas import linear_program
 from ...systems.definiteness import is_diagonal
 from ...systems.factors import factor_fits
@@ -99,7 +98,10 @@ class QPOrigin:
 
     def is_answered(self, z: FloatVector, tolerance: float) -> bool:
         """Return whether the program's own criteria hold at what z stands for, where a run has this tolerance."""
-        return bool(np.isfinite(z).all()) and self.recover(z).is_stationary(program_goal(tolerance))
+        goal = program_goal(tolerance)
+        if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
+            return False
+        return solution.is_sure(goal) or self.program.refutation(goal) is None
 
     def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers y, or of smaller ones that are as good."""
@@ -149,9 +151,9 @@ class QPOrigin:
         self._proofs[:] = [proof]
 
     @property
-    def words_of_end(self) -> dict[Status, str]:
-        """What a run says of its end where a proof has ended it."""
-        return {Status.INTERRUPTED: f"ended by the proof that the program is {self._proofs[0]}"} if self._proofs else {}
+    def ended_by(self) -> QPInfeasibility | QPUnboundedness | None:
+        """The proof that has ended a run, if one has."""
+        return self._proofs[0] if self._proofs else None
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""
@@ -300,8 +302,9 @@ def _is_better_left(
     """
     size, bound = np.abs(reduced_cost), np.where(reduced_cost > 0.0, program.lower, program.upper)
     with np.errstate(invalid="ignore", over="ignore"):  # an infinite bound has no multiplier anyway
-        as_multiplier = size * np.abs(x - bound) / (1.0 + size * np.maximum(np.abs(x), np.abs(bound)))
-        as_residual = size / np.minimum(1.0 + terms, program.dual_unit)
+        unknown, objective = program.units.unknown, program.units.objective
+        as_multiplier = size * np.abs(x - bound) / (objective + size * np.maximum(np.abs(x), np.abs(bound)))
+        as_residual = size / np.minimum(objective / unknown + terms, program.dual_unit)
         return (program.lower < x) & (x < program.upper) & (as_residual < as_multiplier)
 
 
@@ -357,8 +360,8 @@ def least_multipliers(
     unit = program.constraints.unit[:count]
     with np.errstate(invalid="ignore"):
         active = is_equality | (limits - rows @ x <= ACTIVE * unit)
-        at_lower = x - program.lower <= ACTIVE * (1.0 + np.abs(x))
-        at_upper = program.upper - x <= ACTIVE * (1.0 + np.abs(x))
+        at_lower = x - program.lower <= ACTIVE * (program.units.unknown + np.abs(x))
+        at_upper = program.upper - x <= ACTIVE * (program.units.unknown + np.abs(x))
     listed, found = np.flatnonzero(active), np.zeros(count)
     columns = sp.csc_array(as_csr(rows)[listed].T)
     if columns.nnz > LARGEST_DENSE:

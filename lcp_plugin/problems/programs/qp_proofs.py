@@ -12,10 +12,11 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
+from ...core.settings import Status
 from ...proofs.exact.rational import ZERO, Vector, products, rounded_down
 from ...proofs.no_solution.linear_constraints import Contradiction, within
 from .constraints import Constraints, stationarity
-from .criterion import constraint_tolerance
+from .criterion import SURE, constraint_tolerance
 from .program_matrices import as_csr
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ class QPInfeasibility:
 
     program: QuadraticProgram = field(repr=False)
     verdict: ClassVar[str] = "infeasible"
+    status: ClassVar[Status] = Status.INFEASIBLE
     multipliers: tuple[Fraction, ...]
 
     def verify(self) -> bool:
@@ -107,6 +109,7 @@ class QPUnboundedness:
 
     program: QuadraticProgram = field(repr=False)
     verdict: ClassVar[str] = "unbounded"
+    status: ClassVar[Status] = Status.UNBOUNDED
     point: tuple[Fraction, ...]
     direction: tuple[Fraction, ...]
 
@@ -163,29 +166,32 @@ class QPUnboundedness:
     def row_margin(self) -> float:
         """A lower bound of the row residual of every x and multipliers; 0 where terms along the direction may cancel.
 
-        What is left of component j of the gradient is at most s (1 + its largest term), no multiplier y_k is below −s.
-        With T_k = Σ_j |c_kj d_j| of constraint k, which loses at least T_k/κ along the direction d, and P d = 0 without
-        terms, |cᵀd| ≤ s (Σ_j |d_j| (1 + |c_j|) + 2 Σ_k T_k) where s ≤ 1/κ: a component of a small unit needs no other.
+        In units u of unknowns and a of rows, f the smallest cost, what is left of component j of the gradient is at most
+        s (f/u_j + its largest term), no multiplier y_k is below −s f/a_k. With T_k = Σ_j |c_kj d_j| of constraint k,
+        which loses at least T_k/κ along the direction d, and P d = 0 without terms, |cᵀd| ≤
+        s (Σ_j |d_j| (f/u_j + |c_j|) + 2 f Σ_k T_k/a_k) where s ≤ 1/κ: a component of a small unit needs no other.
         """
         found, rows = self._found, self.program.constraints
         if not self.is_exact or found.left or as_csr(self.program.P)[list(found.y)].count_nonzero():
             return 0.0
-        size = sum((abs(d) * (1 + abs(Fraction(float(self.program.c[j])))) for j, d in found.y.items()), ZERO)
-        least = Fraction(1)
-        for row, limit, is_equality in zip(rows.exactly, rows.limit.tolist(), rows.is_equality.tolist(), strict=True):
+        costs, (coefficients, unknown, _, least_cost, _) = np.abs(self.program.c).tolist(), self.program.units
+        of_gradient = (least_cost / unknown).tolist()
+        size = sum((abs(d) * (Fraction(of_gradient[j]) + Fraction(costs[j])) for j, d in found.y.items()), ZERO)
+        least, data = Fraction(1), (rows.limit.tolist(), rows.is_equality.tolist(), (least_cost / coefficients).tolist())
+        for row, limit, is_equality, of_multiplier in zip(rows.exactly, *data, strict=True):
             terms = [value * found.y[j] for j, value in row.items() if j in found.y]
             if not terms:
                 continue
             total = sum(map(abs, terms), ZERO)
             if is_equality or limit < np.inf:
                 least = ZERO if is_equality else min(least, abs(sum(terms, ZERO)) / total)
-            size += 2 * total
+            size += 2 * total * Fraction(of_multiplier)
         return rounded_down(min(found.plain / size, least))
 
     def excludes(self, tolerance: float) -> bool:
-        """Return whether no x at all is optimal at this tolerance."""
-        is_wide = self.margin > tolerance or self.row_margin > tolerance
-        return is_wide and self.violation <= constraint_tolerance(tolerance)
+        """Return whether no x at all is optimal at this tolerance; where it is exact, at a thousandth of it."""
+        least = (SURE if self.is_exact else 1.0) * tolerance
+        return max(self.margin, self.row_margin) > least and self.violation <= constraint_tolerance(tolerance)
 
     @cached_property
     def _is_rounding(self) -> bool:

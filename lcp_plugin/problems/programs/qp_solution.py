@@ -172,6 +172,10 @@ class QPSolution:
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
         return bool(self._errors.meet(float(tolerance)))
 
+    def is_sure(self, tolerance: float = 1e-6) -> bool:
+        """Return whether x is stationary, the gradient to a thousandth of the tolerance: no proof is looked for."""
+        return self._errors.are_sure(tolerance)
+
     @property
     def duality_gap(self) -> float:
         """By how much the errors of all conditions together may change the objective, beside 1 + its size.
@@ -188,8 +192,11 @@ class QPSolution:
 
     @cached_property
     def proof(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that no x is optimal (to 1e-6): looked for, by linear programs, where x is not stationary."""
-        return None if self.is_stationary() else self.program.refutation()
+        """A proof that no x is optimal (to 1e-6): looked for, by linear programs, where x is not surely stationary.
+
+        Where it verifies exactly, it is stronger than an x within the tolerance.
+        """
+        return None if self.is_sure() else self.program.refutation()
 
     @property
     def status(self) -> str:
@@ -197,9 +204,11 @@ class QPSolution:
 
         "stationary" instead of "optimal" where P is not shown to be positive semidefinite.
         """
-        if self.is_stationary():
-            return "optimal" if self.is_optimal() else "stationary"
-        return "unknown" if self.proof is None else self.proof.verdict
+        if self.proof is not None:
+            return self.proof.verdict
+        if not self.is_stationary():
+            return "unknown"
+        return "optimal" if self.is_optimal() else "stationary"
 
     def __str__(self) -> str:
         lines = [f"{'objective':<16} {self.objective:.9g}"]

@@ -25,6 +25,8 @@ class SmallPrograms(NamedTuple):
     d : ndarray, shape (count, m)
         ∞ where a row says nothing.
     is_equality : ndarray of bool, shape (m,)
+    objective : ndarray, shape (count, 2)
+        The size of each objective, and its smallest cost.
     """
 
     P: FloatVector
@@ -34,6 +36,7 @@ class SmallPrograms(NamedTuple):
     is_equality: BoolVector
     lower: FloatVector
     upper: FloatVector
+    objective: FloatVector
 
     def solve(self, tolerance: float, first: int, end: int, answers: SmallAnswers, contradicts: BoolVector) -> None:
         """Write the answers to programs first ≤ k < end, as far as all measures come below the tolerance.

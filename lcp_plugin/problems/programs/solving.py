@@ -20,17 +20,20 @@ from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result, Sample, StageRecord
+from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
-from .compiled_call import ACTIVE_SET, CompiledAnswer, settled_at_once
+from .compiled_call import ACTIVE_SET, CompiledAnswer, ProgramResult, settled_at_once
 from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .interior_call import InteriorAnswer, solved_again, solved_by_interior_points
 from .program import QuadraticProgram
-from .qp_forms import QPOrigin
-from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .qp_forms import KKTForm, QPOrigin
+from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from .qp_solution import QPSolution
+from .reductions import fold_simple_rows
+from .rescaled import Rescaled
 from .small_programs import MOST_STEPS
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
@@ -77,6 +80,8 @@ class QuadraticProgramResult(Answer):
         Of the whole run, seconds in wall-clock time.
     proof : QPInfeasibility or QPUnboundedness or None
         Of INFEASIBLE or UNBOUNDED.
+    begun : str
+        As of :class:`lcp_plugin.Result`.
     """
 
     status: Status
@@ -87,6 +92,7 @@ class QuadraticProgramResult(Answer):
     seconds: float
     _lcp_result: Result | Callable[[], Result]
     proof: QPInfeasibility | QPUnboundedness | None = None
+    begun: str = ""
 
     __setstate__ = restored
 
@@ -194,26 +200,32 @@ def judged_program(
             options["guess"] = checked_vector(start, "z0", None)
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
-    guess = options.pop("guess", None)
     options = {name: wish for name, wish in options.items() if wish is not None}
+    if program.rescaled is not None and "callback" not in options:  # which is shown the problem as it is stated
+        return _in_own_units(program.rescaled, algorithm, tolerance, options)
+    guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes = program_goal(tolerance), options.get("refute", True)
     found = _at_once(program, tolerance, guess, options) if is_one_call else None
+    by = found.name if isinstance(found, (CompiledAnswer, InteriorAnswer)) else _finder(found)
+    if isinstance(found, (CompiledAnswer, InteriorAnswer)) and refutes and not found.solution.is_sure(goal):
+        found = program.refutation(goal) or found
     if isinstance(found, (CompiledAnswer, InteriorAnswer)):
         return QuadraticProgramResult(
             Status.SOLVED, found.solution, goal, f"auto: {found.name}", found.steps, found.seconds,
             partial(found.result, tolerance) if isinstance(found, CompiledAnswer) else found.result(tolerance),
         )
-    if isinstance(found, QPInfeasibility):
-        return _refuted(program, found, tolerance, clock.read())
+    if found is not None:
+        return _refuted(program, found, by, tolerance, clock.read())
     # What is asked between the stages of a run, and after it, knows of the limit by this.
     with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
         result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
     is_optimal = solution.is_stationary(goal)
-    if proof is None and refutes and not ended_by_caller(result, options) and not is_optimal:
+    if proof is None and refutes and not ended_by_caller(result, options) and not solution.is_sure(goal):
         proof = program.refutation(goal)
-    proof = None if is_optimal else proof
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
+    if options.get("verbose") and status is not result.status:
+        say(f"{status.name}: {ADVICE.get(status, status.value) if proof is None else proof}")
     if proof is not None:
         result = replace(result, status=status, infeasibility=proof)
         solution = QPSolution.without_multipliers(program, solution.x)
@@ -222,28 +234,59 @@ def judged_program(
     )
 
 
-def _refuted(
-    program: QuadraticProgram, proof: QPInfeasibility, tolerance: float, seconds: float
+def _in_own_units(
+    own: Rescaled, algorithm: Any, tolerance: float, options: dict[str, Any]
 ) -> QuadraticProgramResult:
-    """Return the result of a program that the compiled call has found to be infeasible."""
-    solution = QPSolution.without_multipliers(program, np.clip(0.0, program.lower, program.upper))
+    """Return the answer to a program that is solved in its own units, in those in which it was given."""
+    left = fold_simple_rows(own.given).left
+    if (guess := options.pop("guess", None)) is not None and guess.size == own.given.n + left.size:
+        options["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])
+    found = judged_program(own.program, algorithm, tolerance=tolerance, **options)
+    solution, proof = own.solution(found.solution), own.proof(found.proof)
+    if proof is not None:
+        own.given.__dict__["_proof"] = proof
+    return replace(found, solution=solution, proof=proof, _lcp_result=partial(_as_given, own.given, found, solution))
+
+
+def _as_given(program: QuadraticProgram, found: QuadraticProgramResult, solution: QPSolution) -> Result:
+    """Return the run as one on the KKT form of the program as it was given."""
+    run, rows = found.lcp_result, fold_simple_rows(program)
+    z = np.append(solution.x, np.nan_to_num(solution.multipliers[rows.left]))
+    stage = StageRecord(found.algorithm, "in the program's own units", run.iterations, run.work)
+    made = ProgramResult.of(KKTForm(rows), z, stage, run.seconds, run.tolerance, run.algorithm)
+    made.__dict__.update(
+        status=run.status, infeasibility=found.proof, stages=run.stages, history=run.history,
+        setup_seconds=run.setup_seconds, algorithm=run.algorithm, _advice=run._advice,
+    )
+    return made
+
+
+def _finder(proof: QPInfeasibility | QPUnboundedness | None) -> str:
+    return InteriorPoint.name if isinstance(proof, QPUnboundedness) else ACTIVE_SET
+
+
+def _refuted(
+    program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, by: str, tolerance: float, seconds: float
+) -> QuadraticProgramResult:
+    """Return the result of a program that has no minimum, as was found without a run."""
+    x = np.clip(numbers(proof.point) if isinstance(proof, QPUnboundedness) else 0.0, program.lower, program.upper)
     return QuadraticProgramResult(
-        Status.INFEASIBLE, solution, program_goal(tolerance), f"auto: {ACTIVE_SET}", 0, seconds,
+        proof.status, QPSolution.without_multipliers(program, x), program_goal(tolerance), f"auto: {by}", 0, seconds,
         partial(_refuted_run, program, proof, tolerance), proof,
     )
 
 
-def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility, tolerance: float) -> Result:
+def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, tolerance: float) -> Result:
     """Return the run on the complementarity problem of a program that this proof refutes."""
     result = _by_forms(program, "auto", tolerance, None, {})[0]
-    return replace(result, status=Status.INFEASIBLE, infeasibility=proof)
+    return replace(result, status=proof.status, infeasibility=proof)
 
 
 def _status(
     result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
 ) -> Status:
     if proof is not None:
-        return Status.UNBOUNDED if isinstance(proof, QPUnboundedness) else Status.INFEASIBLE
+        return proof.status
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
         return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
     if result.status is Status.STALLED or result.is_refuted:  # in the run's units, not the program's

@@ -16,6 +16,7 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, NamedTuple, overload
 
@@ -25,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ...core.kinds import refusal
+from ...core.kinds import changes_by_name, refusal
 from ...core.lcp import LCP
 from ...core.matrix.symmetry import has_symmetric_entries
 from ...core.solving.result import Result
@@ -36,9 +37,10 @@ from ...proofs.bounds.solution_bounds import block_error_bound
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
 from ..batches.batch_run import BatchResult
+from ..contact import ContactGradient, Contacts
 from ..march import March
 from ..march.march_derivative import MarchDerivative
-from .batch_derivative import BatchDerivative
+from .batch_derivative import CHANGES, BatchDerivative
 from .free_solutions import one_sided, solution, words_on_singular
 
 
@@ -74,6 +76,7 @@ def derivative(result: Result | BatchResult | March) -> Derivative | BatchDeriva
     result : Result or BatchResult or March
         SOLVED, of an LCP; or of a NonlinearProblem, where dq is a change of F. What its run has built (the hierarchy
         of M) serves again, and M is read where it lies: do not change its entries between the solve and this.
+        That of ``LCP.from_contacts`` knows changes of friction, velocities, gaps and mass by these names.
 
     Returns
     -------
@@ -232,7 +235,7 @@ class Derivative:
 
     def jvp(
         self, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
-        dupper: ArrayLike | None = None,
+        dupper: ArrayLike | None = None, **named: Any,
     ) -> FloatVector:
         """Return how z changes with the data, dz; one-sided where rows are degenerate.
 
@@ -243,6 +246,10 @@ class Derivative:
         dq : array, shape (n,), optional
         dlower, dupper : number or array, shape (n,), optional
             The change of the bounds; only those that hold matter.
+        **named
+            Changes of what the problem was made from: of ``LCP.from_contacts`` dfriction, dvelocities, dgaps, dmass
+            and dW, see :meth:`lcp_plugin.problems.contact.Contacts.changes`. ``problem.origin.recover(dz)`` has the
+            changes of the impulses.
 
         Returns
         -------
@@ -253,6 +260,8 @@ class Derivative:
         ------
         InvalidProblem
             For another shape, or numbers that are not finite.
+        InvalidOption
+            For a name that this problem does not know.
         UnsuitableProblem
             Where no z solves the free rows after the change, or more than 500 of them are singular, or no one-sided
             derivative exists.
@@ -264,7 +273,7 @@ class Derivative:
         >>> kink.is_unique, kink.degenerate, kink.jvp(dq=[-1.0]), kink.jvp(dq=[1.0])
         (False, array([0]), array([0.5]), array([0.]))
         """
-        h, moved = self._change(dM, dq), self._moved(dlower, dupper)
+        h, moved = self._change(*self._with_named(dM, dq, named)), self._moved(dlower, dupper)
         rows, matrix = self._rows, self.problem.matrix
         if self._is_degenerate:
             return one_sided(self.problem, rows, h, moved)
@@ -274,7 +283,7 @@ class Derivative:
 
     def jvp_bound(
         self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
-        dupper: ArrayLike | None = None,
+        dupper: ArrayLike | None = None, **named: Any,
     ) -> float:
         """Return a bound of ‖dz − dz*‖∞/‖dz‖∞, dz* the derivative in exact arithmetic at the exact solution.
 
@@ -284,7 +293,7 @@ class Derivative:
         ----------
         dz : array, shape (n,)
             Any, such as what `jvp` returns for the same changes.
-        dM, dq, dlower, dupper
+        dM, dq, dlower, dupper, **named
             As for `jvp`.
 
         Raises
@@ -309,19 +318,22 @@ class Derivative:
                 "be an H₊-matrix or have a positive definite symmetric part, and no row be near degenerate"
             )
         free = self._rows.free
+        dM, dq = self._with_named(dM, dq, named)
         dz, moved, b = self._own_part(dz, "dz"), self._moved(dlower, dupper), self._optional(dq, "dq")
         y = block_error_bound(self._system, np.where(free, dz, moved), b, self._matrix_change(dM), bound.near)
         error = np.where(free, y, distance_above(moved, np.zeros(dz.size), dz))
         sizes = float(error.max(initial=0.0)), float(np.abs(dz).max(initial=0.0))
         return relative_to(*self.problem.communicator.all_largest(*sizes))
 
-    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
+    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, **named: Any) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
         product: FloatVector = self.problem.matrix.rows @ self.problem.matrix.whole(self._own_part(dz, "dz"))
-        return product + self._change(dM, dq)
+        return product + self._change(*self._with_named(dM, dq, named))
 
-    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
+    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient | ContactGradient:
         """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
+
+        Of a problem that ``LCP.from_contacts`` made, there are those by friction, velocities, gaps and mass, too.
 
         Where rows are degenerate, this is the gradient of one of the pieces that meet there (an element of the
         B-subdifferential): that on which the rows in `free` are free.
@@ -350,10 +362,22 @@ class Derivative:
             g = g + self._transposed_product(by_w)
         multiplier = by_w - solution(self._system, g, transposed=True)
         by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
-        return Gradient(
+        gradient = Gradient(
             multiplier, np.where(rows.is_upper, 0.0, by_bound), np.where(rows.is_upper, by_bound, 0.0),
             outer_on_pattern(problem.matrix, multiplier, self.z),
         )
+        return problem.origin.gradient(gradient, self.z) if isinstance(problem.origin, Contacts) else gradient
+
+    def _with_named(
+        self, dM: Any, dq: ArrayLike | None, named: Mapping[str, Any]
+    ) -> tuple[Any, ArrayLike | None]:
+        """Return dM and dq with what changes of the data that the problem was made from add to them."""
+        if not named:
+            return dM, dq
+        more = changes_by_name(self.problem.origin, named, CHANGES)
+        if "dM" in more:
+            dM = more["dM"] if dM is None else self._matrix_change(dM) + more["dM"]
+        return dM, self._optional(dq, "dq") + more["dq"] if "dq" in more else dq
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
         """Return dM z + dq."""

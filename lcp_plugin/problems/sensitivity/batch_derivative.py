@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
+from ...core.kinds import changes_by_name
 from ...core.matrix.units import are_in_one_unit
 from ...core.settings import Status
 from ...core.solving.result import Result
@@ -23,6 +24,9 @@ from ..many.data import rows_of_a_batch
 
 if TYPE_CHECKING:
     from . import Derivative
+
+CHANGES = ("dM", "dq", "dlower", "dupper")
+OF_ARRAYS = "; of contacts as arrays write jvp(**data.changes(dfriction=…)), data that of contact_data"
 
 
 class BatchPart:
@@ -188,7 +192,9 @@ class BatchDerivative:
             table[k] = answer
         return table
 
-    def jvp(self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None) -> Any:
+    def jvp(
+        self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None, **named: Any
+    ) -> Any:
         """Return how each z changes with its data, dz; one-sided where rows are degenerate.
 
         Parameters
@@ -198,6 +204,9 @@ class BatchDerivative:
         dq : array, shape (B, n) or (n,), or a list, optional
         dlower, dupper : number or array, shape (B, n) or (n,), or a list, optional
             The change of the bounds; only those that hold matter.
+        **named
+            Of a list of problems that ``LCP.from_contacts`` made, those of :meth:`Derivative.jvp`, a number for all
+            or a list. Of arrays ``**data.changes(dfriction=…)`` with the `data` of ``contact_data``.
 
         Returns
         -------
@@ -207,6 +216,8 @@ class BatchDerivative:
         ------
         InvalidProblem
             For another shape, or numbers that are not finite.
+        InvalidOption
+            For a name that these problems do not know.
 
         Examples
         --------
@@ -221,6 +232,7 @@ class BatchDerivative:
         h, low, high = (rows for rows, _ in map(self._given, (dq, dlower, dupper), ("dq", "dlower", "dupper")))
         if dM is not None:
             h = _sum(h, self._product(dM))
+        h = _sum(h, self._by_name(named)) if named else h
         (dz,), left = self._derived(tangents, (h, low, high), 1)
         for k, answer in self._one_by_one(
             left, lambda k: self[k].jvp(dq=_row(h, k), dlower=_row(low, k), dupper=_row(high, k))
@@ -356,6 +368,21 @@ class BatchDerivative:
         if not isinstance(values, Sequence) or len(values) != len(self):
             got = len(values) if isinstance(values, Sequence) else type(values).__name__
             raise InvalidProblem(f"{name} must be a list of {len(self)} {things}, one a problem, got {got}")
+
+    def _by_name(self, named: dict[str, Any]) -> Any:
+        """Return dM z + dq of each problem, by changes of the data that it was made from."""
+        for name, values in named.items():
+            if not is_number(values):
+                self._require_one_each(values, name, "changes")
+        rows = self._table(0.0)
+        for k in range(len(self)):
+            own = {name: values if is_number(values) else values[k] for name, values in named.items()}
+            origin = None if k in self.batch.errors else self.batch.items.problem(k).origin
+            changes = changes_by_name(origin, own, CHANGES, OF_ARRAYS)
+            if self._is_solved[k]:
+                turned = changes["dM"] @ self.z[k] if "dM" in changes else 0.0
+                rows[k] = turned + changes.get("dq", rows[k])
+        return rows
 
     def _product(self, dM: Any) -> Any:
         """Return dM z of each problem."""

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from ...core.checks import FloatVector
 from ...core.kernels.compilation import compiled_elementwise
+from ...core.kernels.compiler import njit
 from ...core.kernels.floats import EPSILON, LARGEST, TINY
 
 LEAST = -LARGEST

@@ -19,9 +19,9 @@ Numer. Linear Algebra Appl. 15 (2008), doi:10.1002/nla.559.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, uintp
 
 from ...core.kernels.compilation import compiled
+from ...core.kernels.compiler import njit, uintp
 from .vectors import LACKING
 
 COARSE, FINE = 1, 2

@@ -15,13 +15,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import njit, uintp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector, read_only
 from ...core.communicator import Arrays
 from ...core.crossovers import SHARED_FROM
 from ...core.kernels.compilation import compiled
+from ...core.kernels.compiler import njit, uintp
 from ...core.kernels.threads import share, threads_now
 from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
 

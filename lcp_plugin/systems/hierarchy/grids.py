@@ -17,13 +17,13 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, uintp
 from numpy.typing import NDArray
 
 from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.communicator import ALONE, Arrays, Communicator
 from ...core.crossovers import SHARED_FROM
 from ...core.kernels.compilation import compiled
+from ...core.kernels.compiler import njit, uintp
 from ...core.kernels.threads import share
 
 EqualRows = NDArray[np.int64]

@@ -11,12 +11,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import njit, uintp
 from numpy.typing import NDArray
 
 from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.crossovers import SHARED_FROM
 from ...core.kernels.compilation import compiled
+from ...core.kernels.compiler import njit, uintp
 from ...core.kernels.enclosures import fused
 from ...core.kernels.threads import share
 from .grids import LONGEST_REACH, Blocks, EqualRows, run_at

@@ -17,11 +17,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import uintp
 
 from ...core.checks import BoolVector, FloatVector
 from ...core.crossovers import SHARED_FROM
 from ...core.kernels.compilation import compiled
+from ...core.kernels.compiler import uintp
 from ...core.kernels.threads import share
 from .sweeps import NO_BOUNDS, _plus_products, shared
 

@@ -10,13 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from binary_nl import write_form
 from hypothesis import given
 from hypothesis import strategies as st
 from random_nl import difference, mutilated, random_content
+from relations import bits
 
+from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, solve
 from lcp_plugin.core import errors
-from lcp_plugin.doors.nl import read_content, read_sol, write_nl, write_sol
+from lcp_plugin.doors.nl import read_content, read_nl, read_sol, write_nl, write_sol
 from lcp_plugin.doors.nl.content import Trees
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
@@ -339,7 +342,7 @@ def test_wrong_calls_are_told(tmp_path: Path) -> None:
     path = tmp_path / "m.nl"
     path.write_bytes(SMALL)
     for call, kind, words in (
-        (lambda: write_nl("m.nl", path), errors.InvalidProblem, "as read_content returns it, got str"),  # type: ignore[arg-type]
+        (lambda: write_nl("m.nl", path), errors.InvalidProblem, "of an LCP, a QuadraticProgram, .* got str"),
         (lambda: read_content(None), errors.InvalidOption, "path must be"),  # type: ignore[arg-type]
         (lambda: read_sol(path), errors.UnreadableFile, "no line says Options"),
         (lambda: read_sol(tmp_path), errors.UnreadableFile, "directory"),
@@ -348,3 +351,37 @@ def test_wrong_calls_are_told(tmp_path: Path) -> None:
     ):
         with pytest.raises(kind, match=words):
             call()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_problems_are_written_and_read_back(seed: int, tmp_path: Path) -> None:
+    """An LCP comes back to the bit, with every kind of bounds; of a program the objective, the rows and the answer."""
+    rng, n = np.random.default_rng(seed), 1 + seed
+    lower = np.where(rng.random(n) < 0.3, -np.inf, rng.integers(-2, 1, n))
+    upper = np.where(rng.random(n) < 0.5, np.inf, rng.integers(1, 3, n))
+    M = np.where(rng.random((n, n)) < 0.5, rng.standard_normal((n, n)), 0.0) + 3.0 * np.eye(n)
+    problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
+    for write in (lambda: problem.save(tmp_path / "m.nl"), lambda: write_nl(problem, tmp_path / "m.nl")):
+        write()
+        again = LCP.load(tmp_path / "m.nl")
+        assert bits(again.csr.toarray(), again.q, again.lower, again.upper) == bits(
+            problem.csr.toarray(), problem.q, problem.lower, problem.upper
+        )
+    P = M @ M.T if seed else np.zeros((n, n))
+    program = QuadraticProgram(
+        np.diag(np.diag(P)) if seed == 2 else P, rng.standard_normal(n), rng.standard_normal((2, n)), [1.0, 2.0],
+        rng.standard_normal((1, n)), [0.1], np.maximum(lower, -5.0), np.minimum(upper, 5.0),
+    )
+    write_nl(program, tmp_path / "p.nl")
+    found = read_nl(tmp_path / "p.nl")
+    x = rng.standard_normal(n)
+    assert found.problem.objective(x) == pytest.approx(program.objective(x), rel=1e-12)
+    assert found.solve().status is solve(program).status
+    np.testing.assert_allclose(sp.csr_array(found.problem.P).toarray(), sp.csr_array(program.P).toarray(), rtol=1e-14)
+
+
+def test_what_no_file_can_state_is_refused_in_words(tmp_path: Path) -> None:
+    """A function in Python, and what is no problem."""
+    problem = NonlinearProblem(np.exp)
+    with pytest.raises(errors.InvalidProblem, match=r"got NonlinearProblem, whose F is written in Python"):
+        write_nl(problem, tmp_path / "m.nl")

@@ -620,14 +620,24 @@ def beside_pairs(kind: str, at: float) -> NLContent:
                    row_upper=np.array([INFINITY, 0.0]))
 
 
-@pytest.mark.parametrize("kind", ["inequality", "bound of its own", "bound of another"])
+def test_a_bound_that_its_complementarity_does_not_state_belongs_to_it(tmp_path: Path) -> None:
+    """0 ≤ x₀ ⟂ x₀ − 2 and x₀ ≤ 1 of its own: the answer is 1, the message names the bound, and the file is an LCP."""
+    answer = model_of(beside_pairs("bound of its own", 1.0)).solve()
+    assert (answer.status, answer.code, answer.x[0], answer.duals[0]) == (Status.SOLVED, 0, 1.0, -1.0)
+    assert "variable 0 stops at its own upper bound 1, which counts although" in answer.message
+    assert "of its own" not in model_of(beside_pairs("bound of its own", 3.0)).solve().message
+    write_nl(replace(paired(content_of(1, [-2.0], linear=[[1.0]])), upper=np.ones(1)), tmp_path / "m.nl")
+    assert LCP.load(tmp_path / "m.nl").upper.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("kind", ["inequality", "bound of another"])
 def test_what_stands_beside_complementarities_is_held_against_the_answer(kind: str, tmp_path: Path) -> None:
-    """An inequality, a bound that the pair does not state: solved where it holds, else not, in words; no LCP alone."""
+    """An inequality, a bound of a variable without a pair: solved where it holds, else not, in words; no LCP alone."""
     holds = model_of(beside_pairs(kind, 3.0)).solve()
     assert (holds.status, holds.x[0]) == (Status.SOLVED, pytest.approx(2.0))
     fails = model_of(beside_pairs(kind, 1.0)).solve()
     assert (fails.status, fails.code) == (Status.STALLED, 500)
-    name = {"inequality": "row 1", "bound of its own": "row 0", "bound of another": "variable 1"}[kind]
+    name = {"inequality": "row 1", "bound of another": "variable 1"}[kind]
     assert f"{name} does not hold, off by" in fails.message
     write_nl(beside_pairs(kind, 3.0), tmp_path / "m.nl")
     with pytest.raises(UnsupportedModel, match=rf"more than a complementarity problem: {name}"):

@@ -20,9 +20,10 @@ from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
 from pyomo_models import MODELS
 
 import lcp_plugin.pyomo
-from lcp_plugin import LCP, solve
+from lcp_plugin import LCP, ModelWarning, solve
 from lcp_plugin.core.errors import LCPError
 from lcp_plugin.doors.nl import read_nl
+from lcp_plugin.pyomo import write_nl
 
 SOLVER = pe.SolverFactory("lcp_plugin")
 
@@ -213,6 +214,63 @@ def tight_upper(m: Any) -> None:
     pair(m, m.x >= 0, m.x - 7 >= 0)
 
 
+def tight_and_smooth(m: Any) -> None:
+    m.x.setub(2.0)
+    pair(m, pe.exp(m.x) - 50 >= 0, m.x >= 0)
+
+
+def tight_and_transformed(m: Any) -> None:
+    m.x.setub(5.0)
+    pair(m, m.x >= 0, m.x - 7 >= 0)
+    pe.TransformationFactory("mpec.nl").apply_to(m)
+    m.x.setub(5.0)  # which the transformation may have loosened
+
+
+OF_ITS_OWN = {  # the bound, and the row there
+    tight_lower: ("lower", 1.0, 3.0), tight_upper: ("upper", 5.0, -2.0),
+    tight_and_smooth: ("upper", 2.0, np.exp(2.0) - 50.0),
+}
+
+
+@pytest.mark.parametrize("build", OF_ITS_OWN, ids=lambda build: build.__name__)
+def test_bounds_of_a_variable_belong_to_its_pair(build: Callable[[Any], None], tmp_path: Path) -> None:
+    """As PATH and AMPL take them: the answer lies at the bound, and is optimal; the message names the bound."""
+    m = model(build)
+    m.dual = pe.Suffix(direction=pe.Suffix.IMPORT)
+    results = SOLVER.solve(m)
+    pe.assert_optimal_termination(results)
+    side, bound, row = OF_ITS_OWN[build]
+    assert m.x.value == pytest.approx(bound, abs=1e-9)
+    assert m.dual[m.c] == pytest.approx(row)
+    assert f"x stops at its own {side} bound {bound:g}, which counts although" in results.solver.message
+    assert "row c, does not state it" in results.solver.message
+    write_nl(m, tmp_path / "m.nl")
+    again = read_nl(tmp_path / "m.nl").solve()
+    assert (again.is_solved, again.x.tolist()) == (True, pytest.approx([bound]))
+    assert "of its own" not in again.message  # in a file every finite bound is stated
+
+
+def test_bounds_count_after_pyomos_own_transformation_too() -> None:
+    """The model that it leaves is solved with the bounds that its variables have."""
+    m = model(tight_and_transformed)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    assert m.x.value == pytest.approx(5.0)
+
+
+def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
+    """model.write refuses pairs; write_nl writes what is solved, with names, and says what a file cannot hold."""
+    m = MODELS["oligomcp"]().model
+    with pytest.raises(ValueError, match="Complementarity"):
+        m.write(str(tmp_path / "theirs.nl"))
+    write_nl(m, tmp_path / "m.nl")
+    assert "q[0]" in (tmp_path / "m.col").read_text(encoding="utf-8")
+    SOLVER.solve(m)
+    assert read_nl(tmp_path / "m.nl").solve().x == pytest.approx([m.q[i].value for i in m.q], rel=1e-6)
+    m.beside = pe.Constraint(expr=m.q[0] <= 1e6)
+    with pytest.warns(ModelWarning, match="the file does not hold beside, which no unknown gives way to"):
+        write_nl(m, tmp_path / "m.nl")
+
+
 def inequality_that_fails(m: Any) -> None:
     pair(m, m.x >= 0, m.x - 2 >= 0)
     m.beside = pe.Constraint(expr=m.x <= 1)
@@ -226,8 +284,6 @@ def fixed_where_its_row_is_not_zero(m: Any) -> None:
 
 
 NOT_ALL = {
-    tight_lower: "c does not hold, off by 1; it meets bounds that x has of its own and the pair does not state",
-    tight_upper: "c does not hold, off by 0.4; it meets bounds that x has of its own and the pair does not state",
     inequality_that_fails: "beside does not hold, off by 1; it stands beside the pairs, and no unknown gives way to it",
     fixed_where_its_row_is_not_zero: "d does not hold, off by 1; it holds a side that is fixed",
 }

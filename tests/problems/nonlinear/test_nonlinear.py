@@ -690,7 +690,7 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: run(NP(lambda x: x[:1]), np.ones(2)), InvalidProblem, r"length 2 .* shape \(1,\)"),
     (lambda: run(NP(lambda x: None), np.ones(2)), InvalidProblem, "got None"),
     (lambda: run(NP(lambda x: 1j * x), np.ones(2)), InvalidProblem, "complex"),
-    (lambda: run(NP(np.log, lower=-INF), [-1.0]), InvalidProblem, r"F\(x0\)\[0\] = nan"),
+    (lambda: run(NP(lambda x: np.log(x - 5), lower=-INF), [-1.0]), InvalidProblem, r"F\(x0\)\[0\] = nan"),
     (lambda: run(NP(np.sin, lambda x: np.eye(3)), [1.0]), InvalidProblem, r"shape \(1, 1\)"),
     (lambda: run(NP(np.sin, lambda x: [[np.nan]]), [1.0]), InvalidProblem, "jacobian.*finite"),
     (lambda: run(NP(np.sin), np.ones(1001)), InvalidProblem, "pattern"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import pickle
+import re
 import tracemalloc
 from fractions import Fraction
 from pathlib import Path
@@ -103,6 +104,15 @@ def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
     assert said.upper is None or Fraction(said.upper) >= answer.objective
 
 
+def test_what_proves_is_said() -> None:
+    """An optimal answer's reason is a sentence: what is proved of the objective, by how much, and by what."""
+    said = certify(SIMPLE, [0.5, 1.5])
+    assert re.fullmatch(
+        r"no feasible x has an objective lower than this one's by more than \S+, which the multipliers prove by weak "
+        r"duality: P is positive definite", said.reason
+    )
+
+
 @pytest.mark.parametrize(("x", "reason"), [
     ([0.5, 1.51], "a constraint is violated by 0.01"),
     ([0.4, 1.4], "a feasible point has the objective -4.5, below"),
@@ -139,10 +149,10 @@ def test_a_value_that_no_feasible_point_has_is_refuted() -> None:
 
 
 def test_an_error_that_the_objective_does_not_see_is_not_proved() -> None:
-    """X off by 1e-4 has an objective optimal to 1e-8; it is proved to be off, so that "optimal" is not proved."""
+    """X off by 1e-4 has an objective optimal to 1e-8; it is proved to be off, and so refuted, in words."""
     said = certify(SIMPLE, [0.5 + 1e-4, 1.5 - 1e-4])
-    assert said.verdict == "unproved"
-    assert "from every optimal one" in said.reason
+    assert said.verdict == "refuted"
+    assert said.reason.endswith("from every optimal one, though the objective is proved to be optimal")
     flat = QuadraticProgram([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, -1.0, 0.0])
     assert certify(flat, [0.5, 0.5 + 1e-4, 0.0]).reason.startswith("x is proved to be")
     assert certify(flat, [0.7, 0.3, 5.0]).verdict == "proved"
@@ -389,11 +399,11 @@ def test_distances_are_those_of_the_worst_optimum() -> None:
     proofs = ProgramProofs(QuadraticProgram(np.diag([2.0, 8.0]), [0.0, 0.0]))
     for y, ends in ((1.0, (1.0, 3.0)), (-1.0, (3.0, 5.0))):  # x* is y ± 1 as far as the value tells; x = 3
         point = FeasiblePoint(np.array([y, 0.0]), np.zeros(2), 1.0)
-        near, far = distances(proofs, np.array([3.0, 0.0]), [point], 0.0, slice(None))
+        near, far, _ = distances(proofs, np.array([3.0, 0.0]), [point], 0.0, slice(None))
         assert far == pytest.approx(ends[0], rel=1e-6)
         assert near == pytest.approx(ends[1], rel=0.05)
         assert far <= 3.0 <= ends[1] <= near
-    assert distances(proofs, np.ones(2), [], 0.0, slice(None)) == (INF, 0.0)
+    assert distances(proofs, np.ones(2), [], 0.0, slice(None)) == (INF, 0.0, 0.0)
     assert not Curvature(np.array([1.0, -1e-9])).is_semidefinite
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from numba import uintp
-
 from ....core.kernels.compilation import compiled
+from ....core.kernels.compiler import uintp
 
 
 @compiled

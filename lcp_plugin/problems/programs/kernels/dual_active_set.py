@@ -216,8 +216,8 @@ def _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, room, size):  # ty
 
 @partial(interpreted_while_small, longest=LONGEST_IN_ORDER, numbers=NUMBERS)
 def run(  # type: ignore[no-untyped-def]
-    P, c, C, d, is_equality, lower, upper, tolerance, first, end, x, y, reduced, measures, steps, has_converged,
-    contradicts,
+    P, c, C, d, is_equality, lower, upper, objective, tolerance, first, end, x, y, reduced, measures, steps,
+    has_converged, contradicts,
 ):
     """Write x, y, reduced, measures, steps and has_converged of the programs first ≤ k < end.
 
@@ -264,7 +264,7 @@ def run(  # type: ignore[no-untyped-def]
                 for i in range(m):
                     y[k, i] = real[Y, i]
                 largest = measure(
-                    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, sums, x, y, reduced, measures
+                    P, c, C, d, is_equality, lower, upper, objective, k, at_P, at_C, sums, x, y, reduced, measures
                 )
                 has_converged[k] = largest <= tolerance
                 if largest <= REFINED or (refinement >= SURE and not largest < SLOW * before):

@@ -18,6 +18,7 @@ TOTAL, ERRORS, LOST, TERM = range(4)  # rows of `columns`, an entry a variable
 ROUNDED = 16.0 * EPSILON
 PRIMAL, DUAL, PRODUCT, ROW, GAP, PRODUCT_SIZE, OBJECTIVE = range(7)  # of `worst`; the last two are sizes
 MEASURES = 5
+CANCELLED = 2.0**-20  # of the size of the objective: what terms that cancel leave of it is held to no less than that
 SUM, SIZE, LARGEST, UNIT = range(4)  # rows of the room of `measure`: of a column of [C; P], and of its residual
 
 
@@ -49,45 +50,54 @@ def _rounded(total, errors, lost, terms):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def judge_row(worst, slack, error, limit, term, y, unit, is_equation):  # type: ignore[no-untyped-def]
-    """Hold a row with Σ a_j x_j − limit within slack ± error, its largest term and its multiplier against the worst."""
+def judge_row(  # type: ignore[no-untyped-def]
+    worst, slack, error, limit, term, y, unit, coefficient, least, is_equation
+):
+    """Hold a row with Σ a_j x_j − limit within slack ± error, its largest term and its multiplier against the worst.
+
+    `coefficient` is its largest one and `least` the smallest cost, in the program's own units.
+    """
     if abs(limit) < np.inf:
         over = abs(slack) if is_equation else slack
         excess = over + error if over == over else np.inf
         worst[PRIMAL] = _larger(worst[PRIMAL], excess / unit)
         size = max(term, abs(limit))
         violated = excess if not excess <= 0.0 else 0.0
-        worst[ROW] = _larger(worst[ROW], violated / (1.0 + (size if violated > 0.0 else 0.0)))
+        worst[ROW] = _larger(worst[ROW], violated / (coefficient + (size if violated > 0.0 else 0.0)))
         worst[GAP] += abs(y * slack)
         if is_equation:
             return
-        wrong = -y if not y >= 0.0 else 0.0
+        wrong = -y * coefficient / least if not y >= 0.0 else 0.0
         product = abs(y) * (abs(slack) + error)
-        worst[ROW] = _larger(_larger(worst[ROW], product / (1.0 + abs(y) * size)), wrong)
+        worst[ROW] = _larger(_larger(worst[ROW], product / (least + abs(y) * size)), wrong)
         worst[PRODUCT] = _larger(worst[PRODUCT], product)
         worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], _larger(abs(y * limit), abs(y * (slack + limit))))
     elif y != 0.0:  # a multiplier of an infinite limit can never be right
-        worst[ROW], worst[PRODUCT] = _larger(worst[ROW], abs(y)), _larger(worst[PRODUCT], abs(y))
+        worst[ROW] = _larger(worst[ROW], abs(y) * coefficient / least)
+        worst[PRODUCT] = _larger(worst[PRODUCT], abs(y) * coefficient)
         worst[PRODUCT_SIZE] = _larger(worst[PRODUCT_SIZE], abs(y * slack))
 
 
 @compiled_into_others
 def judge_column(  # type: ignore[no-untyped-def]
-    worst, left, error, x, c, product, curvature, lower, upper, term, unit
+    worst, left, error, x, c, product, curvature, lower, upper, term, unit, size
 ):
-    """Hold what is `left` ± error of the gradient at x_j, its largest term and (P x)_j against the worst."""
+    """Hold what is `left` ± error of the gradient at x_j, its largest term and (P x)_j against the worst.
+
+    `size` is the smallest cost beside the unit of x_j.
+    """
     worst[DUAL] = _larger(worst[DUAL], (abs(left) + error) / unit)
-    worst[ROW] = _larger(worst[ROW], (abs(left) + error) / (1.0 + term))
+    worst[ROW] = _larger(worst[ROW], (abs(left) + error) / (size + term))
     bound = lower if left > 0.0 else upper
     worst[GAP] += max(abs(left * x), _far_gain(left, x, bound, curvature, term))
     worst[OBJECTIVE] += (c + 0.5 * product) * x
 
 
 @compiled_into_others
-def beside_sizes(worst):  # type: ignore[no-untyped-def]
+def beside_sizes(worst, objective):  # type: ignore[no-untyped-def]
     """Put the products and the gap beside their sizes; return the largest measure, NaN where one is NaN."""
-    worst[PRODUCT] /= 1.0 + worst[PRODUCT_SIZE]
-    worst[GAP] /= 1.0 + abs(worst[OBJECTIVE])
+    worst[PRODUCT] /= objective + worst[PRODUCT_SIZE]
+    worst[GAP] /= CANCELLED * objective + abs(worst[OBJECTIVE])
     largest = 0.0
     for k in range(MEASURES):
         largest = _larger(largest, worst[k])
@@ -108,7 +118,8 @@ def _far_gain(left, x, bound, curvature, largest):  # type: ignore[no-untyped-de
 
 @interpreted_while_small
 def program_residuals(  # type: ignore[no-untyped-def]
-    of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, dual_units, x, y, columns, worst
+    of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, coefficients, dual_units,
+    objective, x, y, columns, worst,
 ):
     """Fill `worst` with the largest errors of any condition and the gap; NaN where one is not finite.
 
@@ -118,8 +129,10 @@ def program_residuals(  # type: ignore[no-untyped-def]
         P as CSR; where it is full, the columns of one row stand for those of all.
     indptr, indices, data, equations
         [G; A] as CSR, and the place of the first row that is an equation.
-    limits, units, y
-        Of all constraints, the lower and upper bounds after the rows.
+    limits, units, coefficients, y
+        Of all constraints, the lower and upper bounds after the rows; a bound's coefficient is the unit of its unknown.
+    dual_units, objective
+        What each component of the gradient is relative to; the size of the objective and its smallest cost.
     columns, worst
         Zeros of shape (4, n), overwritten, and of shape (7,).
     """
@@ -138,7 +151,7 @@ def program_residuals(  # type: ignore[no-untyped-def]
                 )
                 columns[TERM, j] = _larger(columns[TERM, j], abs(a * of_row))
         slack, error = _rounded(total, errors, lost, terms)
-        judge_row(worst, slack, error, limit, largest, of_row, units[i], i >= equations)
+        judge_row(worst, slack, error, limit, largest, of_row, units[i], coefficients[i], objective[1], i >= equations)
     for j in range(n):
         total, errors, lost, largest = columns[TOTAL, j], columns[ERRORS, j], columns[LOST, j], columns[TERM, j]
         for side in range(2):
@@ -146,7 +159,9 @@ def program_residuals(  # type: ignore[no-untyped-def]
             limit, of_bound = limits[place], y[place]
             value, low = split_sum(sign * x[j], -limit if abs(limit) < np.inf else 0.0)
             slack, error = _rounded(value, low, 0.0, terms)
-            judge_row(worst, slack, error, limit, abs(x[j]), of_bound, units[place], False)
+            judge_row(
+                worst, slack, error, limit, abs(x[j]), of_bound, units[place], coefficients[place], objective[1], False
+            )
             total, errors, lost = _added(total, errors, lost, sign, of_bound)
             largest = _larger(largest, abs(of_bound))
         total, errors, lost = _added(total, errors, lost, 1.0, c[j])
@@ -162,20 +177,22 @@ def program_residuals(  # type: ignore[no-untyped-def]
         left, error = _rounded(total, errors, lost, terms)
         judge_column(
             worst, left, error, x[j], c[j], product, curvature, -limits[rows + j], limits[rows + n + j], largest,
-            dual_units[j],
+            dual_units[j], objective[1] / coefficients[rows + j],
         )
-    beside_sizes(worst)
+    beside_sizes(worst, objective[0])
 
 
 @compiled_part
 def measure(  # type: ignore[no-untyped-def]
-    P, c, C, d, is_equality, lower, upper, k, at_P, at_C, room, x, y, reduced, measures
+    P, c, C, d, is_equality, lower, upper, objective, k, at_P, at_C, room, x, y, reduced, measures
 ):
     """Write upper bounds of the same of program k, in dense arrays; return the largest.
 
     Of a bound that x is at the multiplier is what stationarity leaves; `reduced` is that of the lower one less that of
-    the upper one. `room` has four rows of n numbers.
+    the upper one. `room` has four rows of n numbers; objective[k] the size of the objective and its
+    smallest cost.
     """
+    size_of_all, least = objective[k, 0], objective[k, 1]
     m, n = C.shape[1], C.shape[2]
     margin, worst = 2.0 * (n + m + 8) * EPSILON, measures[k]
     worst[:] = 0.0
@@ -183,7 +200,7 @@ def measure(  # type: ignore[no-untyped-def]
     for j in range(n):
         room[UNIT, j] = 0.0  # the largest entry of each column
         for i in range(n):
-            room[UNIT, j] = max(room[UNIT, j], abs(P[at_P, i, j]))
+            room[UNIT, j] = max(room[UNIT, j], abs(P[at_P, i, j]) / size_of_all)
         has_P |= room[UNIT, j] > 0.0
         room[SUM, j], room[SIZE, j], room[LARGEST, j] = c[k, j], abs(c[k, j]), abs(c[k, j])
     for i in range(m):
@@ -196,14 +213,17 @@ def measure(  # type: ignore[no-untyped-def]
             size += abs(summand)
             largest = max(largest, abs(summand))
             coefficient = max(coefficient, abs(entry))
-            room[UNIT, j] = max(room[UNIT, j], abs(entry))
             pull = entry * multiplier
             room[SUM, j] += pull
             room[SIZE, j] += abs(pull)
             room[LARGEST, j] = max(room[LARGEST, j], abs(pull))
         coefficient = coefficient if coefficient > 0.0 else 1.0
-        unit, error = coefficient * (1.0 + abs(limit) / coefficient), margin * (size + abs(limit))
-        judge_row(worst, value - limit, error, limit, largest, multiplier, unit, is_equality[i])
+        for j in range(n):
+            room[UNIT, j] = max(room[UNIT, j], abs(C[at_C, i, j]) / coefficient)
+        unit, error = coefficient + abs(limit), margin * (size + abs(limit))
+        judge_row(
+            worst, value - limit, error, limit, largest, multiplier, unit, coefficient, least, is_equality[i]
+        )
         if is_equality[i]:
             right = max(right, abs(limit) / coefficient)
         else:
@@ -211,7 +231,7 @@ def measure(  # type: ignore[no-untyped-def]
     for j in range(n):
         column = room[UNIT, j] if room[UNIT, j] > 0.0 else 1.0
         room[UNIT, j] = column
-        slope = max(slope, abs(c[k, j]) / column)
+        slope = max(slope, abs(c[k, j]) / size_of_all / column)
     unit = 1.0 + (max(slope, right, violated) if has_P else slope)
     for j in range(n):
         value, size, largest = 0.0, 0.0, room[LARGEST, j]
@@ -227,6 +247,6 @@ def measure(  # type: ignore[no-untyped-def]
             reduced[k, j], left = left, 0.0
         judge_column(
             worst, left, error, x[k, j], c[k, j], value, P[at_P, j, j], lower[k, j], upper[k, j], largest,
-            room[UNIT, j] * unit,
+            size_of_all * room[UNIT, j] * unit, least,
         )
-    return beside_sizes(worst)
+    return beside_sizes(worst, size_of_all)

@@ -1,0 +1,60 @@
+"""numba, loaded whole: what interrupts its import leaves a half that no process can complete. Its names come from here.
+
+>>> loaded_whole("json")
+"""
+
+from __future__ import annotations
+
+import _thread
+import sys
+import threading
+from importlib import import_module
+
+from ..deadline import compiling
+
+
+def loaded_whole(name: str) -> None:
+    """Import a module of another package to its end; what is raised here meanwhile, as by Ctrl-C, is raised then.
+
+    Another thread imports it, which no signal interrupts, so that no handler of signals need be changed. It must import
+    nothing of this package: modules that this thread is importing would wait for it.
+    """
+    if name in sys.modules:
+        return
+    is_done, raised = threading.Event(), list[BaseException]()
+
+    def load() -> None:
+        try:
+            import_module(name)
+        except BaseException as error:  # raised again by the thread that waits
+            raised.append(error)
+        is_done.set()
+
+    try:
+        _thread.start_new_thread(load, ())
+    except (RuntimeError, MemoryError):  # there is no other thread to be had
+        load()
+    while not is_done.is_set():
+        try:
+            is_done.wait()
+        except BaseException as error:  # whatever a handler of signals raises
+            raised.append(error)
+    if raised:
+        raise raised[-1]
+
+
+with compiling():  # which takes most of a second
+    loaded_whole("numba")
+    from numba import config, float32, float64, njit, types, uintp, vectorize
+    from numba.core import event
+    from numba.core.caching import FunctionCache
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
+    from numba.core.runtime.nrt import rtsys
+    from numba.core.sigutils import normalize_signature
+    from numba.extending import lower_builtin, type_callable
+
+__all__ = [
+    "Compiler", "FunctionCache", "JITCodeLibrary", "config", "event", "float32", "float64", "lower_builtin", "njit",
+    "normalize_signature", "rtsys", "type_callable", "types", "uintp", "vectorize",
+]

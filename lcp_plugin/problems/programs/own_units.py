@@ -1,0 +1,180 @@
+"""The units of a quadratic program: what its rows, its unknowns and its objective are measured in.
+
+Nobody's answer may depend on whether he writes euros or millions. So each row is measured in its largest coefficient,
+and the objective in the size that most of its coefficients have; both follow wherever rows and the objective are
+multiplied. Unknowns keep the user's unit unless the data show others: rows and columns of
+
+    [A b], [P c], and [1 bound] for each bound
+
+are fitted to each other (Curtis, Reid; :mod:`lcp_plugin.core.matrix.units`), exact powers of two, where the columns of
+A and P, or b, c and bounds beside them, are of sizes that differ by more than 2⁸ on average. The column of b, c and
+bounds says how large unknowns are.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector
+from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.units import ALIKE, NOISE, fitted_columns
+from .program_matrices import as_csr, or_one, vertically
+
+if TYPE_CHECKING:
+    from .program import QuadraticProgram
+
+ROUNDING = -44.0  # log2: smaller ones are rounding
+MOST = 900  # no exponent is larger in size
+
+
+class OwnUnits(NamedTuple):
+    """What a program is measured in.
+
+    Attributes
+    ----------
+    coefficient : ndarray
+        The largest |coefficient| of each constraint times the unit of its unknown; 1 where there is none.
+    unknown : ndarray, shape (n,)
+        Powers of two; the last coefficients, those of bounds, are the same.
+    objective, least : float
+        What most costs are near, and the smallest one: powers of two.
+    are_the_users : bool
+        Whether unknowns are in the unit that they are given in.
+    """
+
+    coefficient: FloatVector
+    unknown: FloatVector
+    objective: float
+    least: float
+    are_the_users: bool
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> OwnUnits:
+        """Return those of a program."""
+        matrices, n = program.matrices, program.n
+        diagonal = program.P.diagonal()
+        exponents = _fitted(program)
+        if exponents is None:
+            return cls(matrices.row_sizes, np.ones(n), *objective_sizes(program.c, diagonal).tolist(), True)
+        unknown = np.ldexp(1.0, exponents)
+        rows = matrices.rows
+        of_rows = or_one(largest_in_rows(rows, np.abs(rows.data) * unknown[rows.indices]))
+        sizes = objective_sizes(program.c * unknown, diagonal * unknown * unknown)
+        return cls(np.concatenate([of_rows, unknown, unknown]), unknown, *sizes.tolist(), False)
+
+
+def objective_sizes(c: Any, diagonal: Any) -> Any:
+    """Return powers of two: what most |c_j| are near, or most p_jj if these are larger, and the smallest |c_j|.
+
+    Shapes (…, n) to (…, 2); 1 where all are 0. The first is an average of exponents. Neither one huge coefficient nor
+    rounding in the place of zeros changes it much, nor does such rounding the second.
+
+    Examples
+    --------
+    >>> objective_sizes(np.array([[3e6, 2e3, 0.0], [0.0, 1e-9, 1e-25]]), np.zeros(3)).tolist()
+    [[32768.0, 1024.0], [9.313225746154785e-10, 9.313225746154785e-10]]
+    """
+    (middle, least), (of_P, least_of_P) = _exponents(c), _exponents(diagonal)
+    exponents = np.stack([np.maximum(middle, of_P), np.where(least > -np.inf, least, least_of_P)], axis=-1)
+    return np.ldexp(1.0, np.where(np.isfinite(exponents), exponents, 0.0).astype(np.int64))
+
+
+def _exponents(values: Any) -> tuple[Any, Any]:
+    """Return the mean and the smallest floor(log2 |value|) along the last axis; −∞ where all are 0."""
+    sizes = np.abs(values)
+    used = (sizes > 0.0) & (sizes >= 2.0**NOISE * sizes.max(axis=-1, initial=0.0)[..., np.newaxis])
+    count, exponents = used.sum(axis=-1), np.frexp(sizes)[1] - 1
+    mean = np.floor(np.where(used, exponents, 0).sum(axis=-1) / np.maximum(count, 1))
+    least = np.where(used, exponents, 2 * MOST).min(axis=-1, initial=2 * MOST)
+    return np.where(count > 0, mean, -np.inf), np.where(count > 0, least, -np.inf)
+
+
+def size_of_unknowns(
+    of_rows: Any, of_hessian: Any, is_equality: Any, limits: Any, c: Any, lower: Any, upper: Any
+) -> tuple[Any, Any]:
+    """Return how large unknowns are in log2, on average, and which of the limits, costs, and bounds say so.
+
+    Equations do, and limits and bounds that x = 0 violates. Where there are none, minima of the rows of P, or what
+    rows permit, or else bounds: whatever is smallest, as a bound of 1e9 is one that nobody reaches.
+
+    Parameters
+    ----------
+    of_rows, of_hessian
+        The mean log2 |entry| of each row of [G; A] and of P, shapes (…, m) and (…, n); NaN of an empty one.
+    is_equality, limits, c, lower, upper
+        Shapes (m,), (…, m), and (…, n).
+
+    Returns
+    -------
+    array, shape (…), and array of bool, shape (…, m + 3 n)
+    """
+    n, lead = c.shape[-1], c.shape[:-1]
+    values = np.concatenate([limits, c, lower, upper], axis=-1)
+    beside = np.concatenate([np.broadcast_to(of, (*lead, of.shape[-1])) for of in (of_rows, of_hessian)], axis=-1)
+    mantissa, exponent = np.frexp(values)
+    sizes = exponent - 1.0
+    sizes[..., : beside.shape[-1]] -= beside
+    used = (mantissa != 0.0) & np.isfinite(values) & np.isfinite(sizes)
+    used &= np.where(used, sizes, 0.0) >= ROUNDING
+    sizes = np.where(used, sizes, 0.0)
+    is_violated = np.concatenate([limits < 0.0, np.zeros(c.shape, bool), lower > 0.0, upper < 0.0], axis=-1)
+    is_violated[..., : is_equality.size] |= is_equality
+    place = np.repeat([0, 1, 2], [limits.shape[-1], n, 2 * n])
+    kinds = [used & is_violated, *(used & (place == kind) for kind in (1, 0, 2))]
+    means = [np.where(kind, sizes, 0.0).sum(axis=-1) / np.maximum(kind.sum(axis=-1), 1) for kind in kinds]
+    data, minima, rows, bounds = (np.where(kind.any(axis=-1), mean, np.inf)
+                                  for kind, mean in zip(kinds, means, strict=True))
+    permitted = np.where(rows < np.inf, rows, bounds)
+    chosen = np.where(data < np.inf, 0, np.where(minima <= permitted, 1, np.where(rows < np.inf, 2, 3)))
+    say = np.take_along_axis(np.stack(kinds), chosen[np.newaxis, ..., np.newaxis], axis=0)[0]
+    size = np.take_along_axis(np.stack(means), chosen[np.newaxis], axis=0)[0]
+    return size, say
+
+
+def units_of_stacks(
+    P: Any, c: Any, C: Any, d: Any, is_equality: Any, lower: Any, upper: Any
+) -> tuple[Any, Any]:
+    """Return the sizes of the objectives of a batch of dense programs, and where unknowns keep the user's units.
+
+    Shapes (1 or count, rows, n) of the matrices and (count, size) of the vectors to (count,).
+    """
+    means, sums, counts = list[Any](), 0.0, 0
+    for part in (C, P):
+        mantissa, exponent = np.frexp(part)
+        is_entry = mantissa != 0.0
+        with np.errstate(invalid="ignore"):
+            means.append(np.where(is_entry, exponent - 1.0, 0.0).sum(axis=2) / is_entry.sum(axis=2))
+        sums = sums + np.where(is_entry, exponent - 1.0 - means[-1][:, :, np.newaxis], 0.0).sum(axis=1)
+        counts = counts + is_entry.sum(axis=1)
+    spread = np.abs(sums / np.maximum(counts, 1)).max(axis=1)
+    beside = size_of_unknowns(*means, is_equality, d, c, lower, upper)[0]
+    sizes = objective_sizes(c, np.broadcast_to(np.diagonal(P, axis1=1, axis2=2), c.shape))
+    return sizes, (spread <= ALIKE) & (np.abs(beside) <= ALIKE)
+
+
+def _fitted(program: QuadraticProgram) -> Any:
+    """Return the exponents of the unknowns' units, None where all are the user's."""
+    matrices, n = program.matrices, program.n
+    of_rows, of_hessian, spread = matrices.exponents
+    limits = np.concatenate([program.h, program.b])
+    size, say = size_of_unknowns(
+        of_rows, of_hessian, matrices.is_equality[: limits.size], limits, program.c, program.lower, program.upper
+    )
+    if spread <= ALIKE and abs(size) <= ALIKE:
+        return None
+    identity = sp.eye_array(n, format="csr")
+    matrix = vertically(matrices.rows, as_csr(program.P), identity, identity)
+    column = np.where(say, np.concatenate([limits, program.c, program.lower, program.upper]), 0.0)
+    of_costs = slice(limits.size, limits.size + n)
+    is_relative = bool(say[of_costs].any())  # minima of rows of P are of all unknowns together: one may be an outlier
+    column[of_costs] = 0.0
+    is_used = say | (np.arange(column.size) < column.size - 2 * n)
+    exponents = fitted_columns(sp.csr_array(sp.hstack([matrix, column[:, np.newaxis]], format="csr"))[is_used])
+    unknown = exponents[:-1] - exponents[-1]
+    if is_relative:
+        unknown += np.int64(np.floor(size)) - np.int64(np.floor(unknown.mean()))
+    unknown = np.clip(unknown, -MOST, MOST)
+    return unknown if np.abs(unknown).max(initial=0) > ALIKE else None

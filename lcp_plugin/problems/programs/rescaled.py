@@ -1,0 +1,96 @@
+"""A program in its own units, and the way back: for those whose numbers are far from 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector, assembled, read_only
+from ...core.matrix.structure import row_numbers
+from .program_matrices import ProgramMatrices
+from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .qp_solution import QPSolution
+
+if TYPE_CHECKING:
+    from .program import QuadraticProgram
+
+FAR = 16  # log2 of an objective, or of a row's coefficients: linear programs and pivots have tolerances of their own
+
+
+@dataclass(frozen=True, eq=False)
+class Rescaled:
+    """A program in its own units: powers of two, so that no number is rounded.
+
+    Attributes
+    ----------
+    given, program : QuadraticProgram
+        As it was stated, and in its own units.
+    of_x, of_multipliers : ndarray, shapes (n,) and (m + p + 2n,)
+        What x and the multipliers of the latter are multiplied by.
+    of_rows : ndarray, shape (m + p + 2n,)
+        What its rows were divided by.
+    """
+
+    given: QuadraticProgram
+    program: QuadraticProgram
+    of_x: FloatVector
+    of_multipliers: FloatVector
+    of_rows: FloatVector
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> Rescaled | None:
+        """Return that of a program; None where its numbers are near 1 as they are."""
+        coefficient, unknown, objective, _, are_the_users = program.units
+        rows = np.ldexp(1.0, np.frexp(coefficient)[1] - 1)
+        far = 2.0**FAR
+        of_matrices = rows[: program.constraints.rows]
+        is_near = 1.0 / far <= objective <= far and of_matrices.max(initial=1.0) <= far
+        if are_the_users and is_near and of_matrices.min(initial=1.0) >= 1.0 / far:
+            return None
+        m, p = program.matrices.sizes[:2]
+        with np.errstate(over="ignore", under="ignore"):
+            matrices = ProgramMatrices(
+                _scaled(program.P, unknown / objective, unknown), _scaled(program.G, 1.0 / rows[:m], unknown),
+                _scaled(program.A, 1.0 / rows[m : m + p], unknown),
+            )
+            vectors = (program.c * unknown / objective, program.h / rows[:m], program.b / rows[m : m + p],
+                       program.lower / unknown, program.upper / unknown)
+        if not np.isfinite(np.concatenate([vectors[0], vectors[2]])).all():
+            return None
+        made = program.with_matrices(matrices, *map(read_only, vectors))
+        made.__dict__.update(asymmetry=0.0, ranges=None, rescaled=None)
+        return cls(program, made, unknown, objective / rows, rows)
+
+    def solution(self, found: QPSolution) -> QPSolution:
+        """Return the answer to the given program."""
+        return QPSolution.of_rows(self.given, found.x * self.of_x, found.multipliers * self.of_multipliers)
+
+    def proof(self, found: QPInfeasibility | QPUnboundedness | None) -> QPInfeasibility | QPUnboundedness | None:
+        """Return the same proof of the given program; None where a radius is too small in its units."""
+        if found is None:
+            return None
+        if isinstance(found, QPUnboundedness):
+            point, direction = (_times(vector, self.of_x) for vector in (found.point, found.direction))
+            proof: QPInfeasibility | QPUnboundedness = replace(
+                found, program=self.given, point=point, direction=direction
+            )
+        else:
+            proof = replace(found, program=self.given, multipliers=_times(found.multipliers, 1.0 / self.of_rows))
+        return proof if proof.verify() else None
+
+
+def _times(vector: tuple[Fraction, ...], scales: FloatVector) -> tuple[Fraction, ...]:
+    scaled = zip(vector, scales.tolist(), strict=True)
+    return tuple(value * Fraction(scale) if value else value for value, scale in scaled)
+
+
+def _scaled(matrix: Any, rows: FloatVector, columns: FloatVector) -> Any:
+    """Return diag(rows) · matrix · diag(columns), of the same kind."""
+    if not sp.issparse(matrix):
+        return read_only(matrix * rows[:, np.newaxis] * columns)
+    data = matrix.data * rows[row_numbers(matrix)] * columns[matrix.indices]
+    return assembled(data, matrix.indices, matrix.indptr, matrix.shape)

@@ -26,7 +26,7 @@ from .program_matrices import or_one, vertically
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-ROUNDING = -44.0  # log2: smaller ones are rounding
+ROUNDING = -44.0  # log2: limits so small beside the largest one, or beside 1, are rounding
 MOST = 900  # no exponent is larger in size
 
 
@@ -58,12 +58,13 @@ class OwnUnits(NamedTuple):
         diagonal = program.P.diagonal()
         exponents = _fitted(program)
         if exponents is None:
-            return cls(matrices.row_sizes, np.ones(n), *objective_sizes(program.c, diagonal).tolist(), True)
+            size, least = objective_sizes(program.c, diagonal).tolist()
+            return cls(matrices.row_sizes, np.ones(n), size, least, True)
         unknown = np.ldexp(1.0, exponents)
         rows = matrices.rows
         of_rows = or_one(largest_in_rows(rows, np.abs(rows.data) * unknown[rows.indices]))
-        sizes = objective_sizes(program.c * unknown, diagonal * unknown * unknown)
-        return cls(np.concatenate([of_rows, unknown, unknown]), unknown, *sizes.tolist(), False)
+        size, least = objective_sizes(program.c * unknown, diagonal * unknown * unknown).tolist()
+        return cls(np.concatenate([of_rows, unknown, unknown]), unknown, size, least, False)
 
 
 def objective_sizes(c: Any, diagonal: Any) -> Any:
@@ -118,11 +119,12 @@ def size_of_unknowns(
     sizes = exponent - 1.0
     sizes[..., : beside.shape[-1]] -= beside
     used = (mantissa != 0.0) & np.isfinite(values) & np.isfinite(sizes)
-    used &= np.where(used, sizes, 0.0) >= ROUNDING
+    place = np.repeat([0, 1, 2], [limits.shape[-1], n, 2 * n])
+    largest = np.where(used & (place != 1), sizes, 0.0).max(axis=-1, initial=0.0)
+    used &= np.where(used, sizes, 0.0) >= ROUNDING + largest[..., np.newaxis]
     sizes = np.where(used, sizes, 0.0)
     is_violated = np.concatenate([limits < 0.0, np.zeros(c.shape, bool), lower > 0.0, upper < 0.0], axis=-1)
     is_violated[..., : is_equality.size] |= is_equality
-    place = np.repeat([0, 1, 2], [limits.shape[-1], n, 2 * n])
     kinds = [used & is_violated, *(used & (place == kind) for kind in (1, 0, 2))]
     means = [np.where(kind, sizes, 0.0).sum(axis=-1) / np.maximum(kind.sum(axis=-1), 1) for kind in kinds]
     data, minima, rows, bounds = (np.where(kind.any(axis=-1), mean, np.inf)
@@ -150,7 +152,7 @@ def units_of_stacks(
         sums = sums + np.where(is_entry, exponent - 1.0 - means[-1][:, :, np.newaxis], 0.0).sum(axis=1)
         counts = counts + is_entry.sum(axis=1)
     spread = np.abs(sums / np.maximum(counts, 1)).max(axis=1)
-    beside = size_of_unknowns(*means, is_equality, d, c, lower, upper)[0]
+    beside = size_of_unknowns(means[0], means[1], is_equality, d, c, lower, upper)[0]
     sizes = objective_sizes(c, np.broadcast_to(np.diagonal(P, axis1=1, axis2=2), c.shape))
     return sizes, (spread <= ALIKE) & (np.abs(beside) <= ALIKE)
 

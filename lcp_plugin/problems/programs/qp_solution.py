@@ -43,8 +43,8 @@ class QPSolution:
     The primal and the dual residual are in units of the data (``unit`` and ``dual_unit`` in
     :mod:`lcp_plugin.problems.programs.constraints`), never relative to x: what is optimal in them cannot be refuted.
     Complementarity is relative to the size of the objective + its largest term. ``row_residual`` compares each row with
-    its own terms only, so that a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing
-    in another.
+    its own terms only: a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing in
+    another.
 
     Raises
     ------

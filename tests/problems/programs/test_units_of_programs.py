@@ -75,6 +75,14 @@ def test_errors_are_the_same_in_units_of_unknowns_far_apart() -> None:
         assert 2.0**-8 * one <= other <= 2.0**8 * one
 
 
+def test_right_hand_sides_that_are_rounding_name_no_unit() -> None:
+    """9e-16 beside coefficients of 1e-3, the only equation, is rounding where a limit is 1e3: x = 0 is optimal."""
+    row = 1e-3 * np.array([[-1.227, -1.1546, -1.1391, -2.9916]])
+    program = QuadraticProgram(None, np.ones(4), np.ones((1, 4)), [1e3], row, [8.9e-16], lower=0.0)
+    assert program.units.are_the_users
+    assert solve(program).status is Status.SOLVED
+
+
 @pytest.mark.parametrize(("program", "status"), [
     (QuadraticProgram(None, [-1.0], lower=-1.0), Status.UNBOUNDED),
     (QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, 0.5]), Status.INFEASIBLE),

@@ -30,17 +30,18 @@ than another ``solve``, which starts from the values that the variables have.
 ``complements(inequality(0, x, 5), F)``, or equations, of variables or expressions; constraints that are equations;
 smooth functions, ``Expression``; fixed variables, deactivated components, mutable parameters anywhere. There must be
 as many equations and pairs as variables. Without complementarities: linear and convex quadratic programs, and systems
-of equations. **An objective beside complementarities**, convex quadratic or linear, asks for the best of all solutions,
-found with a proved gap; then everything else is affine, inequalities and bounds are constraints, and there may be any
-number of equations.
+of equations. **An objective beside complementarities** asks for the best of all solutions; then inequalities and bounds
+are constraints, there may be any number of equations, and integer variables. Objective, rows and pairs may be smooth,
+convex or not: SCIP searches, where it is installed (``pip install 'lcp_plugin[global]'``). Without it, and with
+``prove=True``, rows are affine and the objective convex quadratic, and the gap is proved.
 
 - Without an objective, bounds that a variable has of its own belong to its pair, stated there or not, as PATH and AMPL
   take them: at an upper one the row may be < 0. The message names such a bound where a variable stops at it.
 - Inequalities beside complementarities, and bounds of a variable that no pair holds, are looked at afterwards: where
   one does not hold the answer is not optimal, and the message names it.
 - A pair whose variable is fixed is looked at afterwards too, as that of a price which is the unit.
-- Refused in words: nonlinear rows beside an objective, objectives that are not convex, integers, disjunctions,
-  functions that are not smooth.
+- Refused in words: disjunctions, functions that are not smooth or that SCIP does not know; without complementarities
+  integers, nonlinear rows beside an objective, objectives that are not convex.
 - Pyomo's own ``mpec.nl`` is not used: in 6.10 it fails on a range beside an expression, states another problem for a
   range beside a variable, and loosens upper bounds. A model to which it was applied is solved as it left it.
 
@@ -48,8 +49,9 @@ number of equations.
 ``solve(model, options={"tolerance": 1e-10})``; ``timelimit`` is ``max_seconds``, ``tee=True`` prints the run. With
 ``keepfiles=True`` the ``.nl`` file stays; ``lcp_plugin.pyomo.write_nl(model, "model.nl")`` writes one without a solve,
 where ``model.write`` knows no complementarities. With an objective beside complementarities ``tolerance`` is that of
-the gap, 1e-6 unless given, and ``max_iterations`` limits the nodes of branch and bound; ``algorithm`` is refused. The
-newer interface of Pyomo knows the solver by the same name; in both it is ``"lcp-plugin"``, too.
+the gap, 1e-6 unless given, and ``max_iterations`` limits the nodes; ``algorithm`` is refused; the message says whose
+the bound is. Values that the variables have are tried first. The newer interface of Pyomo knows the solver by the same
+name; in both it is ``"lcp-plugin"``, too.
 
 **Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
 and ``unbounded`` only with a proof; ``noSolution``: none found, none refuted; ``other``: no better in double precision

@@ -38,6 +38,7 @@ OFFERS = {
         "a Pyomo model in .nl": "doors.pyomo.answers:content_of",
         "write .nl": "doors.nl.writing:write_nl",
     },
+    "global solver": {"SCIP": "doors.scip:minimize_or_none"},
     "ranks": {
         "matrix": "ranks.on_ranks:matrix_of_rows",
         "require_same_numbers": "ranks.on_ranks:require_same_numbers",

@@ -33,7 +33,7 @@ OF_SOLVE = {
     "max_iterations": (int, "limit of iterations (100000), or of nodes (none)"),
     "max_seconds": (float, "limit of wall-clock seconds (none)"),
     "threads": (int, "how many threads it may use (all)"),
-    "tolerance": (float, "solved means a residual of at most this (1e-8), or a proved gap (1e-6)"),
+    "tolerance": (float, "solved means a residual of at most this (1e-8), or such a gap (1e-6)"),
 }
 OF_COMMAND = {
     "outlev": (int, "1 prints the run (0)"),
@@ -42,7 +42,7 @@ OF_COMMAND = {
     "wantsol": (int, "without -AMPL, the sum of: 1 write .sol, 2 print values, 4 print duals, 8 no message (0)"),
 }
 KEYWORDS: dict[str, tuple[Any, str]] = dict(sorted((OF_SOLVE | OF_COMMAND).items()))
-MARK = "* not where an objective stands beside complementarities, whose nodes and gap are those of branch and bound"
+MARK = "* not where an objective stands beside complementarities, whose nodes and gap are SCIP's or our own"
 OPTIONS = {
     "--": "end of options", "-=": "show the keywords of assignments", "-?": "show usage",
     "-o FILE": "write .sol to FILE", "-s": "write .sol (without -AMPL)", "-v": "just show the version",

@@ -155,7 +155,9 @@ def certify(
             "upper; or quadprog's H, f, …), .qps, .mps or .nl."
         ),
     ],
-    solver: Annotated[str, typer.Option(help="cvxpy's names of solvers, with commas between; LCP is ours.")] = "LCP",
+    solver: Annotated[
+        list[str], typer.Option(help="cvxpy's name of a solver, again for another, or commas between; LCP is ours.")
+    ] = ["LCP"],  # noqa: B006 - typer copies it
     tolerance: Annotated[
         float | None, typer.Option(help="What is to be proved; by default 1e-6, or else 1e-3.")
     ] = None,
@@ -170,7 +172,7 @@ def certify(
     from ..evidence.convex_solvers import HEAD, JudgedAnswer, judged_answers
     from .solving import OneProcess
 
-    names = list(dict.fromkeys(name.strip() for name in solver.split(",") if name.strip()))
+    names = list(dict.fromkeys(name.strip() for name in ",".join(solver).split(",") if name.strip()))
     if not names:
         raise InvalidOption("--solver wants at least one name, as --solver CLARABEL,OSQP")
     OneProcess().check_outputs(file, None, out)

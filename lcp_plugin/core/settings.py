@@ -33,12 +33,12 @@ class Status(Enum):
     STALLED = "the residual no longer falls enough to converge within max_iterations"
     DIVERGED = "the iteration left every reasonable range"
     INFEASIBLE = (
-        "no z within the bounds gives w the signs it needs, by more than the tolerance; result.infeasibility proves "
+        "no z within the bounds gives w the signs it needs, by more than the tolerance; result.proof proves "
         "it: check the data"
     )
     NO_SOLUTION = (
         "the linear constraints can be met, complementarity cannot: every case was excluded exactly, by more than the "
-        "tolerance, and result.infeasibility proves it"
+        "tolerance, and result.proof proves it"
     )
     UNBOUNDED = (
         "the objective falls for ever along a direction from a feasible point, and result.proof proves it: bound the "

@@ -29,7 +29,9 @@ SLICES, PANELS = 6, 4  # of a march: as lines, as maps
 BARS = 30
 
 
-def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
+def plot_answer(
+    answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None, rows: Any = None, over: Any = None,
+) -> Any:
     """Return matplotlib's axes with a picture of an answer.
 
     - z or x by its index, or as a map over a grid, what rests on a bound in orange or dotted. Of more than 2000 values
@@ -46,6 +48,10 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     shape : sequence of int, optional
         Of the grid of the unknowns, (rows, columns); their order is that of ``z.reshape(shape)``. Of more than two axes
         the middle slice is drawn.
+    rows : sequence of int, or of bool, optional
+        The rows to draw, as those that may touch; by default all. z and w of an LCP have a panel each then.
+    over : array, shape (n,) or (n, 2), optional
+        Coordinates of all rows, or of those to draw alone: (n,) gives curves, (n, 2) points in the plane, coloured.
 
     Raises
     ------
@@ -59,7 +65,62 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     if not isinstance(answer, (Answer, AnswerSequence)):
         raise InvalidOption(f"plot_answer needs what solve returns, got {type(answer).__name__}")
     require_matplotlib()
+    if rows is not None or over is not None:
+        return _plot_rows(answer, axes, shape, rows, over)
     return _plotted(answer, axes, shape, _shown_by_pyplot)
+
+
+def _plot_rows(answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, over: Any) -> Any:
+    """Draw z and w of some rows over their coordinates."""
+    if shape is not None:
+        raise InvalidOption("shape is that of all unknowns on a grid; give it without rows and over")
+    if not isinstance(answer, Result) or answer.z is None:
+        raise InvalidOption(f"rows and over are for the z and w of a Result, got "
+                            f"{type(answer).__name__}; leave them out")
+    n = answer.z.size
+    chosen = _checked_rows(rows, n)
+    points = _checked_points(over, chosen, n)
+    values = {"z": answer.z[chosen], "w": answer.w[chosen]}
+    with _style_of(axes):
+        every = _axes_for(_shown_by_pyplot, len(values)) if axes is None else [axes]
+        for one, (name, numbers) in zip(every, values.items(), strict=False):
+            one.set_title(name)
+            if points.ndim == 1:
+                order = np.argsort(points, kind="stable")
+                one.plot(points[order], numbers[order], marker=".")
+                one.set(xlabel="row" if over is None else "coordinate", ylabel=name)
+            else:
+                drawn = one.scatter(points[:, 0], points[:, 1], c=numbers, s=12)
+                one.set(aspect="equal", xlabel="first coordinate", ylabel="second coordinate")
+                one.figure.colorbar(drawn, ax=one, label=name)
+        if axes is None:
+            every[0].figure.suptitle(_headline(answer), fontsize=10, x=0.01, ha="left")
+    return every[0]
+
+
+def _checked_rows(rows: Any, n: int) -> Any:
+    if rows is None:
+        return np.arange(n)
+    given = np.asarray(rows)
+    if given.dtype == np.bool_ and given.shape == (n,):
+        return np.flatnonzero(given)
+    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer) or not ((given >= 0) & (given < n)).all():
+        raise InvalidOption(f"rows must be whole numbers from 0 to {n - 1}, or {n} truth values, got {rows!r}")
+    return given
+
+
+def _checked_points(over: Any, chosen: Any, n: int) -> FloatVector:
+    if over is None:
+        return np.asarray(chosen, dtype=float)
+    need = f"over must hold real coordinates of the {n} rows, or of the {chosen.size} drawn, shape (n,) or (n, 2)"
+    try:
+        points = np.asarray(over, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidOption(f"{need}, got {over!r}") from None
+    is_shaped = points.ndim == 1 or (points.ndim == 2 and points.shape[1] == 2)
+    if not is_shaped or len(points) not in (n, chosen.size) or not np.isfinite(points).all():
+        raise InvalidOption(f"{need}, got shape {points.shape}; they must be finite")
+    return points if len(points) == chosen.size else points[chosen]
 
 
 def save_plot(answer: Answer, path: Path, shape: Sequence[int] | None = None) -> None:

@@ -162,7 +162,7 @@ def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
     from .search.stages import ExhaustiveSearch
 
     if may_be_searched(problem):
-        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), "few enough cases to look at all of them")
+        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), "so few cases that all can be tried")
 
 
 def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
@@ -176,8 +176,8 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     reduced = None if is_kkt else presolve(problem)
     left = problem if reduced is None else reduced.problem
     about = f" ({reduced})" if left is not problem else ""
-    newton = Choice(create("newton", {}), f"the active set is guessed and its linear system solved{about}", reduced)
-    interior = Choice(create("interior_point", {}), f"M is monotone, or may be{about}", reduced)
+    newton = Choice(create("newton", {}), f"guesses what is at a bound, solves for the rest{about}", reduced)
+    interior = Choice(create("interior_point", {}), f"suits M, which is monotone or may be{about}", reduced)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
     left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]

@@ -52,28 +52,39 @@ nearby where it can.
 >>> x.value.round(6), pair.dual_value.round(6)
 (array([1.098612, 0.      ]), array([0. , 0.5]))
 
-**The best of all solutions.** A convex quadratic or piecewise linear objective (to be maximised: a concave one) beside
-pairs with affine sides, affine equations and inequalities asks for the best point that satisfies all of it: leader and
-followers, tolls, the best design of a contact, the conditions of an inner problem.
+**The best of all solutions.** An objective beside pairs, equations and inequalities asks for the best point that
+satisfies all of it: leader and followers, tolls, the best design of a contact, the conditions of an inner problem.
+Objective, sides and rows may be smooth, convex or not (price × quantity), or convex and piecewise linear beside affine
+sides; variables may be ``integer`` or ``boolean``. SCIP searches where it is installed: ``pip install
+'lcp_plugin[global]'``; without it only convex pieces are searched to the end.
 
 >>> price, sold = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
 >>> follower = complements(sold >= 0, price + sold - 4 >= 0)  # buys until a unit is worth its price
 >>> leader = cp.Problem(cp.Minimize(cp.square(sold - 1) + 2 * price), [follower])
->>> value = leader.solve(method="LCP")
+>>> value = leader.solve(method="LCP", prove=True)
 >>> leader.status, *(round(float(number), 6) for number in (value, price.value, sold.value))
 ('optimal', 5.0, 2.0, 2.0)
 >>> best = leader.solver_stats.extra_stats
->>> best.gap <= 1e-6, best.is_global, best.verify()
-(True, True, True)
+>>> best.gap <= 1e-6, best.is_global, best.bound_by, best.verify()
+(True, True, 'proof', True)
+>>> income = cp.Problem(cp.Maximize(cp.multiply(price, sold)), [follower, price <= 4])
+>>> _ = income.solve(method="LCP")
+>>> round(float(income.value), 6), round(float(price.value), 3), income.solver_stats.extra_stats.bound_by
+(4.0, 2.0, 'SCIP')
 
-- "optimal" is said only with a proved gap of ``tolerance`` (1e-6), beside max(1, |value|). Where ``max_seconds``,
+- "optimal" is said only with a gap of ``tolerance`` (1e-6), beside max(1, |value|). ``extra_stats.bound_by`` says
+  whose bound it is: a "proof", or that of "SCIP", in floating point. ``prove=True`` asks for a proof, where sides and
+  rows are affine, the objective convex and nothing an integer.
+- Values that the variables have are tried first: where they are an equilibrium, the answer is no worse. Where nothing
+  is found, variables keep their values. Where ``max_seconds``,
   ``max_nodes`` or Ctrl-C ends the search first, the status is "user_limit", with the best point found and
   ``extra_stats.lower_bound``, ``gap``, ``is_b_stationary``; of ``cp.Maximize(f)`` they speak of −f.
-- Bounds are exact for the stored numbers. In every pair of the point found one side is at its bound; its other
-  constraints hold as those of an optimal program do, to 1e-7 in units of the data. "infeasible" and "unbounded" come
-  with proofs; ``extra_stats.verify()`` checks all of it again.
-- State bounds for what the problem leaves open, as the prices and tolls of a network: bounds of both sides of a pair
-  become cuts, without which a search may take long. Arrays: ``solve(EquilibriumProgram(…))``.
+- Proved bounds are exact for the stored numbers. In every pair of the point found one side is at its bound; its other
+  constraints hold as those of an optimal program do, to 1e-7 in units of the data: SCIP's point gives the cases of the
+  pairs, and these are solved again. "infeasible" and "unbounded" come with proofs; ``extra_stats.verify()`` checks all
+  of it again. What SCIP alone says, that there is no solution or no least one, is "user_limit" with its words.
+- State bounds for what the problem leaves open, as prices and tolls: without them SCIP may find no bound at all, and
+  the advice names the variables. Arrays: ``solve(EquilibriumProgram(…))``.
 
 **Convex quadratic and linear programs** are solved as complementarity problems by ``solver=lcp_plugin.QPSolver``, duals
 included; then ``method="LCP"`` is known too.

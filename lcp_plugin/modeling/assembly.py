@@ -213,9 +213,15 @@ class Assembly:
         of_pairs = sum(function.slacks.size for function in self.equations if function.slacks is not None)
         counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""
         names = ", ".join(self.names_of(free)) or "none"
+        way_out = ""
+        if equations > free.size:
+            way_out = (
+                "; where one says how prices are scaled, as sum(p) == 1, drop a market that the others imply, or give "
+                "the equation a free multiplier, a variable in the rows of the pairs"
+            )
         raise UnsupportedModel(
             f"the model has {free.size} unknowns without a complementarity ({names}) and {equations} "
-            f"equations{counted}; it needs as many equations as such unknowns"
+            f"equations{counted}; it needs as many equations as such unknowns{way_out}"
         )
 
 

@@ -32,8 +32,8 @@ PLAIN, NO_VARIABLE = 4, 9  # ranks of a side: the last that is an inequality of 
 class Builder(Assembly):
     """Collects unknowns, bounds and rows of one list of constraints."""
 
-    def __init__(self, constraints: list[Any], memo: dict[Any, Any]) -> None:
-        self.reader = Reader(memo)
+    def __init__(self, constraints: list[Any], memo: dict[Any, Any], *, takes_integers: bool = False) -> None:
+        self.reader = Reader(memo, takes_integers=takes_integers)
         self.variables = list({v.id: v for constraint in constraints for v in constraint.variables()}.values())
         ends = np.cumsum([0, *(variable.size for variable in self.variables)]).tolist()
         self.offsets: dict[int, int] = {v.id: start for v, start in zip(self.variables, ends, strict=False)}

@@ -30,10 +30,8 @@ Values = dict[int, Any]
 CHECK_SEED = 20
 CHECK_TOLERANCE = 1e-11
 #: They tie entries to each other or to a set, so that the columns would not be free.
-FORBIDDEN_ATTRIBUTES = (
-    *("symmetric", "diag", "PSD", "NSD", "hermitian", "sparsity"),
-    *("complex", "imag", "boolean", "integer"),
-)
+FORBIDDEN_ATTRIBUTES = ("symmetric", "diag", "PSD", "NSD", "hermitian", "sparsity", "complex", "imag")
+INTEGERS = ("boolean", "integer")
 
 
 def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int, Any]) -> Any:
@@ -71,6 +69,8 @@ class Reader:
     held : dict, optional
         From the ids of variables and parameters to their values. Then the parameters are the sources, and an atom
         whose own rule is not known is replaced by its tangent there. Without it the variables are.
+    takes_integers : bool
+        Whether variables may be whole numbers.
 
     Examples
     --------
@@ -80,8 +80,11 @@ class Reader:
     (array([[ 2., -1.], [ 0.,  2.]]), array([3., 3.]))
     """
 
-    def __init__(self, memo: dict[int, tuple[Any, Any]] | None = None, held: Values | None = None) -> None:
-        self.compiler = Compiler()
+    def __init__(
+        self, memo: dict[int, tuple[Any, Any]] | None = None, held: Values | None = None, *,
+        takes_integers: bool = False,
+    ) -> None:
+        self.compiler, self._takes_integers = Compiler(), takes_integers
         self._memo = {} if memo is None else memo
         self._held = held
         self._known: Values = {key: found for key, (_, found) in self._memo.items()}
@@ -162,7 +165,7 @@ class Reader:
     def _computed(self, node: Any, kind: AtomKind, arguments: list[Any]) -> Any:
         if kind.is_variable if self._held is None else kind.is_parameter:
             if kind.is_variable:
-                check_attributes(node)
+                check_attributes(node, takes_integers=self._takes_integers)
             return Rows({node.id: 1.0}, np.zeros(node.size), node.shape)
         constants = [pair for pair in zip(node.args, arguments, strict=True) if not isinstance(pair[1], Rows)]
         if len(constants) == len(arguments):
@@ -262,7 +265,7 @@ def _hidden_parameters(node: Any) -> list[Any]:
     return [parameter for part in data if isinstance(part, cp.Expression) for parameter in part.parameters()]
 
 
-def check_attributes(variable: cp.Variable) -> None:
+def check_attributes(variable: cp.Variable, *, takes_integers: bool = False) -> None:
     """Raise where the entries of a variable are not free.
 
     Raises
@@ -270,7 +273,7 @@ def check_attributes(variable: cp.Variable) -> None:
     UnsupportedModel
         Naming the attribute that ties or restricts them.
     """
-    for attribute in FORBIDDEN_ATTRIBUTES:
+    for attribute in (*FORBIDDEN_ATTRIBUTES, *(() if takes_integers else INTEGERS)):
         state = variable.attributes.get(attribute)
         if not (state is None or state is False):
             raise UnsupportedModel(

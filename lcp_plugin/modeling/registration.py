@@ -254,7 +254,7 @@ def solve_model(
         return run(problem, warm_start, verbose, {"algorithm": algorithm, **options})
     _refuse_flags(options)
     if not problem.objective.args[0].is_constant():
-        return _best(problem, algorithm, bool(verbose), requires_grad, options)
+        return _best(problem, algorithm, bool(verbose), warm_start, requires_grad, options)
     parameters = differentiable_parameters(problem) if requires_grad else []
     known = values_of_parameters(parameters) if requires_grad else {}
     model = build_from(problem)
@@ -271,14 +271,16 @@ def solve_model(
     return problem.value
 
 
-def _best(problem: Any, algorithm: Any, verbose: bool, requires_grad: bool, options: dict[str, Any]) -> Any:
+def _best(
+    problem: Any, algorithm: Any, verbose: bool, warm_start: bool, requires_grad: bool, options: dict[str, Any]
+) -> Any:
     """Find the best of all solutions."""
     from .best_equilibrium import solve_for_the_best
 
     if algorithm != "auto" or requires_grad:
         what = "requires_grad=True" if requires_grad else f"algorithm={algorithm!r}"
         raise UnsupportedModel(f"{what} does not go with an objective beside complementarity; leave it out")
-    return solve_for_the_best(problem, verbose, options)
+    return solve_for_the_best(problem, verbose, warm_start, options)
 
 
 def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:

@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.errors import UnsuitableMatrix
 from ..core.settings import Status
-from .bounds.active_rows import estimated_error
+from ..systems.free_systems import FreeSystem
+from .bounds.active_rows import estimated_error, free_rows
+from .bounds.error_bounds import ErrorBound, error_bound
 
 if TYPE_CHECKING:
     from ..core.solving.result import Result
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 STIFF_SPREAD = 1e6
 FAR = 1e-2  # part of ‖z‖∞
+BOUND_UP_TO, BOUND_PASSES = 1000, 100.0  # unknowns; passes over M that a run has cost: a bound costs less than either
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 
@@ -49,8 +53,29 @@ def _stiffness(result: Result) -> str:
         return ""
     if not spread > STIFF_SPREAD:
         return _nearness_to_singular(result)
-    return (f"stiff: the diagonal of M spans a factor of {spread:.0e}, so that a small residual may hide a large "
-            "error; error_bound=True bounds it")
+    stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"
+    if not _is_bound_cheap(result):
+        return f"{stiff} of z{_advised(result)}"
+    bound = _bound(result)
+    if bound is None:
+        return f"{stiff} of z, and nothing about M allows a bound of it"
+    further = '; tolerance_on="error" asks for less' if bound.relative > result.tolerance else ""
+    how = "proved to be" if bound.kind == "rigorous" else "estimated to be"
+    return (f"{stiff} of z: here it is {how} at most {bound.infinity:.1e}, {bound.relative:.1e} of the largest |z_i|"
+            f"{further}")
+
+
+def _is_bound_cheap(result: Result) -> bool:
+    """Return whether a bound of the error costs less than the run has, or than is worth a word."""
+    problem = result.certificate.problem
+    return not problem.is_distributed and (problem.n <= BOUND_UP_TO or result.work >= BOUND_PASSES)
+
+
+def _bound(result: Result) -> ErrorBound | None:
+    try:
+        return error_bound(result.certificate.problem, result.z)
+    except UnsuitableMatrix:
+        return None
 
 
 def _nearness_to_singular(result: Result) -> str:
@@ -62,6 +87,16 @@ def _nearness_to_singular(result: Result) -> str:
     error = estimated_error(problem, result.z, result.w, residual)
     if error is None or not error > FAR * size:
         return ""
-    known = f"of up to about {error:.0e}" if error < np.inf else "of any size"
-    return (f"near-singular: on the free rows of M a residual of {residual:.0e} goes with an error {known}, and "
-            f"‖z‖∞ = {size:.0e}; error_bound=True bounds it")
+    system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
+    if system.is_singular and (same := system.determined_slack) is not None:
+        shared = int((~system.determined).sum())
+        return (f"z is one of several answers: w = M z + q is the same for all of them in {int(same.sum())} of "
+                f"{same.size} rows, and {shared} entries of z are not determined, as how contacts share a load")
+    known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
+    return (f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
+            f"residual of {residual:.0e} goes with an error of z {known}, and ‖z‖∞ = {size:.0e}{_advised(result)}")
+
+
+def _advised(result: Result) -> str:
+    """Return the advice to ask for a bound, where it was not asked for in vain."""
+    return "" if result.no_error_bound else "; error_bound=True bounds it where M allows it"

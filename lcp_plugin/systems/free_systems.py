@@ -159,6 +159,17 @@ class FreeSystem:
         return scaled(balanced, Exponents(units.column[rows], units.row[rows]))
 
     @cached_property
+    def determined_slack(self) -> BoolVector | None:
+        """Which rows of M x are the same for all solutions of M_FF x = b, shape (n,); None where that is not known."""
+        if self.pseudo_inverse is None:
+            return None
+        share = self.pseudo_inverse @ self.block  # of each change of x_F, what M x depends on
+        columns = self.matrix.array[:, self.rows]
+        left = np.asarray(abs(columns - columns @ share).max(axis=1)).ravel()
+        determined: BoolVector = left <= CONSISTENT * abs(columns).max()
+        return determined
+
+    @cached_property
     def determined(self) -> BoolVector:
         """Which unknowns are the same in all solutions of M_FF x = b, shape (|F|,); none where that is not known."""
         if not self.is_singular:

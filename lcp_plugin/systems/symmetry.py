@@ -40,6 +40,28 @@ def asymmetry(matrix: Matrix) -> float:
     return float(np.abs(ours / larger - theirs / larger).max())
 
 
+@fact
+def asymmetry_of_rows(matrix: Matrix) -> float:
+    """Largest |m_ij − m_ji|/√(s_i s_j), s_i the largest magnitude in row and column i: noise of an assembly is small.
+
+    Examples
+    --------
+    >>> asymmetry_of_rows(Matrix(sp.csr_array([[1e11, 1e-7], [0.0, 1e11]])))
+    1e-18
+    """
+    M = matrix.csr
+    entries = sp.coo_array(M)
+    i, j = entries.row, entries.col
+    size = np.zeros(M.shape[0])
+    for at in (i, j):
+        np.maximum.at(size, at, np.abs(entries.data))
+    root = np.sqrt(size)
+    with np.errstate(over="ignore", invalid="ignore"):
+        difference = sp.coo_array(M - M.T)
+        beside = np.abs(difference.data) / root[difference.row] / root[difference.col]
+    return float(beside.max(initial=0.0))
+
+
 @np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one
 def is_symmetric_to_rounding(M: Any, size: FloatVector | None = None) -> bool:
     """Return whether |m_ij − m_ji| ≤ 1e-13 √(size_i size_j) everywhere.

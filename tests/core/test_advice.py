@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -16,6 +17,7 @@ from test_driver import TRAP
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    ComplementarityProblem,
     LCPError,
     NonlinearProblem,
     QuadraticProgram,
@@ -23,6 +25,7 @@ from lcp_plugin import (
     Status,
     bounded_least_squares,
     certify,
+    complements,
     convergence_guarantee,
     error_bound,
     gallery,
@@ -307,3 +310,26 @@ def test_every_named_algorithm_exists() -> None:
         for call in calls_in(advice_of(lambda problem=problem, failed=failed: solve(problem, **failed))):
             name = call.get("algorithm", "auto")
             assert name == "auto" or create(name, {}).name == name
+
+
+def test_words_lead_where_they_say() -> None:
+    """INFEASIBLE names the proof that README names; a proof is told by its repr; a bound is advised once."""
+    refuted = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0]))
+    assert "result.proof proves it" in refuted.advice
+    assert refuted.proof.verify()
+    assert "row 0 contradicts its bounds" in repr(refuted.proof)
+    stiff = LCP(np.diag([1.0, 1e12]) + np.array([[0.0, -1.0], [-3.0, 0.0]]), [-1.0, -1.0])
+    for asked in (False, True):
+        said = solve(stiff, error_bound=asked).explain()
+        assert not ("no error bound" in said and "error_bound=True" in said)
+
+
+def test_an_equation_too_many_is_told_the_way_out() -> None:
+    """Prices that sum to one beside all markets: drop a market, or a free multiplier, which solves the model."""
+    p, scale = cp.Variable(2), cp.Variable()
+    with pytest.raises(LCPError, match=r"sum\(p\) == 1, drop a market .* free multiplier"):
+        ComplementarityProblem([complements(p >= 0, p - 0.5 >= 0), cp.sum(p) == 1]).solve()
+    problem = ComplementarityProblem([complements(p >= 0, p - 0.25 + scale >= 0), cp.sum(p) == 1])
+    problem.solve()
+    assert problem.status == "optimal"
+    np.testing.assert_allclose(p.value, [0.5, 0.5], atol=1e-8)

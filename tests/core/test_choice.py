@@ -632,7 +632,7 @@ def test_a_stage_that_gains_nothing_is_told_in_words() -> None:
     """Where npsor has no rate to reckon with, the next stage says so, and names no infinite number."""
     choice = Auto().next_step(cycle(24, 1.0), [after(create("npsor", {"scaling": "diagonal"}), 10, 1.0)], TARGET, False)
     assert choice is not None
-    assert choice.because.startswith("npsor does not get nearer; ")
+    assert choice.because.startswith("npsor was not converging; ")
 
 
 def test_a_large_program_begins_with_an_interior_point(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -83,6 +83,16 @@ def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
         assert Certificate.of(measured(M, q, rows, of_z), right * of_z).term_residual <= tolerance
 
 
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in (friction, game)])
+def test_the_guard_refuses_no_rounding_beside_a_bound(kind: Any) -> None:
+    """Off its bound by 1e-12 of its unit, where w is positive and large, z is rounded; the diagonal tells units."""
+    for seed in range(30):
+        M, q, z = answered(kind, seed)
+        rows, of_z = random_units(seed, z.size)
+        right = np.where(z > 0.0, z, 1e-12) * of_z
+        assert Certificate.of(measured(M, q, rows, of_z), right).term_residual <= 1e-8, seed
+
+
 FLOWS = {"growth": (-6.0, 2.0, 4.0), "upwind": (-11.0, 12.0, -1.0), "steep": (-501.0, 502.0, -1.0)}
 
 

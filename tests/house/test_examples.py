@@ -46,6 +46,9 @@ CHECKS = [
     ("self_heating", f"which differs from the integral by {NUMBER}", 1e-4),
     ("network_tolls", f"the income of an integer program differs by {NUMBER};", 1e-4),
     ("network_tolls", f"tolls lower by a millionth earn less by {NUMBER}, relatively", 1e-5),
+    ("carbon_price", f"no price of the grid is better by more than {NUMBER}", 1e-6),
+    ("monopolist_over_fringe", f"the income differs from the formula's 12.5 by {NUMBER}", 1e-6),
+    ("yes_or_no_investment", f"welfare differs from the best of all sixteen by {NUMBER}", 1e-6),
     ("cheapest_bolts", f"the same lift up to {NUMBER} mm", 1e-8),
     ("cheapest_bolts", f"the cost of an integer program differs by {NUMBER}", 1e-5),
     ("block_on_incline", f"the speeds differ from the closed form by {NUMBER} m/s", 1e-9),
@@ -53,7 +56,7 @@ CHECKS = [
     ("tower_of_ten", f"the speeds from the closed form by {NUMBER} m/s", 1e-9),
 ]
 NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
-NUMBERS = {22: "Twenty-two", 23: "Twenty-three", 24: "Twenty-four", 25: "Twenty-five", 26: "Twenty-six"}
+NUMBERS = {25: "Twenty-five", 26: "Twenty-six", 27: "Twenty-seven", 28: "Twenty-eight", 29: "Twenty-nine"}
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

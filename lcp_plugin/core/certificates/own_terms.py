@@ -9,8 +9,8 @@ the part, and v_i the part of w_i that has the wrong sign (|w_i| where z_i is of
 
 Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. The second term is for
 rows whose own terms are negligible beside those of the part, as in a far field. Where t_i |m_ij| are symmetric, U is
-also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i): neither in the caller's units nor in those of
-energy may a row be wrong, be it negligible in the other ones.
+also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i), d_i the diagonal entry, however small it is:
+neither in the caller's units nor in those of energy may a row be wrong, be it negligible in the other ones.
 
 In the caller's own units an LCP within the tolerance has no larger term residual: z° is nearer to 0 than z is, so that
 ‖r(z°)‖∞ ≤ U, and a row with |r_i| ≤ s² U passes. There nothing has to be computed.
@@ -69,8 +69,10 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector, *, is_linear: b
         wrong = np.where(distance > 0.0, np.abs(w), 0.0)
         terms = magnitude(problem, problem.matrix.whole(z))
         if is_linear:
+            if (energy := energy_scale(problem.matrix)) is not None:  # which knows of units beside the diagonal alone
+                scale = np.where(np.isnan(energy), scale, problem.diagonal)
             unit = for_each_row(problem, largest_of_parts(problem, terms / scale))
-            if (energy := energy_scale(problem.matrix)) is not None:
+            if energy is not None:
                 largest = largest_of_parts(problem, np.nan_to_num(terms / energy))
                 unit = np.fmin(unit, for_each_row(problem, largest) * energy / scale)
             own = (2.0 * wrong / (terms + np.sqrt(terms**2 + 4.0 * wrong * scale * unit))) ** 2

@@ -139,10 +139,38 @@ class _PartCompiler(Compiler):
         super().__init__(typing, target, library, *others)  # type: ignore[no-untyped-call]
 
 
+class _ApartLibrary(_PartLibrary):
+    """The code of a part that stays a function: where it is inlined, LLVM forgets that its arrays share no memory."""
+
+    def add_ir_module(self, ir_module: Any) -> None:
+        for function in ir_module.functions:
+            if not function.is_declaration:
+                function.attributes.add("noinline")
+        super().add_ir_module(ir_module)  # type: ignore[no-untyped-call]
+
+
+class _ApartCompiler(Compiler):
+    """Tells LLVM that the arrays of a call share no memory: it can check that at run time for few of them only."""
+
+    def __init__(
+        self, typing: Any, target: Any, library: Any, args: Any, result: Any, flags: Any, *others: Any
+    ) -> None:
+        library = library or _ApartLibrary(target.codegen(), "part")  # type: ignore[no-untyped-call]
+        flags = flags.copy()
+        flags.noalias = True
+        super().__init__(typing, target, library, args, result, flags, *others)  # type: ignore[no-untyped-call]
+
+
+def compiled_on_arrays_apart(function: Any) -> Any:
+    """Compile a part of kernels whose inner loops run on several numbers at a time; what it writes to is given once."""
+    return compiled_part(function, pipeline_class=_ApartCompiler)
+
+
 @compiling()
 def compiled_part(function: Any, **options: Any) -> Any:
     """Compile a part of kernels."""
-    options |= {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
+    options = {"pipeline_class": _PartCompiler, **options, "_nrt": False}
+    options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
     if hasattr(dispatcher, "compile"):  # it has none where numba is told not to compile
         dispatcher._insert = lambda *_: None  # there is no machine code that Python could call

@@ -79,7 +79,9 @@ if TYPE_CHECKING:
     from ...methods.direct import Retries, Turns
 
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
-PROJECTED_TYPE = Choice(NPSOR(scaling="diagonal"), "the projected-type iteration comes first")
+PROJECTED_TYPE = Choice(
+    NPSOR(scaling="diagonal"), "cheap sweeps over the rows come first; how fast they are decides what follows"
+)
 
 
 class Policy:
@@ -156,15 +158,18 @@ class Auto(Policy):
                 return replace(first, because=f"multipliers have no diagonal entry to sweep with; {first.because}")
             self._direct = None
         if takes_the_small_dense_solver(problem):
-            return Choice(_small(), "the projected-type iteration comes first, rounds and pivots follow, compiled")
+            return Choice(_small(), "small: a few sweeps guess which unknowns are at a bound")
         banded = _banded()
         passes = math.inf if banded is None else in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
-        narrow = PROJECTED_TYPE if banded is None else Choice(banded, f"a narrow band: about {passes:.0f} sweeps")
+        narrow = PROJECTED_TYPE if banded is None else Choice(
+            banded, f"M is a narrow band, which it solves at the cost of about {passes:.0f} sweeps"
+        )
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
         if passes <= TRIAL_SWEEPS:
             return narrow
         if is_large and _triangle(problem) is None and _is_clearly_dominant(problem):
-            return Choice(PSOR(), f"every row is dominated: a sweep gains a factor {CLEARLY_DOMINANT} at least")
+            why = f"diagonal entries outweigh their rows: a sweep leaves at most {CLEARLY_DOMINANT:.0%} of the error"
+            return Choice(PSOR(), why)
         return narrow if passes <= BANDED_PASSES else PROJECTED_TYPE
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
@@ -175,7 +180,7 @@ class Auto(Policy):
         if (order := _exact_order(problem, now)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if now.algorithm.name == "banded":
-            return replace(PROJECTED_TYPE, because="banded came to an end") if failed else None
+            return replace(PROJECTED_TYPE, because="banded ended without a solution: sweeps") if failed else None
         left = Remaining.of(problem, now, goal, failed=failed)
         if left is None:
             return None
@@ -193,7 +198,7 @@ class Auto(Policy):
             if rival is None or not left.loses_to(rival, passes := predicted[rival]):
                 return None
             if passes < math.inf and rival.name != DIRECT:
-                return Choice(rival, f"{left}, {rival.name} about {passes:.0f} passes over M")
+                return Choice(rival, f"{left}, this one about {passes:.0f} passes over M")
         self._direct = self._turns(problem)
         first = None if self._direct is None else self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")

@@ -72,11 +72,13 @@ class Remaining:
 
     def __str__(self) -> str:
         if self.has_failed:
-            return f"{self.name} came to an end"
+            return f"{self.name} ended without a solution"
         known = self.sweeps < math.inf
         if self.name == "multigrid" and known:
-            return f"multigrid has cost {self.work:.0f} passes and needs {self.sweeps:.0f} more"
-        return f"{self.name} needs {self.sweeps:.0f} more sweeps" if known else f"{self.name} does not get nearer"
+            return f"multigrid had taken {self.work:.0f} passes over M and would have needed {self.sweeps:.0f} more"
+        if not known:
+            return f"{self.name} was not converging"
+        return f"{self.name} would have needed {self.sweeps:.0f} more sweeps"
 
 
 def _is_asked(problem: LCP, now: Stage) -> bool:

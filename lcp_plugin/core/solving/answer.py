@@ -134,7 +134,8 @@ class Answer:
         Parameters
         ----------
         **how
-            Of :func:`lcp_plugin.evidence.plots.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns' grid.
+            Of :func:`lcp_plugin.evidence.plots.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns' grid,
+            or ``rows`` and their coordinates ``over``, for z and w.
         """
         return ask("picture", "answer")(self, **how)
 

@@ -185,11 +185,11 @@ class Result(Answer):
             self.reached(),
             *self._course(),
         ]
-        if len(self.stages) > 1:
+        if len(self.stages) > 1 or (self.stages and self.stages[0].because):
             total = sum(stage.work for stage in self.stages) or 1.0
             lines += [
-                f"  {stage.name}: {stage.iterations} iterations, {stage.work / total:.0%} of the work"
-                + (stage.because and f"; {stage.because}")
+                f"  {stage.name}, {stage.iterations} iterations, {stage.work / total:.0%} of the work"
+                + (stage.because and f": {stage.because}")
                 for stage in self.stages
             ]
         if self.is_solved:

@@ -24,12 +24,13 @@ ComplementarityModel(LCP(n=2, nonzeros=4, bounds 0 ≤ z))
 | rows complementary to variables, and equations, all affine | an `LCP`; ``LCP.load("m.nl")`` gives it, too |
 | the same with smooth functions, or as many smooth equations as variables | a `NonlinearProblem` |
 | a linear or convex quadratic objective, or none; affine rows and bounds | a `QuadraticProgram` |
-| the same objective beside affine complementarities: the best of all solutions | an `EquilibriumProgram` |
+| any smooth objective, or integers, beside complementarities: the best of all | an `EquilibriumProgram` |
 
 **Taken:** ``+ - * / ^ sqrt exp log log10 sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh``, sums, defined
-variables, ranges, fixed variables, a start. **Refused in words,** with the row: integers, logical and piecewise rows,
-external functions, ``abs min max if`` and what else is not smooth, nonlinear objectives, those that are not convex, and
-nonlinear rows beside an objective or without as many equations as unknowns.
+variables, ranges, fixed variables, a start. **Refused in words,** with the row: logical and piecewise rows, external
+functions, ``abs min max if`` and what else is not smooth; without complementarities integers, objectives that are not
+convex quadratic, and nonlinear rows beside one or without as many equations as unknowns; beside an objective what SCIP
+does not know: ``atan asin acos``.
 
 **What holds of a complementarity row:** it is ≥ 0 where its variable is at the lower bound, ≤ 0 at the upper one, 0
 between. Its dual is its value. A dual of a program is the derivative of the objective by the row's right-hand side.

@@ -32,6 +32,7 @@ CODES = {
 OUTSIDE = 1e-8  # of 1 + |x|
 ROUNDINGS = 100.0  # times what rounding alone leaves open
 PROGRAM_GOAL = 1e-6  # of the terms of a row
+OBJECTIVE = 1e-3  # of what the objective may differ by: one that is expanded has lost digits
 TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads")  # beside an objective
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
@@ -293,27 +294,35 @@ class ProgramModel(NLModel):
 
 @dataclass(eq=False, repr=False)
 class EquilibriumModel(NLModel):
-    """A convex program with complementarity constraints, in the variables and the values of the complementarity rows.
+    """A program with complementarity constraints, in the variables and the values of the complementarity rows.
 
     Attributes
     ----------
     sign : float
         −1 where the objective of the file is to be maximised.
-    pairs : ndarray of int
-        The complementarity rows.
+    pairs, columns : ndarray of int
+        The complementarity rows, and the unknowns that are their values.
     """
 
     problem: EquilibriumProgram
     sign: float
     pairs: Indices
+    columns: Indices
+
+    def start_or_none(self) -> FloatVector | None:
+        """Return the start in the unknowns of the problem; None where the file names none, or a row has no value."""
+        x = np.zeros(self.problem.program.n)
+        x[: self.unknowns.size] = self.content.start[self.unknowns]
+        x[self.columns] = evaluated(self.content, self.variables(x[: self.unknowns.size]))[0][self.pairs]
+        return x if self.content.has_start.any() and np.isfinite(x).all() else None
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
-        """Return the answer, optimal only with a proved gap.
+        """Return the answer, optimal only with a gap that is closed; the message says whose bound it is.
 
         Parameters
         ----------
         algorithm : str
-            "auto": branch and bound.
+            "auto": SCIP where it is installed, else branch and bound.
         **options
             Of :func:`lcp_plugin.minimize_over_solutions`; ``max_iterations`` is its ``max_nodes``, ``threads`` is taken
             and changes nothing.
@@ -330,22 +339,37 @@ class EquilibriumModel(NLModel):
         for name, wish in {**options, "algorithm": algorithm}.items():
             if name not in wishes and wish is not None and wish != plain.get(name):
                 raise InvalidOption(
-                    f"an objective beside complementarities is minimised by branch and bound, which takes no {name}, "
-                    f"got {wish!r}; leave it out; taken are {', '.join(TAKEN)}"
+                    f"an objective beside complementarities is minimised by SCIP or branch and bound, which takes no "
+                    f"{name}, got {wish!r}; leave it out; taken are {', '.join(TAKEN)}"
                 )
         wishes.pop("threads", None)
         if "max_iterations" in wishes:
             wishes["max_nodes"] = wishes.pop("max_iterations")
-        result = minimize_over_solutions(self.problem, **wishes)
-        x, duals, objective = None, None, None
+        result = minimize_over_solutions(self.problem, **{"x0": self.start_or_none(), **wishes})
+        x, duals, objective, status, wrong = None, None, None, result.status, ""
         if result.x is not None:
-            n = self.unknowns.size
-            x, duals = self.variables(result.x[:n]), np.zeros(self.content.row_lower.size)
-            duals[self.pairs] = result.x[n:]
-            objective = self.sign * result.value + 0.0
-        words = "optimal" if result.is_solved else result.status.name.lower()
+            x, duals = self.variables(result.x[: self.unknowns.size]), np.zeros(self.content.row_lower.size)
+            duals[self.pairs] = result.x[self.columns]
+            objective, wrong = self._as_stated(x, duals, result.value)
+        if wrong and result.is_solved:
+            status = Status.STALLED
+        words = wrong if wrong and result.is_solved else "optimal" if result.is_solved else status.name.lower()
         of = "" if self.sign > 0.0 else " (of minus the objective)"
         reached = "" if result.is_refuted else f"{result.reached()}{of}, "
         nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
-        message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}"
-        return NLAnswer(x, duals, result.status, message, result, objective, CODES[result.status])
+        advice = "" if result.is_solved or result.is_refuted else f"; {result.advice}"
+        message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}{advice}"
+        return NLAnswer(x, duals, status, message, result, objective, CODES[status])
+
+    def _as_stated(self, x: FloatVector, duals: FloatVector, value: float) -> tuple[float, str]:
+        """Return the objective as the file states it, and what its rows say against the answer, if anything."""
+        content, values = self.content, evaluated(self.content, x)
+        within = np.clip(values[0], content.row_lower, content.row_upper)
+        within[self.pairs] = duals[self.pairs]
+        size = 1.0 + np.abs(within) + abs(content.linear) @ np.abs(x)
+        objective = float(values[1][0]) if values[1].size else 0.0
+        stated = self.sign * value + 0.0
+        terms = abs(value) + (float((abs(content.objective_linear) @ np.abs(x))[0]) if values[1].size else 0.0)
+        allowed = PROGRAM_GOAL * size
+        wrong = contradiction(content, x, values, within, allowed, (stated, terms / OBJECTIVE))
+        return objective, wrong

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from typing import Any
@@ -17,7 +16,8 @@ from ...core.errors import UnsupportedModel
 from ...core.lcp import LCP
 from ...modeling.assembly import Assembly, PairedRows
 from ...modeling.equations import SMALLEST_PIVOT
-from ...problems.equilibria.equilibrium_program import EquilibriumProgram
+from ...modeling.equilibrium_rows import EquilibriumRows
+from ...modeling.expressions.rows import Rows
 from ...problems.programs.program import QuadraticProgram
 from .answers import ComplementarityModel, EquilibriumModel, NLModel, PairRows, ProgramModel
 from .checks import SideConditions, pair_bounds
@@ -56,7 +56,7 @@ def model_of(content: NLContent) -> NLModel:
         Naming the row or variable that is not taken.
     """
     statement = FileStatement(content)
-    if statement.pairs.size and statement.has_objective():
+    if statement.pairs.size and (statement.has_objective() or content.is_integer.any()):
         return statement.equilibrium_program()
     return statement.complementarities() if statement.is_complementarity_problem() else statement.program()
 
@@ -118,9 +118,12 @@ class FileStatement:
 
     def _refuse_discrete(self) -> None:
         content = self.content
-        if content.is_integer.any():
+        if content.is_integer.any() and not (content.partners >= 0).any():
             name = content.variable(int(np.flatnonzero(content.is_integer)[0]))
-            raise UnsupportedModel(f"{name} is an integer variable; only continuous ones are taken")
+            raise UnsupportedModel(
+                f"{name} is an integer variable; integers are taken beside complementarities only, by SCIP: write "
+                'SolverFactory("scip"), or give it a continuous domain'
+            )
         if content.logical_rows:
             raise UnsupportedModel(f"the model has {content.logical_rows} logical constraints; none are taken")
 
@@ -197,29 +200,47 @@ class FileStatement:
 
     def equilibrium_program(self) -> EquilibriumModel:
         """Return the program with complementarity constraints."""
-        content, rows = self.content, self.pairs
-        program, sign, constant = self._program_of(np.flatnonzero(content.partners < 0))
-        found = self.expressions
-        place = np.full(self.n, -1)
-        place[found.unknowns] = np.arange(found.unknowns.size)
-        problem = EquilibriumProgram.of_rows(
-            program, place[content.partners[rows]], found.matrix[rows][:, : found.unknowns.size], found.offset[rows],
-            sign * constant,
+        self._put_in_definitions()
+        content, found, m = self.content, self.expressions, self.m
+        own, place = found.unknowns, np.full(self.n, -1)
+        place[own] = np.arange(own.size)
+        stated = EquilibriumRows(
+            found.compiler, {UNKNOWNS: 0}, content.lower[own], content.upper[own],
+            np.flatnonzero(content.is_integer[own]),
         )
-        lower, upper = pair_bounds(content, rows)
-        problem = replace(problem, lower=lower, upper=upper)
-        return EquilibriumModel(content, problem, found.unknowns, self.known, sign, rows)
+        others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
+        is_affine = found.is_affine()
+        for part in (others[is_affine[others]], others[~is_affine[others]]):
+            if part.size:
+                stated.constrain(found.rows(part), content.row_lower[part], content.row_upper[part])
+        rows, columns = self.pairs[np.argsort(~is_affine[self.pairs], kind="stable")], []
+        for part in (rows[is_affine[rows]], rows[~is_affine[rows]]):
+            if part.size:
+                z = sp.csr_array((np.ones(part.size), place[content.partners[part]], np.arange(part.size + 1)),
+                                 shape=(part.size, own.size))
+                sides = Rows({UNKNOWNS: z}, np.zeros(part.size), (part.size,)), found.rows(part)
+                columns.append(stated.pair(*sides, *pair_bounds(content, part))[1])
+        has_objective = bool(content.is_maximized.size)
+        sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
+        goal = found.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
+        problem = stated.program(goal, sign, found.quadratic(m) if has_objective else None)
+        return EquilibriumModel(content, problem, own, self.known, sign, rows, np.concatenate(columns))
+
+    def _put_in_definitions(self) -> None:
+        """Let no defined variable be an unknown."""
+        if self.expressions.definitions.size:
+            self.expressions = Expressions(self.content, self.known, lifts=False)
 
     def _program_of(self, rows: Indices) -> tuple[QuadraticProgram, float, float]:
         """Return the program of some rows, to be minimised, its sign and the constant of the objective."""
-        if self.expressions.definitions.size:
-            self.expressions = Expressions(self.content, self.known, lifts=False)
+        self._put_in_definitions()
         content, found, m = self.content, self.expressions, self.m
         if not self.is_affine.all():
             row = content.row(np.flatnonzero(~self.is_affine)[0])
             raise UnsupportedModel(
-                f"{row} is nonlinear: rows of an optimisation, and inequalities, must be affine; nonlinear are "
-                "complementarities, and equations, as many as variables without a complementarity, and no objective"
+                f"{row} is nonlinear: rows of an optimisation without complementarities, and inequalities, must be "
+                "affine; nonlinear are complementarities, rows beside these and an objective, and equations, as many "
+                "as variables without a complementarity"
             )
         unknowns = found.unknowns
         P: Any = sp.csr_array((unknowns.size, unknowns.size))

@@ -45,7 +45,7 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
     >>> from lcp_plugin import LCP
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_nl(LCP([[2, 1], [1, 2]], [-5, 1]), f"{folder}/m.nl")
-    ...     LCP.load(f"{folder}/m.nl")
+    ...     print(LCP.load(f"{folder}/m.nl"))
     LCP(n=2, nonzeros=4, bounds 0 ≤ z)
     """
     target, content = checked_path(path), _content_of(problem)

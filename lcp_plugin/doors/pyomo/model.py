@@ -132,13 +132,14 @@ def stated(model: Any, path: Path) -> Statement:
         objectives = [one for one in objectives if not cannot_vary(one.expr)]
     if len(objectives) > 1:
         raise UnsupportedModel(f"the model has {len(objectives)} active objectives; deactivate all but one")
-    for takes_inequalities in (not has_pairs or bool(objectives), False):
+    is_whole = any(not one.is_continuous() for one in model.component_data_objects(Var, active=True, descend_into=True))
+    for takes_inequalities in (not has_pairs or bool(objectives) or is_whole, False):
         draft = _Draft(takes_inequalities)
         for row in constraints:
             draft.constrain(row)
         draft.pair(conditions, sides)
         statement = draft.written(objectives, has_pairs, path)
-        if not takes_inequalities or objectives or not statement.is_nonlinear:
+        if not takes_inequalities or objectives or is_whole or not statement.is_nonlinear:
             break
     return statement
 
@@ -255,8 +256,11 @@ class _Draft:
         if absent:
             information = self._write(path, absent)
         for variable in information.variables:
-            if not variable.is_continuous():
-                raise UnsupportedModel(f"the variable {variable.name} is integer; give it a continuous domain")
+            if not variable.is_continuous() and not self.partners:
+                raise UnsupportedModel(
+                    f"the variable {variable.name} is integer, and integers are taken beside complementarities only; "
+                    "give it a continuous domain"
+                )
         names = [self.named.get(id(variable)) or variable.name for variable in information.variables]
         rows = [self.states.get(id(row), row) for row in information.constraints]
         content = replace(read_content(path), names=names, row_names=[_name(row) for row in rows])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,33 @@ from ...core.crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.structure import IntVector
 from ...systems.factors import Bands, bands
 from ...systems.graph import bandwidth
 
 DIRECT_COST = 3.0  # passes over a tridiagonal M: the contacts, the other rows, the residual
+
+
+class FusedMarches(NamedTuple):
+    """Steps that one compiled loop has taken.
+
+    Attributes
+    ----------
+    steps : int
+        How many there are.
+    answers : array, shape (m, k, n)
+        Those of the kept steps.
+    before, last : arrays, shape (m, n)
+        The states before the last step, where there is one, and after it.
+    solve_of : callable
+        Called with the numbers of a march and a step, and its answer, returns its fused solve.
+    """
+
+    steps: int
+    answers: FloatVector
+    before: FloatVector
+    last: FloatVector
+    solve_of: Callable[[int, int, FloatVector], FusedSolve]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,40 +178,48 @@ class Banded(Algorithm):
 
     def fused_marches(
         self, problem: LCP, forcing: FloatVector, carry: Any, lower: FloatVector, upper: FloatVector, z: FloatVector,
-        tolerance: float, max_iterations: int,
-    ) -> tuple[FloatVector, Callable[[int, int], FusedSolve]]:
-        """Return the answers of the first steps of some marches, shape (m, steps, n), and the fused solve of each.
-
-        There are as many steps as have converged in all of them.
+        kept: IntVector, tolerance: float, max_iterations: int,
+    ) -> FusedMarches:
+        """Return the first steps of some marches, as many as have converged in all of them.
 
         Parameters
         ----------
         problem : LCP
             Gives M, tridiagonal, with no positive entry off the diagonal.
-        forcing : array, shape (k, n, m), or (k, n, 1) for all marches
+        forcing : array, shape (k, n, m), or (k, n, 1) for all marches, k = 1 for all steps
         carry : CSR array, shape (n, n)
         lower, upper, z : arrays, shape (n, m)
-            Bounds, and the states before the first step, which are overwritten.
+            Bounds, and the states before the first step; there are at most `march_kernels.MARCHES`.
+        kept : array of int, shape (k,)
+            For each step its number among those whose answers are kept, −1 where they are not.
         tolerance, max_iterations
             As for `solve_fused`, of each step.
         """
-        from .march_kernels import march_all
+        from .march_kernels import MARCHES, march_all
 
-        band, M, (k, (n, m)) = self._bands(problem), problem.csr, (len(forcing), z.shape)
-        answers, rounds, ends = np.empty((m, k, n)), np.empty((m, k), np.int64), np.empty((m, k, 2))
+        def filled(rows: FloatVector) -> FloatVector:
+            return np.ascontiguousarray(rows[..., np.minimum(np.arange(MARCHES), rows.shape[-1] - 1)])
+
+        band, M, (n, m) = self._bands(problem), problem.csr, z.shape
+        answers, rounds = np.empty((m, kept.max(initial=-1) + 1, n)), np.empty((len(kept), MARCHES), np.int64)
+        ends, states = np.empty((*rounds.shape, 2)), np.empty((3, n, MARCHES))
+        lower, upper = filled(lower), filled(upper)
+        states[0] = filled(z)
         whole = [A.astype(np.int64) for A in (M.indptr, M.indices, carry.indptr, carry.indices)]
         steps = march_all(
-            band.entries, problem.residual_scale, *whole[:2], M.data, *whole[2:], carry.data, forcing, lower, upper,
-            np.clip(0.0, lower, upper), tolerance, max_iterations, z, answers, rounds, ends,
+            band.entries, problem.residual_scale, *whole[:2], M.data, *whole[2:], carry.data,
+            forcing if forcing.shape[-1] == 1 else filled(forcing), lower, upper, np.clip(0.0, lower, upper),
+            tolerance, max_iterations, kept, states, answers, rounds, ends,
         )
         answers.flags.writeable = False  # they are judged
 
-        def solve_of(march: int, step: int) -> FusedSolve:
-            count, (largest, least) = int(rounds[march, step]), ends[march, step].tolist()
+        def solve_of(march: int, step: int, z: FloatVector) -> FusedSolve:
+            count, (largest, least) = int(rounds[step, march]), ends[step, march].tolist()
             work = _work(_costs(band, problem), count, 0)
-            return FusedSolve(answers[march, step], ratio_upwards(largest, least), work, ((self.name, count, work),))
+            return FusedSolve(z, ratio_upwards(largest, least), work, ((self.name, count, work),))
 
-        return answers[:, :steps], solve_of
+        before, last = (states[k % 3].T[:m] for k in (steps - 1, steps))
+        return FusedMarches(steps, answers, before, last, solve_of)
 
     def _halves(self) -> int:
         from .kernels import FEW_HALVES, HALVES

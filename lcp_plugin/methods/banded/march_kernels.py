@@ -1,7 +1,9 @@
 """Many marches with one tridiagonal M, side by side: the inner loops go over the marches, several at a time.
 
-As in :mod:`~lcp_plugin.methods.banded.kernels`, with M's off-diagonal entries ≤ 0, but a round starts from the
-sides that the last one found: from one step of a march to the next few rows change.
+As in :mod:`~lcp_plugin.methods.banded.kernels`, with M's off-diagonal entries ≤ 0, but a round starts from a guess:
+Brennan and Schwartz's sweep with one factor of M for all marches, right where the rows at bounds come first, as in a
+put (*The valuation of American put options*, J. Finance 32 (1977), doi:10.2307/2326779). Where a march has found that
+wrong, from the sides that its last step found: from one step to the next few rows change.
 
 One problem alone, bounded on one side, z ≥ value, is answered without rounds. The theory is Chandrasekaran's, the order
 of the rows Cryer's. With all rows at their bounds, free a row whose w is negative, then the next: z only rises, so that
@@ -16,107 +18,186 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import compiled_into_others, compiled_part, interpreted_while_small
-from ...core.kernels.enclosures import MAY_UNDERFLOW, of_terms, row_ends, split_sum, with_term
+from ...core.kernels.compilation import (
+    compiled_into_others,
+    compiled_on_arrays_apart,
+    compiled_part,
+    interpreted_while_small,
+)
+from ...core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, split_sum, with_term
 from ...core.kernels.floats import TINY, UNIT
 
+MARCHES = 16  # in one compiled loop: LLVM takes four registers of four numbers at a time
 ROUNDS = 10  # beyond, the contacts of a march are rather found directly
 UNDERFLOW = 4.0 * TINY / UNIT  # stands among the magnitudes of a sum for what it takes from a product and its error
+SURELY = 1.0 - 2.0**-40  # so that the certificate, whose bounds are sharper but rounded as well, agrees
+ORDINARY = 2.0**1000  # a scale below it has a reciprocal that is rounded once
+LOST = 8.0 * UNIT  # covers γ₃, and the roundings of the sum that it multiplies
+WIDER = 1.0 + 2.0**-50  # covers three roundings
 NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular to double precision
 EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
 
 
 @compiled_part
-def _sum_rows(indptr, indices, data, x, total, errors, size):  # type: ignore[no-untyped-def]
-    """Fill the sums of M x as `with_term` makes them; what underflow takes is among their magnitudes."""
-    n, marches = x.shape
-    for i in range(n):
-        for m in range(marches):
-            total[i, m] = errors[i, m] = size[i, m] = 0.0
-        for k in range(indptr[i], indptr[i + 1]):
-            a, column = data[k], x[indices[k]]
-            for m in range(marches):
-                h = a * column[m]
-                size[i, m] += UNDERFLOW if (abs(h) < MAY_UNDERFLOW) & (column[m] != 0.0) else 0.0
-                total[i, m], errors[i, m], size[i, m] = with_term(
-                    total[i, m], errors[i, m], size[i, m], h, a, column[m]
-                )
+def _row_sum(indptr, indices, data, i, x, m):  # type: ignore[no-untyped-def]
+    """Return the sum of row i of M x of march m, as `with_term` makes it; what underflow takes is in its last part."""
+    total = errors = size = 0.0
+    for k in range(indptr[i], indptr[i + 1]):
+        a, b = data[k], x[indices[k], m]
+        h = a * b
+        size += UNDERFLOW if (abs(h) < MAY_UNDERFLOW) & (b != 0.0) else 0.0
+        total, errors, size = with_term(total, errors, size, h, a, b)
+    return total, errors, size
 
 
 @compiled_part
-def _residual_ends(indptr, total, errors, size, q, x, lower, upper, scale, least, most):  # type: ignore[no-untyped-def]
-    """Fill a lower and an upper bound of each ‖r(x)‖∞ from the sums of M x."""
-    n, marches = x.shape
+def _largest_reference(indptr, indices, data, nearest, q, lower, upper, scale, rows, least):  # type: ignore[no-untyped-def]
+    """Fill a lower bound of each ‖r(z°)‖∞: that of |r_i(z°)| in the row i in which it is largest but for rounding."""
+    for m in range(rows.size):
+        i = int(rows[m])
+        total, errors, size = _row_sum(indptr, indices, data, i, nearest, m)
+        s, f = split_sum(total, q[i, m])
+        w, slip = of_terms(s, errors + f, size + abs(f), indptr[i + 1] - indptr[i] + 1)
+        least[m], _ = row_ends(w, slip, scale[i], nearest[i, m], lower[i, m], upper[i, m])
+
+
+@compiled_part
+def _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):  # type: ignore[no-untyped-def]
+    """Fill the factor of M from its last row to its first, and M z°; return whether reciprocals are rounded once."""
+    n, marches = nearest.shape
+    is_ordinary, pivot = True, 1.0
+    for i in range(n - 1, -1, -1):
+        is_ordinary &= 1.0 / ORDINARY < scale[i] < ORDINARY
+        ratios[i] = -bands[2, i] / pivot
+        pivot = bands[1, i] + ratios[i] * bands[0, min(i + 1, n - 1)]  # the last row has no entry on its right
+        inverse_pivots[i] = 1.0 / pivot
+        for m in range(marches):
+            left, right = nearest[max(i - 1, 0), m], nearest[min(i + 1, n - 1), m]
+            of_nearest[i, m] = bands[0, i] * left + bands[1, i] * nearest[i, m] + bands[2, i] * right
+    return is_ordinary
+
+
+@compiled_on_arrays_apart
+def _next_offset(  # type: ignore[no-untyped-def]
+    carry_indptr, carry_indices, carry_data, forcing, z, of_nearest, nearest, lower, upper, inverse_scale, ratios,
+    q, y, largest, rows, total
+):
+    """Fill q = forcing + C z, y with what is right of the rows that are eliminated from the last to the first.
+
+    Fill rows with the one in which |r(z°)| is largest.
+    """
+    n, marches = z.shape
+    is_common = forcing.shape[1] == 1
     for m in range(marches):
-        least[m] = most[m] = 0.0
-    for i in range(n):
-        terms, unit = indptr[i + 1] - indptr[i] + 1, scale[i]
+        largest[m] = rows[m] = 0.0
+    for i in range(n - 1, -1, -1):
         for m in range(marches):
-            s, f = split_sum(total[i, m], q[i, m])
-            w, slip = of_terms(s, errors[i, m] + f, size[i, m] + abs(f), terms)
-            low, high = row_ends(w, slip, unit, x[i, m], lower[i, m], upper[i, m])
-            least[m], most[m] = max(least[m], low), max(most[m], high)
+            total[m] = 0.0
+        for k in range(carry_indptr[i], carry_indptr[i + 1]):
+            c, j = carry_data[k], carry_indices[k]
+            for m in range(marches):
+                total[m] += c * z[j, m]
+        if is_common:
+            for m in range(marches):
+                q[i, m] = forcing[i, 0] + total[m]
+        else:
+            for m in range(marches):
+                q[i, m] = forcing[i, m] + total[m]
+        unit, row, ratio, after = inverse_scale[i], float(i), ratios[i], min(i + 1, n - 1)
+        for m in range(marches):
+            offset, x = q[i, m], nearest[i, m]
+            r = abs(min(max((of_nearest[i, m] + offset) * unit, x - upper[i, m]), x - lower[i, m]))
+            rows[m] = row if r > largest[m] else rows[m]
+            largest[m] = r if r > largest[m] else largest[m]
+            y[i, m] = ratio * y[after, m] - offset
 
 
-@compiled_part
-def _substitute(bands, q, lower, upper, state, is_active, x, slope, room):  # type: ignore[no-untyped-def]
-    """Fill x, where a march is active, with the bounds that state says and the solution of w = 0 elsewhere."""
+@compiled_on_arrays_apart
+def _guess(below, inverse_pivots, y, lower, upper, trust, state, here):  # type: ignore[no-untyped-def]
+    """Fill state, of marches with trust > 0, with the bounds that hold where the rows at bounds come first."""
+    n, marches = y.shape
+    for m in range(marches):
+        here[m] = 0.0
+    for i in range(n):
+        a, inverse = below[i], inverse_pivots[i]
+        for m in range(marches):
+            value, low, high = (y[i, m] - a * here[m]) * inverse, lower[i, m], upper[i, m]
+            here[m] = min(max(value, low), high)
+            side = 1.0 if value >= high else 0.0
+            side = -1.0 if value <= low else side
+            state[i, m] = side if trust[m] > 0.0 else state[i, m]
+
+
+@compiled_on_arrays_apart
+def _substitute(bands, q, lower, upper, state, x, slope, z, here, factor):  # type: ignore[no-untyped-def]
+    """Fill x with the bounds that state says and the solution of w = 0 elsewhere, and z with x taken into bounds."""
     n, marches = x.shape
-    here, factor = room[0], room[1]
     for m in range(marches):
         here[m] = factor[m] = 0.0
     for i in range(n):
         a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
         for m in range(marches):
+            low, high, side = lower[i, m], upper[i, m], state[i, m]
             pivot = d - a * factor[m]
-            value = lower[i, m] if state[i, m] < 0.0 else upper[i, m]
-            is_free = state[i, m] == 0.0
-            here[m] = (a * here[m] - q[i, m]) / pivot if is_free else value
-            factor[m] = c / pivot if is_free else 0.0
-            x[i, m] = here[m] if is_active[m] > 0.0 else x[i, m]
-            slope[i, m] = factor[m] if is_active[m] > 0.0 else 0.0
-    for i in range(n - 2, -1, -1):
+            value, share = (a * here[m] - q[i, m]) / pivot, c / pivot
+            held = low if side < 0.0 else high
+            x[i, m] = here[m] = value if side == 0.0 else held
+            slope[i, m] = factor[m] = share if side == 0.0 else 0.0
+    for m in range(marches):
+        here[m] = 0.0
+    for i in range(n - 1, -1, -1):
         for m in range(marches):
-            x[i, m] += slope[i, m] * x[i + 1, m]
+            value = x[i, m] + slope[i, m] * here[m]
+            x[i, m] = here[m] = value
+            z[i, m] = min(max(value, lower[i, m]), upper[i, m])
 
 
-@compiled_part
-def _take_sides(bands, q, lower, upper, inverse_scale, x, state, wrong):  # type: ignore[no-untyped-def]
-    """Fill state with the bounds that x − w/d reaches (−1, 0, 1), and wrong with the number of rows that change."""
+@compiled_on_arrays_apart
+def _measure(bands, q, lower, upper, inverse_scale, x, z, state, wrong, most):  # type: ignore[no-untyped-def]
+    """Fill state with the bounds that x − w/d reaches (−1, 0, 1), and most with an upper bound of each ‖r(z)‖∞.
+
+    w is rounded three times, by no more than γ₃ (|q| + |M||z|) and what underflow takes (Higham, *Accuracy and
+    stability*, SIAM 2002, section 3.1). Of a z within its bounds |r| is at most |w|/d, and 0 where w pushes z to a
+    bound that it has reached. wrong is the number of rows whose state changes.
+    """
     n, marches = x.shape
     for m in range(marches):
-        wrong[m] = 0.0
+        wrong[m] = most[m] = 0.0
     for i in range(n):
-        a, d, c, unit = bands[0, i], bands[1, i], bands[2, i], inverse_scale[i]
-        before, here, after = x[max(i - 1, 0)], x[i], x[min(i + 1, n - 1)]
+        a, d, c, inverse = bands[0, i], bands[1, i], bands[2, i], inverse_scale[i]
+        before, after = max(i - 1, 0), min(i + 1, n - 1)
         for m in range(marches):
-            step = (a * before[m] + d * here[m] + c * after[m] + q[i, m]) * unit
-            above, beyond = here[m] - lower[i, m], here[m] - upper[i, m]
+            left, here, right = z[before, m], z[i, m], z[after, m]
+            low, high = lower[i, m], upper[i, m]
+            w = fused(a, left, fused(c, right, fused(d, here, q[i, m])))
+            size = abs(q[i, m]) + abs(d * here) + (abs(a * left) + abs(c * right))
+            slip = size * LOST + 4.0 * TINY
+            down, up = w if here > low else -np.inf, -w if here < high else -np.inf
+            larger = down if down > up else up
+            largest = ((larger if larger > 0.0 else 0.0) + slip) * inverse * WIDER + TINY
+            largest = largest if size < np.inf else np.inf
+            most[m] = largest if largest > most[m] else most[m]
+            step, above, beyond = w * inverse, x[i, m] - low, x[i, m] - high
             side = 1.0 if beyond >= step else 0.0
-            side = -1.0 if (above <= step) | (lower[i, m] == upper[i, m]) else side
+            side = -1.0 if (above <= step) | (low == high) else side
             wrong[m] += 0.0 if side == state[i, m] else 1.0
             state[i, m] = side
 
 
 @compiled_part
-def _next_offset(carry_indptr, carry_indices, carry_data, forcing, z, q, total):  # type: ignore[no-untyped-def]
-    """Fill q = forcing + C z."""
-    n, marches = z.shape
-    for i in range(n):
-        for m in range(marches):
-            total[m] = 0.0
-        for k in range(carry_indptr[i], carry_indptr[i + 1]):
-            c, column = carry_data[k], z[carry_indices[k]]
-            for m in range(marches):
-                total[m] += c * column[m]
-        for m in range(marches):
-            q[i, m] = (forcing[i, 0] if forcing.shape[1] == 1 else forcing[i, m]) + total[m]
+def _are_small(most, least, tolerance, ends):  # type: ignore[no-untyped-def]
+    """Fill the ends of a step; return whether all its residuals are within the tolerance."""
+    are_small = True
+    for m in range(most.size):
+        ends[m, 0], ends[m, 1] = most[m], least[m]
+        are_small &= least[m] > 0.0 and most[m] / least[m] < tolerance * SURELY
+    return are_small
 
 
 @interpreted_while_small
 def march_all(  # type: ignore[no-untyped-def]
     bands, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data, forcing, lower, upper, nearest,
-    tolerance, most_rounds, z, Z, rounds, ends
+    tolerance, most_rounds, kept, states, Z, rounds, ends
 ):
     """March all along together; return how many steps converged for each of them.
 
@@ -126,56 +207,56 @@ def march_all(  # type: ignore[no-untyped-def]
         M: its three diagonals, its residual scale, and its entries by rows.
     carry_indptr, carry_indices, carry_data
         C by rows: C z of each step is added to the q of the next.
-    forcing : array, shape (k, n, m), or (k, n, 1) for all marches
-    lower, upper, nearest : arrays, shape (n, m)
+    forcing : array, shape (k, n, MARCHES), or (k, n, 1) for all marches, k = 1 for all steps
+    lower, upper, nearest : arrays, shape (n, MARCHES)
         Bounds, and the point between them that is nearest to 0.
-    z : array, shape (n, m)
-        The states before the first step, to be overwritten.
-    Z : array, shape (m, k, n)
+    kept : array of int, shape (k,)
+        Where the answer of each step goes, −1 for nowhere.
+    states : array, shape (3, n, MARCHES)
+        The first of them before the first step; that after step k comes to states[(k + 1) % 3].
+    Z : array, shape (m, kept steps, n)
         Answers, to be filled.
-    rounds : array of int, shape (m, k)
+    rounds : array of int, shape (k, MARCHES)
         How many there were.
-    ends : array, shape (m, k, 2)
+    ends : array, shape (k, MARCHES, 2)
         An upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞.
     """
-    n, marches = z.shape
-    q, slope, state, inverse_scale = np.empty((n, marches)), np.empty((n, marches)), np.empty((n, marches)), 1.0 / scale
-    of_nearest, of_z = np.empty((3, n, marches)), np.empty((3, n, marches))
-    least, most, low, room = np.empty(marches), np.empty(marches), np.empty(marches), np.empty((2, marches))
-    wrong, is_active = np.empty(marches), np.empty(marches)
-    _sum_rows(indptr, indices, data, nearest, of_nearest[0], of_nearest[1], of_nearest[2])
-    for k in range(forcing.shape[0]):
-        _next_offset(carry_indptr, carry_indices, carry_data, forcing[k], z, q, room[0])
-        _residual_ends(
-            indptr, of_nearest[0], of_nearest[1], of_nearest[2], q, nearest, lower, upper, scale, least, most
+    n, marches = nearest.shape
+    q, y, slope, x = np.empty((n, marches)), np.zeros((n, marches)), np.empty((n, marches)), np.empty((n, marches))
+    state, of_nearest, room = np.zeros((n, marches)), np.empty((n, marches)), np.empty((3, marches))
+    least, most, wrong, inverse_scale = np.empty(marches), np.empty(marches), np.empty(marches), 1.0 / scale
+    ratios, inverse_pivots, trust = np.zeros(n), np.empty(n), np.ones(marches)
+    if not _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):
+        return 0
+    for k in range(kept.size):
+        z, answer = states[k % 3], states[(k + 1) % 3]
+        _next_offset(
+            carry_indptr, carry_indices, carry_data, forcing[min(k, forcing.shape[0] - 1)], z, of_nearest, nearest,
+            lower, upper, inverse_scale, ratios, q, y, room[0], room[1], room[2],
         )
-        if k == 0:
-            _take_sides(bands, q, lower, upper, inverse_scale, z, state, wrong)
-        left = float(marches)
+        _largest_reference(indptr, indices, data, nearest, q, lower, upper, scale, room[1], least)
+        _guess(bands[0], inverse_pivots, y, lower, upper, trust, state, room[0])
         for m in range(marches):
-            is_active[m], rounds[m, k] = 1.0, 0
+            wrong[m], rounds[k, m] = 1.0, 0
         for _round in range(min(ROUNDS, most_rounds)):
-            _substitute(bands, q, lower, upper, state, is_active, z, slope, room)
-            _take_sides(bands, q, lower, upper, inverse_scale, z, state, wrong)
+            for m in range(marches):
+                rounds[k, m] += 1 if wrong[m] > 0.0 else 0
+            _substitute(bands, q, lower, upper, state, x, slope, answer, room[0], room[1])
+            _measure(bands, q, lower, upper, inverse_scale, x, answer, state, wrong, most)
             left = 0.0
             for m in range(marches):
-                rounds[m, k] += 1 if is_active[m] > 0.0 else 0
-                is_active[m] = 0.0 if wrong[m] == 0.0 else is_active[m]
-                left += is_active[m]
+                left += wrong[m]
             if left == 0.0:
                 break
-        for i in range(n):
-            for m in range(marches):
-                z[i, m] = min(max(z[i, m], lower[i, m]), upper[i, m])
-        _sum_rows(indptr, indices, data, z, of_z[0], of_z[1], of_z[2])
-        _residual_ends(indptr, of_z[0], of_z[1], of_z[2], q, z, lower, upper, scale, low, most)
         for m in range(marches):
-            ends[m, k, 0], ends[m, k, 1] = most[m], least[m]
-            if not (least[m] > 0.0 and most[m] / least[m] < tolerance):
-                return k
+            trust[m] = 0.0 if rounds[k, m] > 1 else trust[m]
+        if not _are_small(most, least, tolerance, ends[k]):
+            return k
+        if kept[k] >= 0:
             for i in range(n):
-                Z[m, k, i] = z[i, m]
-    return forcing.shape[0]
+                for m in range(Z.shape[0]):
+                    Z[m, kept[k], i] = answer[i, m]
+    return kept.size
 
 
 @compiled_into_others

@@ -60,12 +60,18 @@ def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) 
     return tolerance * (least_reference(least, most) / largest) * (1.0 - 4.0 * EPSILON)
 
 
+IN_WORDS = {
+    "newton": "guesses which unknowns are at a bound and solves for the others, until the guess proves right",
+    "lemke": "pivots: swaps unknowns at their bounds one by one",
+}
+
+
 def fused_result(
     certificate: Certificate, policy: Policy, first: Choice, found: FusedSolve, settings: Settings, seconds: float
 ) -> Result:
     """Return the result of a fused solve that converged at the z of a certificate, after these seconds."""
     stages = tuple(
-        StageRecord(name, "" if k else first.because, iterations, work)
+        StageRecord(name, IN_WORDS.get(name, "" if k else first.because), iterations, work)
         for k, (name, iterations, work) in enumerate(found.parts)
     )
     return Result(

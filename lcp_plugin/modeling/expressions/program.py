@@ -95,7 +95,7 @@ class Level:
 class Program:
     """A map from n unknowns to m results, with its derivatives and with intervals of both.
 
-    Parameters
+    Attributes
     ----------
     n : int
     levels : list of Level
@@ -108,7 +108,7 @@ class Program:
     """
 
     def __init__(self, n: int, levels: Sequence[Level], result: Combination) -> None:
-        self.n, self._levels, self._result = n, list(levels), result
+        self.n, self.levels, self.result = n, list(levels), result
         ends = np.cumsum([n, *(level.size for level in levels)]).tolist()
         self._spans = [slice(*pair) for pair in pairwise(ends)]
 
@@ -142,12 +142,17 @@ class Program:
     @property
     def size(self) -> int:
         """The number of results."""
-        return int(self._result.offset.size)
+        return int(self.result.offset.size)
+
+    def quantities(self, x: FloatVector) -> FloatVector:
+        """Return the unknowns and the values of all functions, level by level."""
+        found: FloatVector = self._swept(x[None])[0][0]
+        return found
 
     def rearranged(self, places: Indices, signs: FloatVector) -> Program:
         """Return the program whose result k is signs[k] times the result places[k] of this one."""
-        matrix = sp.csr_array(sp.diags_array(signs) @ self._result.matrix[places])
-        return Program(self.n, self._levels, Combination(matrix, signs * self._result.offset[places]))
+        matrix = sp.csr_array(sp.diags_array(signs) @ self.result.matrix[places])
+        return Program(self.n, self.levels, Combination(matrix, signs * self.result.offset[places]))
 
     def value(self, x: FloatVector) -> FloatVector:
         """Return F(x), shape (m,)."""
@@ -173,39 +178,39 @@ class Program:
         with np.errstate(all="ignore"):
             arguments, moved = self._swept(x[None])[1], np.zeros(self._count)
             moved[: self.n] = dx
-            for level, span, values in zip(self._levels, self._spans, arguments, strict=True):
+            for level, span, values in zip(self.levels, self._spans, arguments, strict=True):
                 first, second = (
                     slope[0] * (argument.matrix @ moved)
                     for slope, argument in zip(level.derivatives(values), level.arguments, strict=True)
                 )
                 first[: second.size] += second
                 moved[span] = first
-            change: FloatVector = self._result.matrix @ moved
+            change: FloatVector = self.result.matrix @ moved
             return change
 
     def gradient(self, x: FloatVector, by_result: FloatVector) -> FloatVector:
         """Return F′(x)ᵀ by_result without the Jacobian."""
         with np.errstate(all="ignore"):
             arguments, total = self._swept(x[None])[1], np.zeros(self._count)
-            total += self._result.matrix.T @ by_result
-            for level, span, values in zip(self._levels[::-1], self._spans[::-1], arguments[::-1], strict=True):
+            total += self.result.matrix.T @ by_result
+            for level, span, values in zip(self.levels[::-1], self._spans[::-1], arguments[::-1], strict=True):
                 for slope, argument in zip(level.derivatives(values), level.arguments, strict=True):
                     total += argument.matrix.T @ (slope[0] * total[span][: slope.shape[1]])
             return total[: self.n]
 
     @property
     def _count(self) -> int:
-        return int(self._result.matrix.shape[1])
+        return int(self.result.matrix.shape[1])
 
     def _values(self, x: Ends) -> Ends:
         with np.errstate(all="ignore"):
-            return self._result(self._swept(x)[0])
+            return self.result(self._swept(x)[0])
 
     def _swept(self, x: Ends) -> tuple[Ends, list[list[Ends]]]:
         """Return all quantities, and the arguments of each level."""
         quantities, arguments = np.zeros((len(x), self._count)), []  # a level takes none of those that come after it
         quantities[:, : self.n] = x
-        for level, span in zip(self._levels, self._spans, strict=True):
+        for level, span in zip(self.levels, self._spans, strict=True):
             arguments.append([argument(quantities) for argument in level.arguments])
             quantities[:, span] = level.values(arguments[-1])
         return quantities, arguments
@@ -214,7 +219,7 @@ class Program:
         """Return the entries of the Jacobian, or intervals of them."""
         with np.errstate(all="ignore"):
             entries, arguments = np.ones((len(x), self._patterns[-1].stop)), self._swept(x)[1]
-            for level, pattern, values in zip(self._levels, self._patterns, arguments, strict=False):
+            for level, pattern, values in zip(self.levels, self._patterns, arguments, strict=False):
                 first, second = (
                     _product(pattern.repeated(slope), combined(entries[:, : pattern.start]))
                     for slope, combined in zip(level.derivatives(values), pattern.combined, strict=True)
@@ -231,11 +236,11 @@ class Program:
         rows = sp.csr_array((np.arange(self.n), np.arange(self.n), np.arange(self.n + 1)), shape=(self.n, self.n))
         known = _Places(rows.indptr.astype(np.int64), rows.indices.astype(np.int64))
         patterns = []
-        for level in self._levels:
+        for level in self.levels:
             patterns.append(_Pattern(known, level.arguments, self.n))
             known = known.extended(patterns[-1])
-        nothing = Combination(sp.csr_array((0, self._result.matrix.shape[1])), np.zeros(0))
-        patterns.append(_Pattern(known, (self._result, nothing), self.n))
+        nothing = Combination(sp.csr_array((0, self.result.matrix.shape[1])), np.zeros(0))
+        patterns.append(_Pattern(known, (self.result, nothing), self.n))
         return patterns
 
 

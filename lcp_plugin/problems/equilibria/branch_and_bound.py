@@ -1,8 +1,10 @@
-"""minimize_over_solutions(): branch and bound on the pairs of an equilibrium program.
+"""minimize_over_solutions(): the best of all solutions, by SCIP where it is installed, and by branch and bound.
 
-A node leaves some cases of each pair open; its children take one case each of the pair that its relaxation violates
-most, or by experience moves the bound most. The search dives: of the children it goes on with the lower bound, and when
-a dive ends, with the lowest bound of all.
+The relaxation with all cases open comes first: its bound, or its refutation, is proved. SCIP's point gives the cases
+of a piece, which is solved again here. Our own nodes follow where a proof is asked for, or SCIP is not here, or what
+it says, that there is no solution or no least one, waits for a proof: a node leaves some cases of each pair open, its
+children take one case each of the pair that its relaxation violates most, or by experience moves the bound most. The
+search dives: of the children it goes on with the lower bound, and when a dive ends, with the lowest bound of all.
 
 References
 ----------
@@ -19,38 +21,47 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ...core.checks import is_number
+from ...core.checks import FloatVector, checked_vector, is_number
 from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, time_limit
-from ...core.errors import InvalidOption
+from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
+from ...core.registry import ask_or_none
 from ...core.settings import Status
 from ..programs.convexity import refuse_nonconvex
 from ..programs.qp_proofs import QPUnboundedness
-from .cuts import strengthened
+from .cuts import Strengthened, strengthened
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
-from .relaxations import LocalSearch, Node, Relaxations
-from .result import EquilibriumResult
+from .incumbents import LocalSearch
+from .relaxations import Node, Relaxations
+from .result import CONTRADICTED, EquilibriumResult, Outside
 
 MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
 SHARE = 0.5  # of the tolerance: how near the best value a node's bound has to be to close it
-EVERY = 10  # nodes between two starts of the local search
 LEAST_GAIN = 1e-9
-OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose")
+OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
 GROWTH = 1.5  # of the nodes from one line of the log to the next
+MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
+EVERY = 10  # nodes between two local searches
+ENDS = {
+    "timelimit": Status.MAX_SECONDS, "nodelimit": Status.MAX_ITERATIONS, "totalnodelimit": Status.MAX_ITERATIONS,
+    "userinterrupt": Status.INTERRUPTED,
+}
 
 
 def minimize_over_solutions(
     problem: EquilibriumProgram, *, tolerance: float = 1e-6, max_nodes: int | None = None,
     max_seconds: float | None = None, callback: Callable[[BranchAndBound], Any] | None = None, verbose: bool = False,
+    x0: ArrayLike | None = None, prove: bool = False,
 ) -> EquilibriumResult:
-    """Return the best solution of a convex program with complementarity constraints, and a proved bound.
+    """Return the best solution of a program with complementarity constraints, and a bound of what any can reach.
 
     Parameters
     ----------
     problem : EquilibriumProgram
     tolerance : float
-        SOLVED means that the value is proved to be within tolerance · max(1, |value|) of the least.
+        SOLVED means that value − bound ≤ tolerance · max(1, |value|).
     max_nodes : int, optional
         How many nodes may be branched on.
     max_seconds : float, optional
@@ -59,22 +70,28 @@ def minimize_over_solutions(
         Gets the search, with ``value``, ``lower_bound`` and ``nodes``, after each node; ends it by something true.
     verbose : bool
         Print a line at geometric intervals: nodes, value, bound, gap, seconds.
+    x0 : array, shape (n,), optional
+        Where it is a solution, the result is no worse; its leaders are tried in any case.
+    prove : bool
+        Whether the bound has to be proved, also where SCIP is installed; its point comes first.
 
     Returns
     -------
     EquilibriumResult
+        ``bound_by`` says whether its bound is a "proof" or that of "SCIP", in floating point.
 
     Raises
     ------
     UnsupportedModel
-        Where the objective is not convex.
+        Where a proof is asked for and pieces are not convex; where SCIP does not know a function.
     InvalidOption
         Where the tolerance is not positive, a limit is negative, or the problem is of another kind.
 
     Notes
     -----
-    Every bound is rigorous for the stored doubles, every infeasible node refuted by multipliers that are checked in
-    rational arithmetic; ``result.verify()`` checks all of it again. The worst case is 2ᵏ nodes of k pairs.
+    Bounds of our own are rigorous for the stored doubles, every infeasible node refuted by multipliers that are checked
+    in rational arithmetic; ``result.verify()`` checks all of it again. The worst case is 2ᵏ nodes of k pairs. SCIP
+    (``pip install 'lcp_plugin[global]'``) takes objectives that are not convex, smooth rows and integers as well.
 
     Examples
     --------
@@ -82,9 +99,9 @@ def minimize_over_solutions(
     >>> from lcp_plugin import EquilibriumProgram, QuadraticProgram
     >>> program = QuadraticProgram([[2, 0], [0, 0]], [-2, 1], lower=[-np.inf, 0])  # (x − 1)² + y − 1
     >>> problem = EquilibriumProgram.of_rows(program, [1], [[-1, 1]], [0.5])       # 0 ≤ y ⟂ y − x + ½ ≥ 0
-    >>> result = minimize_over_solutions(problem)
-    >>> result.status.name, round(result.value, 9), result.x.round(9), result.verify()
-    ('SOLVED', -0.75, array([0.5, 0. , 0. ]), True)
+    >>> result = minimize_over_solutions(problem, prove=True)
+    >>> result.status.name, round(result.value, 9), result.x.round(9), result.bound_by, result.verify()
+    ('SOLVED', -0.75, array([0.5, 0. , 0. ]), 'proof', True)
     """
     if not isinstance(problem, EquilibriumProgram):
         raise InvalidOption(
@@ -95,11 +112,26 @@ def minimize_over_solutions(
     for name, limit in {"max_nodes": max_nodes, "max_seconds": max_seconds}.items():
         if limit is not None and not (is_number(limit) and limit >= 0):
             raise InvalidOption(f"{name} must be a number ≥ 0, got {limit!r}")
-    refuse_nonconvex(problem.program)
+    if prove and not problem.is_provable:
+        _refuse_proof(problem)
+    try:
+        start = None if x0 is None else checked_vector(x0, "x0", problem.program.n)
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)
         log = _Log() if verbose else None
-        return search.run(lambda: bool((log is not None and log(search)) or (callback and callback(search))))
+        watchers = [one for one in (log, callback) if one is not None]
+        return search.run(lambda: any([bool(one(search)) for one in watchers]), start, prove)
+
+
+def _refuse_proof(problem: EquilibriumProgram) -> None:
+    refuse_nonconvex(problem.program)
+    what = "integers" if problem.integers.size else "a smooth part that is not quadratic"
+    raise UnsupportedModel(
+        f"prove=True needs affine rows, a convex quadratic objective and no integers, and this problem has {what}; "
+        "leave it out: the bound is SCIP's then"
+    )
 
 
 class BranchAndBound:
@@ -108,53 +140,121 @@ class BranchAndBound:
     Attributes
     ----------
     nodes : int
-        How many were branched on.
+        How many were branched on, SCIP's among them.
     """
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float, max_nodes: float) -> None:
         self.clock, self.nodes = Clock(ALONE), 0
-        self.strengthened = strengthened(problem)
-        self.problem, self.tolerance, self.max_nodes = self.strengthened.problem, tolerance, max_nodes
-        self.relaxations = Relaxations(self.problem, tolerance)
-        self.local = LocalSearch(self.relaxations)
-        self.tree: list[Node] = []
+        self.original, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
+        self.local = LocalSearch(Relaxations(problem, tolerance))
+        self.outside: Outside | None = None
+        self._outside_value = math.inf  # of a point that is not confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
+        self._is_infeasible = self._is_stuck = False
+        self._gains: dict[tuple[int, int], list[float]] = defaultdict(list)
+        self._begin(Strengthened(problem, problem))
+
+    def _begin(self, stronger: Strengthened) -> None:
+        """Begin with an empty tree."""
+        self.strengthened, self.problem = stronger, stronger.problem
+        self.relaxations = Relaxations(self.problem, self.tolerance)
+        self.tree: list[Node] = []
         self._open: list[tuple[float, int, Node]] = []
         self._current: Node | None = None  # open, too
         self._closed_at = math.inf  # the least bound of the leaves that are closed
-        self._is_stuck = False
-        self._gains: dict[tuple[int, int], list[float]] = defaultdict(list)
 
     @property
     def value(self) -> float:
         """The objective of the best solution found, ∞ without one."""
-        return self.local.value
+        return min(self.local.value, self._outside_value)
 
     @property
     def lower_bound(self) -> float:
         """What no solution is below."""
         waiting = [bound for bound, _, _ in self._open[:1]] + ([] if self._current is None else [self._current.bound])
-        return min([self._closed_at, self.value, *waiting])
+        own = min([self._closed_at, *waiting]) if self.tree else -math.inf
+        return min(self.value, max(own, -math.inf if self.outside is None else self.outside.bound))
 
     @property
     def cutoff(self) -> float:
         """A bound that closes a node."""
-        return self.value - SHARE * self.tolerance * max(1.0, abs(self.value)) if self.value < math.inf else math.inf
+        value = self.local.value
+        return value - SHARE * self.tolerance * max(1.0, abs(value)) if value < math.inf else math.inf
 
-    def run(self, ends: Callable[[], bool]) -> EquilibriumResult:
-        """Return the result, once no node is open, or something ends the search."""
+    def run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> EquilibriumResult:
+        """Return the result, once the gap is closed, or something ends the search."""
         ended: Status | None = None
         try:
-            self._current = self.relaxations.node(self.problem.all_cases)
-            self.tree.append(self._current)
-            self.local.start(self._current)
-            while self._next() is not None and self.descent is None:
-                if (ended := self._limit(ends)) is not None:
-                    break
-                self._branch()
+            ended = self._run(ends, x0, prove)
         except KeyboardInterrupt:
             ended = Status.INTERRUPTED
         return self._result(ended)
+
+    def _run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> Status | None:
+        engine, is_provable = ask_or_none("global solver", "SCIP"), self.original.is_provable
+        engine = engine() if engine is not None else None
+        if is_provable and not self._root():
+            return None
+        if x0 is not None:
+            self.local.from_point(x0)
+        if engine is None:
+            self.local.from_leaders(x0)
+        if is_provable and self._next() is None:
+            return None
+        if engine is not None:
+            ended = self._ask(engine, ends)
+            if self.local.best is None and ended is not None:
+                self.local.from_leaders(x0, stops=True)
+            if ended is not None or not is_provable or (self._is_closed() and not prove):
+                return ended
+            if not prove:
+                self.max_nodes = min(self.max_nodes, self.nodes + MOST_UNASKED)
+        return self._search(ends) if is_provable else None
+
+    def _root(self) -> bool:
+        """Solve the relaxation with all cases open; return whether anything is left to search."""
+        self._current = root = self.relaxations.node(self.problem.all_cases)
+        self.tree.append(root)
+        self._is_infeasible = root.bound == math.inf and self.problem is self.original
+        if root.point is not None:
+            self.local.from_point(root.point)
+        return self._next() is not None
+
+    def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
+        """Let a global solver search, and take what it says; return which limit ended it, or None."""
+        before, best = self.nodes, self.local.best
+
+        def watched(value: float, bound: float, nodes: int) -> bool:
+            self.nodes, self._outside_value, self.outside = before + nodes, value, Outside("", bound)
+            return ends()
+
+        found = engine(
+            self.original, tolerance=self.tolerance, max_nodes=self.max_nodes,
+            start=None if best is None else best.point, ends=watched,
+        )
+        self.nodes, self._outside_value = before + found.nodes, math.inf
+        self.outside = Outside(found.status, found.bound)
+        if found.x is not None:
+            self.local.confirm(found.x, found.value + self.tolerance * max(1.0, abs(found.value)))
+        if self.local.value < found.bound - self.tolerance * max(1.0, abs(self.local.value)):
+            self.outside = Outside(CONTRADICTED, -math.inf)
+        return ENDS.get(found.status)
+
+    def _is_closed(self) -> bool:
+        value = self.local.value
+        return value < math.inf and value - self.lower_bound <= self.tolerance * max(1.0, abs(value))
+
+    def _search(self, ends: Callable[[], bool]) -> Status | None:
+        """Branch until no node is open; return which limit came first, or None."""
+        stronger = strengthened(self.original)
+        if stronger.problem is not self.original:
+            self._begin(stronger)
+            self._root()
+        while self._next() is not None and self.descent is None:
+            if (ended := self._limit(ends)) is not None:
+                return ended
+            self._branch()
+        return None
 
     def _limit(self, ends: Callable[[], bool]) -> Status | None:
         """Return which limit ends the search now, or None."""
@@ -183,7 +283,7 @@ class BranchAndBound:
         assert node.point is not None
         pair = self._pair(node)
         if pair < 0:  # complementary
-            self.local.descend(self.problem.nearest(node.point, node.cases))
+            self.local.from_point(node.point, node.cases)
             if node.bound >= self.cutoff:
                 return
             if node.is_piece:
@@ -211,9 +311,9 @@ class BranchAndBound:
             elif k or not dives:
                 heapq.heappush(self._open, (child.bound, len(self.tree) - k, child))
         if dives:
-            if self.nodes % EVERY == 0:
-                self.local.start(children[0])
             self._current = children[0]
+            if self.nodes % EVERY == 0 and children[0].point is not None:
+                self.local.from_point(children[0].point, children[0].cases)
 
     def _pair(self, node: Node) -> int:
         """Return the pair to branch on, −1 where the relaxation's point violates none that is open."""
@@ -245,13 +345,16 @@ class BranchAndBound:
         self._close(piece)
 
     def _result(self, ended: Status | None) -> EquilibriumResult:
-        best = self.local.best
+        best, value = self.local.best, self.local.value
+        room = self.tolerance * max(1.0, abs(value)) if best is not None else 0.0
         # of the leaves: of what is open Ctrl-C may have lost a node that was being moved
-        lower = min([self.value, *(node.bound for node in self.tree if node.pair < 0)]) if self.tree else -math.inf
-        gap = 0.0 if self.value == lower else self.value - lower
+        lower = min([value, *(node.bound for node in self.tree if node.pair < 0)]) if self.tree else -math.inf
+        bound_by = "proof" if lower > -math.inf else None
+        if self.outside is not None and value - lower > room and self.outside.bound > lower and best is not None:
+            lower, bound_by = min(self.outside.bound, value), "SCIP"
         if self.descent is not None:
-            status, lower = Status.UNBOUNDED, -math.inf
-        elif best is not None and gap <= self.tolerance * max(1.0, abs(self.value)):
+            status, lower, value, best, bound_by = Status.UNBOUNDED, -math.inf, -math.inf, None, None
+        elif best is not None and (value == lower or value - lower <= room):
             status = Status.SOLVED
         elif ended is not None:
             status = ended
@@ -259,23 +362,14 @@ class BranchAndBound:
             is_excluded = best is None and lower == math.inf and not self._is_stuck
             status = Status.STALLED
             if is_excluded:
-                status = Status.INFEASIBLE if self._is_infeasible_without_cuts() else Status.NO_SOLUTION
-        is_stationary = True if status is Status.SOLVED else None
-        if status is Status.STALLED or status is ended:
-            is_stationary = self.local.is_stationary()
-        value = -math.inf if status is Status.UNBOUNDED else self.value
-        x = None if best is None or status is Status.UNBOUNDED else best.point
+                status = Status.INFEASIBLE if self._is_infeasible else Status.NO_SOLUTION
+        is_proved = status is Status.SOLVED and bound_by == "proof"
+        is_stationary = None if best is None else True if is_proved else self.local.is_stationary()
         return EquilibriumResult(
-            self.strengthened, status, x, value, lower, is_stationary, self.nodes, self.relaxations.solved,
-            self.clock.read(), self.tolerance, tuple(self.tree), self.descent,
+            self.strengthened, status, None if best is None else best.point, value, lower, bound_by, is_stationary,
+            self.nodes, self.relaxations.solved + self.local.relaxations.solved, self.clock.read(), self.tolerance,
+            tuple(self.tree), self.descent, self.outside,
         )
-
-    def _is_infeasible_without_cuts(self) -> bool:
-        """Return whether the linear constraints are refuted, where all are with the cuts, which hold of solutions."""
-        original = self.strengthened.original
-        if len(self.tree) > 1 or self.problem is original:
-            return len(self.tree) == 1
-        return Relaxations(original, self.tolerance).solved_node(original.all_cases).bound == math.inf
 
 
 class _Log:
@@ -283,13 +377,13 @@ class _Log:
 
     def __init__(self) -> None:
         self._next = 0.0
-        print(f"{'nodes':>8} {'open':>7} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)
+        print(f"{'nodes':>8} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)
 
     def __call__(self, search: BranchAndBound) -> bool:
         if search.nodes >= self._next:
             self._next = max(search.nodes + 1, search.nodes * GROWTH)
             is_found = math.isfinite(search.value)
             gap = (search.value - search.lower_bound) / max(1.0, abs(search.value)) if is_found else math.inf
-            print(f"{search.nodes:>8} {len(search._open) + 1:>7} {search.value:>17.9g} {search.lower_bound:>17.9g} "
+            print(f"{search.nodes:>8} {search.value:>17.9g} {search.lower_bound:>17.9g} "
                   f"{gap:>9.1e} {search.clock.read():>9.2f}", flush=True)
         return False

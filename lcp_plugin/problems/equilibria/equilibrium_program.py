@@ -1,4 +1,4 @@
-"""Convex programs with complementarity constraints: the best of the solutions of a complementarity problem."""
+"""Programs with complementarity constraints: the best of the solutions of a complementarity problem."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
-from ...core.errors import InvalidProblem
+from ...core.errors import InvalidProblem, UnsupportedModel
+from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
 
 Indices = NDArray[np.int64]
@@ -32,15 +33,34 @@ def case_counts(cases: Cases) -> Indices:
 
 
 @dataclass(frozen=True, eq=False)
+class SmoothPart:
+    """A smooth term f(x) of the objective, and smooth rows lower ≤ g(x) ≤ upper.
+
+    Attributes
+    ----------
+    map : object
+        With ``value(x)`` = (f, g), shape (1 + m,), and ``jacobian(x)``, CSR of shape (1 + m, n); SCIP needs the program
+        of expressions that models become.
+    lower, upper : array, shape (m,)
+        Equal in an equation.
+    """
+
+    map: Any
+    lower: FloatVector
+    upper: FloatVector
+
+
+@dataclass(frozen=True, eq=False)
 class EquilibriumProgram:
     """Minimise ½ xᵀP x + cᵀx over the constraints of a program and over pairs of variables z ⟂ w.
 
-    Each piece, one case of every pair, is a convex program; the problem is the least of all pieces.
+    Each piece, one case of every pair, is a program; the problem is the least of all pieces. What is proved is proved
+    where pieces are convex: P ⪰ 0, no integers, nothing smooth beside.
 
     Parameters
     ----------
     program : QuadraticProgram
-        Convex.
+        Its P may be indefinite.
     first, second : array of int, shape (k,)
         Of each pair the variables z = x_first and w = x_second: w ≥ 0 where z is at its lower bound, w ≤ 0 where it is
         at its upper bound, w = 0 between them; where it has none, w = 0.
@@ -48,6 +68,10 @@ class EquilibriumProgram:
         The bounds of z that pairs speak of; by default those of the program, of which the others are plain constraints.
     offset : float
         A constant in the objective.
+    integers : array of int, optional
+        The variables that are whole numbers.
+    smooth : SmoothPart, optional
+        What is neither linear nor quadratic.
 
     Raises
     ------
@@ -69,17 +93,19 @@ class EquilibriumProgram:
     lower: Any = None
     upper: Any = None
     offset: float = 0.0
+    integers: Any = ()
+    smooth: SmoothPart | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.program, QuadraticProgram):
             raise InvalidProblem(f"program must be a QuadraticProgram, got {type(self.program).__name__}")
-        for name in ("first", "second"):
+        for name in ("first", "second", "integers"):
             given = np.asarray(getattr(self, name))
-            n, k = self.program.n, np.size(self.first)
+            n, k = self.program.n, np.size(given if name == "integers" else self.first)
             if given.ndim != 1 or (given.size and given.dtype.kind not in "iu") or given.size != k:
                 raise InvalidProblem(
                     f"{name} must be a list of {k} variables, got dtype {given.dtype} and shape {given.shape}; give "
-                    "of each pair the number of z in first, and that of w in second"
+                    "of each pair the number of z in first, that of w in second, and those of whole numbers in integers"
                 )
             if given.size and not (given.min() >= 0 and given.max() < n):
                 raise InvalidProblem(f"{name} must number variables from 0 to {n - 1}, got {given.min()}…{given.max()}")
@@ -158,6 +184,25 @@ class EquilibriumProgram:
         np.minimum.at(upper, w, np.where(cases & LOWER, np.inf, 0.0))
         return lower, upper
 
+    @cached_property
+    def has_convex_objective(self) -> bool:
+        """Whether P is not seen to be indefinite."""
+        try:
+            refuse_nonconvex(self.program)
+        except UnsupportedModel:
+            return False
+        return True
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether pieces are convex programs, integers fixed."""
+        return self.smooth is None and self.has_convex_objective
+
+    @property
+    def is_provable(self) -> bool:
+        """Whether bounds of pieces can be proved."""
+        return self.is_convex and not self.integers.size
+
     @property
     def relaxation(self) -> QuadraticProgram:
         """The program with all cases open."""
@@ -195,8 +240,22 @@ class EquilibriumProgram:
         return nearest
 
     def objective(self, x: FloatVector) -> float:
-        """Return ½ xᵀP x + cᵀx + offset."""
-        return self.program.objective(x) + self.offset
+        """Return ½ xᵀP x + cᵀx + offset, and f(x) where there is a smooth part."""
+        smooth = 0.0 if self.smooth is None else float(self.smooth.map.value(x)[0])
+        return self.program.objective(x) + self.offset + smooth
+
+    def excess(self, x: FloatVector) -> float:
+        """Return how far x is from a solution: of rows beside their own terms, of pairs and integers as they are."""
+        rows = self.program.constraints
+        found = [rows.excess(x) / rows.unit, self.violations(x), np.abs(x - np.rint(x))[self.integers]]
+        if self.smooth is not None:
+            value, slopes = self.smooth.map.value(x), abs(self.smooth.map.jacobian(x))
+            ends = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in (self.smooth.lower, self.smooth.upper)]
+            terms = np.maximum(*ends) + np.abs(value[1:]) + (slopes @ np.abs(x))[1:]
+            missed = np.maximum(self.smooth.lower - value[1:], value[1:] - self.smooth.upper)
+            found += [missed / np.where(terms > 0.0, terms, 1.0), np.where(np.isfinite(value), 0.0, np.inf)]
+        worst = max(float(one.max(initial=0.0)) for one in found)
+        return math.inf if math.isnan(worst) else worst
 
     def __repr__(self) -> str:
         return f"EquilibriumProgram(n={self.program.n}, {self.pairs} pair{'' if self.pairs == 1 else 's'})"

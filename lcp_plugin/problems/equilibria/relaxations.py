@@ -1,20 +1,25 @@
-"""The convex programs of a branch and bound: solved, bounded, or refuted, with proofs; and good points early.
+"""The programs of nodes and pieces: solved, bounded, or refuted with proofs.
 
 A node leaves some cases of every pair open. What holds in all of them are bounds of variables, so that the programs of
 all nodes differ in these alone. The lower bound of a node is the rigorous one that any multipliers give
 (:mod:`lcp_plugin.problems.programs.dual_bounds`): whatever the solver did, it holds for every piece below.
 
-Good points come from a piece near the relaxation's point, then from piece to piece while that descends.
+A piece that is no convex program is minimised locally, by sequential convex programs: around x̄
+
+    min g(x̄)ᵀx + ½ xᵀP x + ½ σ ‖x − x̄‖²    over the linearised rows and the piece's bounds,
+
+where P stays if it is convex. σ falls where objective + penalty · violation does, and rises where not.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
@@ -27,19 +32,17 @@ from ..programs.qp_certificates import prove_infeasible
 from ..programs.qp_proofs import QPInfeasibility
 from ..programs.qp_solution import QPSolution
 from ..programs.solving import judged_program
-from .equilibrium_program import BETWEEN, CASES, LOWER, Cases, EquilibriumProgram, case_counts
+from .equilibrium_program import Cases, EquilibriumProgram, case_counts
 
 TOLERANCE = 1e-9
+FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
 MOST_STEPS = 100  # of interior points, where there may be no solution
 INSIDE = 1e-3  # beside the size of that box
 FAR = 1e4  # times 1 + the largest number that bounds x: a box for what falls for ever
-MEETS = 1e-7  # beside 1 + ‖x‖∞: a case that x belongs to
-DESCENT = 1e-9  # of 1 + |f|
-MOST_BIACTIVE = 12
-MOST_NEIGHBOURS = 50
-MOST_NEARER = 12  # programs towards complementarity
-FIRST_WEIGHT, WEIGHT_GROWTH = 0.1, 3.0  # of products beside the objective
+MOST_PROGRAMS = 60  # of a local search in one piece
+FLATTER, STEEPER, STEEPEST = 0.1, 8.0, 1e12  # of σ
+REACHED = 1e-10  # of 1 + ‖x‖∞: a step that is none
 
 
 @dataclass(eq=False)
@@ -89,11 +92,16 @@ class Relaxations:
     """
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float) -> None:
-        program = problem.program
         self.problem, self.tolerance, self.solved = problem, tolerance, 0
         self._are_small = False  # whether the compiled call has taken one of the programs
-        self.curvature: Curvature = constrained_curvature(program.P, program.A)
-        self.box = implied_box(program)
+
+    @cached_property
+    def _curvature(self) -> Curvature:
+        return constrained_curvature(self.problem.program.P, self.problem.program.A)
+
+    @cached_property
+    def _box(self) -> tuple[FloatVector, FloatVector]:
+        return implied_box(self.problem.program)
 
     def program(self, cases: Cases) -> QuadraticProgram | None:
         """Return the program of some cases; None where their bounds exclude each other."""
@@ -133,23 +141,52 @@ class Relaxations:
             node.dual = solution.x, np.concatenate([solution.inequality, solution.equality])
         return node
 
-    def least(self, cases: Cases, slope: FloatVector) -> FloatVector | None:
-        """Return a point of a node where the objective + slope · x is least; None where none is found."""
-        program = self.program(cases)
-        if program is None:
-            return None
-        self.solved += 1
-        solution = self._solution(program.with_vectors(program.c + slope))
-        return None if solution is None else np.clip(solution.x, program.lower, program.upper)
-
     def bound(self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""
-        box = np.maximum(self.box[0], program.lower), np.minimum(self.box[1], program.upper)
+        box = np.maximum(self._box[0], program.lower), np.minimum(self._box[1], program.upper)
         if (box[0] > box[1]).any():
             box = program.lower, program.upper
         offset = self.problem.offset
-        found = DualBounds(program, self.curvature, box).best(*dual, enough - offset)
+        found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
+
+    def local_node(self, cases: Cases, near: FloatVector) -> Node:
+        """Return the node of one piece at a local minimum near a point; integers are those of the point, rounded.
+
+        Its value is ∞ where no solution was found.
+        """
+        node, (lower, upper), whole = Node(cases), self.problem.bounds(cases), self.problem.integers
+        lower[whole] = upper[whole] = np.clip(np.rint(near[whole]), np.ceil(lower[whole]), np.floor(upper[whole]))
+        if (lower > upper).any():
+            return node
+        around = _Around(self.problem, np.clip(near, lower, upper))
+        size = float(np.abs(around.slope).max(initial=0.0)) or 1.0
+        sigma, penalty = 0.0 if self.problem.is_convex else size * FLATTER**3, 0.0
+        for _ in range(MOST_PROGRAMS):
+            if is_over() or not around.is_defined:
+                break
+            self.solved += 1
+            solution = self._solution(around.program(sigma, lower, upper))
+            if solution is None:
+                if sigma > 0.0:
+                    break
+                sigma = size * FLATTER**3  # it may fall for ever
+                continue
+            multipliers = np.abs(np.concatenate([solution.inequality, solution.equality]))
+            penalty = max(penalty, 2.0 * float(multipliers.max(initial=0.0)))
+            step = _Around(self.problem, np.clip(solution.x, lower, upper))
+            moved = float(np.abs(step.x - around.x).max(initial=0.0))
+            if step.merit(penalty) <= around.merit(penalty) or sigma == 0.0:
+                around, sigma = step, sigma * FLATTER
+                if moved <= REACHED * (1.0 + np.abs(step.x).max(initial=0.0)) or sigma == 0.0:
+                    break
+            elif moved <= REACHED or sigma > STEEPEST * size:
+                break
+            else:
+                sigma = max(STEEPER * sigma, size * FLATTER**3)
+        if around.is_defined and self.problem.excess(around.x) <= FEASIBLE:
+            node.point, node.value = around.x, self.problem.objective(around.x)
+        return node
 
     def _solution(self, program: QuadraticProgram) -> QPSolution | None:
         """Return the solution of a program, None where a first try finds none: it may have none."""
@@ -176,145 +213,42 @@ class Relaxations:
         return replace(solution, program=program) if is_inside else solution
 
 
+class _Around:
+    """A problem around a point: what its convex model is made of."""
+
+    def __init__(self, problem: EquilibriumProgram, x: FloatVector) -> None:
+        self.problem, self.x, program, smooth = problem, x, problem.program, problem.smooth
+        self.value, self.slope = problem.objective(x), program.P @ x + program.c
+        parts = [(program.G, np.full(program.h.size, -np.inf), program.h), (program.A, program.b, program.b)]
+        missed = [program.G @ x - program.h, np.abs(program.A @ x - program.b)]
+        if smooth is not None:
+            found, slopes = smooth.map.value(x), sp.csr_array(smooth.map.jacobian(x))
+            self.slope = self.slope + slopes[[0]].toarray().ravel()
+            rows, shift = slopes[1:], slopes[1:] @ x - found[1:]
+            parts.append((rows, smooth.lower + shift, smooth.upper + shift))
+            missed.append(np.maximum(smooth.lower - found[1:], found[1:] - smooth.upper))
+        self.violation = sum(float(np.maximum(one, 0.0).sum()) for one in missed)
+        self._rows = parts
+        numbers = [self.slope, *(np.asarray(one.data) for one in map(sp.csr_array, (part[0] for part in parts)))]
+        self.is_defined = math.isfinite(self.value + self.violation) and all(np.isfinite(one).all() for one in numbers)
+
+    def merit(self, penalty: float) -> float:
+        """Return what a step has to lower."""
+        return self.value + penalty * self.violation if self.is_defined else math.inf
+
+    def program(self, sigma: float, lower: FloatVector, upper: FloatVector) -> QuadraticProgram:
+        """Return the convex program of the next step."""
+        own, n = self.problem.program, self.x.size
+        P = sp.csr_array(own.P) if self.problem.has_convex_objective else sp.csr_array((n, n))
+        H = sp.csr_array(P + sigma * sp.eye_array(n)) if sigma else P
+        rows = sp.vstack([sp.csr_array(matrix) for matrix, _, _ in self._rows], format="csr")
+        low, high = (np.concatenate([part[k] for part in self._rows]) for k in (1, 2))
+        return QuadraticProgram.from_ranges(H, self.slope - H @ self.x, rows, low, high, lower, upper)
+
+
 def _by_steps(program: QuadraticProgram, **options: Any) -> QPSolution:
     """Return what a run of steps finds; Ctrl-C, which ends it with a status, ends the search, too."""
     result = judged_program(program, tolerance=TOLERANCE, refute=False, **options)
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return result.solution
-
-
-class LocalSearch:
-    """The best point found so far.
-
-    Parameters
-    ----------
-    relaxations : Relaxations
-
-    Attributes
-    ----------
-    best : Node or None
-        The piece whose solution has the least objective.
-    """
-
-    def __init__(self, relaxations: Relaxations) -> None:
-        self.relaxations, self.problem = relaxations, relaxations.problem
-        self.best: Node | None = None
-        self._known: dict[bytes, Node] = {}
-
-    @property
-    def value(self) -> float:
-        """Its objective, ∞ as long as there is none."""
-        return math.inf if self.best is None else self.best.value
-
-    def offer(self, cases: Cases) -> Node:
-        """Return the piece of these cases, one a pair, solved; keep it where it is the best."""
-        key = cases.tobytes()
-        if key not in self._known:
-            piece = self._known[key] = self.relaxations.solved_node(cases)
-            if piece.value < self.value:
-                self.best = piece
-        return self._known[key]
-
-    def start(self, node: Node) -> Node | None:
-        """Return the last piece of a descent that begins near the point of a node; None where it has none.
-
-        Where that is far from complementary, programs min f(x) + ρ (Σ w̄_i (z_i − l_i) + (z̄_i − l_i) w_i) over the node,
-        one after the other from its point (z̄, w̄), bring it nearer while ρ grows: the products are linearised.
-        """
-        point, weight, program = node.point, FIRST_WEIGHT, self.problem.program
-        for _ in range(MOST_NEARER):
-            if point is None or is_over():
-                return None
-            if not (self.problem.violations(point) > MEETS * (1.0 + np.abs(point).max(initial=0.0))).any():
-                break
-            gradient = self._product_gradient(point)
-            size = float(np.abs(program.P @ point + program.c).max(initial=0.0)) / np.abs(gradient).max(initial=0.0)
-            nearer = self.relaxations.least(node.cases, weight * (size or 1.0) * gradient)
-            point, weight = point if nearer is None else nearer, weight * WEIGHT_GROWTH
-        return None if point is None else self.descend(self.problem.nearest(point, node.cases))
-
-    def _product_gradient(self, x: FloatVector) -> FloatVector:
-        """Return the gradient of Σ (z_i − l_i) w_i, of Σ (z_i − u_i) w_i where w_i < 0 or z_i has no lower bound."""
-        problem, gradient = self.problem, np.zeros(x.size)
-        z, w = x[problem.first], x[problem.second]
-        lower, upper = problem.lower, problem.upper
-        is_above = np.isfinite(upper) & ((w < 0.0) | ~np.isfinite(lower))
-        end = np.where(is_above, upper, np.where(np.isfinite(lower), lower, z))
-        np.add.at(gradient, problem.first, np.where(is_above, np.minimum(w, 0.0), np.maximum(w, 0.0)))
-        np.add.at(gradient, problem.second, z - end)
-        return gradient
-
-    def descend(self, cases: Cases) -> Node:
-        """Return the last of the pieces from these cases on, each with a smaller value than the one before.
-
-        The next one takes another case of pairs that are degenerate (z at a bound and w = 0) at the piece's solution:
-        of all to which its multipliers promise a descent, or else of one of these after the other.
-        """
-        piece = self.offer(cases)
-        while (better := self._better_neighbour(piece)) is not None:
-            piece = better
-        return piece
-
-    def _better_neighbour(self, piece: Node) -> Node | None:
-        if piece.value == math.inf:
-            return None
-        promising = self._promising(piece)
-        for chosen in ([promising] if len(promising) > 1 else []) + [[one] for one in promising[:MOST_NEIGHBOURS]]:
-            if is_over():
-                return None
-            cases = piece.cases.copy()
-            for i, case in chosen:
-                cases[i] = case
-            neighbour = self.offer(cases)
-            if neighbour.value < piece.value - DESCENT * (1.0 + abs(piece.value)):
-                return neighbour
-        return None
-
-    def _promising(self, piece: Node) -> list[tuple[int, int]]:
-        """Return (pair, case) of other cases of degenerate pairs towards which the objective falls, the steepest first.
-
-        By the multipliers of the piece: where there is none, its solution is strongly stationary.
-        """
-        assert piece.point is not None
-        assert piece.dual is not None
-        problem, program = self.problem, self.problem.program
-        slope = program.matrices.gradient @ np.concatenate([piece.point, piece.dual[1]]) + program.c
-        size = MEETS * (1.0 + float(np.abs(program.c).max(initial=0.0)))
-        found = []
-        for i, case in self._other_cases(piece.point, piece.cases):
-            column = problem.second[i] if piece.cases[i] == BETWEEN else problem.first[i]
-            is_rise = piece.cases[i] == LOWER or case == LOWER
-            fall = -slope[column] if is_rise else slope[column]
-            if fall > size:
-                found.append((fall, i, case))
-        return [(i, case) for _, i, case in sorted(found, key=lambda one: (-one[0], *one[1:]))]
-
-    def _other_cases(self, x: FloatVector, cases: Cases) -> list[tuple[int, int]]:
-        """Return (pair, case) of the cases that x belongs to as well."""
-        meets = self.problem.distances(x) <= MEETS * (1.0 + float(np.abs(x).max(initial=0.0)))
-        rows, pairs = np.nonzero(meets)
-        return [(int(i), CASES[k]) for k, i in zip(rows, pairs, strict=True)
-                if CASES[k] != cases[i] and CASES[k] & self.problem.all_cases[i]]
-
-    def is_stationary(self) -> bool | None:
-        """Return whether the best point is B-stationary: least on every piece that holds it; None where these are many.
-
-        Then it is a local minimum.
-        """
-        if self.best is None or self.best.point is None:
-            return None
-        if not self._promising(self.best):
-            return True
-        choices: dict[int, list[int]] = {}
-        for i, case in self._other_cases(self.best.point, self.best.cases):
-            choices.setdefault(i, [int(self.best.cases[i])]).append(case)
-        if len(choices) > MOST_BIACTIVE or is_over():
-            return None
-        value = self.best.value
-        for chosen in itertools.product(*choices.values()):
-            cases = self.best.cases.copy()
-            cases[list(choices)] = chosen
-            if self.offer(cases).value < value - DESCENT * (1.0 + abs(value)):
-                return False
-        return True

@@ -1,9 +1,10 @@
-"""What a branch and bound says of its problem, and how that is checked again."""
+"""What a search for the best of all solutions says, and how that is checked again."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +15,13 @@ from ..programs.program import QuadraticProgram
 from ..programs.qp_proofs import QPInfeasibility, QPUnboundedness
 from .cuts import Strengthened
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
-from .relaxations import Node, Relaxations
+from .relaxations import FEASIBLE, Node, Relaxations
 
-FEASIBLE = 1e-7
-
-
+CONTRADICTED = "contradicted"  # by a better point of ours
+BY_SCIP = "bound by SCIP, in floating point"
+WIDE = 0.1  # a gap
+MOST_NAMES = 3
+GLOBAL = "pip install 'lcp_plugin[global]'"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
     Status.INFEASIBLE: "the linear constraints contradict one another, and result.proof proves it: check the data",
@@ -35,31 +38,49 @@ ADVICE = {
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
+SAID = {
+    "infeasible": "SCIP, in floating point, finds no solution, and nothing proves that there is none: check the data",
+    "unbounded": "SCIP, in floating point, says that the objective falls for ever, and nothing proves it: bound the "
+                 "variables",
+    "inforunbd": "SCIP, in floating point, says that there is no solution, or none that is least: bound the variables",
+    CONTRADICTED: "x is better than SCIP's bound, which is not believed therefore: rescale the data",
+}
+
+
+class Outside(NamedTuple):
+    """What another solver said last: its word for how it ended, and its bound."""
+
+    status: str
+    bound: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EquilibriumResult(Answer):
-    """The best solution found, and a proved bound of what any solution can reach.
+    """The best solution found, and a bound of what any solution can reach.
 
     Attributes
     ----------
     strengthened : Strengthened
         The problem with its cuts, and what proves these.
     status : Status
-        SOLVED: the gap is proved to be within the tolerance. INFEASIBLE: the linear constraints are refuted by a
-        verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls for ever. MAX_ITERATIONS, MAX_SECONDS,
-        INTERRUPTED: nodes, time, Ctrl-C or the callback ended the search. STALLED: some piece could be neither solved
-        nor refuted.
+        SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: the linear constraints are refuted by
+        a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls for ever. MAX_ITERATIONS,
+        MAX_SECONDS, INTERRUPTED: nodes, time, Ctrl-C or the callback ended the search. STALLED: some piece could be
+        neither solved nor refuted, or nothing bounds the objective.
     x : ndarray, shape (n,), or None
-        In every pair one side is at its bound, or zero, as a double.
+        In every pair one side is at its bound, or zero, as a double; no row is missed by more than 1e-7 of its terms.
     value : float
         Its objective; ∞ without an x, −∞ where it is unbounded.
     lower_bound : float
         No solution has a smaller objective.
+    bound_by : str or None
+        "proof": the bound is proved, `verify` checks it. "SCIP": it is what SCIP says, in floating point. None where
+        there is no bound.
     is_b_stationary : bool or None
         Whether x is least on every piece that holds it, so that it is a local minimum; None where that is not known.
+        Where pieces are not convex: whether no local search in one of them finds anything better.
     nodes, programs : int
-        Nodes that were branched on, and convex programs that were solved.
+        Nodes that were branched on, SCIP's among them, and convex programs that were solved here.
     seconds : float
         Wall-clock seconds.
     tolerance : float
@@ -68,6 +89,8 @@ class EquilibriumResult(Answer):
         What `verify` checks.
     descent : pair or None
         The piece that falls for ever, and the proof.
+    outside : Outside or None
+        What SCIP said, where it was asked.
     """
 
     strengthened: Strengthened = field(repr=False)
@@ -75,6 +98,7 @@ class EquilibriumResult(Answer):
     x: FloatVector | None = field(repr=False)
     value: float
     lower_bound: float
+    bound_by: str | None
     is_b_stationary: bool | None
     nodes: int
     programs: int
@@ -82,6 +106,7 @@ class EquilibriumResult(Answer):
     tolerance: float = field(repr=False)
     tree: tuple[Node, ...] = field(repr=False)
     descent: tuple[Cases, QPUnboundedness] | None = field(default=None, repr=False)
+    outside: Outside | None = field(default=None, repr=False)
 
     @property
     def problem(self) -> EquilibriumProgram:
@@ -107,12 +132,15 @@ class EquilibriumResult(Answer):
 
     @property
     def is_global(self) -> bool:
-        """Whether x is proved to be within the tolerance of the least."""
+        """Whether x is within the tolerance of the least, as far as the bound is right."""
         return self.is_solved
 
     def verify(self) -> bool:
-        """Return whether the status, x and the bound hold, from the data alone; some milliseconds a leaf."""
-        if not (self._x_holds() and self.strengthened.verify()):
+        """Return whether the status, x and the bound hold, from the data alone; some milliseconds a leaf.
+
+        A bound by SCIP is not proved: False.
+        """
+        if self.bound_by == "SCIP" or not (self._x_holds() and self.strengthened.verify()):
             return False
         relaxations = Relaxations(self.strengthened.problem, self.tolerance)
         if self.status is Status.UNBOUNDED:
@@ -131,10 +159,8 @@ class EquilibriumResult(Answer):
     def _x_holds(self) -> bool:
         if self.x is None:
             return self.value == (-math.inf if self.status is Status.UNBOUNDED else math.inf)
-        program = self.problem.program
-        excess = (program.constraints.excess(self.x) / program.constraints.unit).max(initial=0.0)
         is_exact = bool((self.problem.violations(self.x) == 0.0).all())
-        return is_exact and bool(excess <= FEASIBLE) and self.problem.objective(self.x) <= self.value
+        return is_exact and self.problem.excess(self.x) <= FEASIBLE and self.problem.objective(self.x) <= self.value
 
     def _falls(self, relaxations: Relaxations) -> bool:
         """Return whether the proof of descent is one, of a piece of this problem."""
@@ -185,21 +211,49 @@ class EquilibriumResult(Answer):
     @property
     def algorithm(self) -> str:
         """What ran."""
-        return "branch and bound"
+        return "branch and bound" if self.outside is None else "SCIP, branch and bound" if self.tree else "SCIP"
 
     @property
     def proof(self) -> EquilibriumResult | None:
         """The result itself, which can ``verify()``, where a status is proved."""
-        return self if self.is_solved or self.is_refuted else None
+        return self if (self.is_solved or self.is_refuted) and self.bound_by != "SCIP" else None
 
     @property
     def advice(self) -> str:
         """What the status means for this search, in a sentence."""
         advice = ADVICE.get(self.status, self.status.value)
-        if self.status not in LIMITS:
+        if self.is_solved and self.bound_by == "SCIP":
+            proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
+            return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
+        if self.status is Status.STALLED and self.outside is not None:
+            what = "SCIP's point could not be confirmed" if self.x is None else "the value exceeds SCIP's bound"
+            advice = SAID.get(self.outside.status, f"{what}: bound the unknowns, or rescale the data")
+        elif self.status is Status.STALLED and not self.problem.is_provable:
+            advice = (
+                "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
+                f"installed: {GLOBAL}; for a local way leave out the objective and differentiate the followers: "
+                "requires_grad=True in cvxpy, derivative(result)"
+            )
+        elif self.status not in LIMITS:
             return advice
         found = "no solution was found so far" if self.x is None else "x is the best solution found so far"
-        return f"{advice}; {found}" + (", lower_bound holds" if self.lower_bound > -math.inf else "")
+        if self.status in LIMITS and self.lower_bound > -math.inf:
+            found += ", lower_bound holds" if self.bound_by == "proof" else ""
+        return f"{advice}; {found}{self._unbounded_words()}"
+
+    def _unbounded_words(self) -> str:
+        """Return which variables a bound would help, where the gap is wide."""
+        if self.gap <= WIDE:
+            return ""
+        program, problem = self.problem.program, self.problem
+        names = [
+            f"x[{j}]" for j in np.unique(np.concatenate([problem.first, problem.second])).tolist()
+            if program.upper[j] == math.inf and program.lower[j] > -math.inf
+        ]
+        if not names:
+            return ""
+        some = ", ".join(names[:MOST_NAMES]) + (", …" if len(names) > MOST_NAMES else "")
+        return f"; the bound barely moves where sides of pairs have no upper bound: {some}; give them one"
 
     def _numbers(self) -> dict[str, float]:
         own = {"lower_bound": self.lower_bound, "gap": self.gap, "programs": self.programs, "tolerance": self.tolerance}
@@ -209,7 +263,8 @@ class EquilibriumResult(Answer):
         """Return the value and the bound."""
         if self.is_refuted:
             return "no least objective" if self.status is Status.UNBOUNDED else "no solution"
-        bound = f"bound {self.lower_bound:.9g}" if self.lower_bound > -math.inf else "no bound yet"
+        bound = f"bound {self.lower_bound:.9g}" if self.lower_bound > -math.inf else "no bound"
+        bound += f" ({BY_SCIP})" if self.bound_by == "SCIP" else ""
         if self.x is None:
             return f"no solution found, {bound}"
         return f"objective {self.value:.9g}, {bound}, gap {self.gap:.1e}"

@@ -124,15 +124,24 @@ class March(AnswerSequence[Result]):
     def __repr__(self) -> str:
         return f"March({'; '.join(self._summary())})"
 
-    def _take(self, z: FloatVector, result: Result | Callable[[], Result], lesson: Lesson) -> None:
-        last, self._count = self._count - 1, self._count + 1
+    def keeps(self, k: int) -> bool:
+        """Return whether the answer of step k stays when others follow."""
+        return (k + 1) % self.keep_every == 0
+
+    def _take(
+        self, z: FloatVector, result: Result | Callable[[], Result] | None, lesson: Lesson, step: int | None = None
+    ) -> None:
+        """Take one step more, or all up to that number, of which nothing stays but the answer of the last."""
+        last, step = self._count - 1, self._count if step is None else step
         if self.keep_every > 1:
             self._results.pop(last, None)  # it would keep the vectors of all steps of its block
-            if self._count % self.keep_every != 1:
+            if not self.keeps(last):
                 self._kept.pop(last, None)
                 self._lessons.pop(last, None)
             z = read_only(z.copy())
-        self._kept[last + 1], self._results[last + 1], self._lessons[last + 1] = z, result, lesson
+        self._count, self._kept[step], self._lessons[step] = step + 1, z, lesson
+        if result is not None:
+            self._results[step] = result
 
 
 class _Answers(Results[FloatVector]):
@@ -150,6 +159,9 @@ class _Answers(Results[FloatVector]):
 
     def __len__(self) -> int:
         return len(self._march)
+
+    def __repr__(self) -> str:
+        return f"<z of {len(self)} steps, each of shape ({self._march.problem.n},): z[k] is that of step k>"
 
 
 def march(
@@ -214,6 +226,11 @@ def march(
         raise InvalidOption(refusal("march", problem))
     problem.matrix.require_all_rows()
     offsets, rows = checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
+    if given := [name for name in ("lower", "upper") if name in wishes]:
+        raise InvalidOption(
+            f"march has no option {given[0]!r}: the bounds are the problem's, problem.with_q(problem.q, {given[0]}=…); "
+            f"several marches, each with its own, are march_many(problem, forcing, carry, {given[0]}=…)"
+        )
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
     if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ...core.algorithms import Algorithm
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kinds import refusal
@@ -24,10 +24,10 @@ from ...methods.small.fused import fused_result
 from ...systems.factors import bands
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
-from . import BLOCK, March, checked_forcing, has_common_units, march
+from . import BLOCK, March, _marched, checked_forcing, has_common_units, march
 from .marching import Lesson
 
-SIDE_BY_SIDE = 24  # marches in one compiled loop: more do not stay near the processor
+SIDE_BY_SIDE = 16  # as the compiled loop has room for
 
 
 def march_many(
@@ -69,7 +69,8 @@ def march_many(
     Notes
     -----
     Where M is tridiagonal, with no positive entry off the diagonal, and `auto` takes `banded`, the steps of all marches
-    are taken together: a row of M is read once for all of them. Others are taken one march after the other.
+    are taken together, by one factor of M where the rows at bounds come first, and each step is judged. Others are
+    taken one march after the other.
 
     Examples
     --------
@@ -88,13 +89,18 @@ def march_many(
         **({"forcing": len(offsets)} if len(offsets) != 1 else {}),
         **{name: len(given) for name, given in rows.items() if len(given) != 1},
     })
-    wishes |= {"algorithm": algorithm}
+    others, wishes = wishes, {**wishes, "algorithm": algorithm}
     marches: list[March] = []
     for j in range(count):
         own = {name: given[min(j, len(given) - 1)] for name, given in rows.items()}
         start = own.pop("z0", None)
         of_march = problem.with_q(problem.q, **own) if own else problem
-        begun = march(of_march, offsets[0][:0], carry, z0=start, keep_every=keep_every, **wishes)
+        if not marches:  # what all share is checked once
+            begun = march(of_march, offsets[0][:0], carry, z0=start, keep_every=keep_every, **wishes)
+        else:
+            state = of_march.nearest_to_zero if start is None else checked_vector(start, "z0", n)
+            begun = _marched(of_march, begun.carry, algorithm, begun.keep_every, others, begun.forcing[:0], z0=state,
+                             lesson=Lesson())
         begun.forcing = offsets[min(j, len(offsets) - 1)]
         marches.append(begun)
     steps = _Steps(marches, wishes, limit, clock)
@@ -167,25 +173,32 @@ class _Steps:
         lower, upper, states = (np.stack(rows, axis=1) for rows in zip(
             *((one.problem.lower, one.problem.upper, _state(one)) for one in group), strict=True
         ))
-        is_shared = all(one.forcing is leader.forcing for one in group)
-        forcing = np.stack([one.forcing[first:end] for one in (group[:1] if is_shared else group)], axis=2)
-        answers, solve_of = algorithm.fused_marches(
-            leader.problem, forcing, leader.carry, lower, upper, states, settings.tolerance, settings.max_iterations
+        here = [k for k in range(end - first) if leader.keeps(first + k)]
+        kept = np.full(end - first, -1)
+        kept[here] = np.arange(len(here))
+        found = algorithm.fused_marches(
+            leader.problem, _forcing_of(group, first, end), leader.carry, lower, upper, states, kept,
+            settings.tolerance, settings.max_iterations,
         )
-        seconds = clock.read() / max(len(group) * answers.shape[1], 1)
-        for one in group:
-            one.seconds += seconds * answers.shape[1]
+        seconds = clock.read() / max(len(group) * found.steps, 1)
 
-        def result_of(one: March, j: int, k: int, before: FloatVector) -> Result:
-            q, fused = one.forcing[first + k] + one.carry @ before, solve_of(j, k)
-            certificate = Certificate.enclosed(one.problem.with_q(q), fused.z, fused.residual)
+        def result_of(one: March, j: int, k: int, before: FloatVector, z: FloatVector) -> Result:
+            q, fused = one.forcing[first + k] + one.carry @ before, found.solve_of(j, k, z)
+            certificate = Certificate.of(one.problem.with_q(q), z)
             return fused_result(certificate, policy, choice, fused, settings, seconds)
 
-        for j, (one, rows) in enumerate(zip(group, answers, strict=True)):
+        last, is_kept_whole = found.steps - 1, leader.keep_every == 1
+        for j, one in enumerate(group):
+            one.seconds += seconds * found.steps
             before = _state(one)
-            for k, z in enumerate(rows):
-                one._take(z, partial(result_of, one, j, k, before), Lesson())
-                before = z
+            for k, z in zip(here, found.answers[j], strict=True):
+                if k < last + is_kept_whole:
+                    result = partial(result_of, one, j, k, before, z) if is_kept_whole else None
+                    one._take(z, result, Lesson(), first + k)
+                    before = z
+            if not is_kept_whole and last >= 0:
+                before, z = found.before[j].copy(), read_only(found.last[j].copy())
+                one._take(z, partial(result_of, one, j, last, before, z), Lesson(), first + last)
 
     @property
     def seconds_left(self) -> float | None:
@@ -210,6 +223,15 @@ class _Steps:
         one.error, one.all_solved, one.seconds = rest.error, rest.all_solved, one.seconds + rest.seconds
         if self.is_interrupted(rest):
             raise KeyboardInterrupt
+
+
+def _forcing_of(group: list[March], first: int, end: int) -> FloatVector:
+    """Return the forcing of these steps, shape (k, n, m); one step, or one march, where it is the same for all."""
+    shared = all(one.forcing is group[0].forcing for one in group)
+    rows = [one.forcing[first:end] for one in (group[:1] if shared else group)]
+    if all(one.strides[0] == 0 for one in rows):
+        rows = [one[:1] for one in rows]
+    return np.stack(rows, axis=2)
 
 
 def _unfinished(group: list[March]) -> list[March]:

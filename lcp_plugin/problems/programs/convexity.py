@@ -52,7 +52,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
         what = f"{', '.join(f'P[{k}, {m}] = {P[k, m]:.3g}' for k, m in entries)} shows it"
     raise UnsupportedModel(
         f"the program is not convex: {what}, so that a stationary point need not be a minimum; state a convex "
-        "objective, use a solver for nonconvex programs, or solve(LCP(P, c, lower=…, upper=…)) for a stationary point"
+        "objective, use a solver for nonconvex programs, or state its stationarity conditions as complementarities"
     )
 
 

@@ -230,8 +230,8 @@ class Derivative:
                 f"{rows.size} rows ({named}) are at a bound with w = 0: jvp is one-sided, and vjp the gradient of one "
                 "of the pieces that meet there"
             )
-            return f"{kink}; {words_on_singular(self.problem, system)}" if system.is_singular else kink
-        return words_on_singular(self.problem, system) if system.is_singular else ""
+            return f"{kink}; {words_on_singular(system)}" if system.is_singular else kink
+        return words_on_singular(system) if system.is_singular else ""
 
     def jvp(
         self, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,

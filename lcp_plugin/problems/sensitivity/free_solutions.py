@@ -19,17 +19,16 @@ SINGULAR = (
 )
 
 
-def words_on_singular(problem: LCP, system: FreeSystem) -> str:
+def words_on_singular(system: FreeSystem) -> str:
     """Return what to know of a derivative where M is singular on the free rows."""
     inverse = system.pseudo_inverse
     if inverse is None:
         return SINGULAR
-    share = inverse @ system.block  # of each change of z_F, what w depends on
-    columns = problem.matrix.array[:, system.rows]
-    shared = abs(columns - columns @ share).max() <= CONSISTENT * abs(columns).max()
+    same, rank = system.determined_slack, round(float(np.trace(inverse @ system.block)))
+    is_same = same is not None and bool(same.all())
     return (
-        f"M has rank {round(float(np.trace(share)))} on the {system.rows.size} free rows: z is one of several "
-        f"solutions, w {'the same' if shared else 'not the same'} for all of them, and this the derivative of the "
+        f"M has rank {rank} on the {system.rows.size} free rows: z is one of several "
+        f"solutions, w {'the same' if is_same else 'not the same'} for all of them, and this the derivative of the "
         "least change"
     )
 

@@ -167,6 +167,12 @@ def _with_neighbours(size: Any, floor: FloatVector, scale: FloatVector) -> Float
 
 
 @np.errstate(all="ignore")
+def free_rows(problem: LCP, z: FloatVector, w: FloatVector) -> BoolVector:
+    """Return which rows are between their bounds as far as z and its slack w tell, shape (n,)."""
+    target = z - w / problem.residual_scale
+    return (target > problem.lower) & (target < problem.upper)
+
+
 def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: float) -> float | None:
     """Return an estimate of the largest ‖z − z*‖∞ that goes with a scaled residual, or None where it is too costly.
 
@@ -185,9 +191,7 @@ def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: floa
     >>> round(estimated_error(problem, z, problem.slack(z), 1e-8), 6)
     10.737418
     """
-    scale = problem.residual_scale
-    target = z - w / scale
-    free = np.flatnonzero((target > problem.lower) & (target < problem.upper))
+    free = np.flatnonzero(free_rows(problem, z, w))
     if not free.size or not residual > 0.0 or not np.isfinite(residual):
         return 0.0 if residual == 0.0 or not free.size else None
     norm = _norm_of_inverse(problem, free)

@@ -59,7 +59,7 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     True
     >>> proof = find_infeasibility(LCP([[-1, 0], [0, 1]], [-1, 2]))
     >>> print(proof)
-    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
+    no z within its bounds gives w the signs it needs: row 0 contradicts its bounds; proof: exact
     >>> proof.verify(), round(proof.margin, 9)
     (True, 1.0)
     """
@@ -124,7 +124,7 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     Examples
     --------
     >>> print(contradictory_row(LCP([[-1, 0], [0, 1]], [-1, 2])))
-    no z within its bounds gives w the signs it needs: 1 row (1 × row 0) contradict; proof: exact
+    no z within its bounds gives w the signs it needs: row 0 contradicts its bounds; proof: exact
     """
     rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
     if not rows.size:
@@ -309,6 +309,9 @@ class NoSolution(Refutation):
         leaves = self.leaves
         cases = "the only case" if leaves == 1 else f"each of the {leaves} cases"
         return f"no solution: {cases} of an exhaustive search contradicts, exactly"
+
+    def __repr__(self) -> str:
+        return f"NoSolution({self})"
 
     def _cases(self) -> Iterator[tuple[Case, dict[int, str]]]:
         stack: list[tuple[Case, dict[int, str]]] = [(self.tree, {})]

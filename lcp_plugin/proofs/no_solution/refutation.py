@@ -342,11 +342,15 @@ class Infeasibility(Refutation):
     def __str__(self) -> str:
         rows = list(self._used)
         named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (", …" if len(rows) > 4 else "")
-        combined = f"{len(rows)} row{'s' * (len(rows) != 1)} ({named})"
+        combined = f"{len(rows)} rows contradict ({named})"
+        if len(rows) == 1:
+            combined = f"row {rows[0]} contradicts its bounds"
         return (
-            f"no z within its bounds gives w the signs it needs: {combined} contradict; proof: exact"
-            f"{within(self.radius, 'z')}"
+            f"no z within its bounds gives w the signs it needs: {combined}; proof: exact{within(self.radius, 'z')}"
         )
+
+    def __repr__(self) -> str:
+        return f"Infeasibility({self})"
 
 
 def in_other_units(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:

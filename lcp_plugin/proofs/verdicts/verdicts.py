@@ -22,7 +22,7 @@ from ...systems.definiteness import (
 )
 from ...systems.factors import factor_fits
 from ...systems.graph import block_rows, diagonal_blocks, row_excess_signs
-from ...systems.symmetry import asymmetry
+from ...systems.symmetry import asymmetry, asymmetry_of_rows
 from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
 from ..exact.rational import integers
 from .h_matrix import HCertificate, decide, h_verdict
@@ -49,8 +49,10 @@ def symmetric(matrix: Matrix) -> Verdict:
     found = asymmetry(matrix)
     if found == 0.0:
         return Verdict(True, "M = Mᵀ exactly")
-    to_rounding = ", symmetric up to rounding" if found <= SYMMETRIC_TO_ROUNDING else ""
-    return Verdict(False, f"largest relative asymmetry {found:.3g}{to_rounding}")
+    beside = asymmetry_of_rows(matrix)
+    if min(found, beside) <= SYMMETRIC_TO_ROUNDING:
+        return Verdict(False, f"symmetric up to rounding: its largest asymmetry beside the rows is {beside:.2g}")
+    return Verdict(False, f"largest asymmetry {found:.3g} beside the entries, {beside:.3g} beside their rows")
 
 
 @fact

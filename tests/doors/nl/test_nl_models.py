@@ -489,8 +489,6 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
     yield "logarithm of −1", content_of(1, [("*", ("log", -1.0), x)]), "log of -1"
     yield "division by 0", content_of(1, [("/", x, 0.0)]), "row 0 divides by zero"
     yield "an infinite number", content_of(1, [("*", INFINITY, x)]), "constants must be finite"
-    mpec = replace(paired(content_of(1, [("exp", x)])), **objective_of(content_of(1, objective=x)))
-    yield "an objective beside nonlinear pairs", mpec, "row 0 is nonlinear"
     yield "nonlinear rows", content_of(1, [("exp", x)], row_upper=[1.0], row_lower=[-INFINITY]), "row 0 is nonlinear"
     yield "nonlinear objective", content_of(1, objective=("exp", x)), "neither linear nor quadratic"
     twice = replace(paired(content_of(2, [x, y])), partners=np.array([1, 1]))

@@ -28,10 +28,11 @@ def test_pyomo_finds_the_published_optimum() -> None:
     """An objective beside complementarities is minimised over all of their solutions."""
     m = bard()
     solver = pe.SolverFactory("lcp_plugin")
-    pe.assert_optimal_termination(solver.solve(m))
-    assert (m.x.value, m.y.value) == pytest.approx((1.0, 0.0), abs=1e-7)
-    assert pe.value(m.cost) == pytest.approx(17.0, abs=1e-6)
-    assert solver.result.verify()
+    for prove in (True, False):
+        pe.assert_optimal_termination(solver.solve(m, options={"prove": prove}))
+        assert (m.x.value, m.y.value) == pytest.approx((1.0, 0.0), abs=1e-7)
+        assert pe.value(m.cost) == pytest.approx(17.0, abs=1e-6)
+        assert solver.result.verify() == prove == (solver.result.bound_by == "proof")
 
 
 def test_a_file_and_its_maximum(tmp_path: Path) -> None:
@@ -58,18 +59,53 @@ def test_bounds_beside_a_pair_are_plain_ones() -> None:
     assert (m.x.value, m.y.value) == pytest.approx((1.5, 0.5), abs=1e-7)
 
 
+def test_what_is_not_convex_is_found() -> None:
+    """A convex objective maximised over a polygon is largest in a corner; a smooth pair excludes what it should."""
+    m = bard()
+    m.cost.sense = pe.maximize
+    solver = pe.SolverFactory("lcp_plugin")
+    pe.assert_optimal_termination(solver.solve(m))
+    assert pe.value(m.cost) == pytest.approx((24 / 7 - 5) ** 2 + (57 / 7) ** 2, abs=1e-6)
+    assert (solver.result.bound_by, solver.result.proof, solver.result.is_b_stationary) == ("SCIP", None, True)
+    assert "bound by SCIP, in floating point" in solver.result.explain()
+    m = bard()
+    m.bent = Complementarity(expr=complements(pe.exp(m.y) - 2 >= 0, m.x - 1.5 >= 0))  # x = 1.5 or y = log 2
+    pe.assert_optimal_termination(solver.solve(m))
+    assert min(abs(m.x.value - 1.5), abs(pe.exp(m.y.value) - 2)) <= 1e-7
+    assert solver.result.problem.excess(solver.result.x) <= 1e-7
+
+
+def test_a_yes_or_no_beside_pairs() -> None:
+    """With x ≥ 2 b, b earns 3 b x: worth it, b is one, exactly; without pairs an integer is refused in words."""
+    m = bard()
+    m.b = pe.Var(within=pe.Binary)
+    m.needs = pe.Constraint(expr=m.x >= 2 * m.b)
+    m.cost.set_value(m.cost.expr - 3 * m.b * m.x)
+    solver = pe.SolverFactory("lcp_plugin")
+    pe.assert_optimal_termination(solver.solve(m))
+    assert (m.b.value, pe.value(m.cost)) == (1.0, pytest.approx(10.0, abs=1e-6))
+    m.pair.deactivate()
+    with pytest.raises(UnsupportedModel, match="b is integer, and integers are taken beside complementarities only"):
+        solver.solve(m)
+
+
 def test_what_is_not_taken_is_said() -> None:
-    """Nonlinear pairs, objectives that are not convex, and options of other runs are refused in words."""
+    """Functions that SCIP does not know, proofs of what is not convex, and options of other runs, in words."""
+    solver = pe.SolverFactory("lcp_plugin")
+    m = bard()
+    m.bent = pe.Constraint(expr=pe.atan(m.y) >= 0)
+    with pytest.raises(UnsupportedModel, match=r"SCIP knows no atan.*products, quotients"):
+        solver.solve(m)
     m = bard()
     m.cost.sense = pe.maximize
     with pytest.raises(UnsupportedModel, match="not convex"):
-        pe.SolverFactory("lcp_plugin").solve(m)
+        solver.solve(m, options={"prove": True})
     m = bard()
-    m.bent = Complementarity(expr=complements(m.x >= 0, pe.exp(m.y) - 1 >= 0))
-    with pytest.raises(UnsupportedModel, match="bent is nonlinear"):
-        pe.SolverFactory("lcp_plugin").solve(m)
+    m.bent = pe.Constraint(expr=pe.exp(m.y) >= 1)
+    with pytest.raises(UnsupportedModel, match=r"prove=True needs affine rows.*leave it out"):
+        solver.solve(m, options={"prove": True})
     with pytest.raises(InvalidOption, match="takes no algorithm, got 'psor'"):
-        pe.SolverFactory("lcp_plugin").solve(bard(), options={"algorithm": "psor"})
+        solver.solve(bard(), options={"algorithm": "psor"})
 
 
 def test_an_infeasible_best_has_a_proof() -> None:

@@ -438,6 +438,32 @@ def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) 
     assert len(march_many(problem, forcing[0], carry)) == 1
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("count", [1, 16, 17])
+def test_contacts_on_either_side_are_those_one_by_one(side: float, count: int) -> None:
+    """Puts, whose guess is right, and calls, whose is wrong: the bits of one alone, however many are marched."""
+    n, k = 80, 12
+    x = np.linspace(-1.0, 1.0, n)
+    A = sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * 0.4
+    problem, forcing = LCP(sp.csr_array(sp.eye_array(n) + A), np.zeros(n)), np.full((k, n), 1e-3)
+    payoffs = np.maximum(np.linspace(-0.2, 0.2, 17)[:count, None] - side * x, 0.0)
+    found = march_many(problem, forcing, lower=payoffs, z0=payoffs, keep_every=5)
+    for payoff, ours in zip(payoffs, found, strict=True):
+        theirs = march(problem.with_q(problem.q, lower=payoff), forcing, z0=payoff)
+        assert ours.all_solved
+        assert all(np.array_equal(ours.z[j], theirs.z[j]) for j in range(k))
+        assert all(result.certificate.relative_residual < 1e-8 for result in ours)
+
+
+def test_what_a_march_says_of_its_answers_and_bounds() -> None:
+    """Its z says how many there are; bounds as options are refused with both ways to state them."""
+    rod = LCP([[3, -1], [-1, 3]], [0, 0])
+    assert repr(march(rod, [[-1, 0]] * 3).z) == "<z of 3 steps, each of shape (2,): z[k] is that of step k>"
+    for algorithm in ("auto", "psor"):
+        with pytest.raises(InvalidOption, match=r"problem.with_q\(problem.q, lower=…\); several .* march_many"):
+            march(rod, [[-1, 0]], lower=0.0, algorithm=algorithm)
+
+
 def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
     """One that overflows, and one that is not solved: each says so, the others reach their end."""
     rod = LCP(sp.diags_array([-1.0, 2.5, -1.0], offsets=[-1, 0, 1], shape=(6, 6)), np.zeros(6))

@@ -767,7 +767,7 @@ def test_the_command_judges_solvers(name: str, tmp_path: Path) -> None:
     else:
         pytest.importorskip("highspy")
         path.write_text(QPS)
-    done = CliRunner().invoke(app, ["certify", str(path), "--solver", "CLARABEL,osqp,LCP"])
+    done = CliRunner().invoke(app, ["certify", str(path), "--solver", "CLARABEL,osqp", "--solver", "LCP"])
     assert done.exit_code == 0, done.output
     assert done.stdout.count("proved to 1e-06") == 3
     content = json.loads(CliRunner().invoke(app, ["certify", str(path), "--json"]).stdout)

@@ -1,0 +1,383 @@
+"""SCIP, the global solver of the extra ``[global]``: an equilibrium program goes in, a point and a bound come out.
+
+>>> import numpy as np
+>>> from lcp_plugin import EquilibriumProgram, QuadraticProgram
+>>> program = QuadraticProgram([[0, 1], [1, 0]], [0, 0], A=[[1, 1]], b=[3], lower=0, upper=2)  # x₀ x₁, x₀ + x₁ = 3
+>>> found = minimize(EquilibriumProgram(program, [], []))
+>>> found.status, round(found.value, 6), round(found.bound, 6)
+('optimal', 2.0, 2.0)
+
+A pair is a special ordered set: of z − lower and w, both ≥ 0, at most one is not zero. A box has two of them, with
+w = w⁺ − w⁻. Smooth terms are expressions of SCIP's, term by term; what occurs twice inside others is a variable.
+
+Where its first relaxation falls for ever, SCIP may cut off children that do, too, and call the rest optimal (release
+10, special ordered sets). Then it is asked again within |x| ≤ 10⁶, and what reaches that far is called unbounded.
+
+What comes out is in floating point, feasible to 1e-8 at best, and no proof: :mod:`lcp_plugin.problems.equilibria` reads
+off the cases, solves the pairs again, measures the point, and says whose the bound is. SCIP asks for no licence key.
+
+References
+----------
+S. Bolusani et al., *The SCIP Optimization Suite 9.0* (2024), arXiv:2402.17702.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector
+from ..core.deadline import seconds_left
+from ..core.errors import UnsupportedModel
+from ..modeling.expressions.functions import Function
+from ..modeling.expressions.program import Combination, Program
+from ..problems.equilibria.equilibrium_program import BETWEEN, LOWER, UPPER, EquilibriumProgram
+
+LARGEST = 1e20  # what is farther is infinite for SCIP
+LONGEST = 1e20  # seconds
+SHARE = 0.25  # of the gap that is asked for
+FAR, INSIDE = 1e6, 1e-3  # a box for what falls for ever, and what is near it, relatively
+FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
+
+Watcher = Callable[[float, float, int], bool]
+
+
+class Found(NamedTuple):
+    """What SCIP says.
+
+    Attributes
+    ----------
+    status : str
+        SCIP's word.
+    x : ndarray, shape (n,), or None
+    value, bound : float
+        Of the objective; ∞ and −∞ where there is none.
+    nodes : int
+    """
+
+    status: str
+    x: FloatVector | None
+    value: float
+    bound: float
+    nodes: int
+
+
+def minimize_or_none() -> Callable[..., Found] | None:
+    """Return `minimize`, None where pyscipopt is not installed."""
+    try:
+        return minimize if find_spec("pyscipopt") is not None else None
+    except ValueError:  # it is None among the modules that are loaded
+        return None
+
+
+def minimize(
+    problem: EquilibriumProgram, *, tolerance: float = 1e-6, max_nodes: float = math.inf,
+    start: FloatVector | None = None, ends: Watcher | None = None,
+) -> Found:
+    """Return the least objective over all solutions of an equilibrium program, as SCIP finds it.
+
+    Parameters
+    ----------
+    problem : EquilibriumProgram
+    tolerance : float
+        Of value − bound, beside the larger of 1 and |value|.
+    max_nodes : float
+    start : array, shape (n,), optional
+        A solution to begin with.
+    ends : callable, optional
+        Gets value, bound and nodes after each node; ends the search by something true. What it raises is passed on.
+
+    Raises
+    ------
+    ImportError
+        Where pyscipopt is not installed.
+    UnsupportedModel
+        Naming a function that SCIP does not know.
+
+    Notes
+    -----
+    The limit of the run around it holds, and Ctrl-C ends it with the status "userinterrupt".
+    """
+    model = _Model(problem)
+    found = model.solved(tolerance, max_nodes, start, ends)
+    if found.status.startswith("SCIP:"):  # at its own feasibility tolerance its linear programs may do better
+        model = _Model(problem)
+        found = model.solved(tolerance, max_nodes, start, ends, 1e-6)
+    if found.x is None or found.bound == -math.inf or not model.fell:
+        return found
+    within = _Model(problem, FAR).solved(tolerance, max_nodes - found.nodes, found.x, ends)
+    within = within._replace(nodes=within.nodes + found.nodes)
+    is_far = within.x is None or np.abs(within.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
+    return within._replace(status="unbounded", bound=-math.inf) if is_far else within
+
+
+class _Model:
+    """An equilibrium program as SCIP's.
+
+    Attributes
+    ----------
+    x : list
+        SCIP's variables of x.
+    values : list
+        Of each variable that was added the function that gives its value, from x and from those before it.
+    """
+
+    def __init__(self, problem: EquilibriumProgram, far: float = math.inf) -> None:
+        import pyscipopt
+
+        self.scip, self.problem, self.model = pyscipopt, problem, pyscipopt.Model()
+        self.model.hideOutput()
+        lower, upper = problem.bounds(problem.all_cases)
+        lower, upper = np.maximum(lower, -far), np.minimum(upper, far)
+        self._excludes = bool((lower > upper).any())
+        kinds = np.full(lower.size, "C")
+        kinds[problem.integers] = "I"
+        self.x = [] if self._excludes else [
+            self._variable(low, high, kind) for low, high, kind in zip(lower, upper, kinds.tolist(), strict=True)
+        ]
+        self.added: list[tuple[Any, Callable[[FloatVector], float]]] = []
+        if not self._excludes:
+            self._state()
+
+    @property
+    def fell(self) -> bool:
+        """Whether the first relaxation had no least objective."""
+        return bool(self.model.getNTotalNodes() > 1 and self.model.getDualboundRoot() <= -LARGEST)
+
+    def solved(
+        self, tolerance: float, max_nodes: float, start: FloatVector | None, ends: Watcher | None,
+        feasible: float = FEASIBLE,
+    ) -> Found:
+        """Return what SCIP finds."""
+        if self._excludes:
+            return Found("infeasible", None, math.inf, math.inf, 0)
+        model = self.model
+        model.setParams({
+            "limits/time": min(seconds_left(), LONGEST), "limits/gap": SHARE * tolerance,
+            "limits/absgap": SHARE * tolerance, "numerics/feastol": feasible, "timing/clocktype": 2,
+            "limits/totalnodes": int(max_nodes) if max_nodes < 2**62 else -1,
+        })
+        if start is not None:
+            self._begin_with(start)
+        watcher = None if ends is None else self._watched_by(ends)
+        try:
+            model.optimize()
+        except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
+            return Found(str(error), None, math.inf, -math.inf, 0)
+        if watcher is not None and watcher.error is not None:
+            raise watcher.error
+        status, x, value = model.getStatus(), None, math.inf
+        if model.getNSols():
+            best = model.getBestSol()
+            x, value = np.array([model.getSolVal(best, one) for one in self.x]), model.getSolObjVal(best)
+        bound = model.getDualbound()
+        bound = math.copysign(math.inf, bound) if abs(bound) >= LARGEST else bound
+        return Found(status, x, value, bound, int(model.getNTotalNodes()))
+
+    # --- the statement ---
+
+    def _variable(self, lower: float = -math.inf, upper: float = math.inf, kind: str = "C") -> Any:
+        ends = [None if abs(end) >= LARGEST else float(end) for end in (lower, upper)]
+        return self.model.addVar(lb=ends[0], ub=ends[1], vtype=kind)
+
+    def _state(self) -> None:
+        program, smooth = self.problem.program, self.problem.smooth
+        for matrix, low, high in ((program.G, -np.inf, program.h), (program.A, program.b, program.b)):
+            terms = self._sums(sp.csr_array(matrix), self.x, np.zeros(matrix.shape[0]))
+            self._constrain(terms, np.broadcast_to(low, high.shape), high)
+        goal, bent = self._sums(sp.csr_array(program.c[None]), self.x, np.array([self.problem.offset]))[0], []
+        P = sp.coo_array(sp.csr_array(program.P))
+        if P.nnz:
+            entries = zip(P.row.tolist(), P.col.tolist(), P.data.tolist(), strict=True)
+            bent.append(self.scip.quicksum(0.5 * a * self.x[i] * self.x[j] for i, j, a in entries))
+        if smooth is not None:
+            if not isinstance(smooth.map, Program):
+                raise UnsupportedModel(
+                    "SCIP reads the smooth part of an EquilibriumProgram term by term, and a function of Python's "
+                    "has no terms; state the model in cvxpy, Pyomo or AMPL"
+                )
+            term, *rows = self._results(smooth.map)
+            if not _is_number(term):
+                bent.append(term)
+            self._constrain(rows, smooth.lower, smooth.upper)
+        if bent:
+            height = self._variable()
+            self.model.addCons(self.scip.quicksum(bent) - height <= 0.0)
+            self.added.append((height, self._bent_value))
+            goal = goal + height
+        self.model.setObjective(goal, "minimize")
+        for i, cases in enumerate(self.problem.all_cases.tolist()):
+            self._pair(i, cases)
+
+    def _bent_value(self, x: FloatVector) -> float:
+        return self.problem.objective(x) - self.problem.offset - float(self.problem.program.c @ x)
+
+    def _constrain(self, terms: list[Any], low: FloatVector, high: FloatVector) -> None:
+        for term, least, most in zip(terms, low.tolist(), high.tolist(), strict=True):
+            if _is_number(term):  # a row of nothing
+                if not least - FEASIBLE <= term <= most + FEASIBLE:
+                    self.model.addCons(self.x[0] - self.x[0] >= 1.0)
+            elif least == most:
+                self.model.addCons(term == most)
+            else:
+                if least > -LARGEST:
+                    self.model.addCons(term >= least)
+                if most < LARGEST:
+                    self.model.addCons(term <= most)
+
+    def _pair(self, i: int, cases: int) -> None:
+        """State z ⟂ w by special ordered sets of what is beyond a bound and of w."""
+        problem, model = self.problem, self.model
+        z, w = int(problem.first[i]), int(problem.second[i])
+        if z == w or cases == BETWEEN:  # bounds say it
+            if z == w and cases != BETWEEN:
+                self._constrain([self.x[z]], np.zeros(1), np.zeros(1))
+            return
+        lower, upper = float(problem.lower[i]), float(problem.upper[i])
+        if cases == LOWER + BETWEEN:
+            parts = [self._shifted(z, 1.0, -lower), self._shifted(w, 1.0, 0.0)]
+            model.addConsSOS1(parts)
+        elif cases == UPPER + BETWEEN:
+            model.addConsSOS1([self._shifted(z, -1.0, upper), self._shifted(w, -1.0, 0.0)])
+        else:
+            above, below = self._variable(0.0), self._variable(0.0)
+            self.added += [(above, lambda x: max(float(x[w]), 0.0)), (below, lambda x: max(-float(x[w]), 0.0))]
+            model.addCons(above - below == self.x[w])
+            model.addConsSOS1([self._shifted(z, 1.0, -lower), above])
+            model.addConsSOS1([self._shifted(z, -1.0, upper), below])
+
+    def _shifted(self, column: int, sign: float, offset: float) -> Any:
+        """Return a variable ≥ 0 that is sign · x + offset: x itself where it is."""
+        if sign == 1.0 and offset == 0.0:
+            return self.x[column]
+        variable = self._variable(0.0)
+        self.model.addCons(variable == sign * self.x[column] + offset)
+        self.added.append((variable, lambda x: sign * float(x[column]) + offset))
+        return variable
+
+    # --- expressions ---
+
+    def _sums(self, matrix: sp.csr_array, quantities: list[Any], offset: FloatVector) -> list[Any]:
+        """Return each row times the quantities, plus the offset: a number where the row is empty."""
+        found = []
+        for k, shift in enumerate(offset.tolist()):
+            entries = slice(matrix.indptr[k], matrix.indptr[k + 1])
+            terms = [a * quantities[j] for j, a in
+                     zip(matrix.indices[entries].tolist(), matrix.data[entries].tolist(), strict=True)]
+            found.append(self.scip.quicksum(terms) + shift if terms else shift)
+        return found
+
+    def _results(self, program: Program) -> list[Any]:
+        """Return the results of a program of expressions."""
+        quantities, first = list(self.x), program.n
+        parts = [*(one for level in program.levels for one in level.arguments), program.result]
+        columns = np.concatenate([one.matrix.indices for one in parts])
+        uses = np.bincount(columns, minlength=program.result.matrix.shape[1])
+        for level in program.levels:
+            sides = [self._combined(argument, quantities) for argument in level.arguments]
+            for function, span in level.spans:
+                for k in range(span.start, span.stop):
+                    value = self._applied(function, *(side[k] for side in sides[: function.arguments]))
+                    is_shared = uses[first + k] > 1 and not _is_number(value)
+                    quantities.append(self._named(value, program, first + k) if is_shared else value)
+            first += level.size
+        return self._combined(program.result, quantities)
+
+    def _combined(self, combination: Combination, quantities: list[Any]) -> list[Any]:
+        width = combination.matrix.shape[1]
+        known = [*quantities, *[0.0] * (width - len(quantities))]  # a level takes none of those that come after it
+        return self._sums(combination.matrix, known, combination.offset)
+
+    def _named(self, value: Any, program: Program, place: int) -> Any:
+        variable = self._variable()
+        self.model.addCons(variable == value)
+        self.added.append((variable, lambda x: float(program.quantities(x)[place])))
+        return variable
+
+    def _applied(self, function: Function, *u: Any) -> Any:
+        """Return a function of SCIP's expressions."""
+        if all(map(_is_number, u)):
+            return float(function.value(*(np.array([one]) for one in u))[0])
+        name, scip = function.name, self.scip
+        if name.startswith("power ") and name != "power of":
+            exponent = float(name.removeprefix("power "))
+            return u[0] ** (int(exponent) if exponent.is_integer() else exponent)
+        forms: dict[str, Callable[..., Any]] = {
+            "exp": scip.exp, "log": scip.log, "sin": scip.sin, "cos": scip.cos, "absolute value": abs,
+            "product": lambda a, b: a * b, "quotient": lambda a, b: a / b,
+            "log1p": lambda a: scip.log(1.0 + a), "log10": lambda a: scip.log(a) / math.log(10.0),
+            "relative entropy": lambda a, b: a * _log(scip, a / b), "tan": lambda a: scip.sin(a) / scip.cos(a),
+            "log add exp": lambda a, b: scip.log(_exp(scip, a) + _exp(scip, b)),
+            "power of": lambda a, b: scip.exp(b * _log(scip, a)),
+            "sinh": lambda a: 0.5 * (scip.exp(a) - scip.exp(-a)), "cosh": lambda a: 0.5 * (scip.exp(a) + scip.exp(-a)),
+            "tanh": lambda a: 1.0 - 2.0 / (scip.exp(2.0 * a) + 1.0),
+            "asinh": lambda a: scip.log(a + scip.sqrt(a * a + 1.0)),
+            "acosh": lambda a: scip.log(a + scip.sqrt(a * a - 1.0)),
+            "atanh": lambda a: 0.5 * scip.log((1.0 + a) / (1.0 - a)),
+        }
+        if name not in forms:
+            raise UnsupportedModel(
+                f"SCIP knows no {name}, so that no global bound is found; write it with products, quotients, powers, "
+                "exp, log, sqrt, sin, cos and abs, or leave out the objective and use requires_grad=True for a local "
+                "search"
+            )
+        return forms[name](*u)
+
+    # --- the run ---
+
+    def _begin_with(self, x: FloatVector) -> None:
+        solution = self.model.createSol()
+        for variable, value in zip(self.x, x.tolist(), strict=True):
+            self.model.setSolVal(solution, variable, value)
+        for variable, function in self.added:
+            self.model.setSolVal(solution, variable, function(x))
+        self.model.addSol(solution, free=True)
+
+    def _watched_by(self, ends: Watcher) -> Any:
+        event = self.scip.SCIP_EVENTTYPE  # type: ignore[attr-defined]
+
+        class Handler(self.scip.Eventhdlr):  # type: ignore[misc, name-defined]
+            """Asks after each node whether the search ends."""
+
+            error: BaseException | None = None
+
+            def eventinit(self) -> None:
+                self.model.catchEvent(event.NODESOLVED, self)
+
+            def eventexit(self) -> None:
+                self.model.dropEvent(event.NODESOLVED, self)
+
+            def eventexec(self, _: Any) -> None:
+                model = self.model
+                if self.error is not None:
+                    return
+                try:
+                    value, bound = model.getPrimalbound(), model.getDualbound()
+                    value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one
+                                    for one in (value, bound))
+                    if ends(value, bound, int(model.getNTotalNodes())):
+                        model.interruptSolve()
+                except BaseException as error:  # SCIP, written in C, would swallow it
+                    self.error = error
+                    model.interruptSolve()
+
+        handler = Handler()
+        self.model.includeEventhdlr(handler, "lcp_plugin", "asks whether the search ends")
+        return handler
+
+
+def _is_number(term: Any) -> bool:
+    return isinstance(term, (int, float))
+
+
+def _log(scip: Any, term: Any) -> Any:
+    return math.log(term) if _is_number(term) else scip.log(term)
+
+
+def _exp(scip: Any, term: Any) -> Any:
+    return math.exp(term) if _is_number(term) else scip.exp(term)

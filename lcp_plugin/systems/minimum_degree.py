@@ -82,7 +82,7 @@ def elimination(
     --------
     >>> arrow = sp.csr_array(np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]]))
     >>> elimination(arrow)
-    Elimination(order=array([1, 0, 2]), entries=5.0, operations=9.0)
+    Elimination(order=array([2, 0, 1]), entries=5.0, operations=9.0)
     """
     n, rows = matrix.shape[0], row_numbers(matrix)
     is_beside = matrix.indices != rows
@@ -109,7 +109,7 @@ def elimination(
         if entries < np.inf:
             ends = np.arange(1.0, last.size + 1.0)
             order = np.concatenate([others[order], last[np.argsort(lengths[last], kind="stable")]])
-            return Elimination(order, float(entries + ends.sum()), float(operations + ends @ ends))
+            return Elimination(order, entries + float(ends.sum()), operations + float(ends @ ends))
         if touched <= limit:
             break
     return Elimination(order, np.inf, np.inf)
@@ -136,8 +136,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
     head, after, before = np.full(n + 1, -1), np.full(n, -1), np.full(n, -1)
     outside, mark, tag = np.zeros(n, np.int64), np.zeros(n, np.int64), 1
     held, key, bucket, chain = np.empty(n, np.int64), np.empty(n, np.int64), np.full(n, -1), np.full(n, -1)
-    for others in range(n):
-        i = n - 1 - others  # of equal degrees the first comes first: in a program x, whose pivot is not small
+    for i in range(n):
         begin[i], size[i] = begins[i], begins[i + 1] - begins[i]
         degree[i] = size[i]
         after[i] = head[degree[i]]

@@ -86,11 +86,6 @@ def test_a_factor_in_the_order_has_the_counted_sizes(name: str) -> None:
     assert 0.8 * operations <= counts @ counts <= operations
 
 
-def test_of_equal_degrees_the_first_unknown_comes_first() -> None:
-    """In a KKT matrix these are the variables: multipliers have small pivots, with which QFFFFF80 loses its digits."""
-    assert np.array_equal(elimination(sp.csr_array(sp.eye_array(5))).order, np.arange(5))
-
-
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.floats(0.0, 0.5))
 def test_no_factor_of_a_random_pattern_has_fewer_entries_than_the_pattern(n: int, seed: int, density: float) -> None:
     """Nor more than a full one; operations are those of that many entries at least."""

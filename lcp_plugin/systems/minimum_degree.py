@@ -1,4 +1,4 @@
-"""An order of little fill, by minimum degree, and what a sparse factor takes in it, before it is made.
+"""What a sparse factor will take, before it is made: column counts in an order of minimum degree.
 
 Eliminating an unknown joins its neighbours to each other. They are not written down: the eliminated ones stay as
 *elements*, lists of their neighbours, and an element whose unknowns another one has is absorbed, so that the graph
@@ -14,34 +14,17 @@ doi:10.1137/S0895479894278952.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.kernels.compilation import compiled, compiled_part, interpreted_while_small
-from ..core.matrix.structure import row_numbers
+from ..core.kernels.compilation import compiled
 
 # Rows with more entries than so many √n come last, as a row of constraints that ties all unknowns together: fewer rows
 # where counting takes too long otherwise.
 FULL = (10.0, 1.0)
 TOUCHED, TOUCHED_AT_LEAST = 6, 10_000_000  # of lists, beside their entries: grids take 2 to 10; no more than is counted
-
-
-class Elimination(NamedTuple):
-    """An order of minimum degree, and what a factor takes in it.
-
-    Attributes
-    ----------
-    order : ndarray of int, shape (n,)
-        Of the unknowns; of no meaning where the sizes are ∞.
-    entries, operations : float
-        Of L, its diagonal included, and Σ count² over its columns; ∞ and ∞ beyond a limit.
-    """
-
-    order: Any
-    entries: float
-    operations: float
 
 
 def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: float = np.inf) -> tuple[float, float]:
@@ -62,61 +45,26 @@ def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: flo
     """
     n = matrix.shape[0]
     pattern = sp.csr_array((np.ones(matrix.indices.size, np.int8), matrix.indices, matrix.indptr), shape=(n, n))
-    return elimination(sp.csr_array(pattern + pattern.T), most_entries, most_operations)[1:]
-
-
-def elimination(
-    matrix: sp.csr_array, most_entries: float = np.inf, most_operations: float = np.inf, *, is_sought: bool = False
-) -> Elimination:
-    """Return an order of little fill for a matrix with the pattern of its transpose, and the sizes of a factor.
-
-    Parameters
-    ----------
-    matrix : CSR array, shape (n, n)
-    most_entries, most_operations : float
-        As in :func:`factor_sizes`.
-    is_sought : bool
-        An order is returned however long that takes.
-
-    Examples
-    --------
-    >>> arrow = sp.csr_array(np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]]))
-    >>> elimination(arrow)
-    Elimination(order=array([2, 0, 1]), entries=5.0, operations=9.0)
-    """
-    n, rows = matrix.shape[0], row_numbers(matrix)
-    is_beside = matrix.indices != rows
-    columns, lengths = matrix.indices[is_beside], np.bincount(rows[is_beside], minlength=n)
-    most_touched = TOUCHED * columns.size + TOUCHED_AT_LEAST
+    pattern = sp.csr_array(pattern + pattern.T)
+    pattern.setdiag(0)
+    pattern.eliminate_zeros()
+    most_touched, lengths = TOUCHED * pattern.nnz + TOUCHED_AT_LEAST, np.diff(pattern.indptr)
     for full in FULL:
         is_full = lengths > full * np.sqrt(n)
-        others, last = np.flatnonzero(~is_full), np.flatnonzero(is_full)
-        begins, lists = np.zeros(others.size + 1, np.int64), columns
-        if last.size:
-            place = np.cumsum(~is_full) - 1
-            is_left = ~(is_full[rows[is_beside]] | is_full[columns])
-            lists = place[columns[is_left]]
-            np.cumsum(np.bincount(place[rows[is_beside][is_left]], minlength=others.size), out=begins[1:])
-        else:
-            np.cumsum(lengths, out=begins[1:])
+        others, last = np.flatnonzero(~is_full), int(np.count_nonzero(is_full))
+        left = sp.csr_array(pattern[others][:, others]) if last else pattern
+        begins, lists = left.indptr.astype(np.int64), left.indices.astype(np.int64)
         room = np.empty(lists.size + 2 * others.size + 1, np.int64)
         room[: lists.size] = lists
-        order = np.empty(others.size, np.int64)
-        limit = np.inf if is_sought and full == FULL[-1] else float(most_touched)
-        entries, operations, touched = minimum_degree(
-            begins, room, float(last.size), most_entries, most_operations, limit, order
-        )
-        if entries < np.inf:
-            ends = np.arange(1.0, last.size + 1.0)
-            order = np.concatenate([others[order], last[np.argsort(lengths[last], kind="stable")]])
-            return Elimination(order, entries + float(ends.sum()), operations + float(ends @ ends))
-        if touched <= limit:
-            break
-    return Elimination(order, np.inf, np.inf)
+        counts = minimum_degree(begins, room, float(last), most_entries, most_operations, most_touched)
+        if counts[2] <= most_touched:
+            ends = np.arange(1.0, last + 1.0)
+            return counts[0] + float(ends.sum()), counts[1] + float(ends @ ends)
+    return np.inf, np.inf
 
 
-@interpreted_while_small
-def minimum_degree(begins, room, last, most_entries, most_operations, most_touched, order):  # type: ignore[no-untyped-def]
+@compiled
+def minimum_degree(begins, room, last, most_entries, most_operations, most_touched):  # type: ignore[no-untyped-def]
     """Return Σ count and Σ count² of the columns of L, ∞ and ∞ beyond the limits, and how much of lists was touched.
 
     Parameters
@@ -127,8 +75,6 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
         The lists, and at least 2 n places behind them; overwritten.
     last : float
         Rows that every column has besides.
-    order : array of int, shape (n,)
-        Gets the order, where no limit is exceeded.
     """
     n = begins.size - 1
     begin, size, elements = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.int64)
@@ -143,14 +89,11 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
         if after[i] >= 0:
             before[after[i]] = i
         head[degree[i]] = i
-    joined = np.full(n, -1)  # with which other unknown one is eliminated
-    free, left, least, entries, operations, touched, pivots = begins[n], n, 0, 0.0, 0.0, 0, 0
+    free, left, least, entries, operations, touched = begins[n], n, 0, 0.0, 0.0, 0
     while left > 0:
         while head[least] < 0:
             least += 1
         p = head[least]
-        order[pivots] = p
-        pivots += 1
         head[least] = after[p]
         if after[p] >= 0:
             before[after[p]] = -1
@@ -213,7 +156,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
                     count, total, sum_of = count + 1, total + weight[j], sum_of + j
             if count == 0:  # it has no other neighbour: it is eliminated with p
                 together, reached = together + weight[i], reached - weight[i]
-                weight[i], joined[i] = 0, p
+                weight[i] = 0
                 continue
             room[begin[i]] = p
             for k in range(count):
@@ -243,7 +186,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
                                     break
                         if is_same:
                             weight[i] += weight[j]
-                            weight[j], joined[j] = 0, i
+                            weight[j] = 0
                         j = chain[j]
                 i = chain[i]
         # The new element, and the degrees of its unknowns.
@@ -270,35 +213,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
             entries, operations = entries + height, operations + height * height
         if entries > most_entries or operations > most_operations or touched > most_touched:
             return np.inf, np.inf, touched
-    _expand(order, pivots, joined, head, after, held, key)
     return entries, operations, touched
-
-
-@compiled_part
-def _expand(order, pivots, joined, first, following, own, stack):  # type: ignore[no-untyped-def]
-    """Put behind each of the pivots those that are eliminated with it, and with these; others are room to work in."""
-    n = joined.size
-    for i in range(n):
-        first[i] = -1
-    for before in range(n):
-        i = n - 1 - before
-        if joined[i] >= 0:
-            following[i], first[joined[i]] = first[joined[i]], i
-    for k in range(pivots):
-        own[k] = order[k]
-    count = 0
-    for k in range(pivots):
-        stack[0], height = own[k], 1
-        while height > 0:
-            height -= 1
-            i = stack[height]
-            order[count] = i
-            count += 1
-            i = first[i]
-            while i >= 0:
-                stack[height] = i
-                height += 1
-                i = following[i]
 
 
 @compiled

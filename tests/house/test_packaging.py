@@ -113,11 +113,12 @@ def listed(recipe: str, key: str) -> list[str]:
 
 
 def test_the_conda_recipe_says_what_the_project_says(recipe: str) -> None:
-    """The same version, Python, dependencies, commands, licence and summary."""
+    """The same version, Python, dependencies, commands, licence and summary; qdldl has another name there."""
     floor = PROJECT["requires-python"].removeprefix(">=")
     assert f'version: "{lcp_plugin.__version__}"' in recipe
     assert f'python_min: "{floor}"' in recipe
     run, host = ({line.replace(" ", "") for line in listed(recipe, key)} for key in ("run", "host"))
+    run = {line.replace("qdldl-python", "qdldl") for line in run}
     assert run == {"python>=${{python_min}}", *PROJECT["dependencies"]}
     assert host == {"python${{python_min}}.*", "pip", *BUILD["requires"]}
     assert listed(recipe, "entry_points") == [f"{name} = {function}" for name, function in PROJECT["scripts"].items()]

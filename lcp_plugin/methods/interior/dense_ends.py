@@ -19,6 +19,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector, read_only
 from ...core.crossovers import BLOCKED_ENTRY, BLOCKED_FROM, BLOCKED_RATE
+from ...core.matrix.structure import row_numbers
 from ...systems.lapack import signed_cholesky
 from .newton_matrix import DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix
 from .quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
@@ -66,7 +67,7 @@ def analysed(M: sp.csr_array, signs: FloatVector) -> Symbolic:
     """Return order and pattern of a factor of M, canonical, with a dense end where that is predicted to be quicker."""
     order, last = dense_rows_last(M, signs)
     if last:
-        symbolic = Symbolic.in_order(M, order)
+        symbolic = in_order(M, order)
         part = dense_part(symbolic, last)
         if part is not None and part.work <= SHARED_BY * part.by_lapack:
             return rearranged(symbolic, part, signs)
@@ -109,6 +110,41 @@ def dense_rows_last(M: sp.csr_array, signs: FloatVector) -> tuple[Any, int]:
 def is_almost(reach: Any, last: float) -> Any:
     """Return which columns with so many entries in the last rows are multiplied more quickly by LAPACK."""
     return BLOCKED_RATE * reach**2 >= max(last, 1.0) ** 2
+
+
+def in_order(M: sp.csr_array, order: Any) -> Symbolic:
+    """Return the pattern of L in that order."""
+    from .kernels import dense_ends
+
+    n, rows = M.shape[0], row_numbers(M)
+    at = np.flatnonzero(M.indices < rows)
+    position = np.empty(n, dtype=np.int64)
+    position[order] = np.arange(n)
+    above = _above(at, position[rows[at]], position[M.indices[at]], n)
+    upper = above.indptr.astype(np.int64), above.indices.astype(np.int64)
+    room, starts = np.empty((2, n), dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
+    columns = np.empty(2 * at.size + n, dtype=np.int64)
+    while (count := dense_ends.rows_of_factor(*upper, *room, starts, columns)) > columns.size:
+        columns = np.empty(count, dtype=np.int64)
+    L = sp.csr_array((np.ones(count), columns[:count], starts), shape=(n, n))
+    return _of(M.indptr, M.indices, order, L, above)
+
+
+def _above(at: Any, first: Any, second: Any, n: int) -> sp.csc_array:
+    return sp.csc_array((at, (np.minimum(first, second), np.maximum(first, second))), shape=(n, n))
+
+
+def _of(indptr: Any, indices: Any, order: Any, L: Any, above: sp.csc_array) -> Symbolic:
+    by_columns = sp.csc_array(L)
+    by_rows = sp.csr_array(by_columns)
+    parts = (
+        (order, np.uint32), (by_columns.indptr, np.uint64), (by_columns.indices, np.uint32),
+        (by_rows.indptr, np.uint64), (by_rows.indices, np.uint32), (above.indptr, np.uint64),
+        (above.indices, np.uint32), (above.data, np.uint32),
+    )
+    pattern = tuple(read_only(part.astype(kind)) for part, kind in parts)
+    counts = np.diff(by_columns.indptr).astype(np.float64)
+    return Symbolic(indptr, indices, pattern, L.nnz, 0.5 * float(counts @ counts), 2.0 * L.nnz)
 
 
 def dense_part(symbolic: Symbolic, expected: int = 0) -> DensePart | None:
@@ -154,13 +190,8 @@ def rearranged(symbolic: Symbolic, part: DensePart, signs: FloatVector) -> Dense
         rows = np.concatenate([rows[is_kept], np.tile(np.arange(first, n), blocked.size), first + lower])
         columns = np.concatenate([columns[is_kept], np.repeat(blocked, last), first + upper])
         places = position[above], position[np.repeat(np.arange(n), np.diff(above_starts.astype(np.int64)))]
-        by_rows = sp.coo_array((np.ones(rows.size), (rows, columns)), shape=(n, n)).tocsr()
-        by_columns = sp.csc_array(by_rows)
-        upper = sp.csc_array((at, (np.minimum(*places), np.maximum(*places))), shape=(n, n))
-        symbolic = Symbolic.of_pattern(symbolic.indptr, symbolic.indices, (
-            order, by_columns.indptr, by_columns.indices, by_rows.indptr, by_rows.indices, upper.indptr, upper.indices,
-            upper.data,
-        ))
+        L = sp.coo_array((np.ones(rows.size), (rows, columns)), shape=(n, n)).tocsr()
+        symbolic = _of(symbolic.indptr, symbolic.indices, order, L, _above(at, *places, n))
     slot = np.full(n, -1, dtype=np.int64)
     slot[blocked] = np.arange(blocked.size)
     positive = int(np.count_nonzero(signs[order[first:]] > 0.0))

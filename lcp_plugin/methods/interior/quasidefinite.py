@@ -2,7 +2,7 @@
 
 M = [[P, Aᵀ], [−A, Q]] with P and Q symmetric and semidefinite is monotone, and diag(s) (M + D), s = 1 above and −1
 below, is [[P + D₁, Aᵀ], [A, −Q − D₂]]: quasi-definite for every D > 0, so that LDLᵀ exists in any order of the unknowns
-(Vanderbei 1995, doi:10.1137/0805005). One order of little fill serves all D.
+(Vanderbei 1995, doi:10.1137/0805005). qdldl chooses one order of little fill for all D.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...systems.factors import LONG, made
+from ...systems.factors import LONG, made, most_operations
 from ...systems.graph import compressed_rows
 from ...systems.refinement import REFINEMENTS, STABLE, USEFUL
 from .newton_matrix import SMALLEST, NewtonMatrix
 
 DEAR = (8.0, 30.0)  # times the work of a solve: factorisations that are worth one correction, or two
-ORDERING = 100.0  # operations an entry, about
 SAME = 1e-12  # entries that differ by less, beside their size, are the same but for rounding
 
 
@@ -57,25 +56,38 @@ class Symbolic:
 
     @classmethod
     def of(cls, M: sp.csr_array) -> Symbolic:
-        """Return that of M, canonical, with the pattern of its transpose, in an order of minimum degree."""
-        from ...systems.minimum_degree import elimination  # numba, which not every run needs
+        """Return that of M, canonical, with the pattern of its transpose: qdldl's order, by minimum degree."""
+        import qdldl
 
-        return cls.in_order(M, made(lambda: elimination(M, is_sought=True).order, ORDERING * M.nnz))
-
-    @classmethod
-    def in_order(cls, M: sp.csr_array, order: Any) -> Symbolic:
-        """Return that of M in this order."""
-        from .kernels.symmetric_factors import pattern_of
-
-        return cls.of_pattern(M.indptr, M.indices, (order, *pattern_of(M.indptr, M.indices, order)))
-
-    @classmethod
-    def of_pattern(cls, indptr: Any, indices: Any, pattern: tuple[Any, ...]) -> Symbolic:
-        """Return that of a pattern of M and one of L."""
-        kinds = np.uint32, np.uint64, np.uint32, np.uint64, np.uint32, np.uint64, np.uint32, np.uint32
-        pattern = tuple(read_only(part.astype(kind)) for part, kind in zip(pattern, kinds, strict=True))
-        counts, entries = np.diff(pattern[1]).astype(np.float64), pattern[2].size
-        return cls(indptr, indices, pattern, entries, 0.5 * float(counts @ counts), 2.0 * entries)
+        n = M.shape[0]
+        rows = np.repeat(np.arange(n), np.diff(M.indptr))
+        at = np.flatnonzero(M.indices < rows)
+        rows, columns = rows[at], M.indices[at]
+        # Row by row the lower triangle, its diagonal last: column by column the upper one.
+        starts = np.append(0, np.cumsum(np.bincount(rows, minlength=n) + 1))
+        numbers = np.zeros(starts[-1])  # none is looked at, and no pivot of these is 0
+        numbers[starts[1:] - 1] = 1.0
+        indices = np.empty(numbers.size, dtype=np.int64)
+        indices[numbers > 0.0], indices[numbers == 0.0] = np.arange(n), columns
+        upper = sp.csc_array((numbers, indices, starts), shape=(n, n))
+        try:
+            solver = made(lambda: qdldl.Solver(upper, upper=True), most_operations(upper))
+        except RuntimeError as error:  # no pivot is 0: it found no memory
+            raise MemoryError(str(error)) from error
+        lower, _, order = solver.factors()
+        position = np.empty(n, dtype=np.int64)
+        position[order] = np.arange(n)
+        first, second = position[rows], position[columns]
+        above = sp.csc_array((at, (np.minimum(first, second), np.maximum(first, second))), shape=(n, n))
+        by_rows = sp.csc_array((np.ones(lower.nnz), lower.indices, lower.indptr), shape=(n, n)).tocsr()
+        parts = (
+            (order, np.uint32), (lower.indptr, np.uint64), (lower.indices, np.uint32), (by_rows.indptr, np.uint64),
+            (by_rows.indices, np.uint32), (above.indptr, np.uint64), (above.indices, np.uint32),
+            (above.data, np.uint32),
+        )
+        pattern = tuple(read_only(part.astype(kind)) for part, kind in parts)
+        counts = np.diff(lower.indptr).astype(np.float64)
+        return cls(M.indptr, M.indices, pattern, lower.nnz, float(counts @ counts) / 2.0, 2.0 * lower.nnz)
 
     def fits(self, M: sp.csr_array) -> bool:
         """Return whether M has this pattern."""
@@ -84,7 +96,7 @@ class Symbolic:
 
 
 class QuasidefiniteNewtonMatrix(NewtonMatrix):
-    """LDLᵀ in compiled loops, in an order that is found once for all matrices of one pattern.
+    """LDLᵀ in compiled loops, in the order that qdldl finds once for all matrices of one pattern.
 
     Attributes
     ----------

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.settings import Status
-from lcp_plugin.methods.interior.dense_ends import DenseEnd, analysed, newton_matrix
+from lcp_plugin.methods.interior.dense_ends import DenseEnd, analysed, in_order, newton_matrix
 from lcp_plugin.methods.interior.quasidefinite import QuasidefiniteNewtonMatrix, Symbolic, signs_of
 
 
@@ -67,7 +67,7 @@ def test_the_pattern_in_any_order_is_that_of_a_dense_factor(density: float) -> N
     half = sp.random_array((n, n), density=density, rng=rng, data_sampler=rng.random)
     M, order = sp.csr_array(half + half.T + 2.0 * n * sp.eye_array(n)), rng.permutation(n)
     M.sort_indices()
-    symbolic = Symbolic.in_order(M, order)
+    symbolic = in_order(M, order)
     expected = np.tril(np.linalg.cholesky(M.toarray()[np.ix_(order, order)]), -1)
     _, starts, below, row_starts, columns = (part.astype(np.int64) for part in symbolic.pattern[:5])
     found = sp.csc_array((np.ones(below.size), below, starts), shape=(n, n)).toarray()
@@ -99,7 +99,7 @@ def test_a_block_that_is_not_definite_is_refused() -> None:
 
 
 def test_sparse_factors_have_no_dense_end() -> None:
-    """A band, a small program and a matrix of nothing keep the pattern that minimum degree gives them."""
+    """A band, a small program and a matrix of nothing keep the pattern that qdldl gives them."""
     band = sp.diags_array([np.ones(499), np.full(500, 4.0), np.ones(499)], offsets=[-1, 0, 1], format="csr")
     small = sp.csr_array(np.ones((20, 20)) + np.eye(20))
     for M in (sp.csr_array(band), small, sp.csr_array((3, 3))):

@@ -74,3 +74,27 @@ def store(starts, values, pivots, slot, block, factor, positive):  # type: ignor
         pivots[first + j] = pivot * pivot if j < positive else -pivot * pivot
         for k in range(j + one, last):
             values[start + k - j - one] = factor[j, k] / pivot
+
+
+@compiled
+def rows_of_factor(above_starts, above, parent, seen, starts, columns):  # type: ignore[no-untyped-def]
+    """Fill L by rows from what is above the diagonal, by columns; return how many entries it has, written as they fit.
+
+    Row k has the places of column k and those on the way from them to k in the elimination tree (Liu 1986,
+    doi:10.1145/6497.6499), `parent`. `seen`, shape (n,), is room to work in.
+    """
+    count, room = 0, columns.size
+    for k in range(seen.size):
+        parent[k], seen[k] = -1, k
+        for p in range(above_starts[k], above_starts[k + 1]):
+            j = above[p]
+            while seen[j] != k:
+                if parent[j] < 0:
+                    parent[j] = k
+                seen[j] = k
+                if count < room:
+                    columns[count] = j
+                count += 1
+                j = parent[j]
+        starts[k + 1] = count
+    return count

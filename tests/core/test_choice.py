@@ -624,7 +624,7 @@ def test_the_story_names_every_stage_with_its_reason() -> None:
     assert result.algorithm == "auto: " + ", ".join(names(result))
     assert 0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work  # the rest: measuring
     for stage in result.stages:
-        assert f"  {stage.name}: {stage.iterations} iterations" in result.explain()
+        assert f"  {stage.name}, {stage.iterations} iterations" in result.explain()
         assert stage.because in result.explain()
 
 

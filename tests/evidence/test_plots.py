@@ -127,7 +127,7 @@ def test_a_search_shows_its_bound() -> None:
     """Beside x the proved bound, which never falls and ends at that of the result."""
     from benchmarks.best_equilibria import random_leader
 
-    result = solve(random_leader(10, True))
+    result = solve(random_leader(10, True), prove=True)
     beside = result.plot().figure.axes[1]
     bounds = beside.lines[0].get_ydata()
     assert (np.diff(bounds) >= 0.0).all()

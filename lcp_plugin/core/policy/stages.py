@@ -101,7 +101,7 @@ class Stage:
         if self._at_bounds is not None:
             if (self.iterations - 1) % window == 0 or not self.moves:
                 self.moves.append(0)
-            self.moves[-1] += int(problem.communicator.total(np.count_nonzero(at_bounds != self._at_bounds)))
+            self.moves[-1] += int(problem.communicator.total(float(np.count_nonzero(at_bounds != self._at_bounds))))
         self._at_bounds = at_bounds
 
     def is_unsettled(self) -> bool:
@@ -141,6 +141,19 @@ class Stage:
         if residual <= goal:
             return 0.0
         return math.log(goal / residual) / math.log(rate) if 0.0 < rate < 1.0 and goal > 0.0 else math.inf
+
+
+PARTS_IN_WORDS = {
+    "newton": "guesses which unknowns are at a bound and solves for the others, until the guess proves right",
+    "lemke": "pivots: swaps unknowns at their bounds one by one",
+}
+
+
+def reason_of_part(part: str, algorithm: Algorithm, because: str, *, is_first: bool) -> str:
+    """Return why a part of an algorithm ran: in words of its own, or, of the first, as the algorithm was chosen."""
+    if part != algorithm.name and part in PARTS_IN_WORDS:
+        return PARTS_IN_WORDS[part]
+    return because if is_first else ""
 
 
 class CheckSchedule:

@@ -19,7 +19,7 @@ from ..deadline import NEW_KERNELS, Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
 from ..policy.choice import Policy, name_of
-from ..policy.stages import CheckSchedule, Choice, Progress, Stage
+from ..policy.stages import CheckSchedule, Choice, Progress, Stage, reason_of_part
 from ..settings import Settings, Status
 from .advice import advice_beside_a_wrong_row, advice_of_run, unused_start
 from .judge import Judge, judge_of
@@ -310,6 +310,9 @@ class RunState:
 
 
 def _records(stage: Stage) -> list[StageRecord]:
-    first, *others = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
-    records = [StageRecord(first[0], stage.because, *first[1:]), *(StageRecord(one[0], "", *one[1:]) for one in others)]
+    parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
+    records = [
+        StageRecord(part[0], reason_of_part(part[0], stage.algorithm, stage.because, is_first=k == 0), *part[1:])
+        for k, part in enumerate(parts)
+    ]
     return [*records[:-1], records[-1]._replace(remark=stage.remark)]

@@ -10,7 +10,7 @@ from ...core.deadline import Clock
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.structure import parts
 from ...core.policy.choice import Policy, name_of
-from ...core.policy.stages import Choice
+from ...core.policy.stages import Choice, reason_of_part
 from ...core.settings import Settings, Status
 from ...core.solving.judge import answers_program
 from ...core.solving.result import Result, StageRecord
@@ -60,18 +60,12 @@ def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) 
     return tolerance * (least_reference(least, most) / largest) * (1.0 - 4.0 * EPSILON)
 
 
-IN_WORDS = {
-    "newton": "guesses which unknowns are at a bound and solves for the others, until the guess proves right",
-    "lemke": "pivots: swaps unknowns at their bounds one by one",
-}
-
-
 def fused_result(
     certificate: Certificate, policy: Policy, first: Choice, found: FusedSolve, settings: Settings, seconds: float
 ) -> Result:
     """Return the result of a fused solve that converged at the z of a certificate, after these seconds."""
     stages = tuple(
-        StageRecord(name, IN_WORDS.get(name, "" if k else first.because), iterations, work)
+        StageRecord(name, reason_of_part(name, first.algorithm, first.because, is_first=k == 0), iterations, work)
         for k, (name, iterations, work) in enumerate(found.parts)
     )
     return Result(

@@ -52,7 +52,7 @@ def symmetric(matrix: Matrix) -> Verdict:
     beside = asymmetry_of_rows(matrix)
     if min(found, beside) <= SYMMETRIC_TO_ROUNDING:
         return Verdict(False, f"symmetric up to rounding: its largest asymmetry beside the rows is {beside:.2g}")
-    return Verdict(False, f"largest asymmetry {found:.3g} beside the entries, {beside:.3g} beside their rows")
+    return Verdict(False, f"asymmetry {found:.2g} beside the entries, {beside:.2g} beside rows")
 
 
 @fact

@@ -717,7 +717,7 @@ REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (lambda: certify(CURVED, [1.0]), InvalidProblem, r"solve\(problem, x0=x, max_iterations=0\)\.certificate has"),
     (lambda: certify(solve_nonlinear(CURVED, [1.0])), InvalidProblem, r"result\.certificate has its residuals"),
     (lambda: certify(bounded_least_squares([[1.0]], [1.0])), InvalidProblem, r"solve\(problem\)\.gap is proved"),
-    (lambda: certify(EquilibriumProgram(SIMPLE, [0], [1])), InvalidProblem, r"solve\(problem\)\.verify\(\)"),
+    (lambda: certify(EquilibriumProgram(SIMPLE, [0], [1])), InvalidProblem, r"\(problem, prove=True\)\.verify\(\)"),
 ]
 
 

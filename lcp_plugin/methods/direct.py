@@ -4,7 +4,7 @@
 |---|---|
 | the diagonal positive and nothing else, M not dense and symmetric | newton, then as below |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
-| the same, dense, diagonal not > 0: budget rows | some pivots of lemke, then as above |
+| the same, full, diagonal not > 0: budget rows | some pivots of lemke, then as above |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
 | the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
@@ -54,6 +54,7 @@ from .presolve import presolve
 CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
 # Turns of lemke, in pivots by n, and of newton, in steps.
 FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
+FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M is a dense one
 PIVOTS = 2.0
 GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
 
@@ -195,7 +196,8 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
         left_out.append(newton.algorithm)
     if _seems_monotone(left, problem.origin):
         order = [interior, check, newton, lemke]
-        if left.is_dense and not has_positive_diagonal(left.matrix).all():
+        is_full = left.is_dense or left.nonzeros > FULL_SHARE * left.n**2
+        if is_full and not has_positive_diagonal(left.matrix).all():
             few = create("lemke", {"max_pivots": 10 + left.n // FIRST_PIVOTS, "restarts": 0})
             order = [Choice(few, f"some pivots, before a factor of a dense M{about}", reduced), *order]
     else:

@@ -516,9 +516,12 @@ def test_a_game_is_left_to_its_pivots() -> None:
     assert auto.work <= 1.1 * lemke.work + 10.0
 
 
-def test_a_budget_row_is_pivoted_before_it_is_factorised() -> None:
-    """A portfolio holds few of its assets: that is a tenth of an interior point's work."""
-    problem = Case("portfolio", {"assets": 200}).in_units("own")[0]
+@pytest.mark.parametrize("is_dense", [True, False])
+def test_a_budget_row_is_pivoted_before_it_is_factorised(is_dense: bool) -> None:
+    """A portfolio holds few of its assets: a tenth of an interior point's work, however its full M is stored."""
+    stated = Case("portfolio", {"assets": 200}).in_units("own")[0]
+    problem = stated if is_dense else LCP(stated.csr, stated.q, lower=stated.lower, upper=stated.upper)
+    assert problem.is_dense == is_dense
     auto, interior = solve(problem), solve(problem, "interior_point")
     assert auto.is_solved
     assert auto.work <= 0.3 * interior.work

@@ -455,8 +455,8 @@ def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, cap
     kind, wish = kind_of(sample.problem), WISHES[name]
     assert kind is not None
     is_taken = name in OF_SOLVE or name == "algorithm" if kind.options is None else name in kind.options
-    if name == "z0" and is_taken:
-        wish = solved(sample).z
+    if name in ("z0", "x0") and is_taken:
+        wish = solved(sample).z if name == "z0" else solved(sample).x
     try:
         answer = solve(sample.problem, **{**sample.start, name: wish})
     except UnsuitableMatrix as error:

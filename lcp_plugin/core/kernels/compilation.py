@@ -36,6 +36,7 @@ from .compiler import (
     njit,
     normalize_signature,
     rtsys,
+    to_its_end,
     types,
     vectorize,
 )
@@ -192,6 +193,9 @@ def compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
             if longest and _may_be_interpreted(dispatcher, arguments, longest, numbers):
                 return partial(_interpret, function)
             with compiling(), _without_collector():  # or loading
+                if not _is_set_up and not _is_kept(dispatcher, arguments):
+                    to_its_end(dispatcher.targetctx.refresh)  # before numba takes its lock, which this does as well
+                    _is_set_up.append(True)
                 return compile_for(*arguments)
 
         dispatcher._compile_for_args = of_arguments
@@ -201,6 +205,7 @@ def compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
 LONGEST_IN_ORDER = 64  # terms of a sum in one order for the interpreter and the compiler; of more, in any order
 PATIENCE = 1.0  # seconds that a process interprets before it compiles: about as long as a kernel or two are compiled
 _interpreted = [0.0]
+_is_set_up: list[bool] = []  # numba's tables of what it knows to compile, which its first compilation fills
 
 
 def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...], longest: float, numbers: int) -> bool:

@@ -1,4 +1,4 @@
-"""numba, loaded whole: what interrupts its import leaves a half that no process can complete. Its names come from here.
+"""numba, loaded and set up whole: an interrupted half of either can never be completed. Its names come from here.
 
 >>> loaded_whole("json")
 """
@@ -8,32 +8,41 @@ from __future__ import annotations
 import _thread
 import sys
 import threading
+from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 
 from ..deadline import compiling
 
 
 def loaded_whole(name: str) -> None:
-    """Import a module of another package to its end; what is raised here meanwhile, as by Ctrl-C, is raised then.
+    """Import a module of another package to its end.
 
-    Another thread imports it, which no signal interrupts, so that no handler of signals need be changed. It must import
-    nothing of this package: modules that this thread is importing would wait for it.
+    It must import nothing of this package: modules that this thread is importing would wait for it.
     """
-    if name in sys.modules:
-        return
+    if name not in sys.modules:
+        to_its_end(partial(import_module, name))
+
+
+def to_its_end(action: Callable[[], object]) -> None:
+    """Run an action to its end; what is raised here meanwhile, as by Ctrl-C, is raised then.
+
+    Another thread runs it, which no signal interrupts, so that no handler of signals need be changed. It must not wait
+    for a lock that this thread holds.
+    """
     is_done, raised = threading.Event(), list[BaseException]()
 
-    def load() -> None:
+    def run() -> None:
         try:
-            import_module(name)
+            action()
         except BaseException as error:  # raised again by the thread that waits
             raised.append(error)
         is_done.set()
 
     try:
-        _thread.start_new_thread(load, ())
+        _thread.start_new_thread(run, ())
     except (RuntimeError, MemoryError):  # there is no other thread to be had
-        load()
+        run()
     while not is_done.is_set():
         try:
             is_done.wait()

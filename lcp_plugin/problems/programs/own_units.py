@@ -8,7 +8,8 @@ multiplied. Unknowns keep the user's unit unless the data show others: rows and 
 
 are fitted to each other (Curtis, Reid; :mod:`lcp_plugin.core.matrix.units`), exact powers of two, where the columns of
 A and P, or b, c and bounds beside them, are of sizes that differ by more than 2⁸ on average. The column of b, c and
-bounds says how large unknowns are.
+bounds says how large unknowns are. Where these exponents lie within 2⁸ of each other all unknowns get the one in their
+middle: multigrid interpolates what is constant in one unit, and an elastic body in newtons and metres is one grid.
 """
 
 from __future__ import annotations
@@ -60,6 +61,8 @@ class OwnUnits(NamedTuple):
         if exponents is None:
             size, least = objective_sizes(program.c, diagonal).tolist()
             return cls(matrices.row_sizes, np.ones(n), size, least, True)
+        if np.ptp(exponents) <= ALIKE:  # one unit for all: a grid whose neighbours had others would be none
+            exponents = np.full_like(exponents, (exponents.max() + exponents.min()) // 2)
         unknown = np.ldexp(1.0, exponents)
         rows = matrices.rows
         of_rows = or_one(largest_in_rows(rows, np.abs(rows.data) * unknown[rows.indices]))

@@ -43,7 +43,12 @@ class Rescaled:
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> Rescaled | None:
-        """Return that of a program; None where its numbers are near 1 as they are."""
+        """Return that of a program; None where its numbers are near 1 as they are.
+
+        None, too, where it has bounds alone and a positive diagonal of P: a complementarity problem in any unit.
+        """
+        if program.matrices.sizes[:2] == (0, 0) and (program.P.diagonal() > 0.0).all():
+            return None
         coefficient, unknown, objective, _, are_the_users = program.units
         rows = np.ldexp(1.0, np.frexp(coefficient)[1] - 1)
         far = 2.0**FAR

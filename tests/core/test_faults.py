@@ -180,6 +180,20 @@ WHILE_LOADING = """
 """
 
 
+KEEPS_THE_IMPORT_LOCK = """
+    import _imp
+    from lcp_plugin import LCP, solve
+    _imp.acquire_lock()  # as Ctrl-C leaves it that comes while Python looks up a module
+    print(solve(LCP([[2, 1], [1, 2]], [-1, 1])).is_solved)
+    print(_imp.lock_held())
+"""
+
+
+def test_an_import_that_was_interrupted_keeps_no_thread_waiting() -> None:
+    """Python may keep the lock of its imports after Ctrl-C: numba is loaded all the same."""
+    assert in_a_process(textwrap.dedent(KEEPS_THE_IMPORT_LOCK)).stdout.split() == ["True", "False"]
+
+
 @pytest.mark.sampled(6)
 @pytest.mark.parametrize("seconds", [0.01 + 0.04 * k for k in range(15)])
 @pytest.mark.parametrize("call", ["small", "large", "program", "analyze"])

@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
+import _imp
 import _thread
 import sys
-import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 
 from ..deadline import compiling
+
+POLLED = 0.1  # seconds
 
 
 def loaded_whole(name: str) -> None:
@@ -30,22 +33,28 @@ def to_its_end(action: Callable[[], object]) -> None:
     Another thread runs it, which no signal interrupts, so that no handler of signals need be changed. It must not wait
     for a lock that this thread holds.
     """
-    is_done, raised = threading.Event(), list[BaseException]()
+    # Not an Event: interrupted between two of its own lines it may keep its lock for good.
+    is_done, waiter, raised = list[bool](), _thread.allocate_lock(), list[BaseException]()
+    waiter.acquire()
+    with suppress(RuntimeError):  # it is another thread's, which lets it go
+        while _imp.lock_held():  # by this thread, interrupted as it looked up a module: the other one would wait for ever
+            _imp.release_lock()
 
     def run() -> None:
         try:
             action()
         except BaseException as error:  # raised again by the thread that waits
             raised.append(error)
-        is_done.set()
+        is_done.append(True)
+        waiter.release()
 
     try:
         _thread.start_new_thread(run, ())
     except (RuntimeError, MemoryError):  # there is no other thread to be had
         run()
-    while not is_done.is_set():
+    while not is_done:
         try:
-            is_done.wait()
+            waiter.acquire(timeout=POLLED)  # an interruption may have come just after it
         except BaseException as error:  # whatever a handler of signals raises
             raised.append(error)
     if raised:

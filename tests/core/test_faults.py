@@ -194,6 +194,23 @@ def test_an_import_that_was_interrupted_keeps_no_thread_waiting() -> None:
     assert in_a_process(textwrap.dedent(KEEPS_THE_IMPORT_LOCK)).stdout.split() == ["True", "False"]
 
 
+COMPILED_IN_TWO_THREADS = """
+    from concurrent.futures import ThreadPoolExecutor
+    import numpy as np
+    from lcp_plugin.core.kernels.compilation import compiled
+    def added(x): return x.size + x.sum()
+    def subtracted(x): return x.size - x.sum()
+    with ThreadPoolExecutor(2) as pool:
+        print(*pool.map(lambda kernel: compiled(kernel)(np.ones(3)), [added, subtracted]))
+"""
+
+
+def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
+    """In a process without kept code, numba is set up once: neither thread compiles by half of its tables."""
+    done = in_a_process(COMPILED_IN_TWO_THREADS, NUMBA_CACHE_DIR=str(tmp_path))
+    assert done.stdout.split() == ["6.0", "0.0"], done.stderr
+
+
 @pytest.mark.sampled(6)
 @pytest.mark.parametrize("seconds", [0.01 + 0.04 * k for k in range(15)])
 @pytest.mark.parametrize("call", ["small", "large", "program", "analyze"])

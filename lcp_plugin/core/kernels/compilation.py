@@ -194,8 +194,7 @@ def compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
                 return partial(_interpret, function)
             with compiling(), _without_collector():  # or loading
                 if not _is_set_up and not _is_kept(dispatcher, arguments):
-                    to_its_end(dispatcher.targetctx.refresh)  # before numba takes its lock, which this does as well
-                    _is_set_up.append(True)
+                    _set_up(dispatcher.targetctx)
                 return compile_for(*arguments)
 
         dispatcher._compile_for_args = of_arguments
@@ -206,6 +205,14 @@ LONGEST_IN_ORDER = 64  # terms of a sum in one order for the interpreter and the
 PATIENCE = 1.0  # seconds that a process interprets before it compiles: about as long as a kernel or two are compiled
 _interpreted = [0.0]
 _is_set_up: list[bool] = []  # numba's tables of what it knows to compile, which its first compilation fills
+
+
+def _set_up(target: Any) -> None:
+    """Let numba fill its tables, once: of two threads that begin to, one would compile by half of them."""
+    with _lock.held():
+        if not _is_set_up:
+            to_its_end(target.refresh)  # before numba takes its lock, which this does as well
+            _is_set_up.append(True)
 
 
 def _may_be_interpreted(dispatcher: Any, arguments: tuple[Any, ...], longest: float, numbers: int) -> bool:

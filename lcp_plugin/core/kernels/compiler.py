@@ -37,7 +37,7 @@ def to_its_end(action: Callable[[], object]) -> None:
     is_done, waiter, raised = list[bool](), _thread.allocate_lock(), list[BaseException]()
     waiter.acquire()
     with suppress(RuntimeError):  # it is another thread's, which lets it go
-        while _imp.lock_held():  # by this thread, interrupted as it looked up a module: the other one would wait for ever
+        while _imp.lock_held():  # by this thread, interrupted as it looked up a module: the other would never go on
             _imp.release_lock()
 
     def run() -> None:

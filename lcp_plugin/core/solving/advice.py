@@ -76,6 +76,9 @@ def _other_call(problem: LCP, chosen: Algorithm) -> str:
     return f'{scaled}algorithm="auto"'
 
 
+NOTHING_TO_DO = "where it begins the residual is within the tolerance already, and nothing was left to do"
+
+
 def unused_start(problem: LCP, chosen: Any, start: Any) -> str:
     """Return what to say of a start that the caller gave and the algorithm does not use; '' elsewhere.
 

@@ -213,7 +213,10 @@ STAGE_LINES = {
         "by how much x violates a constraint",
     ),
     "a program by interior points": (
-        lambda: solve(QuadraticProgram(sp.eye_array(2000), -np.ones(2000), G=np.ones((1, 2000)), h=[2.0])),
+        lambda: solve(QuadraticProgram(
+            sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(900, 900)), np.arange(900) % 7 - 3.0,
+            A=np.ones((1, 900)), b=[1.0], lower=-1.0, upper=1.0,
+        )),
         "keep strictly inside the inequalities",
     ),
     "a nonlinear problem": (

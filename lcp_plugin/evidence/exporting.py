@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..core.errors import InvalidOption
 from ..doors.files.files import checked_path, write_whole
@@ -33,6 +33,8 @@ class Exported:
     """What a table of measurements can do: become JSON, CSV or a figure, and be saved as one of these."""
 
     columns: ClassVar[Sequence[str]]
+    if TYPE_CHECKING:
+        plot: ClassVar[Any]  # a method of each, with options of its own
 
     def to_content(self) -> dict[str, Any]:
         """Return everything as dictionaries and lists that JSON can hold; numbers that are not finite become None."""
@@ -41,10 +43,6 @@ class Exported:
 
     def rows(self) -> list[tuple[Any, ...]]:
         """Return the rows of the CSV."""
-        raise NotImplementedError
-
-    def plot(self, **how: Any) -> Any:
-        """Return a matplotlib figure."""
         raise NotImplementedError
 
     def to_json(self) -> str:

@@ -17,6 +17,7 @@ from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.settings import Status
 from ..core.solving.answer import Answer
 from ..core.solving.result import Result
+from ..core.written import in_words
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.many.answers import AnswerSequence
 from ..problems.march import March
@@ -221,7 +222,7 @@ def _unknown(answer: Answer) -> str:
 def _headline(answer: Answer) -> str:
     value = "" if answer.objective is None else f"objective {answer.objective:.6g}, "
     size = "" if answer.x is None else f"n = {len(answer.x)}: "
-    return f"{size}{answer.status.name} by {answer.algorithm},\n{value}{answer.iterations} iterations"
+    return f"{size}{answer.status.name} by {answer.algorithm},\n{value}{in_words(answer.iterations, 'iteration')}"
 
 
 def _panel_beside(answer: Answer) -> Any:

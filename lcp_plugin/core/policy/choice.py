@@ -162,8 +162,9 @@ class Auto(Policy):
             return Choice(_small(), "small: a few sweeps guess which unknowns are at a bound")
         banded = _banded()
         passes = math.inf if banded is None else in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
+        cost = f"{max(passes, 1.0):.0f} sweep" + "s" * (passes > 1.5)
         narrow = PROJECTED_TYPE if banded is None else Choice(
-            banded, f"M is a narrow band, solved in the time of about {passes:.0f} sweep" + "s" * (passes >= 1.5)
+            banded, f"M is a narrow band, solved in about the time of {cost}"
         )
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
         if passes <= TRIAL_SWEEPS:

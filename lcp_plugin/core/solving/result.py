@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -218,12 +219,15 @@ class Result(Answer):
 
     def reached(self) -> str:
         """Return what was reached beside what was asked for."""
-        residual = f"relative residual {self.residual:.3e}{self._beside}"
+        residual, beside = f"relative residual {self.residual:.3e}", self._beside
         asked_on_error = self.tolerance_on == "error"
         if self.error_bound is None:
             what = "a relative error of " if asked_on_error else ""
+            residual += beside and f" ({beside})"
             return f"{residual}, asked for {what}{self.tolerance:.3e}{self._or_absolute}"
-        residual += "" if asked_on_error else f" (asked for {self.tolerance:.3e}{self._or_absolute})"
+        asked_for = "" if asked_on_error else f"asked for {self.tolerance:.3e}{self._or_absolute}"
+        notes = "; ".join(filter(None, (beside, asked_for)))
+        residual += notes and f" ({notes})"
         asked = f" (asked for {self.tolerance:.3e})" if asked_on_error else ""
         bound, *proven = str(self.error_bound).splitlines()
         return "\n".join([f"{residual}; {bound}{asked}", *proven])
@@ -232,10 +236,11 @@ class Result(Answer):
     def _beside(self) -> str:
         """Return which point has the relative residual 1, where one of this process is known to."""
         problem = self.certificate.problem
-        if self.certificate.is_linearised or problem.is_distributed or not self.certificate.references[0].any():
+        if self.certificate.is_linearised or problem.is_distributed:
             return ""
-        nearest = problem.nearest_to_zero
-        return f" ({'the point of the bounds nearest to 0' if nearest.any() else 'z = 0'} has 1)"
+        if not 0.0 < self.certificate.references[0].max(initial=0.0) < math.inf:
+            return ""
+        return f"{'the point of the bounds nearest to 0' if problem.nearest_to_zero.any() else 'z = 0'} has 1"
 
     @property
     def _or_absolute(self) -> str:

@@ -171,7 +171,8 @@ class QuadraticProgramResult(Answer):
         return str(self.solution) if self.proof is None else str(self.proof)
 
     def _course(self) -> list[str]:
-        return [*super()._course(), *told_stages(self.stages)]
+        is_made_when_looked_at = self.is_compiled and not self.is_solved  # by another run
+        return [*super()._course(), *([] if is_made_when_looked_at else told_stages(self.stages))]
 
 
 def judged_program(

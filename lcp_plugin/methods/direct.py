@@ -44,6 +44,7 @@ from ..core.crossovers import (
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
+from ..core.matrix.units import Exponents, scaled
 from ..core.policy.choice import last_resort
 from ..core.policy.stages import Choice, Stage
 from ..proofs.no_solution.infeasibility import contradictory_row
@@ -245,8 +246,10 @@ def _seems_monotone(problem: LCP, origin: Any) -> bool:
     if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
         return True
     from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
+    from .interior.suited_matrix import monotone_rows
 
-    twice = symmetric_part(problem.M)
+    row = monotone_rows(problem.M)  # interior points take these
+    twice = symmetric_part(problem.M if row is None else scaled(problem.M, Exponents(row, np.zeros_like(row))))
     if bool((twice.diagonal() < 0.0).any()):
         return False
     # The multipliers of a quadratic program have empty rows and columns there.

@@ -179,7 +179,10 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     left = problem if reduced is None else reduced.problem
     about = f" ({reduced})" if left is not problem else ""
     newton = Choice(create("newton", {}), f"guesses what is at a bound, solves for the rest{about}", reduced)
-    interior = Choice(create("interior_point", {}), f"suits M, which is monotone or may be{about}", reduced)
+    interior = Choice(
+        create("interior_point", {}), f"suits M, which is monotone or may be{about}", reduced,
+        is_made="interior_point" in getattr(problem.origin, "attempted", ()),
+    )
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
     left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]

@@ -162,6 +162,19 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert solve(problem, z0=z + 1e-6).is_solved
 
 
+@pytest.mark.parametrize("algorithm", ["auto", "psor", "newton", "lemke", "interior_point"])
+def test_an_answer_beyond_doubles_is_told_as_a_question_of_units(algorithm: str) -> None:
+    """M·10⁻²⁰⁰ and q·10²⁰⁰: no other start or algorithm, but by what to divide; so divided the problem is solved."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
+    advice = advice_of(lambda: solve(LCP(M * 1e-200, q * 1e200), algorithm))
+    assert "z0" not in advice
+    assert calls_in(advice) == []
+    by_M, by_q = re.findall(r"divide M by (\S+), q by (\S+), and z", advice)[0]
+    solved = solve(LCP(M * 1e-200 / float(by_M), q * 1e200 / float(by_q)), algorithm).require_solved()
+    np.testing.assert_allclose(solved.z, [1.0, 0.0], atol=1e-6)
+    assert "divide M" not in solve(LCP(M, q), algorithm, max_iterations=0).advice
+
+
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])
 def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
     """"Go on from z0=result.z" is said where it helps, and raising the limit solves the problem."""

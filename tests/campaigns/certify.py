@@ -105,12 +105,12 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
         found.append("violation")
     if said.gap is not None and Fraction(said.gap) < abs(value - Fraction(said.lower)):
         found.append("gap")
-    if said.distance is not None:
-        apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
-        if not given.is_definite or Fraction(said.distance) ** 2 < apart:
-            found.append("distance")
+    apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
+    if said.distance is not None and (not given.is_definite or Fraction(said.distance) ** 2 < apart):
+        found.append("distance")
     is_right = missed <= tolerance and abs(value - given.value) <= tolerance * (1 + abs(value))
-    if said.verdict == "refuted" and is_right:
+    is_near = apart <= (10 * tolerance * (1 + Fraction(float(np.abs(x).max())))) ** 2  # or it may be proved to be far
+    if said.verdict == "refuted" and is_right and is_near:
         found.append("wrong refutation")
     if said.verdict == "proved" and not is_right:
         found.append("wrong proof")

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 from ..algorithms import Algorithm
+from ..checks import FloatVector
+from ..kernels.floats import EPSILON
 from ..lcp import LCP
 from ..matrix.row_sums import has_positive_diagonal
 from ..policy.stages import Stage
 from ..settings import Status
 
+ROUNDING = 4.0 * EPSILON
 MOST_DIGITS = 308.0  # of a double
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
@@ -102,6 +105,41 @@ def beyond_doubles(problem: LCP) -> str:
     return (
         f"row {problem.first + i} has |q| = {q} beside entries of M up to {m}, so that |z| is at least "
         f"1e+{exponents[i]:.0f}, beyond the largest double: divide M by {m}, q by {q}, and z is in units of {q}/{m}"
+    )
+
+
+def advice_on_given_rows(problem: LCP, z: FloatVector, w: FloatVector) -> str:
+    """Return what to do with rows that only give z, as boundary values do, and lie at a bound with w = 0; '' for none.
+
+    Each is a kink of the solution for :func:`lcp_plugin.derivative`, which an equation is not.
+
+    Parameters
+    ----------
+    problem : LCP
+    z, w : array, shape (n,)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z = np.array([1.0, 1.5])
+    >>> print(advice_on_given_rows(LCP([[1, 0], [-1, 2]], [-1, -2], lower=1.0), z, np.zeros(2)))
+    M has nothing but a diagonal entry in row 0, where z is at a bound with w = 0: if such a row only gives z, as a
+    boundary value does, leave its bounds out (lower = -inf, upper = inf), and derivative() sees no kink in it
+    """
+    if problem.is_distributed:
+        return ""
+    counts = np.count_nonzero(problem.M, axis=1) if problem.is_dense else np.diff(problem.csr.indptr)
+    rows = np.flatnonzero((counts == 1) & (problem.diagonal != 0.0) & (problem.lower < problem.upper))
+    near = ROUNDING * np.abs(z[rows])
+    is_held = (z[rows] <= problem.lower[rows] + near) | (z[rows] >= problem.upper[rows] - near)
+    rows = rows[is_held & (np.abs(w[rows]) <= ROUNDING * np.abs(problem.q[rows]))]
+    if not rows.size:
+        return ""
+    named = " and ".join(map(str, rows)) if rows.size <= 2 else f"{rows[0]}, {rows[1]} and {rows.size - 2} more"
+    return (
+        f"M has nothing but a diagonal entry in row{'s' * (rows.size > 1)} {named}, where z is at a bound with w = 0: "
+        "if such a row only gives z, as a boundary value does, leave its bounds out (lower = -inf, upper = inf), and "
+        "derivative() sees no kink in it"
     )
 
 

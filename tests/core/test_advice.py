@@ -28,8 +28,10 @@ from lcp_plugin import (
     certify,
     complements,
     convergence_guarantee,
+    derivative,
     error_bound,
     gallery,
+    march,
     prepare,
     solve,
     solve_many,
@@ -161,6 +163,43 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert calls_in(result.advice) == []
     assert "another start z0 may lead elsewhere" in result.advice
     assert solve(problem, z0=z + 1e-6).is_solved
+
+
+@pytest.mark.parametrize("form", [np.asarray, sp.csr_array])
+def test_boundary_values_written_as_rows_are_told_how_to_be_no_kinks(form: Any) -> None:
+    """Of a solve and of a march, in one line; without the bounds the answer is the same and no row degenerate."""
+    n = 9
+    M = 3.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    M[[0, -1]] = np.eye(n)[[0, -1]]
+    lower, forcing = np.full(n, 0.2), np.full((4, n), -0.1)
+    lower[[0, -1]], forcing[:, [0, -1]] = 1.0, -1.0
+    carry = -np.diag([0.0, *np.ones(n - 2), 0.0])
+    problem = LCP(form(M), forcing[0], lower=lower)
+    run, result = march(problem, forcing, carry), solve(problem)
+    for said in (run.explain(), result.explain()):
+        assert said.count("M has nothing but a diagonal entry in rows 0 and 8, where") == 1
+        assert "leave its bounds out (lower = -inf, upper = inf)" in said
+    assert len(derivative(run).degenerate) == 8
+    lower[[0, -1]] = -np.inf
+    free = LCP(form(M), forcing[0], lower=lower)
+    without, answer = march(free, forcing, carry), solve(free)
+    np.testing.assert_allclose(np.array(without.z), np.array(run.z), atol=1e-12)
+    assert not len(derivative(without).degenerate)
+    assert not derivative(answer).degenerate.size
+    assert "diagonal entry" not in without.explain() + answer.explain()
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "psor", "newton", "lemke", "interior_point"])
+def test_an_answer_beyond_doubles_is_told_as_a_question_of_units(algorithm: str) -> None:
+    """M·10⁻²⁰⁰ and q·10²⁰⁰: no other start or algorithm, but by what to divide; so divided the problem is solved."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
+    advice = advice_of(lambda: solve(LCP(M * 1e-200, q * 1e200), algorithm))
+    assert "z0" not in advice
+    assert calls_in(advice) == []
+    by_M, by_q = re.findall(r"divide M by (\S+), q by (\S+), and z", advice)[0]
+    solved = solve(LCP(M * 1e-200 / float(by_M), q * 1e200 / float(by_q)), algorithm).require_solved()
+    np.testing.assert_allclose(solved.z, [1.0, 0.0], atol=1e-6)
+    assert "divide M" not in solve(LCP(M, q), algorithm, max_iterations=0).advice
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])

@@ -13,6 +13,7 @@ from ..checks import FloatVector, restored
 from ..registry import ask, ask_or_none
 from ..settings import Status
 from ..written import in_words
+from .advice import advice_on_given_rows
 from .answer import Answer
 
 if TYPE_CHECKING:
@@ -192,6 +193,12 @@ class Result(Answer):
             return []
         return [self.infeasibility.how_small(self.tolerance, self.absolute_tolerance, self.certificate.scaled_residual)]
 
+    def _given_rows(self) -> list[str]:
+        """Return what to do with rows that give z and are kinks of it, of an LCP."""
+        problem = self.certificate.problem
+        said = "" if self.certificate.is_linearised else advice_on_given_rows(problem, self.z, self.w)
+        return [said] if said else []
+
     def explain(self) -> str:
         """Return the story of the run in a few lines."""
         lines = [
@@ -203,6 +210,7 @@ class Result(Answer):
         if self.is_solved:
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
             lines += [*(f"the stored doubles are {small}" for small in self._small_contradiction()), *self._sign()]
+            lines += self._given_rows()
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:

@@ -105,18 +105,17 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
         found.append("violation")
     if said.gap is not None and Fraction(said.gap) < abs(value - Fraction(said.lower)):
         found.append("gap")
-    if said.distance is not None:
-        apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
-        if not given.is_definite or Fraction(said.distance) ** 2 < apart:
-            found.append("distance")
-    unit = Fraction(program.units.objective)
-    is_right = missed <= tolerance and abs(value - given.value) <= tolerance * (unit + abs(value))
+    apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
+    if said.distance is not None and (not given.is_definite or Fraction(said.distance) ** 2 < apart):
+        found.append("distance")
+    size = Fraction(program.units.objective) + abs(value)
+    is_optimal = missed <= tolerance and abs(value - given.value) <= tolerance * size
     far = LOOSE * tolerance * max(1, Fraction(float(np.abs(x).max(initial=0.0))))
-    apart = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)), default=0)
-    is_right &= apart <= far or (missed <= 0 and value == given.value)  # "farther from every optimal one" is refuted
-    if said.verdict == "refuted" and is_right:
+    off = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)), default=0)
+    is_near = off <= far or (missed <= 0 and value == given.value)  # "farther from every optimal one" is refuted
+    if said.verdict == "refuted" and is_optimal and is_near:
         found.append("wrong refutation")
-    if said.verdict == "proved" and not is_right:
+    if said.verdict == "proved" and not is_optimal:
         found.append("wrong proof")
     return found
 

@@ -149,7 +149,7 @@ class Stage:
 
 PARTS_IN_WORDS = {
     "newton": "guesses which unknowns are at a bound and solves for the others, until the guess proves right",
-    "lemke": "pivots: swaps unknowns at their bounds one by one",
+    "lemke": "pivots: brings one unknown at a time to its bound, or away from it",
 }
 
 

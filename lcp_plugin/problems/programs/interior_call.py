@@ -19,7 +19,7 @@ from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
 
-BECAUSE = "the KKT form: multipliers have no diagonal entry to sweep with"
+BECAUSE = "solves the optimality (KKT) conditions by steps that keep strictly inside the inequalities"
 AGAIN = "the active set of an earlier answer"
 
 

@@ -19,7 +19,7 @@ from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, Unsu
 from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.driver import asked_of_solve, solve
-from ...core.solving.result import Result, Sample, StageRecord
+from ...core.solving.result import Result, Sample, StageRecord, told_stages
 from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
@@ -169,6 +169,10 @@ class QuadraticProgramResult(Answer):
     def reached(self) -> str:
         """Return the residuals, or what proves that there are none."""
         return str(self.solution) if self.proof is None else str(self.proof)
+
+    def _course(self) -> list[str]:
+        is_made_when_looked_at = self.is_compiled and not self.is_solved  # by another run
+        return [*super()._course(), *([] if is_made_when_looked_at else told_stages(self.stages))]
 
 
 def judged_program(

@@ -21,6 +21,10 @@ LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 EXCLUDED = "no solution was found, and as far as doubles tell there is none near any z"
 FAR_OUT = "no start leads to a solution within that size: check the data"
+BEYOND_DOUBLES = (
+    "the residual overflows already at the point of the bounds nearest to 0: M and q are too far apart for double "
+    "precision; state the unknowns in a larger unit, or divide q"
+)
 ELSEWHERE = "auto has tried what suits this M: another start z0 may lead elsewhere"
 
 
@@ -148,6 +152,9 @@ def _other_call(problem: LCP, chosen: Algorithm) -> str:
     is_unscaled = getattr(chosen, "scaling", "auto") is None and bool(has_positive_diagonal(problem.matrix).all())
     scaled = 'scaling="auto", which is enough where M is an H₊-matrix, or ' if is_unscaled else ""
     return f'{scaled}algorithm="auto"'
+
+
+NOTHING_TO_DO = "where it begins the residual is within the tolerance already, and nothing was left to do"
 
 
 def unused_start(problem: LCP, chosen: Any, start: Any) -> str:

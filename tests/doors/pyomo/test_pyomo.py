@@ -404,7 +404,7 @@ def test_an_abstract_model_is_told_apart() -> None:
 
 REFUSED = {
     integers: "the variable x is integer, and integers are taken beside complementarities only; give it a continuous",
-    too_few_rows: "the model has 1 unknowns without a complementarity (y) and 0 equations",
+    too_few_rows: "the model has 0 equations and 1 unknown without a complementarity (y)",
     objective_beside: "SCIP knows no atan",
     absolute_value: "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
     one_bound: "c has 1 finite bounds on its two sides together, and needs two",

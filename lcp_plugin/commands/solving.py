@@ -137,8 +137,10 @@ def _array_in(path: Path) -> Any:
     """Return the array in a .npy file."""
     try:
         return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise UnreadableFile(f"cannot read {path} as an array: {error}; write it with numpy.save") from None
+    except OSError as error:
+        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from None
+    except (ValueError, EOFError):
+        raise UnreadableFile(f"{path} holds no array; write it with numpy.save, as a .npy file") from None
 
 
 def run(

@@ -57,6 +57,21 @@ def run(targets: Sequence[str], given: Mapping[str, Any]) -> bool:
     return not found.missing and all(row.curve.status != "ERROR" for row in found.rows)
 
 
+def sizes_of(texts: Sequence[str]) -> list[int]:
+    """Return the sizes that stand behind --size, separated by commas or not.
+
+    Raises
+    ------
+    InvalidOption
+        Where one is no whole number.
+    """
+    try:
+        return [int(size) for text in texts for size in text.split(",")]
+    except ValueError:
+        wrong = ", ".join(map(repr, texts))
+        raise InvalidOption(f"--size must be whole numbers, as --size 50,100, got {wrong}") from None
+
+
 def _of_file(file: Path) -> dict[str, Any]:
     """Return what a study file says; raise where it cannot be read, or has a word that nobody knows."""
     try:

@@ -26,7 +26,7 @@ from lcp_plugin import Certification, QuadraticProgram, certify
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")
-TOLERANCE = 1e-6
+TOLERANCE, LOOSE = 1e-6, 10  # x is refuted where it is farther than LOOSE · TOLERANCE (1 + ‖x‖∞) from every optimal one
 ROUNDING = 1e-13  # gaps below that, beside 1 + |f|, are nobody's to be sharp about
 
 
@@ -105,11 +105,13 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
         found.append("violation")
     if said.gap is not None and Fraction(said.gap) < abs(value - Fraction(said.lower)):
         found.append("gap")
-    if said.distance is not None:
-        apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
-        if not given.is_definite or Fraction(said.distance) ** 2 < apart:
-            found.append("distance")
+    apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
+    if said.distance is not None and (not given.is_definite or Fraction(said.distance) ** 2 < apart):
+        found.append("distance")
     is_right = missed <= tolerance and abs(value - given.value) <= tolerance * (1 + abs(value))
+    far = LOOSE * tolerance * (1 + Fraction(float(np.abs(x).max(initial=0.0))))
+    off = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)), default=0)
+    is_right &= off <= far or (missed <= 0 and value == given.value)  # "farther from every optimal one" is refuted
     if said.verdict == "refuted" and is_right:
         found.append("wrong refutation")
     if said.verdict == "proved" and not is_right:

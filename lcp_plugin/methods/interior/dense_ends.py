@@ -20,8 +20,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, read_only
 from ...core.crossovers import BLOCKED_ENTRY, BLOCKED_FROM, BLOCKED_RATE
 from ...core.matrix.structure import row_numbers
-from ...systems.lapack import signed_cholesky
-from .newton_matrix import DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix
+from .newton_matrix import DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix, signed_cholesky
 from .quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
 
 DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting

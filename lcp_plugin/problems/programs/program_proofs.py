@@ -29,6 +29,7 @@ from .program import QuadraticProgram
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
+from .sharp_distances import sharp_distance
 from .solving import program_runs
 
 OWN_TOLERANCE = 1e-12  # residuals of a program that multipliers are sharp at, and of its complementarity problem
@@ -149,6 +150,18 @@ class ProgramProofs:
         inside = self.points.inside
         return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
 
+    def sharpened(
+        self, distance: float, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
+    ) -> float:
+        """Return a bound of ‖x − x*‖₂ by residuals, of our own solution where there is one, or else the distance."""
+        own = self.__dict__.get("own_solution")
+        for near in [x] if own is None else [own.x, x]:
+            blur = float(norm_above(np.abs((x - near)[columns])))
+            left = sharp_distance(self.program, self.bounds.curvature, near, points, lower, columns)
+            if (found := OUTWARD**2 * (blur + left)) < distance:
+                return found
+        return distance
+
     @cached_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """An exact proof that the program has no minimum; None where none was found."""
@@ -263,6 +276,7 @@ class Proved:
     ) -> Certification:
         """Return the verdict and its numbers; distances in some of the columns."""
         near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
+        near = proofs.sharpened(near, x, self.points, self.lower, columns)
         refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
         refuted = refuted or self._error_of_x(x, far_in_columns, "x")
         verdict = "refuted" if refuted else "proved" if is_proved else "unproved"

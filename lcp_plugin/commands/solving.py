@@ -347,6 +347,7 @@ def run_model(
     Settings(**settings)
     plain = {one.name: one.default for one in fields(Settings)}
     asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
+    asked |= {name: options.pop(name) for name in ("prove",) if name in options}  # of a search
     chosen = policy_for(algorithm, options).chosen
     OneProcess().check_outputs(target, picture.path, out)
     find = _in_nl if Path(target.strip()).suffix.lower() == ".nl" else _in_arrays

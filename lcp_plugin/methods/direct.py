@@ -172,7 +172,8 @@ def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
     from .search.stages import ExhaustiveSearch
 
     if may_be_searched(problem):
-        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), "so few cases that all can be tried")
+        why = "so few unknowns that every choice of bounds can be tried"
+        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), why)
 
 
 def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
@@ -187,7 +188,9 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     left = problem if reduced is None else reduced.problem
     about = f" ({reduced})" if left is not problem else ""
     newton = Choice(create("newton", {}), f"guesses what is at a bound, solves for the rest{about}", reduced)
-    interior = Choice(create("interior_point", {}), f"suits M, which is monotone or may be{about}", reduced)
+    why = f"steps strictly between the bounds; suits M, which is monotone or may be{about}"
+    is_made = "interior_point" in getattr(problem.origin, "attempted", ())
+    interior = Choice(create("interior_point", {}), why, reduced, is_made=is_made)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
     left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
@@ -232,7 +235,7 @@ def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
     from .search.stages import ExhaustiveSearch
 
     if refutes and problem.n <= LARGEST_SIZE:
-        yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them to the end")
+        yield Choice(ExhaustiveSearch(), "few enough unknowns to try every choice of bounds to the end")
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
 

@@ -59,6 +59,7 @@ class QPOrigin:
     is_of_convex_program: ClassVar[bool] = True
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
     _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
+    _attempted: list[str] = field(default_factory=list, init=False, repr=False)
 
     @property
     def program(self) -> QuadraticProgram:
@@ -102,7 +103,7 @@ class QPOrigin:
         goal = program_goal(tolerance)
         if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
             return False
-        return solution.is_sure(goal) or self.program.refutation(goal) is None
+        return solution.is_sure(goal) or self.program.refutation(goal, is_met=True) is None
 
     def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers y, or of smaller ones that are as good."""
@@ -155,6 +156,15 @@ class QPOrigin:
     def ended_by(self) -> QPInfeasibility | QPUnboundedness | None:
         """The proof that has ended a run, if one has."""
         return self._proofs[0] if self._proofs else None
+
+    def note_attempt(self, name: str) -> None:
+        """Take note of an algorithm that has ended without an answer before there is a run, which starts there."""
+        self._attempted.append(name)
+
+    @property
+    def attempted(self) -> tuple[str, ...]:
+        """The algorithms that have ended without an answer before there is a run, which starts where they ended."""
+        return tuple(self._attempted)
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""

@@ -119,7 +119,8 @@ def join(real, whole, room, i, size, steepness):  # type: ignore[no-untyped-def]
     """Let constraint i join the active ones, STEP being its direction."""
     for a in range(size):
         factor = real[STEP, a] / steepness
-        add_row(real, STEP, 0, size, -factor, room, a)
+        if factor != 0.0:
+            add_row(real, STEP, 0, size, -factor, room, a)
         room[a, size] = room[size, a] = factor
     room[size, size] = -1.0 / steepness
     whole[ROW, size], whole[ACTIVE, i] = i, 1
@@ -131,7 +132,8 @@ def leave(real, whole, room, at, last):  # type: ignore[no-untyped-def]
     pivot = room[at, at]
     copy_row(room, at, 0, last + 1, real, STEP)
     for a in range(last + 1):
-        add_row(real, STEP, 0, last + 1, -real[STEP, a] / pivot, room, a)
+        if real[STEP, a] != 0.0:
+            add_row(real, STEP, 0, last + 1, -real[STEP, a] / pivot, room, a)
     copy_row(room, last, 0, last + 1, room, at)
     for a in range(last):
         room[a, at] = room[a, last]

@@ -167,7 +167,7 @@ def test_a_study_file_says_the_same_and_options_go_before_it(here: Path) -> None
     }
     assert (here / "w.csv").read_text(encoding="utf-8").startswith("method,n = 16,n = 64")
     assert "4 of them from a former run" in run("study", "s.toml").output
-    assert "1 rows" in run("study", "s.toml", "-a", "pgs", "--size", "9").output
+    assert ": 1 row\n" in run("study", "s.toml", "-a", "pgs", "--size", "9").output
 
 
 @pytest.mark.parametrize(

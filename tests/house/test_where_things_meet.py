@@ -352,7 +352,7 @@ def by_command_study(sample: Sample, folder: Path) -> None:
     sample.problem.save(folder / "p.npz")
     done = command("study", folder / "p.npz", "-a", "lemke", "--out", folder / "s.csv")
     assert done.exit_code == 0, done.output
-    assert "1 rows" in done.output
+    assert "1 row\n" in done.output
 
 
 def by_command_report(sample: Sample, folder: Path) -> None:

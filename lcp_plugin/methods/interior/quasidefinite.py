@@ -115,7 +115,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         self._own_diagonal, self._entries_of = M.diagonal(), compressed_rows(M)
         self._signed = np.repeat(signs, np.diff(M.indptr)) * M.data
         self._values, self._pivots = np.empty(self.symbolic.entries), np.empty(self.n)
-        self._ones, self._spare = np.ones(self.n), np.empty((5, self.n))
+        self._ones, self._spare = np.ones(self.n), np.empty((4, self.n))
         self._system = *self.symbolic.pattern[:3], self._values, self._pivots, self.signs, *self._entries_of
 
     def _try(self, diagonal: FloatVector) -> bool:

@@ -55,16 +55,19 @@ class OwnUnits(NamedTuple):
     @classmethod
     def of(cls, program: QuadraticProgram) -> OwnUnits:
         """Return those of a program."""
-        matrices, n = program.matrices, program.n
-        diagonal = program.P.diagonal()
         exponents = _fitted(program)
-        if exponents is None:
-            size, least = objective_sizes(program.c, diagonal).tolist()
-            return cls(matrices.row_sizes, np.ones(n), size, least, True)
-        if np.ptp(exponents) <= ALIKE:  # one unit for all: a grid whose neighbours had others would be none
+        if exponents is not None and np.ptp(exponents) <= ALIKE:
+            # One unit for all: a grid whose neighbours had others would be none.
             exponents = np.full_like(exponents, (exponents.max() + exponents.min()) // 2)
-        unknown = np.ldexp(1.0, exponents)
-        rows = matrices.rows
+        return cls.of_unknowns(program, None if exponents is None else np.ldexp(1.0, exponents))
+
+    @classmethod
+    def of_unknowns(cls, program: QuadraticProgram, unknown: FloatVector | None) -> OwnUnits:
+        """Return those of a program whose unknowns are measured in these; None: as the user has them."""
+        diagonal, rows = program.P.diagonal(), program.matrices.rows
+        if unknown is None:
+            size, least = objective_sizes(program.c, diagonal).tolist()
+            return cls(program.matrices.row_sizes, np.ones(program.n), size, least, True)
         of_rows = or_one(largest_in_rows(rows, np.abs(rows.data) * unknown[rows.indices]))
         size, least = objective_sizes(program.c * unknown, diagonal * unknown * unknown).tolist()
         return cls(np.concatenate([of_rows, unknown, unknown]), unknown, size, least, False)

@@ -34,6 +34,7 @@ from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .rescaled import Rescaled
 
 SYMMETRIC_TO = 1e-12
+SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # the convention of file formats, which may hold 9.999999999999999e19
 
 
@@ -186,6 +187,17 @@ class QuadraticProgram:
         d = self.P.diagonal()
         is_dominant = bool((d >= 0.0).all()) and bool((abs(self.P) @ np.ones(self.n) <= 2.0 * d).all())  # Gershgorin
         return is_dominant or self.is_convex is True
+
+    @cached_property
+    def falls_nowhere(self) -> bool:
+        """Whether a look at P and the bounds shows that there is no direction of endless descent.
+
+        Along one, unknowns with two bounds stay, and P is singular in the others: not where its rows, in these
+        unknowns, are strictly dominant (Gershgorin).
+        """
+        is_open = np.isinf(self.lower) | np.isinf(self.upper)
+        sums = abs(self.P) @ is_open.astype(np.float64)
+        return bool((SURELY * self.P.diagonal() > sums)[is_open].all())
 
     @property
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:

@@ -181,8 +181,11 @@ class QPSolution:
         return bool(self._errors.meet(float(tolerance)))
 
     def is_sure(self, tolerance: float = 1e-6) -> bool:
-        """Return whether x is stationary, the gradient to a thousandth of the tolerance: no proof is looked for."""
-        return self._errors.are_sure(tolerance)
+        """Return whether x is stationary, and no exact proof of unboundedness may beat it: none is looked for.
+
+        The gradient is 0 to a thousandth of the tolerance, or the program falls nowhere for ever.
+        """
+        return self._errors.are_sure(tolerance) or (self.is_stationary(tolerance) and self.program.falls_nowhere)
 
     @property
     def duality_gap(self) -> float:

@@ -34,7 +34,7 @@ MOST_ITERATIONS = 150
 AT_ONCE = 8  # steps between two looks at where they have come to
 MUCH_SMALLER = 0.1
 CLOSED_GAP = 1e-20  # of the first gap: nothing is hidden any more
-POLISHED_GAP = (1e-4, 1e-6)  # of the first gap, no active set is looked for before; where steps are cheap, many at once
+POLISHED_GAP = 1e-4  # of the first gap, no active set is looked for before; then each step is looked at
 MOST_POLISHES = 12
 POLISHING_ROUNDS = 4
 NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
@@ -265,9 +265,10 @@ class Search:
         if not point.start(starts.weight):
             return False
         standstill, first_gap, counted = Standstill(self.is_convex), point.gap, point.matrix.work
-        polishes, steps, held, missing, small_gap = 0, 0, 0, 0, POLISHED_GAP[self.at_once > 1] * point.gap
+        polishes, steps, held, missing, small_gap = 0, 0, 0, 0, POLISHED_GAP * point.gap
         while steps < MOST_ITERATIONS:
-            made = point.advance(self.at_once if steps > 1 else min(self.at_once, 2), small_gap)
+            at_once = 1 if point.gap <= small_gap else self.at_once  # the best point may be one that steps go past
+            made = point.advance(at_once if steps > 1 else min(at_once, 2), small_gap)
             if not made:
                 break
             steps, self.taken = steps + made, self.taken + made

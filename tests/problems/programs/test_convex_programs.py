@@ -230,6 +230,24 @@ def test_a_run_goes_on_from_what_was_attempted_before_it(monkeypatch: pytest.Mon
     assert result.iterations == sum(stage.iterations for stage in result.stages)
 
 
+def test_each_step_is_looked_at_once_the_gap_is_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best point may be one that steps go past: of eight at once, the last would be all that is seen."""
+    program, _ = CAMPAIGN.case("degenerate", 57, 1, 300)
+    problem, asked = lcp_from_qp(program, "kkt"), []
+    advance = interior_point.PredictorCorrector.advance
+
+    def noted(point: Any, most: int, small_gap: float) -> int:
+        asked.append((point.gap <= small_gap, most))
+        return advance(point, most, small_gap)
+
+    monkeypatch.setattr(interior_point.PredictorCorrector, "advance", noted)
+    for z, *_ in interior_point.points(problem, 1e-12):
+        if problem.origin.recover(z).is_stationary(1e-9):
+            break
+    assert {most for is_small, most in asked if is_small} == {1}
+    assert max(most for is_small, most in asked if not is_small) == interior_point.AT_ONCE
+
+
 def test_at_a_small_tolerance_a_program_ends_where_its_own_criterion_holds() -> None:
     """Rows rounded to ten digits: no z of the complementarity problem has a residual of 1e-12, and none is looked for.
 

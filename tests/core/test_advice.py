@@ -165,6 +165,14 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert solve(problem, z0=z + 1e-6).is_solved
 
 
+def test_a_slack_that_overflows_at_once_is_told() -> None:
+    """M z + q beyond doubles at the bounds: M and q, divided by one large number, state the same and are solved."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
+    advice = advice_of(lambda: solve(LCP(M * 1e200, q, lower=1e200)))
+    assert advice.endswith("divide M and q by the same large number")
+    assert solve(LCP(M, q / 1e200, lower=1e200)).is_solved
+
+
 @pytest.mark.parametrize("form", [np.asarray, sp.csr_array])
 def test_boundary_values_written_as_rows_are_told_how_to_be_no_kinks(form: Any) -> None:
     """Of a solve and of a march, in one line; without the bounds the answer is the same and no row degenerate."""

@@ -21,6 +21,7 @@ LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 EXCLUDED = "no solution was found, and as far as doubles tell there is none near any z"
 FAR_OUT = "no start leads to a solution within that size: check the data"
+OVERFLOWS = "M z + q overflows already at the point of the bounds nearest to 0: divide M and q by the same large number"
 ELSEWHERE = "auto has tried what suits this M: another start z0 may lead elsewhere"
 
 
@@ -77,7 +78,7 @@ def advice_beside_a_wrong_row(words: Mapping[Status, str], row: str) -> dict[Sta
 
 
 def beyond_doubles(problem: LCP) -> str:
-    """Return what to do where a row asks for a z beyond the largest double; '' where none does.
+    """Return what to do where a row asks for a z beyond the largest double, or M z + q is that at once; '' elsewhere.
 
     Where w_i(z°) has the wrong sign and no bound stops z, some |z_j| is at least |w_i|/Σ_j |m_ij|.
 
@@ -89,7 +90,7 @@ def beyond_doubles(problem: LCP) -> str:
     --------
     >>> print(beyond_doubles(LCP([[1e-200]], [-1e200])))
     row 0 has |q| = 1e+200 beside entries of M up to 1e-200, so that |z| is at least 1e+400, beyond the largest double:
-    divide M by 1e-200, q by 1e+200, and z is in units of 1e+200/1e-200
+    state the unknowns in a larger unit; divide M by 1e-200, q by 1e+200, and z is in units of 1e+200/1e-200
     >>> beyond_doubles(LCP([[1e-200]], [1e200])), beyond_doubles(LCP([[1e-200]], [-1e200], upper=1.0))
     ('', '')
     """
@@ -100,11 +101,12 @@ def beyond_doubles(problem: LCP) -> str:
         exponents = np.where(wrong, np.log10(np.abs(problem.q)) - np.log10(largest * problem.n), -np.inf)
     i = int(np.argmax(exponents)) if exponents.size else 0
     if not exponents.size or not exponents[i] > MOST_DIGITS or not exponents[i] < np.inf:
-        return ""
+        return "" if np.isfinite(w).all() else OVERFLOWS
     q, m = f"{abs(problem.q[i]):.3g}", f"{largest[i]:.3g}"
     return (
         f"row {problem.first + i} has |q| = {q} beside entries of M up to {m}, so that |z| is at least "
-        f"1e+{exponents[i]:.0f}, beyond the largest double: divide M by {m}, q by {q}, and z is in units of {q}/{m}"
+        f"1e+{exponents[i]:.0f}, beyond the largest double: state the unknowns in a larger unit; divide M by {m}, q by "
+        f"{q}, and z is in units of {q}/{m}"
     )
 
 

@@ -15,6 +15,7 @@ from ...core.errors import InvalidOption
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
+from ...core.written import in_words
 from ...modeling.assembly import Arrangement, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
@@ -120,7 +121,7 @@ class NLModel(ABC):
         return f"{type(self).__name__}({self.problem})"
 
     def _message(self, words: str, residual: float, iterations: int) -> str:
-        return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {iterations} iterations"
+        return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {in_words(iterations, 'iteration')}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,10 +39,10 @@ FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
 MOST_STEPS = 100  # of interior points, where there may be no solution
 INSIDE = 1e-3  # beside the size of that box
-FAR = 1e4  # times 1 + the largest number that bounds x: a box for what falls for ever
+FAR = 1e4  # times the size of x that the data name: a box for what falls for ever
 MOST_PROGRAMS = 60  # of a local search in one piece
 FLATTER, STEEPER, STEEPEST = 0.1, 8.0, 1e12  # of σ
-REACHED = 1e-10  # of 1 + ‖x‖∞: a step that is none
+REACHED = 1e-10  # of ‖x‖∞: a step that is none
 
 
 @dataclass(eq=False)
@@ -176,11 +176,12 @@ class Relaxations:
             penalty = max(penalty, 2.0 * float(multipliers.max(initial=0.0)))
             step = _Around(self.problem, np.clip(solution.x, lower, upper))
             moved = float(np.abs(step.x - around.x).max(initial=0.0))
+            is_none = moved <= REACHED * float(np.abs(step.x).max(initial=0.0))
             if step.merit(penalty) <= around.merit(penalty) or sigma == 0.0:
                 around, sigma = step, sigma * FLATTER
-                if moved <= REACHED * (1.0 + np.abs(step.x).max(initial=0.0)) or sigma == 0.0:
+                if is_none or sigma == 0.0:
                     break
-            elif moved <= REACHED or sigma > STEEPEST * size:
+            elif is_none or sigma > STEEPEST * size:
                 break
             else:
                 sigma = max(STEEPER * sigma, size * FLATTER**3)
@@ -204,8 +205,7 @@ class Relaxations:
 
         Along what falls for ever that one lies far out.
         """
-        limits = np.concatenate([program.lower, program.upper, program.h, program.b])
-        far = FAR * (1.0 + float(np.abs(limits[np.isfinite(limits)]).max(initial=0.0)))
+        far = FAR * program.primal_size
         within = program.with_vectors(lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far))
         found = solved_at_once(within, TOLERANCE)
         solution = _by_steps(within) if found is None else found.solution

@@ -69,6 +69,11 @@ class OwnUnits(NamedTuple):
         size, least = objective_sizes(program.c * unknown, diagonal * unknown * unknown).tolist()
         return cls(np.concatenate([of_rows, unknown, unknown]), unknown, size, least, False)
 
+    def of_rows(self, left: Any) -> OwnUnits:
+        """Return those of the same program with these of its rows, the others put into its bounds."""
+        n = self.unknown.size
+        return self._replace(coefficient=np.concatenate([self.coefficient[left], self.coefficient[-2 * n :]]))
+
 
 def objective_sizes(c: Any, diagonal: Any) -> Any:
     """Return powers of two: what most |c_j| are near, or most p_jj if these are larger, and the smallest |c_j|.
@@ -81,7 +86,7 @@ def objective_sizes(c: Any, diagonal: Any) -> Any:
     >>> objective_sizes(np.array([[3e6, 2e3, 0.0], [0.0, 1e-9, 1e-25]]), np.zeros(3)).tolist()
     [[32768.0, 1024.0], [9.313225746154785e-10, 9.313225746154785e-10]]
     """
-    (middle, least), (of_P, least_of_P) = _exponents(c), _exponents(diagonal)
+    (middle, of_P), (least, least_of_P) = _exponents(np.stack(np.broadcast_arrays(c, diagonal)))
     exponents = np.stack([np.maximum(middle, of_P), np.where(least > -np.inf, least, least_of_P)], axis=-1)
     return np.ldexp(1.0, np.where(np.isfinite(exponents), exponents, 0.0).astype(np.int64))
 
@@ -126,16 +131,19 @@ def size_of_unknowns(
     largest = np.where(used & (place != 1), sizes, 0.0).max(axis=-1, initial=0.0)
     used &= np.where(used, sizes, 0.0) >= ROUNDING + largest[..., np.newaxis]
     sizes = np.where(used, sizes, 0.0)
-    is_violated = np.concatenate([limits < 0.0, np.zeros(c.shape, bool), lower > 0.0, upper < 0.0], axis=-1)
-    is_violated[..., : is_equality.size] |= is_equality
-    kinds = [used & is_violated, *(used & (place == kind) for kind in (1, 0, 2))]
-    means = [np.where(kind, sizes, 0.0).sum(axis=-1) / np.maximum(kind.sum(axis=-1), 1) for kind in kinds]
-    data, minima, rows, bounds = (np.where(kind.any(axis=-1), mean, np.inf)
-                                  for kind, mean in zip(kinds, means, strict=True))
+    kinds = np.zeros((4, *used.shape), bool)
+    kinds[0, ..., : limits.shape[-1]] = (limits < 0.0) | is_equality
+    kinds[0, ..., -2 * n : -n], kinds[0, ..., -n:] = lower > 0.0, upper < 0.0
+    for kind, of_kind in enumerate((1, 0, 2), 1):
+        kinds[kind] = place == of_kind
+    kinds &= used
+    counts = kinds.sum(axis=-1)
+    means = np.where(kinds, sizes, 0.0).sum(axis=-1) / np.maximum(counts, 1)
+    data, minima, rows, bounds = np.where(counts > 0, means, np.inf)
     permitted = np.where(rows < np.inf, rows, bounds)
     chosen = np.where(data < np.inf, 0, np.where(minima <= permitted, 1, np.where(rows < np.inf, 2, 3)))
-    say = np.take_along_axis(np.stack(kinds), chosen[np.newaxis, ..., np.newaxis], axis=0)[0]
-    size = np.take_along_axis(np.stack(means), chosen[np.newaxis], axis=0)[0]
+    say = np.take_along_axis(kinds, chosen[np.newaxis, ..., np.newaxis], axis=0)[0]
+    size = np.take_along_axis(means, chosen[np.newaxis], axis=0)[0]
     return size, say
 
 

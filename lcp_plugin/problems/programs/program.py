@@ -206,14 +206,25 @@ class QuadraticProgram:
         """The proof that was found last, by whatever looked for one."""
         return self.__dict__.get("_proof")
 
-    def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
+    @cached_property
+    def proof_of_descent(self) -> QPUnboundedness | None:
+        """A proof that the objective falls for ever, whatever else contradicts; looked for once."""
+        own = self.rescaled
+        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.program.proof_of_descent)
+        return found if isinstance(found, QPUnboundedness) else None
+
+    def refutation(
+        self, tolerance: float = 1e-6, *, is_met: bool = False
+    ) -> QPInfeasibility | QPUnboundedness | None:
         """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none.
 
         A proof of unboundedness that verifies exactly is stronger than an answer within a tolerance: it counts where it
         excludes all answers within a thousandth of it. Constraints that contradict by less than the tolerance are
-        those of rounded data: they count as consistent.
+        those of rounded data: they count as consistent. Where an x meets all constraints to the tolerance (`is_met`),
+        they do not contradict by more: only a direction of endless descent is looked for.
         """
-        proof = self.proof_of_no_minimum
+        is_known = "_proof" in self.__dict__
+        proof = self.proof_of_no_minimum if is_known or not is_met else self.proof_of_descent
         return proof if proof is not None and proof.excludes(tolerance) else None
 
     @cached_property

@@ -60,6 +60,7 @@ OFFERS = {
         "small": "methods.small.small_dense:SmallDenseSolver",
         "direct methods": "methods.direct:Turns",
         "factor passes": "methods.direct:factor_passes",
+        "is unheld": "proofs.no_solution.infeasibility:seems_unheld",
         "once more": "methods.direct:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },

@@ -19,7 +19,8 @@ no theorem promises an end, newton and lemke have a turn of so many steps or piv
 until all others have had theirs (:class:`Turns`). What they leave open, newton and lemke try once more from the start:
 the best point may have led astray (:class:`Retries`). Where a factor is too large by the counts of its columns, newton
 and interior_point are left out, but not of programs. A row that contradicts its bounds by itself brings `feasibility`
-to the front: it looks for a proof that there is no solution (n ≤ 5000). lemke takes n ≤ 6000 (beyond, psor comes back
+to the front: it looks for a proof that there is no solution (n ≤ 5000); so does a factor of a sparse symmetric M that
+meets a pivot of 0, of a structure that nothing holds, at any n. lemke takes n ≤ 6000 (beyond, psor comes back
 at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a counted number of operations;
 what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
 """
@@ -48,7 +49,7 @@ from ..core.matrix.row_sums import has_positive_diagonal
 from ..core.matrix.units import Exponents, scaled
 from ..core.policy.choice import last_resort
 from ..core.policy.stages import Choice, Stage
-from ..proofs.no_solution.infeasibility import contradictory_row
+from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
 from .lemke import has_parts_that_fit
 from .newton.condensed import Condensed, condensing_passes
@@ -206,6 +207,8 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
         yield Choice(Condensed(), f"few rows have a bound: one factor eliminates the others{about}", reduced)
     if is_contradictory:
         yield replace(check, because="one row contradicts its bounds by itself")
+    elif refutes and not problem.is_dense and seems_unheld(problem):
+        yield replace(check, because="a factor of M meets a pivot of 0: nothing seems to hold z along some direction")
     elif newton.algorithm not in left_out and _suits_newton(left):
         yield newton
         left_out.append(newton.algorithm)

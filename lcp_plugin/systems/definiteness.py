@@ -55,7 +55,7 @@ def positive_definite_solver(P: Any) -> Solver | None:
     if is_diagonal(P):
         return lambda rhs: rhs / _column_like(diagonal, rhs)
     scale = 1.0 / np.sqrt(diagonal)
-    unit = _scaled(P, scale)
+    unit = scaled_to(P, scale)
     factor = None if unit is None else factorised(unit, 0.0)
     if factor is None or factorised(unit, -_margin(scale.size, factor.terms)) is None:
         return None
@@ -107,7 +107,7 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     shift = _margin(diagonal.size, diagonal.size)
     if shift > LARGEST_SHIFT:
         return None
-    unit = _scaled(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))
+    unit = scaled_to(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))
     return None if unit is None else factorised(unit, shift) is not None
 
 
@@ -143,7 +143,7 @@ def is_positive_definite(P: Any) -> bool | None:
         return True
     if positive_definite_solver(P) is not None:
         return True
-    unit, shift = _scaled(P, 1.0 / np.sqrt(diagonal)), _margin(diagonal.size, diagonal.size)
+    unit, shift = scaled_to(P, 1.0 / np.sqrt(diagonal)), _margin(diagonal.size, diagonal.size)
     return False if unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None else None
 
 
@@ -202,7 +202,7 @@ def _margin(n: int, terms: int) -> float:
     return n * (terms + 4) * EPSILON
 
 
-def _scaled(P: Any, scale: FloatVector) -> Any:
+def scaled_to(P: Any, scale: FloatVector) -> Any:
     """Return P in these units of its rows and columns; None where it overflows, or is too large to be factorised."""
     if not sp.issparse(P):
         with np.errstate(over="ignore", invalid="ignore"):

@@ -46,9 +46,10 @@ at most 0.8 on every row, psor may cost as much as multigrid is predicted to bef
 
 The direct methods follow a multigrid that fails, or that at its rate still needs more than their factors are predicted
 to take and either has cost half as much or does not settle: twice, at least half as many unknowns have come to bounds
-or left them in 20 steps as in the 20 before. Two exceptions: after one sweep on a triangular M with a positive
-diagonal, pgs in the order of the triangle is exact; where multigrid fails and a factor is predicted to be too large,
-psor goes on until it fails. No clock is asked: the same call gives the same answer bit for bit.
+or left them in 20 steps as in the 20 before; or has cost as much as one factor, and that one shows that nothing holds
+z. Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of the triangle is
+exact; where multigrid fails and a factor is predicted to be too large, psor goes on until it fails. No clock is asked:
+the same call gives the same answer bit for bit.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ import numpy as np
 
 from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
 from ..algorithms.base import in_driven_sweeps
-from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO
+from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO
 from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..lcp import LCP
 from ..matrix.row_sums import has_positive_diagonal, row_blocks
@@ -72,7 +73,7 @@ from ..registry import ask, ask_or_none
 from ..settings import OF_SOLVE
 from ..splittings.projected_relaxation import PGS, PSOR
 from ..splittings.projected_type import NPSOR
-from .remaining import TRIAL_SWEEPS, Remaining
+from .remaining import ASKED_EVERY, TRIAL_SWEEPS, Remaining
 from .stages import Choice, Stage
 
 if TYPE_CHECKING:
@@ -182,6 +183,7 @@ class Auto(Policy):
         if (order := _exact_order(problem, now)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if now.algorithm.name == "banded":
+            failed = failed or (now.iterations == ASKED_EVERY and self._seems_unheld(problem, by_rows=True))
             why = "banded ended without a solution; cheap sweeps over the rows are next"
             return replace(PROJECTED_TYPE, because=why) if failed else None
         left = Remaining.of(problem, now, goal, failed=failed)
@@ -191,7 +193,10 @@ class Auto(Policy):
             passes = self._factor_passes(problem)
             if left.has_failed and passes == math.inf:
                 return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
-            is_behind = left.sweeps > passes and (2.0 * left.work > passes or now.is_unsettled())
+            is_behind = left.sweeps > passes and (
+                2.0 * left.work > passes or now.is_unsettled()
+                or (INTERIOR_STEPS * left.work > passes and self._seems_unheld(problem))
+            )
             if not (left.has_failed or is_behind):
                 return None
         else:
@@ -200,11 +205,19 @@ class Auto(Policy):
             rival = min(predicted, key=lambda one: predicted[one], default=None)
             if rival is None or not left.loses_to(rival, passes := predicted[rival]):
                 return None
-            if passes < math.inf and rival.name != DIRECT:
+            if passes < math.inf and rival.name != DIRECT and not self._seems_unheld(problem, by_rows=True):
                 return Choice(rival, f"{left}; this one is expected to take as long as {passes:.0f} sweeps")
         self._direct = self._turns(problem)
         first = None if self._direct is None else self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")
+
+    def _seems_unheld(self, problem: LCP, *, by_rows: bool = False) -> bool:
+        """Return whether the sums of rows, or one factor, show a direction along which nothing holds z.
+
+        Only where proofs are looked for.
+        """
+        asks = ask_or_none("step of auto", "is unheld") if self._refutes else None
+        return asks is not None and bool(asks(problem, by_rows=by_rows))
 
     @staticmethod
     def _factor_passes(problem: LCP) -> float:

@@ -56,6 +56,9 @@ class FeasibilityCheck(Algorithm):
         proof = find_infeasibility(problem, effort_limit=effort)
         if proof is not None:
             yield Step(z0, proof=proof)
+        if proof is not None and proof.is_free_motion and problem.criterion is None:
+            yield Step(z0, least_residual=proof.margin)  # of all z within its radius: no method goes on beyond
+            return
         chain = find_forced_contradiction(problem)
         if chain is not None:
             yield Step(z0, proof=chain)

@@ -272,6 +272,18 @@ class QuadraticProgram:
         return self.size_of_multipliers * max(self.units.objective, of_x)
 
     @cached_property
+    def size_along(self) -> float:
+        """A size of x where P resists nothing but by rounding: the largest limit, or cost ÷ the column of its unknown.
+
+        Without the 1 + of `primal_size`: what is 0 in exact arithmetic has no other size to be beside.
+        """
+        rows, unknown = self.constraints, self.units.unknown
+        with np.errstate(over="ignore"):
+            of_limits = np.abs(rows.limit) / rows.coefficient * unknown.max(initial=0.0)
+            of_costs = np.abs(self.c) / or_one(largest_in_rows(self.P))
+        return float(np.concatenate([of_limits[rows.finite], of_costs]).max(initial=0.0))
+
+    @cached_property
     def column_sizes(self) -> FloatVector:
         """The largest |entry| of each column of P, G and A in the program's own units, 1 where there is none."""
         matrices, (coefficient, unknown, objective, _, are_the_users) = self.matrices, self.units

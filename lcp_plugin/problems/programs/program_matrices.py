@@ -16,6 +16,7 @@ from ...core.communicator import ALONE
 from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
+from ...systems.null_space import null_space_of
 
 Indices = NDArray[np.intp]
 T = TypeVar("T")
@@ -156,6 +157,11 @@ class ProgramMatrices:
     def is_semidefinite(self) -> bool | None:
         """Whether P is positive semidefinite to rounding; None where it is too large to say."""
         return is_semidefinite_to_rounding(self.P)
+
+    @cached_property
+    def null_space(self) -> FloatVector | None:
+        """An orthonormal basis of what P maps to 0, shape (n, k); None where nothing, or too much to be a motion."""
+        return null_space_of(self.hessian)
 
     @cached_property
     def solver(self) -> Solver | None:

@@ -19,6 +19,7 @@ from ...core.kernels.floats import EPSILON
 from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import ZERO, Vector, rational, short
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
+from ...proofs.no_solution.free_motion import falling_directions
 from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction
 from ...systems.equilibration import evened
 from .constraints import stationarity
@@ -76,13 +77,13 @@ def proof_of_no_minimum(
     row = None if is_met else contradictory_row(rows.folded)
     found: QPInfeasibility | QPUnboundedness | None = row
     if row is None or row.margin < DECISIVE:
-        other = _by_programs(rows.folded, exactly, is_met)
+        other = prove_unheld(rows.folded) or _by_programs(rows.folded, exactly, is_met)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
     if found is None or rows.folded is program:
         return found
     unfolded = _unfolded(rows, found)
     # A bound that a row gives is rounded, the row is not.
-    return unfolded if unfolded.verify() else _by_programs(program, exactly, is_met)
+    return unfolded if unfolded.verify() else prove_unheld(program) or _by_programs(program, exactly, is_met)
 
 
 def _by_programs(
@@ -145,6 +146,39 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
         return proof if proof.margin > 0.0 else None
 
     return (None if exactly else _if_enough(proven(farkas.polished(answer)))) or farkas.proof(answer, proven)
+
+
+def prove_unheld(program: QuadraticProgram) -> QPUnboundedness | None:
+    """Return a feasible point and a motion that P does not resist, no constraint ends, and along which cᵀx falls.
+
+    One factorisation of P, whatever its size. A feasible point of more than 5000 variables and rows is found only where
+    x nearest to 0 within its bounds is one.
+    """
+    null_space = program.matrices.null_space
+    if null_space is None:
+        return None
+    rows = program.constraints
+    is_said = np.flatnonzero(np.isfinite(rows.limit[: rows.rows]))
+    directions = falling_directions(
+        program.P, null_space, program.c, np.isfinite(program.lower), np.isfinite(program.upper),
+        program.matrices.rows[is_said], rows.is_equality[is_said],
+    )
+    points: tuple[Vector, ...] = ()
+    for d in directions:
+        points = points or _points(program)
+        for point in reversed(points):
+            proof = QPUnboundedness(program, tuple(point), tuple(rational(d)))
+            if proof.verify():
+                return proof
+    return None
+
+
+def _points(program: QuadraticProgram) -> tuple[Vector, ...]:
+    """Return feasible points: x nearest to 0 within its bounds, or what a linear program of moderate size finds."""
+    x = np.clip(0.0, program.lower, program.upper)
+    if not (program.constraints.excess(x) > 0.0).any():
+        return (rational(x),)
+    return points_inside(program) if program.n + program.constraints.rows <= LARGEST else ()
 
 
 def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnboundedness | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -13,8 +14,9 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.settings import Status
-from ...proofs.exact.rational import ZERO, Vector, products, rounded_down
-from ...proofs.no_solution.linear_constraints import Contradiction, within
+from ...proofs.exact.rational import ZERO, Vector, common_denominator, products, rounded_down
+from ...proofs.no_solution.free_motion import is_at_rest, moved_unknowns
+from ...proofs.no_solution.linear_constraints import Contradiction, exact_dot, within
 from .constraints import Constraints, stationarity
 from .criterion import SURE, constraint_tolerance
 from .program_matrices import as_csr
@@ -117,7 +119,22 @@ class QPUnboundedness:
         """Return whether point and direction are a proof; exact."""
         if self.is_exact:
             return True
-        return self._is_rounding and self._found.holds(self.program.dual_size, self.program.n) and self.violation <= MET
+        return self._is_rounding and self._holds and self.violation <= MET
+
+    @cached_property
+    def _holds(self) -> bool:
+        return self._found.holds(*self._sizes)
+
+    @property
+    def _sizes(self) -> tuple[float, int, float]:
+        """The size of multipliers, how many unknowns come before them, and that of x where P hardly resists d."""
+        program = self.program
+        return program.dual_size, program.n, program.size_along if self.is_free_motion else program.dual_size
+
+    @cached_property
+    def is_free_motion(self) -> bool:
+        """Whether P, not 0 along the direction, resists none of it but by rounding: nothing holds the structure."""
+        return is_at_rest(self.program.P, self.direction)
 
     @cached_property
     def _found(self) -> Contradiction:
@@ -130,14 +147,29 @@ class QPUnboundedness:
         """Whether the objective falls for ever on the stored doubles, within all constraints."""
         n, found = self.program.n, self._found
         is_kept = found.has_signs and all(j < n for j in found.left)
-        if not is_kept or any(losses(self.program.constraints, self.point)):
+        if not is_kept or not self._is_feasible:
             return False
-        square = sum((found.left[i] * d for i, d in found.y.items() if i in found.left), ZERO)
-        return square < 0 or (found.plain > 0 and not found.left)
+        if not found.left:
+            return bool(found.plain > 0)
+        both = [i for i in found.y if i in found.left]
+        left, moved = (common_denominator([values[i] for i in both])[0] for values in (found.left, found.y))
+        return bool(sum(map(operator.mul, left, moved)) < 0)
+
+    @cached_property
+    def _is_feasible(self) -> bool:
+        """Whether the point meets all constraints exactly; a point of doubles is mostly seen to do so in doubles."""
+        rows, near = self.program.constraints, numbers(self.point)
+        are_doubles = all(
+            x.as_integer_ratio() == (value.numerator, value.denominator)
+            for value, x in zip(self.point, near.tolist(), strict=True)
+        )
+        return (are_doubles and not (rows.excess(near) > 0.0).any()) or not any(losses(rows, self.point))
 
     @cached_property
     def violation(self) -> Fraction:
         """By how much the point violates some constraint, each in units of the data; exact."""
+        if self._is_feasible:
+            return ZERO
         rows = self.program.constraints
         units = np.minimum(rows.unit, np.finfo(np.float64).max).tolist()
         excess = zip(losses(rows, self.point), units, strict=True)
@@ -159,7 +191,7 @@ class QPUnboundedness:
             return 0.0
         if not self._is_rounding:
             return np.inf
-        is_fall = self._found.plain > 0 and self._found.is_wide(self.program.dual_size)
+        is_fall = self._found.plain > 0 and self._found.is_wide(*self._sizes)
         return self._found.miss(self.program.dual_unit) if is_fall else 0.0
 
     @cached_property
@@ -192,7 +224,21 @@ class QPUnboundedness:
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance; where it is exact, at a thousandth of it."""
         least = (SURE if self.is_exact else 1.0) * tolerance
-        return max(self.margin, self.row_margin) > least and self.violation <= constraint_tolerance(tolerance)
+        margin = max(self.margin, self.row_margin, self.cost_margin)
+        return margin > least and self.violation <= constraint_tolerance(tolerance)
+
+    @cached_property
+    def cost_margin(self) -> float:
+        """The least relative change of all costs that stops the descent, where it is along a free motion; else 0.
+
+        What a structure is not held against is a matter of its load, however stiff it is: |cᵀd| / 2 Σ|c_j d_j|.
+        """
+        found = self._found
+        if not (self.is_free_motion and self.verify() and found.plain > 0 and found.is_wide(*self._sizes)):
+            return 0.0
+        whole, denominator = common_denominator([abs(d) for d in found.y.values()])
+        size = exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist()) / denominator
+        return rounded_down(found.plain / 2 / size)
 
     @cached_property
     def _is_rounding(self) -> bool:
@@ -204,7 +250,10 @@ class QPUnboundedness:
 
     def __str__(self) -> str:
         how = f"checked exactly{within(self.radius, 'x and multipliers')}"
-        return f"unbounded: the objective falls for ever along a direction from a feasible point ({how})"
+        along = "a direction from a feasible point"
+        if self.is_free_motion:
+            along += f", as nothing holds {moved_unknowns(self.direction)}: P maps it to 0, and no constraint ends it"
+        return f"unbounded: the objective falls for ever along {along} ({how})"
 
 
 def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:

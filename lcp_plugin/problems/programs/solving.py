@@ -10,6 +10,7 @@ from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, restored
@@ -23,12 +24,14 @@ from ...core.solving.result import Result, Sample, StageRecord, told_stages
 from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
+from ...systems.null_space import null_space_by_rows
 from .compiled_call import ACTIVE_SET, CompiledAnswer, ProgramResult, settled_at_once
 from .conversion import attempts
-from .convexity import refuse_nonconvex
+from .convexity import LARGEST_CHECKED, refuse_nonconvex
 from .criterion import program_goal
 from .interior_call import Begun, InteriorAnswer, solved_again, solved_by_interior_points
 from .program import QuadraticProgram
+from .qp_certificates import prove_unheld
 from .qp_forms import KKTForm, QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from .qp_solution import QPSolution
@@ -41,6 +44,8 @@ NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SHARE = 0.75  # of a limit that interior points may take before there is a run
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
+BY_FACTOR = "factor of P"  # that meets a pivot of 0
+REFUTED = "it came upon a proof that the program has no minimum"
 ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
 
@@ -171,8 +176,8 @@ class QuadraticProgramResult(Answer):
         return str(self.solution) if self.proof is None else str(self.proof)
 
     def _course(self) -> list[str]:
-        is_made_when_looked_at = self.is_compiled and not self.is_solved  # by another run
-        return [*super()._course(), *([] if is_made_when_looked_at else told_stages(self.stages))]
+        has_run = self.is_solved or not self.is_compiled  # a proof may have come first
+        return [*super()._course(), *(told_stages(self.stages) if has_run else [])]
 
 
 def judged_program(
@@ -221,6 +226,14 @@ def judged_program(
         )
     if found is not None:
         return _refuted(program, found, by, tolerance, clock.read())
+    is_auto = isinstance(algorithm, str) and algorithm == "auto"
+    may_ask = is_auto and refutes and sp.issparse(program.P) and (
+        program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None
+    )
+    if may_ask and (unheld := _unheld(program, goal)) is not None:
+        if options.get("verbose"):
+            say(f"{unheld.status.name}: the program is {unheld}")
+        return _refuted(program, unheld, BY_FACTOR, tolerance, clock.read())
     # What is asked between the stages of a run, and after it, knows of the limit by this.
     with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
         result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options, begun)
@@ -265,6 +278,16 @@ def _as_given(program: QuadraticProgram, found: QuadraticProgramResult, solution
     return made
 
 
+def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
+    """Return the proof that nothing holds a structure against its load, where it counts; the program keeps it."""
+    refuse_nonconvex(program)
+    proof = prove_unheld(program)
+    if proof is None or not proof.excludes(goal):
+        return None
+    program.__dict__["_proof"] = proof
+    return proof
+
+
 def _finder(proof: QPInfeasibility | QPUnboundedness | None) -> str:
     return InteriorPoint.name if isinstance(proof, QPUnboundedness) else ACTIVE_SET
 
@@ -276,14 +299,20 @@ def _refuted(
     x = np.clip(numbers(proof.point) if isinstance(proof, QPUnboundedness) else 0.0, program.lower, program.upper)
     return QuadraticProgramResult(
         proof.status, QPSolution.without_multipliers(program, x), program_goal(tolerance), f"auto: {by}", 0, seconds,
-        partial(_refuted_run, program, proof, tolerance), proof,
+        partial(_refuted_run, program, proof, by, x, tolerance, seconds), proof,
     )
 
 
-def _refuted_run(program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, tolerance: float) -> Result:
-    """Return the run on the complementarity problem of a program that this proof refutes."""
-    result = _by_forms(program, "auto", tolerance, None, {})[0]
-    return replace(result, status=proof.status, infeasibility=proof)
+def _refuted_run(
+    program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, by: str, x: FloatVector, tolerance: float,
+    seconds: float,
+) -> Result:
+    """Return the result, without a run, of the KKT form of a program that this proof refutes."""
+    rows = fold_simple_rows(program)
+    z = np.append(x, np.zeros(rows.left.size))
+    made = ProgramResult.of(KKTForm(rows), z, StageRecord(by, REFUTED, 0, 0.0), seconds, tolerance, "auto")
+    made.__dict__.update(status=proof.status, infeasibility=proof)
+    return made
 
 
 def _status(

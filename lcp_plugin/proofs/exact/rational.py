@@ -91,9 +91,21 @@ class IntegerMatrix:
 
 def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
     """Return integers and one positive denominator with values_i = integer_i / denominator."""
-    fractions = [Fraction(value) for value in values]
+    fractions = [value if type(value) is Fraction else Fraction(value) for value in values]
     denominator = math.lcm(*(value.denominator for value in fractions))
     return [value.numerator * (denominator // value.denominator) for value in fractions], denominator
+
+
+def total(values: Sequence[Fraction]) -> Fraction:
+    """Return the sum of fractions, with one common divisor looked for in all.
+
+    Examples
+    --------
+    >>> total([Fraction(1, 2), Fraction(1, 3)]), total([])
+    (Fraction(5, 6), Fraction(0, 1))
+    """
+    whole, denominator = common_denominator(values)
+    return Fraction(sum(whole), denominator)
 
 
 def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.matrix.structure import row_numbers
-from ..exact.rational import ZERO, IntegerMatrix, common_denominator, integers, power_of_two, rounded_down
+from ..exact.rational import ZERO, IntegerMatrix, common_denominator, integers, power_of_two, rounded_down, total
 
 BoolVector = NDArray[np.bool_]
 
@@ -190,7 +190,7 @@ class Contradiction:
     @cached_property
     def radius(self) -> float:
         """Of the |x_j| without bounds that it speaks of: ∞, or the one that leaves half the contradiction."""
-        left = sum(map(abs, self.left.values()), ZERO)
+        left = total([abs(value) for value in self.left.values()])
         return rounded_down(max(self.plain, ZERO) / (2 * left) if left else None)
 
     @property
@@ -203,13 +203,21 @@ class Contradiction:
         """Whether each y_i has a sign that its row asks for."""
         return all(self.sides.signs(i)[value < 0] for i, value in self.y.items())
 
-    def holds(self, data: float, first: int = 0) -> bool:
-        """Return whether it is a proof, for all x that data of a size may mean; of the unknowns from the first on."""
-        return self.has_signs and self.size > 0 and self.is_wide(data) and self.is_rounding(first)
+    def holds(self, data: float, first: int = 0, before: float | None = None) -> bool:
+        """Return whether it is a proof, for all x that data of a size may mean; of the unknowns from the first on.
 
-    def is_wide(self, data: float) -> bool:
-        """Return whether the radius is as large as no solution of such data is."""
-        return self.radius >= WIDE * data
+        Those before the first are of another size where one is given.
+        """
+        return self.has_signs and self.size > 0 and self.is_wide(data, first, before) and self.is_rounding(first)
+
+    def is_wide(self, data: float, first: int = 0, before: float | None = None) -> bool:
+        """Return whether x of 10⁸ times the size that such data mean leaves half the contradiction, as no solution."""
+        if not self.left:
+            return True
+        parts = [[abs(value) for j, value in self.left.items() if (j < first) == is_before] for is_before in (0, 1)]
+        sizes = Fraction(data), Fraction(data if before is None else before)
+        moved = sum((size * total(part) for size, part in zip(sizes, parts, strict=True)), ZERO)
+        return max(self.plain, ZERO) >= 2 * Fraction(WIDE) * moved
 
     def is_rounding(self, first: int = 0) -> bool:
         """Return whether what is left of sums that should be 0 is rounding beside their terms; data are none."""
@@ -223,10 +231,11 @@ class Contradiction:
 
     def miss(self, weights: FloatVector) -> float:
         """Return by how much, in such units, every x misses some row, rounded down; 0 where a unit has overflowed."""
-        used = [(abs(value), float(weights[i])) for i, value in self.y.items()]
-        if not all(math.isfinite(weight) for _, weight in used):
+        used = [float(weights[i]) for i in self.y]
+        if not all(map(math.isfinite, used)):
             return 0.0
-        return rounded_down(self.size / sum((size * Fraction(weight) for size, weight in used), ZERO))
+        whole, denominator = common_denominator([abs(value) for value in self.y.values()])
+        return rounded_down(self.size * denominator / exact_dot(whole, used))
 
 
 def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:

@@ -22,7 +22,9 @@ from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.structure import IntVector, parts
 from ...core.settings import Status
+from ...systems.symmetry import is_nearly_symmetric
 from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
+from .free_motion import is_at_rest, moved_unknowns
 from .linear_constraints import Contradiction, within
 
 SAFE_RANGE = (1e-290, 1e290)
@@ -247,9 +249,12 @@ class Choices(NamedTuple):
         found = self.contradiction(y)
         return None if found.left else self.closing(found, 1.0)
 
-    def closing(self, found: Contradiction, data: float) -> Closing | None:
-        """Return what closes the case, for all z that data of a size may mean; None where it is not closed."""
-        if not found.holds(data):
+    def closing(self, found: Contradiction, data: float, first: int = 0) -> Closing | None:
+        """Return what closes the case, for all z that data of a size may mean; None where it is not closed.
+
+        Of the unknowns before the first it is known that what is left of their sums is rounding.
+        """
+        if not found.holds(data, first):
             return None
         scale, path = residual_scale_of_criterion(self.problem), self.path
         sizes = {i: abs(y) for i, y in found.y.items() if path.get(i) not in (LOWER, UPPER)}
@@ -337,9 +342,24 @@ class Infeasibility(Refutation):
         problem = self.problem
         with np.errstate(all="ignore"):
             sizes = np.abs(np.concatenate([problem.q / problem.residual_scale, problem.lower, problem.upper]))
-        yield Choices(problem, {}).closing(self._found, float(sizes[np.isfinite(sizes)].max(initial=1.0)))
+        # What is 0 but for rounding of its largest terms has data alone to be beside.
+        least, first = (0.0, problem.n) if self.is_free_motion else (1.0, 0)
+        yield Choices(problem, {}).closing(self._found, float(sizes[np.isfinite(sizes)].max(initial=least)), first)
+
+    def how_small(self, tolerance: float, absolute_tolerance: float, residual: float) -> str:
+        """Return the same, and which unknowns nothing holds."""
+        said = super().how_small(tolerance, absolute_tolerance, residual)
+        return f"{said}: nothing holds {moved_unknowns(self.y)}" if self.is_free_motion else said
+
+    @cached_property
+    def is_free_motion(self) -> bool:
+        """Whether M maps y to 0 but for rounding, and a symmetric M, too: nothing holds z along y."""
+        return is_nearly_symmetric(self.problem.matrix) and is_at_rest(self.problem.matrix.array, self.y)
 
     def __str__(self) -> str:
+        if self.is_free_motion:
+            return (f"nothing holds {moved_unknowns(self.y)}: along them M d = 0 and qᵀd < 0, and no bound is in the "
+                    f"way; proof: exact{within(self.radius, 'z')}")
         rows = list(self._used)
         named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (", …" if len(rows) > 4 else "")
         combined = f"{len(rows)} rows contradict ({named})"

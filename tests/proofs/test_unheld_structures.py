@@ -1,0 +1,170 @@
+"""Structures that nothing holds against their load: named by a factor, proved, said in words; held ones are solved."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from unheld import Structure, block, chain, circuit, truss
+
+from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, prepare, solve
+from lcp_plugin.problems.programs.qp_proofs import QPUnboundedness
+from lcp_plugin.systems.null_space import null_space
+
+UNHELD = {
+    "block pulled off its floor": lambda: block(12, 12, 0.0, 1.0),
+    "block pushed sideways": lambda: block(12, 12, 1.0, 0.0),
+    "block pressed down and pushed": lambda: block(12, 12, 1.0, -1.0),
+    "block pulled aslant": lambda: block(6, 4, 0.3, 1.0),
+    "beam of 840 unknowns pulled off": lambda: block(59, 6, 0.0, 1.0),
+    "chain of 28": lambda: chain(28, 1.0),
+    "chain of 5000": lambda: chain(5000, 1.0),
+    "circuit without ground": lambda: circuit(600, 1.0),
+    "frame that folds up": lambda: truss(20, 1e3, braced=False),
+}
+HELD = {
+    "block pressed down": lambda: block(12, 12, 0.0, -1.0),
+    "block that springs of 1e-9 hold": lambda: block(12, 12, 0.0, -1.0, spring=1e-9),
+    "block at rest": lambda: block(6, 6, 0.0, 0.0),
+    "chain pressed down": lambda: chain(28, -1.0),
+    "circuit that a sink empties": lambda: circuit(600, -1.0),
+    "frame with diagonals": lambda: truss(20, 1e3, braced=True),
+}
+
+
+@pytest.mark.parametrize("name", UNHELD)
+def test_a_program_of_a_structure_that_nothing_holds_is_unbounded(name: str) -> None:
+    """UNBOUNDED with a proof that verifies, in words that name unknowns, without a single step of a method."""
+    result = solve(UNHELD[name]().program)
+    assert result.status is Status.UNBOUNDED
+    assert isinstance(result.proof, QPUnboundedness)
+    assert result.proof.verify()
+    assert result.proof.is_free_motion
+    assert "nothing holds unknowns" in str(result.proof)
+    assert "nothing holds unknowns" in result.explain()
+    assert result.iterations == 0
+
+
+@pytest.mark.parametrize("name", UNHELD)
+def test_a_problem_of_a_structure_that_nothing_holds_is_not_solved(name: str) -> None:
+    """INFEASIBLE where M d = 0 exactly; STALLED where it is rounding, with the same words, as z may be far out."""
+    result = solve(UNHELD[name]().problem)
+    assert result.status in (Status.INFEASIBLE, Status.STALLED)
+    assert result.proof is not None or result.infeasibility is not None
+    assert result.infeasibility.verify()
+    assert result.infeasibility.is_free_motion
+    assert result.is_refuted or "nothing holds unknowns" in result.advice
+    assert "nothing holds unknowns" in result.explain()
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_what_is_held_is_solved(name: str) -> None:
+    """The same structures pressed down, weakly held or balanced are SOLVED, and nothing is said of motions."""
+    structure = HELD[name]()
+    for result in (solve(structure.problem), solve(structure.program)):
+        assert result.is_solved
+        assert "nothing holds" not in result.explain()
+
+
+def test_a_weak_spring_is_no_rounding() -> None:
+    """A chain that a spring of 1e-9 holds: its motion is no direction, and the program has a minimum at 1e9."""
+    structure = chain(28, 1.0, ground=1e-9)
+    assert null_space(chain(5000, 1.0, ground=1e-9).K) is None
+    result = solve(structure.program)
+    assert result.is_solved
+    assert result.x == pytest.approx(1e9, rel=1e-6)
+    assert "nothing holds" not in solve(structure.problem).explain()
+
+
+@settings(max_examples=15)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=6).map(lambda sizes: [2, *sizes]), st.integers(0, 99))
+def test_each_part_of_a_graph_gives_one_direction(sizes: list[int], seed: int) -> None:
+    """The null space of a Laplacian: as many dimensions as parts, what is constant on each, whatever the weights."""
+    rng = np.random.default_rng(seed)
+    parts = [circuit(size, 0.0, seed).K * 2.0 ** rng.integers(-20, 20) if size > 1 else sp.csr_array((1, 1))
+             for size in sizes]
+    K = sp.csr_array(sp.block_diag(parts))
+    order = rng.permutation(K.shape[0])
+    basis = null_space(sp.csr_array(K[order][:, order]))
+    assert basis is not None
+    label = np.repeat(np.arange(len(sizes)), sizes)[order]
+    constant = (label[:, None] == np.arange(len(sizes))) / np.sqrt(sizes)
+    assert basis.shape == constant.shape
+    assert basis @ basis.T == pytest.approx(constant @ constant.T, abs=1e-10)
+
+
+def test_a_direction_keeps_contacts_closed_or_opens_them() -> None:
+    """What is pressed on a floor slides along it; what is pulled off it rises."""
+    pressed, pulled = block(6, 6, 1.0, -1.0), block(6, 6, 0.0, 1.0)
+    slides, rises = (np.array(solve(one.program).proof.direction, dtype=float) for one in (pressed, pulled))
+    assert (slides[0::2] == 1.0).all()
+    assert not slides[1::2].any()
+    assert (rises[1::2] == 1.0).all()
+    assert not rises[0::2].any()
+
+
+@pytest.mark.parametrize("unit", [2.0**-30, 2.0**30])
+def test_neither_the_unit_of_loads_nor_that_of_lengths_matters(unit: float) -> None:
+    """Objective × s, lengths × s: the same verdict."""
+    K, q, lower = block(6, 6, 0.0, 1.0)
+    for program in (
+        QuadraticProgram(K * unit, q * unit, lower=lower), QuadraticProgram(K, q * unit, lower=lower * unit),
+    ):
+        assert solve(program).status is Status.UNBOUNDED
+
+
+def test_rows_that_hold_the_structure_are_seen() -> None:
+    """G x ≤ h or A x = b in the way of the only motion: SOLVED; in the way of none: UNBOUNDED."""
+    K, q, lower = chain(28, 1.0)
+    last = np.zeros((1, 28))
+    last[0, -1] = 1.0
+    difference = last.copy()
+    difference[0, 0] = -1.0
+    assert solve(QuadraticProgram(K, q, G=last, h=[5.0], lower=lower)).is_solved
+    assert solve(QuadraticProgram(K, q, A=last, b=[5.0], lower=lower)).is_solved
+    for rows in (dict(G=difference, h=[5.0]), dict(A=difference, b=[0.5]), dict(G=-last, h=[5.0])):
+        result = solve(QuadraticProgram(K, q, lower=lower, **rows))
+        assert result.status is Status.UNBOUNDED
+        assert "nothing holds unknowns" in str(result.proof)
+
+
+def test_a_tampered_motion_proves_nothing() -> None:
+    """The other direction, one that strains the structure, or a point below the floor."""
+    proof = solve(block(6, 6, 0.0, 1.0).program).proof
+    assert not replace(proof, direction=tuple(-d for d in proof.direction)).verify()
+    assert not replace(proof, direction=(Fraction(1, 1000), *proof.direction[1:])).verify()
+    below = list(proof.point)
+    below[1] -= 1
+    assert not replace(proof, point=tuple(below)).verify()
+
+
+def test_cvxpy_says_unbounded_and_why() -> None:
+    """A model in cvxpy of a chain that is pulled off: unbounded, the words in its statistics."""
+    K, q, lower = chain(40, 1.0)
+    x = cp.Variable(40)
+    bounded = np.flatnonzero(np.isfinite(lower))
+    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(K)) + q @ x), [x[bounded] >= lower[bounded]])
+    problem.solve(solver=QPSolver)
+    assert problem.status == cp.UNBOUNDED
+    assert "nothing holds unknowns" in str(problem.solver_stats.extra_stats.proof)
+
+
+@pytest.mark.parametrize("algorithm", ["npsor", "interior_point", "lemke"])
+def test_a_named_algorithm_ends_with_the_same_words(algorithm: str) -> None:
+    """A program is UNBOUNDED whoever ran; so is what a limit leaves open where no limit came first."""
+    structure = chain(28, 1.0)
+    assert solve(structure.program, algorithm, max_iterations=10_000).status is Status.UNBOUNDED
+
+
+def test_a_prepared_problem_and_one_that_asks_for_no_proof() -> None:
+    """Prepare changes no verdict; refute=False looks for none."""
+    structure: Structure = chain(28, 1.0)
+    problem = prepare(structure.problem)
+    assert isinstance(problem, LCP)
+    assert solve(problem).status is Status.INFEASIBLE
+    assert solve(structure.problem, refute=False).status is Status.STALLED
+    assert not solve(structure.program, refute=False).is_refuted

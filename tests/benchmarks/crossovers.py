@@ -201,6 +201,21 @@ def _operations(repeats: int) -> str:
     return f"{seconds_of_largest:.0f} s; an operation is {min(ratios):.2f} to {max(ratios):.2f} entries of a sweep"
 
 
+def _speed(problem: LCP, operations: float, repeats: int) -> str:
+    """Return how many operations a second a factorisation of M makes."""
+    seconds = medians({"factor": partial(factorise, problem.M, is_symmetric=True)}, repeats)["factor"]
+    return f"{operations / seconds:.1e} operations a second, n = {problem.n}"
+
+
+def _dense_speed(repeats: int) -> str:
+    return _speed(_dense(1000), 1000.0**3 / 3.0, repeats)
+
+
+def _sparse_speed(repeats: int) -> str:
+    problem = _grid(300)
+    return _speed(problem, sizes_of_factor(problem.matrix)[1], repeats)
+
+
 def _pivoted(repeats: int) -> str:
     return f"{8e-9 * crossovers.PIVOTED_UP_TO**2:.1f} GB of inverse, by its size"
 
@@ -366,7 +381,7 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "COMPILED_SPARSE_UP_TO": partial(_compiled, _scattered, "COMPILED_SPARSE_UP_TO"),
     "PIVOTED_AT_ONCE_UP_TO": _path_or_interior_point, "CONTACTS_UP_TO": _contacts,
     "DIRECT_UP_TO": _factor_or_multigrid, "LINEAR_PROGRAM_UP_TO": _program,
-    "FACTOR_OPERATIONS_UP_TO": _operations,
+    "FACTOR_OPERATIONS_UP_TO": _operations, "DENSE_OPERATIONS": _dense_speed, "SPARSE_OPERATIONS": _sparse_speed,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
     "CHOLESKY_UP_TO": partial(_cholesky, crossovers.CHOLESKY_UP_TO, 0.01),
     "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, crossovers.FULL_CHOLESKY_UP_TO, crossovers.FULL_CHOLESKY_FROM),

@@ -32,6 +32,7 @@ OF_SOLVE = {
     "algorithm": (str, "a name that lcp-plugin list shows (auto) *"),
     "max_iterations": (int, "limit of iterations (100000), or of nodes (none)"),
     "max_seconds": (float, "limit of wall-clock seconds (none)"),
+    "prove": (int, "1 asks for a proof of the gap, of an objective beside complementarities alone (0)"),
     "threads": (int, "how many threads it may use (all)"),
     "tolerance": (float, "solved means a residual of at most this (1e-8), or such a gap (1e-6)"),
 }
@@ -66,7 +67,8 @@ class Call:
     @property
     def settings(self) -> dict[str, Any]:
         """What the solver is called with."""
-        own = {name: value for name, value in self.asked.items() if name in OF_SOLVE}
+        own = {name: value for name, value in self.asked.items() if name in OF_SOLVE and name != "prove"}
+        own |= {"prove": True} if self.of_command("prove") else {}
         return own | ({"verbose": True} if self.of_command("outlev") else {})
 
     @property
@@ -183,7 +185,8 @@ def _solve(call: Call) -> int:
     """Solve the stub, and write, print or both."""
     from ..core.settings import Settings
 
-    Settings(**{name: value for name, value in call.settings.items() if name != "algorithm"})  # before anything is read
+    of_run = {name: value for name, value in call.settings.items() if name not in ("algorithm", "prove")}
+    Settings(**of_run)  # before anything is read
     from ..doors.nl.reading import read_content, source_of
 
     began = time.perf_counter()

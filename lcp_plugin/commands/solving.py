@@ -137,8 +137,10 @@ def _array_in(path: Path) -> Any:
     """Return the array in a .npy file."""
     try:
         return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise UnreadableFile(f"cannot read {path} as an array: {error}; write it with numpy.save") from None
+    except OSError as error:
+        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from None
+    except (ValueError, EOFError):
+        raise UnreadableFile(f"{path} holds no array; write it with numpy.save, as a .npy file") from None
 
 
 def run(
@@ -345,6 +347,7 @@ def run_model(
     Settings(**settings)
     plain = {one.name: one.default for one in fields(Settings)}
     asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
+    asked |= {name: options.pop(name) for name in ("prove",) if name in options}  # of a search
     chosen = policy_for(algorithm, options).chosen
     OneProcess().check_outputs(target, picture.path, out)
     find = _in_nl if Path(target.strip()).suffix.lower() == ".nl" else _in_arrays

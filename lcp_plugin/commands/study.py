@@ -10,6 +10,7 @@ from typing import Any
 import typer
 
 from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
+from ..core.written import in_words
 from ..evidence.drawing import FORMATS, require_matplotlib
 from ..evidence.exporting import TABLES
 from ..evidence.results import VIEWS, Study
@@ -53,7 +54,7 @@ def run(targets: Sequence[str], given: Mapping[str, Any]) -> bool:
     again = f", {found.found} of them from a former run" if found.found else ""
     missing = len(found.missing)
     rest = f"; interrupted, {missing} missing: the same command goes on from here" if missing else ""
-    typer.echo(f"{out}: {len(found.rows)} rows{again}{rest}")
+    typer.echo(f"{out}: {in_words(len(found.rows), 'row')}{again}{rest}")
     return not found.missing and all(row.curve.status != "ERROR" for row in found.rows)
 
 

@@ -11,7 +11,8 @@ A pair is a special ordered set: of z − lower and w, both ≥ 0, at most one i
 w = w⁺ − w⁻. Smooth terms are expressions of SCIP's, term by term; what occurs twice inside others is a variable.
 
 Where its first relaxation falls for ever, SCIP may cut off children that do, too, and call the rest optimal (release
-10, special ordered sets). Then it is asked again within |x| ≤ 10⁶, and what reaches that far is called unbounded.
+10, special ordered sets). Then it is asked again within |x| ≤ 10⁶, and what reaches that far is called unbounded; so it
+is where SCIP itself calls the objective unbounded, for a point that is a number.
 
 What comes out is in floating point, feasible to 1e-8 at best, and no proof: :mod:`lcp_plugin.problems.equilibria` reads
 off the cases, solves the pairs again, measures the point, and says whose the bound is. SCIP asks for no licence key.
@@ -24,8 +25,9 @@ S. Bolusani et al., *The SCIP Optimization Suite 9.0* (2024), arXiv:2402.17702.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from importlib.util import find_spec
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +38,7 @@ from ..core.deadline import seconds_left
 from ..core.errors import UnsupportedModel
 from ..modeling.expressions.functions import Function
 from ..modeling.expressions.program import Combination, Program
+from ..problems.equilibria.branch_and_bound import ENDS
 from ..problems.equilibria.equilibrium_program import BETWEEN, LOWER, UPPER, EquilibriumProgram
 
 LARGEST = 1e20  # what is farther is infinite for SCIP
@@ -55,6 +58,7 @@ class Found(NamedTuple):
     status : str
         SCIP's word.
     x : ndarray, shape (n,), or None
+        None where an entry is infinite.
     value, bound : float
         Of the objective; ∞ and −∞ where there is none.
     nodes : int
@@ -68,11 +72,12 @@ class Found(NamedTuple):
 
 
 def minimize_or_none() -> Callable[..., Found] | None:
-    """Return `minimize`, None where pyscipopt is not installed."""
+    """Return `minimize`, None where pyscipopt is not installed, or does not load."""
     try:
-        return minimize if find_spec("pyscipopt") is not None else None
-    except ValueError:  # it is None among the modules that are loaded
+        import pyscipopt  # noqa: F401
+    except ImportError:
         return None
+    return minimize
 
 
 def minimize(
@@ -108,12 +113,16 @@ def minimize(
     if found.status.startswith("SCIP:"):  # at its own feasibility tolerance its linear programs may do better
         model = _Model(problem)
         found = model.solved(tolerance, max_nodes, start, ends, 1e-6)
-    if found.x is None or found.bound == -math.inf or not model.fell:
+    is_unbounded = found.status == "unbounded"
+    if not is_unbounded and (found.x is None or not model.fell):
         return found
+    if found.status in ENDS:  # of the children that were cut off it may know nothing
+        return found._replace(bound=-math.inf)
     within = _Model(problem, FAR).solved(tolerance, max_nodes - found.nodes, found.x, ends)
     within = within._replace(nodes=within.nodes + found.nodes)
     is_far = within.x is None or np.abs(within.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
-    return within._replace(status="unbounded", bound=-math.inf) if is_far else within
+    is_deep = within.value <= -LARGEST * (1.0 - INSIDE)
+    return within._replace(status="unbounded", bound=-math.inf) if is_unbounded or is_far or is_deep else within
 
 
 class _Model:
@@ -161,12 +170,17 @@ class _Model:
             "limits/time": min(seconds_left(), LONGEST), "limits/gap": SHARE * tolerance,
             "limits/absgap": SHARE * tolerance, "numerics/feastol": feasible, "timing/clocktype": 2,
             "limits/totalnodes": int(max_nodes) if max_nodes < 2**62 else -1,
+            "heuristics/multistart/freq": -1,  # takes 10 s where bounds are missing
         })
         if start is not None:
             self._begin_with(start)
-        watcher = None if ends is None else self._watched_by(ends)
+        silence = _Silence()
+        watcher = None if ends is None else self._watched_by(ends, silence)
         try:
-            model.optimize()
+            with silence:
+                model.optimize()
+        except MemoryError:
+            raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
             return Found(str(error), None, math.inf, -math.inf, 0)
         if watcher is not None and watcher.error is not None:
@@ -175,6 +189,7 @@ class _Model:
         if model.getNSols():
             best = model.getBestSol()
             x, value = np.array([model.getSolVal(best, one) for one in self.x]), model.getSolObjVal(best)
+            x = x if (np.abs(x) < LARGEST).all() else None
         bound = model.getDualbound()
         bound = math.copysign(math.inf, bound) if abs(bound) >= LARGEST else bound
         return Found(status, x, value, bound, int(model.getNTotalNodes()))
@@ -308,7 +323,7 @@ class _Model:
             exponent = float(name.removeprefix("power "))
             return u[0] ** (int(exponent) if exponent.is_integer() else exponent)
         forms: dict[str, Callable[..., Any]] = {
-            "exp": scip.exp, "log": scip.log, "sin": scip.sin, "cos": scip.cos, "absolute value": abs,
+            "exp": scip.exp, "log": scip.log, "sin": scip.sin, "cos": scip.cos,
             "product": lambda a, b: a * b, "quotient": lambda a, b: a / b,
             "log1p": lambda a: scip.log(1.0 + a), "log10": lambda a: scip.log(a) / math.log(10.0),
             "relative entropy": lambda a, b: a * _log(scip, a / b), "tan": lambda a: scip.sin(a) / scip.cos(a),
@@ -323,7 +338,7 @@ class _Model:
         if name not in forms:
             raise UnsupportedModel(
                 f"SCIP knows no {name}, so that no global bound is found; write it with products, quotients, powers, "
-                "exp, log, sqrt, sin, cos and abs, or leave out the objective and use requires_grad=True for a local "
+                "exp, log, sqrt, sin and cos, or leave out the objective and use requires_grad=True for a local "
                 "search"
             )
         return forms[name](*u)
@@ -338,7 +353,7 @@ class _Model:
             self.model.setSolVal(solution, variable, function(x))
         self.model.addSol(solution, free=True)
 
-    def _watched_by(self, ends: Watcher) -> Any:
+    def _watched_by(self, ends: Watcher, silence: _Silence) -> Any:
         event = self.scip.SCIP_EVENTTYPE  # type: ignore[attr-defined]
 
         class Handler(self.scip.Eventhdlr):  # type: ignore[misc, name-defined]
@@ -360,7 +375,9 @@ class _Model:
                     value, bound = model.getPrimalbound(), model.getDualbound()
                     value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one
                                     for one in (value, bound))
-                    if ends(value, bound, int(model.getNTotalNodes())):
+                    with silence.lifted():
+                        is_ended = ends(value, bound, int(model.getNTotalNodes()))
+                    if is_ended:
                         model.interruptSolve()
                 except BaseException as error:  # SCIP, written in C, would swallow it
                     self.error = error
@@ -369,6 +386,41 @@ class _Model:
         handler = Handler()
         self.model.includeEventhdlr(handler, "lcp_plugin", "asks whether the search ends")
         return handler
+
+
+class _Silence:
+    """Sends what C writes to stderr nowhere: SCIP's linear solver warns there, whatever its output is set to.
+
+    SCIP holds Python's lock, so that no other thread writes meanwhile; it is lifted for what is called back.
+    """
+
+    def __enter__(self) -> None:
+        self._stderr: int | None = None
+        with suppress(OSError):  # nobody may have opened it
+            self._stderr = os.dup(2)
+            self._begin()
+
+    def __exit__(self, *raised: object) -> None:
+        if self._stderr is not None:
+            os.dup2(self._stderr, 2)
+            os.close(self._stderr)
+
+    def _begin(self) -> None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
+
+    @contextmanager
+    def lifted(self) -> Iterator[None]:
+        """Let stderr be what it was."""
+        if self._stderr is None:
+            yield
+            return
+        os.dup2(self._stderr, 2)
+        try:
+            yield
+        finally:
+            self._begin()
 
 
 def _is_number(term: Any) -> bool:

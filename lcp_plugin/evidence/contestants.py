@@ -128,6 +128,9 @@ def _contestant(label: Any, one: Any) -> Contestant:
     """Return who takes part: an algorithm, made of its name or of a pair of its name and its options, or "auto"."""
     made = one
     if not isinstance(one, Algorithm):
+        if isinstance(one, type):
+            name = one.__name__
+            raise InvalidOption(f"an algorithm is a name or an object, got the class {name}; write {name}()")
         if not (isinstance(one, str) or _is_with_options(one)):
             raise InvalidOption(
                 'an algorithm is a name, an Algorithm object or a pair as in ("npsor", {"relaxation": 1.5}), '

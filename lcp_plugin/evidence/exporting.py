@@ -107,6 +107,9 @@ class Table:
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
 
+    def __str__(self) -> str:
+        return f"{self.title}\n\n{self.to_markdown()}"
+
     def is_of_numbers(self, k: int) -> bool:
         """Return whether a number stands in column k."""
         return any(_is_number(row[k]) for row in self.rows)

@@ -112,8 +112,11 @@ def _checked_numbers(rows: Any, n: int) -> Any:
     given = np.asarray(rows)
     if given.dtype == np.bool_ and given.shape == (n,):
         return np.flatnonzero(given)
-    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer) or not ((given >= 0) & (given < n)).all():
-        raise InvalidOption(f"rows must be whole numbers from 0 to {n - 1}, or {n} truth values, got {rows!r}")
+    need = f"rows must be whole numbers from 0 to {n - 1}, or {n} truth values"
+    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
+        raise InvalidOption(f"{need}, got {rows!r}")
+    if (outside := given[(given < 0) | (given >= n)]).size:
+        raise InvalidOption(f"{need}, got {outside[0]}")
     return given
 
 

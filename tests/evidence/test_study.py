@@ -369,6 +369,13 @@ def test_a_file_of_measurements_says_what_it_can_be(tmp_path: Path) -> None:
         report.save(tmp_path / "r.csv", against="work")
 
 
+def test_a_class_in_place_of_an_object_is_told() -> None:
+    """study([Mine]) says to write Mine(); a table prints as one."""
+    with pytest.raises(InvalidOption, match=r"got the class Damped; write Damped\(\)"):
+        study("half_active", [Damped], [16])
+    assert str(made(("p", 4, "a", 7.0)).table()[0]).startswith("p: iterations\n\n| method | n = 4 |")
+
+
 def test_a_missing_exponent_is_told() -> None:
     """A table says why a method has no exponent: too few solved sizes, or no power; one that has is a number."""
     powers = [("p", n, "a", n**0.5) for n in (4, 64, 256)]

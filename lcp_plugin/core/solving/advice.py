@@ -21,10 +21,6 @@ LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 EXCLUDED = "no solution was found, and as far as doubles tell there is none near any z"
 FAR_OUT = "no start leads to a solution within that size: check the data"
-BEYOND_DOUBLES = (
-    "the residual overflows already at the point of the bounds nearest to 0: M and q are too far apart for double "
-    "precision; state the unknowns in a larger unit, or divide q"
-)
 ELSEWHERE = "auto has tried what suits this M: another start z0 may lead elsewhere"
 
 

@@ -34,7 +34,7 @@ OUTSIDE = 1e-8  # of 1 + |x|
 ROUNDINGS = 100.0  # times what rounding alone leaves open
 PROGRAM_GOAL = 1e-6  # of the terms of a row
 OBJECTIVE = 1e-3  # of what the objective may differ by: one that is expanded has lost digits
-TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads")  # beside an objective
+TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads", "prove")  # beside an objective
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 

@@ -32,8 +32,8 @@ ROUNDS = 10  # beyond, the contacts of a march are rather found directly
 UNDERFLOW = 4.0 * TINY / UNIT  # stands among the magnitudes of a sum for what it takes from a product and its error
 SURELY = 1.0 - 2.0**-40  # so that the certificate, whose bounds are sharper but rounded as well, agrees
 ORDINARY = 2.0**1000  # a scale below it has a reciprocal that is rounded once
-LOST = 8.0 * UNIT  # covers γ₃, and the roundings of the sum that it multiplies
-WIDER = 1.0 + 2.0**-50  # covers three roundings
+LOST = UNIT * (1.0 + 2.0**-50)  # covers the roundings of the sum that it multiplies
+WIDER = 1.0 + 2.0**-50  # covers seven roundings
 NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular to double precision
 EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
 
@@ -78,18 +78,10 @@ def _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):  # type:
 
 
 @compiled_on_arrays_apart
-def _next_offset(  # type: ignore[no-untyped-def]
-    carry_indptr, carry_indices, carry_data, forcing, z, of_nearest, nearest, lower, upper, inverse_scale, ratios,
-    q, y, largest, rows, total
-):
-    """Fill q = forcing + C z, y with what is right of the rows that are eliminated from the last to the first.
-
-    Fill rows with the one in which |r(z°)| is largest.
-    """
+def _next_offset(carry_indptr, carry_indices, carry_data, forcing, z, ratios, q, y, total):  # type: ignore[no-untyped-def]
+    """Fill q = forcing + C z, and y with what is right of the rows that are eliminated from the last to the first."""
     n, marches = z.shape
     is_common = forcing.shape[1] == 1
-    for m in range(marches):
-        largest[m] = rows[m] = 0.0
     for i in range(n - 1, -1, -1):
         for m in range(marches):
             total[m] = 0.0
@@ -103,38 +95,45 @@ def _next_offset(  # type: ignore[no-untyped-def]
         else:
             for m in range(marches):
                 q[i, m] = forcing[i, m] + total[m]
-        unit, row, ratio, after = inverse_scale[i], float(i), ratios[i], min(i + 1, n - 1)
+        ratio, after = ratios[i], min(i + 1, n - 1)
         for m in range(marches):
-            offset, x = q[i, m], nearest[i, m]
-            r = abs(min(max((of_nearest[i, m] + offset) * unit, x - upper[i, m]), x - lower[i, m]))
-            rows[m] = row if r > largest[m] else rows[m]
-            largest[m] = r if r > largest[m] else largest[m]
-            y[i, m] = ratio * y[after, m] - offset
+            y[i, m] = ratio * y[after, m] - q[i, m]
 
 
 @compiled_on_arrays_apart
-def _guess(below, inverse_pivots, y, lower, upper, trust, state, here):  # type: ignore[no-untyped-def]
-    """Fill state, of marches with trust > 0, with the bounds that hold where the rows at bounds come first."""
-    n, marches = y.shape
+def _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, largest, rows):  # type: ignore[no-untyped-def]
+    """Fill rows with the one in which |r(z°)| is largest but for rounding."""
+    n, marches = q.shape
     for m in range(marches):
-        here[m] = 0.0
+        largest[m] = rows[m] = 0.0
     for i in range(n):
-        a, inverse = below[i], inverse_pivots[i]
+        unit, row = inverse_scale[i], float(i)
         for m in range(marches):
-            value, low, high = (y[i, m] - a * here[m]) * inverse, lower[i, m], upper[i, m]
-            here[m] = min(max(value, low), high)
+            x = nearest[i, m]
+            r = abs(min(max((of_nearest[i, m] + q[i, m]) * unit, x - upper[i, m]), x - lower[i, m]))
+            rows[m] = row if r > largest[m] else rows[m]
+            largest[m] = r if r > largest[m] else largest[m]
+
+
+@compiled_on_arrays_apart
+def _eliminate(  # type: ignore[no-untyped-def]
+    bands, inverse_pivots, y, q, lower, upper, trust, state, x, slope, guess, here, factor
+):
+    """Fill x with the bounds that state says and, elsewhere, with what the rows from the first on make of w = 0.
+
+    Fill state before, of marches with trust > 0, with the bounds that hold where the rows at bounds come first.
+    """
+    n, marches = x.shape
+    for m in range(marches):
+        guess[m] = here[m] = factor[m] = 0.0
+    for i in range(n):
+        below, inverse = bands[0, i], inverse_pivots[i]
+        for m in range(marches):
+            value, low, high = (y[i, m] - below * guess[m]) * inverse, lower[i, m], upper[i, m]
+            guess[m] = min(max(value, low), high)
             side = 1.0 if value >= high else 0.0
             side = -1.0 if value <= low else side
             state[i, m] = side if trust[m] > 0.0 else state[i, m]
-
-
-@compiled_on_arrays_apart
-def _substitute(bands, q, lower, upper, state, x, slope, z, here, factor):  # type: ignore[no-untyped-def]
-    """Fill x with the bounds that state says and the solution of w = 0 elsewhere, and z with x taken into bounds."""
-    n, marches = x.shape
-    for m in range(marches):
-        here[m] = factor[m] = 0.0
-    for i in range(n):
         a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
         for m in range(marches):
             low, high, side = lower[i, m], upper[i, m], state[i, m]
@@ -143,45 +142,54 @@ def _substitute(bands, q, lower, upper, state, x, slope, z, here, factor):  # ty
             held = low if side < 0.0 else high
             x[i, m] = here[m] = value if side == 0.0 else held
             slope[i, m] = factor[m] = share if side == 0.0 else 0.0
-    for m in range(marches):
-        here[m] = 0.0
-    for i in range(n - 1, -1, -1):
-        for m in range(marches):
-            value = x[i, m] + slope[i, m] * here[m]
-            x[i, m] = here[m] = value
-            z[i, m] = min(max(value, lower[i, m]), upper[i, m])
 
 
 @compiled_on_arrays_apart
-def _measure(bands, q, lower, upper, inverse_scale, x, z, state, wrong, most):  # type: ignore[no-untyped-def]
-    """Fill state with the bounds that x − w/d reaches (−1, 0, 1), and most with an upper bound of each ‖r(z)‖∞.
+def _substitute_and_measure(  # type: ignore[no-untyped-def]
+    bands, q, lower, upper, inverse_scale, slope, x, z, state, here, sizes, wrong, most
+):
+    """Fill x with the solution, z with x taken into bounds, and measure: each row once its neighbours are known.
 
-    w is rounded three times, by no more than γ₃ (|q| + |M||z|) and what underflow takes (Higham, *Accuracy and
-    stability*, SIAM 2002, section 3.1). Of a z within its bounds |r| is at most |w|/d, and 0 where w pushes z to a
-    bound that it has reached. wrong is the number of rows whose state changes.
+    Fill state with the bounds that x − w/d reaches (−1, 0, 1), wrong with the number of rows in which that changes, and
+    most with an upper bound of each ‖r(z)‖∞. w is three multiply–adds, each rounded once: wrong by at most u times the
+    sum of their magnitudes, and what underflow takes (a running error bound: Higham, *Accuracy and stability*, SIAM
+    2002, section 3.3). Of a z within its bounds |r| is at most |w|/d, and 0 where w pushes z to a bound that it has
+    reached.
     """
     n, marches = x.shape
+    largest_unit = 0.0
     for m in range(marches):
-        wrong[m] = most[m] = 0.0
-    for i in range(n):
-        a, d, c, inverse = bands[0, i], bands[1, i], bands[2, i], inverse_scale[i]
-        before, after = max(i - 1, 0), min(i + 1, n - 1)
+        here[m] = wrong[m] = most[m] = sizes[m] = 0.0
+    for i in range(n - 1, -2, -1):
+        if i >= 0:
+            for m in range(marches):
+                value = x[i, m] + slope[i, m] * here[m]
+                x[i, m] = here[m] = value
+                z[i, m] = min(max(value, lower[i, m]), upper[i, m])
+        if i == n - 1:
+            continue
+        row, before, after = i + 1, max(i, 0), min(i + 2, n - 1)
+        a, d, c, inverse = bands[0, row], bands[1, row], bands[2, row], inverse_scale[row]
+        unit = inverse * WIDER
+        largest_unit = max(largest_unit, unit)
         for m in range(marches):
-            left, here, right = z[before, m], z[i, m], z[after, m]
-            low, high = lower[i, m], upper[i, m]
-            w = fused(a, left, fused(c, right, fused(d, here, q[i, m])))
-            size = abs(q[i, m]) + abs(d * here) + (abs(a * left) + abs(c * right))
-            slip = size * LOST + 4.0 * TINY
-            down, up = w if here > low else -np.inf, -w if here < high else -np.inf
-            larger = down if down > up else up
-            largest = ((larger if larger > 0.0 else 0.0) + slip) * inverse * WIDER + TINY
-            largest = largest if size < np.inf else np.inf
-            most[m] = largest if largest > most[m] else most[m]
-            step, above, beyond = w * inverse, x[i, m] - low, x[i, m] - high
+            own, low, high = z[row, m], lower[row, m], upper[row, m]
+            first = fused(d, own, q[row, m])
+            second = fused(c, z[after, m], first)
+            w = fused(a, z[before, m], second)
+            size = abs(first) + abs(second) + abs(w)
+            sizes[m] += size
+            down, up = w if own > low else 0.0, -w if own < high else 0.0
+            residual = fused(size, LOST, down if down > up else up) * unit
+            most[m] = residual if residual > most[m] else most[m]
+            step, above, beyond = w * inverse, x[row, m] - low, x[row, m] - high
             side = 1.0 if beyond >= step else 0.0
             side = -1.0 if (above <= step) | (low == high) else side
-            wrong[m] += 0.0 if side == state[i, m] else 1.0
-            state[i, m] = side
+            wrong[m] += 0.0 if side == state[row, m] else 1.0
+            state[row, m] = side
+    for m in range(marches):
+        whole = (most[m] + (8.0 * TINY * largest_unit + 2.0 * TINY)) * WIDER
+        most[m] = whole if sizes[m] < np.inf else np.inf  # a number that is none is the largest of nothing
 
 
 @compiled_part
@@ -224,6 +232,7 @@ def march_all(  # type: ignore[no-untyped-def]
     n, marches = nearest.shape
     q, y, slope, x = np.empty((n, marches)), np.zeros((n, marches)), np.empty((n, marches)), np.empty((n, marches))
     state, of_nearest, room = np.zeros((n, marches)), np.empty((n, marches)), np.empty((3, marches))
+    rows, no_trust = np.zeros(marches), np.zeros(marches)
     least, most, wrong, inverse_scale = np.empty(marches), np.empty(marches), np.empty(marches), 1.0 / scale
     ratios, inverse_pivots, trust = np.zeros(n), np.empty(n), np.ones(marches)
     if not _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):
@@ -231,26 +240,33 @@ def march_all(  # type: ignore[no-untyped-def]
     for k in range(kept.size):
         z, answer = states[k % 3], states[(k + 1) % 3]
         _next_offset(
-            carry_indptr, carry_indices, carry_data, forcing[min(k, forcing.shape[0] - 1)], z, of_nearest, nearest,
-            lower, upper, inverse_scale, ratios, q, y, room[0], room[1], room[2],
+            carry_indptr, carry_indices, carry_data, forcing[min(k, forcing.shape[0] - 1)], z, ratios, q, y, room[0],
         )
-        _largest_reference(indptr, indices, data, nearest, q, lower, upper, scale, room[1], least)
-        _guess(bands[0], inverse_pivots, y, lower, upper, trust, state, room[0])
         for m in range(marches):
             wrong[m], rounds[k, m] = 1.0, 0
-        for _round in range(min(ROUNDS, most_rounds)):
+        for round_ in range(min(ROUNDS, most_rounds)):
             for m in range(marches):
                 rounds[k, m] += 1 if wrong[m] > 0.0 else 0
-            _substitute(bands, q, lower, upper, state, x, slope, answer, room[0], room[1])
-            _measure(bands, q, lower, upper, inverse_scale, x, answer, state, wrong, most)
-            left = 0.0
-            for m in range(marches):
-                left += wrong[m]
-            if left == 0.0:
+            _eliminate(
+                bands, inverse_pivots, y, q, lower, upper, no_trust if round_ else trust, state, x, slope, room[0],
+                room[1], room[2],
+            )
+            _substitute_and_measure(
+                bands, q, lower, upper, inverse_scale, slope, x, answer, state, room[0], room[1], wrong, most
+            )
+            if not wrong.any():
                 break
         for m in range(marches):
             trust[m] = 0.0 if rounds[k, m] > 1 else trust[m]
-        if not _are_small(most, least, tolerance, ends[k]):
+        # Any row bounds ‖r(z°)‖∞ from below: another one is looked for where that of a step before is not enough.
+        of_rows = indptr, indices, data, nearest, q, lower, upper, scale, rows, least
+        _largest_reference(*of_rows)
+        is_within = _are_small(most, least, tolerance, ends[k])
+        if not is_within:
+            _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, room[0], rows)
+            _largest_reference(*of_rows)
+            is_within = _are_small(most, least, tolerance, ends[k])
+        if not is_within:
             return k
         if kept[k] >= 0:
             for i in range(n):

@@ -83,11 +83,12 @@ class BoundedLeastSquares:
         self.is_dense = self.has_entries and not self.is_sparse
         m, n = self.shape = self.A.shape
         self._transpose = self.A.T if self.has_entries else self.A.H
-        if m != n and np.shape(b) == (n,):
-            raise InvalidProblem(
-                f"b must be a vector of length {m}, a number a row of A ({m}×{n}), got shape ({n},); did you mean A.T?"
-            )
-        self.b = checked_vector(b, "b", m)
+        try:
+            self.b = checked_vector(b, "b", m)
+        except InvalidProblem as error:
+            if m == n or np.shape(b) != (n,):
+                raise
+            raise InvalidProblem(f"{error}, and A has {m} rows and {n} columns; did you mean A.T?") from error
         self.lower, self.upper = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
         check_order(self.lower, self.upper)
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
@@ -97,10 +98,7 @@ class BoundedLeastSquares:
         if not is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
-        self.l1 = checked_bound(l1, "l1", n)
-        if not ((self.l1 >= 0.0) & (self.l1 < np.inf)).all():
-            j = int(np.argmin((self.l1 >= 0.0) & (self.l1 < np.inf)))
-            raise InvalidProblem(f"l1 must be finite and ≥ 0, but l1[{j}] = {self.l1[j]}; 0 leaves a column out")
+        self.l1 = read_only(np.zeros(n)) if is_number(l1) and l1 == 0.0 else _checked_penalty(l1, n)
 
     def __repr__(self) -> str:
         kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
@@ -303,6 +301,15 @@ class UnitLeastSquares:
         scaled = self.problem.A[rows].copy()
         scaled.data = scaled.data * np.repeat(self._root[rows], np.diff(scaled.indptr)) / self.columns[scaled.indices]
         return scaled
+
+
+def _checked_penalty(l1: ArrayLike, n: int) -> FloatVector:
+    penalty = checked_bound(l1, "l1", n)
+    is_one = (penalty >= 0.0) & (penalty < np.inf)
+    if not is_one.all():
+        j = int(np.argmin(is_one))
+        raise InvalidProblem(f"l1 must be finite and ≥ 0, but l1[{j}] = {penalty[j]}; 0 leaves a column out")
+    return penalty
 
 
 def _checked(A: Any) -> tuple[Any, bool]:

@@ -66,7 +66,8 @@ class Begun:
     """
 
     def __init__(self, program: QuadraticProgram) -> None:
-        self.program, self.z, self.steps, self.work = program, None, 0, 0.0
+        self.program, self.steps, self.work = program, 0, 0.0
+        self.z: FloatVector | None = None
 
     @cached_property
     def first(self) -> Attempt:

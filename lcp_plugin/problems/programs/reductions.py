@@ -302,10 +302,13 @@ def _folded(program: QuadraticProgram) -> FoldedRows:
     stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & is_empty | (right == np.inf))
     stays[rows[~contradicts[columns]]] = False
     left = np.flatnonzero(stays)
-    folded = program if left.size == right.size else _in_units_of(program, program.with_matrices(
-        matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
-        right[left[left >= program.h.size]], lower, upper,
-    ))
+    folded = program
+    if left.size < right.size:
+        folded = program.with_matrices(
+            matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
+            right[left[left >= program.h.size]], lower, upper,
+        )
+        folded.__dict__["units"] = program.units.of_rows(left)  # what a row says does not depend on where it stands
     return FoldedRows(program, folded, left, lower_row, upper_row, coefficient)
 
 

@@ -194,17 +194,19 @@ def test_rows_of_a_file_are_drawn_over_their_coordinates() -> None:
     np.save("plane.npy", np.random.default_rng(0).random((3, 2)))
     np.save("rows.npy", np.arange(12) % 4 == 0)
     np.save("space.npy", np.zeros((12, 3)))
+    Path("words.txt").write_text("0.1 0.2", encoding="utf-8")
     for given in ("--rows 0:6,8", "--points x.npy", "--rows 1:12:4 --points plane.npy", "--rows rows.npy"):
         done = lcp_plugin("solve", "p.npz", "--plot", "out.png", *given.split())
         assert done.exit_code == 0, done.output
         assert Path("out.png").stat().st_size > 5000
         Path("out.png").unlink()
     for given, words in (
-        ("--plot out.png --rows 9:14", "rows must be whole numbers from 0 to 11"),
+        ("--plot out.png --rows 9:14", "rows must be whole numbers from 0 to 11, or 12 truth values, got 12"),
         ("--plot out.png --rows a:b", "--rows wants numbers and ranges, as 0:40,45, or a .npy file; got 'a:b'"),
         ("--plot out.png --points space.npy", r"shape (n,) or (n, 2), got shape (12, 3)"),
-        ("--plot out.png --points none.npy", "cannot read none.npy as an array"),
+        ("--plot out.png --points none.npy", "cannot read none.npy: No such file"),
         ("--plot out.png --points p.npz", "over must hold real coordinates"),
+        ("--plot out.png --points words.txt", "words.txt holds no array; write it with numpy.save, as a .npy file"),
         ("--plot out.png --rows 1 --grid 3x4", "give it without --rows and --points"),
         ("--rows 0:6", "--rows 0:6 is for a picture; give --plot FILE as well"),
     ):

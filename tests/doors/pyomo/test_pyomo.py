@@ -407,7 +407,7 @@ REFUSED = {
     too_few_rows: "the model has 0 equations and 1 unknown without a complementarity (y)",
     objective_beside: "SCIP knows no atan",
     absolute_value: "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
-    one_bound: "c has 1 finite bounds on its two sides together, and needs two",
+    one_bound: "c has 1 finite bound on its two sides together, and needs two",
     three_bounds: "c has 3 finite bounds on its two sides together, and needs two",
     bound_that_varies: "a bound of c is y, which varies; state the difference",
     strict: "a side of c is strict, 0  <  x; write <= or >=",

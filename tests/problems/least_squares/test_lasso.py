@@ -176,7 +176,7 @@ def test_a_lasso_goes_in_and_out_as_other_least_squares_do(tmp_path: Path) -> No
 
 def test_a_transposed_matrix_is_told() -> None:
     """A b that has a number a column of A, not a row: did you mean A.T?"""
-    with pytest.raises(InvalidProblem, match=r"b must be a vector of length 3, .*got shape \(2,\); did you mean A.T\?"):
+    with pytest.raises(InvalidProblem, match=r"got shape \(2,\), and A has 3 rows .*; did you mean A.T\?"):
         BoundedLeastSquares(np.ones((3, 2)), [1.0, 2.0])
 
 

@@ -141,9 +141,9 @@ def test_a_value_that_no_feasible_point_has_is_refuted() -> None:
     """A violation within the tolerance that buys much more than the tolerance in the objective."""
     program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
     said = certify(program, [1.0 + 9e-7], tolerance=1e-6)
-    assert said.verdict == "proved"  # relative to 1 + |f|
-    steep = QuadraticProgram([[1.0, 0.0], [0.0, 1.0]], [-1e4, 1e4], G=[[1.0, -1.0]], h=[0.0])
-    said = certify(steep, [9e-7, 0.0], tolerance=1e-6)
+    assert said.verdict == "proved"  # relative to the objective's unit + |f|
+    steep = QuadraticProgram([[1e4, 0.0], [0.0, 1e4]], [-1e4, 1e4], G=[[1e-3, -1e-3]], h=[0.0])
+    said = certify(steep, [9e-4, 0.0], tolerance=1e-6)
     assert said.verdict == "refuted"
     assert "no feasible x is below" in said.reason
 
@@ -939,3 +939,31 @@ def test_bounds_of_variables_hide_no_entry(attributes: dict[str, Any]) -> None:
     assert found.distance < 1e-4
     x.save_value(x.value + np.array([1e-3, -1e-3, 0.0]))
     assert certify(problem).verdict != "proved"
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    *[st.integers(-40, 40)] * 2, st.integers(-20, 20),
+    st.sampled_from(["right", "with multipliers", "off", "a sign", "beside room", "a gradient"]),
+)
+def test_verdicts_do_not_depend_on_units(objective: int, row: int, unknowns: int, answer: str) -> None:
+    """The objective, a row, and all unknowns times powers of two: the same verdict, of x and of its multipliers."""
+    P, c = np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([-6.0, -4.0])
+    G, h = np.array([[1.0, 1.0], [1.0, -2.0]]), np.array([2.0, 8.0])
+    x, y = np.array([2.0, 0.0]), np.array([2.0, 0.0])
+    lower, below = np.array([-np.inf, 0.0]), np.array([0.0, 0.0])  # and the bound is met without a multiplier
+    assert (P @ x + c + y @ G == below).all()
+    x = x - np.array([0.05 * (answer == "off"), 0.0])
+    y = {"a sign": -y, "beside room": np.array([2.0, 0.5]), "a gradient": 0.9 * y}.get(answer, y)
+    s, r, u = np.ldexp(1.0, [objective, row, unknowns])
+    of_rows = np.array([r, 1.0])
+    scaled = QuadraticProgram(s * u * u * P, s * u * c, u * of_rows[:, None] * G, of_rows * h, lower=lower / u)
+    multipliers = None if answer in ("right", "off") else (s * y / of_rows, [], s * u * below, np.zeros(2))
+    given_units = QuadraticProgram(P, c, G, h, lower=lower)
+    expected = certify(given_units, x, None if multipliers is None else (y, [], below, below))
+    found = certify(scaled, x / u, multipliers)
+    verdicts = {"right": "proved", "with multipliers": "proved", "off": "refuted"}
+    assert expected.verdict == verdicts.get(answer, "unproved")
+    assert found.verdict == expected.verdict
+    if found.lower is not None and expected.lower is not None:
+        assert found.lower == pytest.approx(s * expected.lower, rel=1e-6)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns import programs_in_units
+from campaigns import convex_programs, programs_in_units
 
 from lcp_plugin import QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
@@ -33,6 +33,17 @@ def test_what_falls_for_ever_is_unbounded_in_any_unit(c: list[float], rows: dict
     assert result.proof is not None
     assert result.proof.is_exact
     assert result.proof.verify()
+
+
+def test_what_is_infeasible_in_its_own_units_has_a_proof() -> None:
+    """A proof within a radius that unknowns in mixed units would make too small is the one in the program's own."""
+    program, _ = convex_programs.case("infeasible, graded", 57001, 2, 2000)
+    assert program.rescaled is not None
+    result = solve(program)
+    assert result.status is Status.INFEASIBLE
+    assert result.proof is not None
+    assert result.proof.verify()
+    assert result.solution.status == "infeasible"
 
 
 def test_a_small_slope_is_followed_to_its_bound() -> None:

@@ -123,29 +123,31 @@ def size_of_unknowns(
     -------
     array, shape (…), and array of bool, shape (…, m + 3 n)
     """
-    n, m, lead = c.shape[-1], limits.shape[-1], c.shape[:-1]
+    n, lead = c.shape[-1], c.shape[:-1]
     values = np.concatenate([limits, c, lower, upper], axis=-1)
+    beside = np.concatenate([np.broadcast_to(of, (*lead, of.shape[-1])) for of in (of_rows, of_hessian)], axis=-1)
     mantissa, exponent = np.frexp(values)
-    sizes, parts = exponent - 1.0, (slice(m), slice(m, m + n), slice(m + n, None))
-    sizes[..., parts[0]] -= of_rows
-    sizes[..., parts[1]] -= of_hessian
+    sizes = exponent - 1.0
+    sizes[..., : beside.shape[-1]] -= beside
     used = (mantissa != 0.0) & np.isfinite(values) & np.isfinite(sizes)
-    sizes[~used] = 0.0
-    largest = np.maximum(*(sizes[..., parts[kind]].max(axis=-1, initial=0.0) for kind in (0, 2)))
-    used &= sizes >= ROUNDING + largest[..., np.newaxis]
-    kinds = np.zeros((4, *values.shape), bool)  # what x = 0 violates, then costs, rows and bounds
-    for violated, part in ((is_equality | (limits < 0.0), parts[0]),
-                           (np.concatenate([lower > 0.0, upper < 0.0], axis=-1), parts[2])):
-        kinds[0][..., part] = used[..., part] & violated
-    for kind, part in ((1, parts[1]), (2, parts[0]), (3, parts[2])):
-        kinds[kind][..., part] = used[..., part]
+    place = np.repeat([0, 1, 2], [limits.shape[-1], n, 2 * n])
+    largest = np.where(used & (place != 1), sizes, 0.0).max(axis=-1, initial=0.0)
+    used &= np.where(used, sizes, 0.0) >= ROUNDING + largest[..., np.newaxis]
+    sizes = np.where(used, sizes, 0.0)
+    kinds = np.zeros((4, *used.shape), bool)
+    kinds[0, ..., : limits.shape[-1]] = (limits < 0.0) | is_equality
+    kinds[0, ..., -2 * n : -n], kinds[0, ..., -n:] = lower > 0.0, upper < 0.0
+    for kind, of_kind in enumerate((1, 0, 2), 1):
+        kinds[kind] = place == of_kind
+    kinds &= used
     counts = kinds.sum(axis=-1)
     means = np.where(kinds, sizes, 0.0).sum(axis=-1) / np.maximum(counts, 1)
     data, minima, rows, bounds = np.where(counts > 0, means, np.inf)
     permitted = np.where(rows < np.inf, rows, bounds)
     chosen = np.where(data < np.inf, 0, np.where(minima <= permitted, 1, np.where(rows < np.inf, 2, 3)))
-    one = (chosen, *np.indices(lead, sparse=True))
-    return means[one], kinds[one]
+    say = np.take_along_axis(kinds, chosen[np.newaxis, ..., np.newaxis], axis=0)[0]
+    size = np.take_along_axis(means, chosen[np.newaxis], axis=0)[0]
+    return size, say
 
 
 def units_of_stacks(

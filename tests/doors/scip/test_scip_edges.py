@@ -91,7 +91,7 @@ def bilinear(**more: Any) -> EquilibriumProgram:
 # --- No SCIP, and a SCIP that fails ---
 
 
-@pytest.fixture(params=["absent", "broken"])
+@pytest.fixture(params=["absent", pytest.param("broken", marks=pytest.mark.full)])
 def without_scip(request: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let pyscipopt be not installed, or not load."""
     monkeypatch.setitem(sys.modules, "pyscipopt", None)

@@ -37,6 +37,7 @@ OF_SOLVE = {
 }
 OF_COMMAND = {
     "outlev": (int, "1 prints the run (0)"),
+    "prove": (int, "1 has the bound proved where an objective stands beside complementarities (0)"),
     "timing": (int, "1 adds the seconds of reading, solving and writing to the message (0)"),
     "version": (int, "1 adds the version line to the output (0)"),
     "wantsol": (int, "without -AMPL, the sum of: 1 write .sol, 2 print values, 4 print duals, 8 no message (0)"),
@@ -209,12 +210,15 @@ def _solve(call: Call) -> int:
 
 def _answer(content: NLContent, call: Call) -> tuple[str, Any, Any, int]:
     """Return message, values, duals and code; a model that is refused is answered by its refusal."""
+    from ..doors.nl.answers import EquilibriumModel
     from ..doors.nl.model import model_of
 
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("default", UserWarning)
-            answer = model_of(content).solve(**call.settings)
+            model = model_of(content)
+            more = {"prove": bool(call.of_command("prove"))} if isinstance(model, EquilibriumModel) else {}
+            answer = model.solve(**call.settings, **more)
     except (LCPError, MemoryError) as error:
         if isinstance(error, (InvalidOption, UnknownAlgorithm)) and not call.writes:
             raise  # of the caller, not of the model

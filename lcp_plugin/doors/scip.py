@@ -37,14 +37,18 @@ from ..core.errors import UnsupportedModel
 from ..modeling.expressions.functions import Function
 from ..modeling.expressions.program import Combination, Program
 from ..problems.equilibria.equilibrium_program import BETWEEN, LOWER, UPPER, EquilibriumProgram
+from ..problems.equilibria.result import FAILED
 
 LARGEST = 1e20  # what is farther is infinite for SCIP
 LONGEST = 1e20  # seconds
 SHARE = 0.25  # of the gap that is asked for
 FAR, INSIDE = 1e6, 1e-3  # a box for what falls for ever, and what is near it, relatively
 FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
+LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better
+GROWTH = 1.5  # of the nodes between two points that are asked for
 
 Watcher = Callable[[float, float, int], bool]
+Improver = Callable[[FloatVector | None], FloatVector | None]
 
 
 class Found(NamedTuple):
@@ -77,7 +81,7 @@ def minimize_or_none() -> Callable[..., Found] | None:
 
 def minimize(
     problem: EquilibriumProgram, *, tolerance: float = 1e-6, max_nodes: float = math.inf,
-    start: FloatVector | None = None, ends: Watcher | None = None,
+    start: FloatVector | None = None, ends: Watcher | None = None, improves: Improver | None = None,
 ) -> Found:
     """Return the least objective over all solutions of an equilibrium program, as SCIP finds it.
 
@@ -91,6 +95,9 @@ def minimize(
         A solution to begin with.
     ends : callable, optional
         Gets value, bound and nodes after each node; ends the search by something true. What it raises is passed on.
+    improves : callable, optional
+        Gets now and then the point of a node's relaxation, None where there is none; returns a solution that is better
+        than those before, or None.
 
     Raises
     ------
@@ -103,17 +110,28 @@ def minimize(
     -----
     The limit of the run around it holds, and Ctrl-C ends it with the status "userinterrupt".
     """
-    model = _Model(problem)
-    found = model.solved(tolerance, max_nodes, start, ends)
-    if found.status.startswith("SCIP:"):  # at its own feasibility tolerance its linear programs may do better
+    for feasible in (FEASIBLE, LESS_FEASIBLE):
         model = _Model(problem)
-        found = model.solved(tolerance, max_nodes, start, ends, 1e-6)
+        found = model.solved(tolerance, max_nodes, start, ends, improves, feasible)
+        if not found.status.startswith(FAILED):
+            break
+    else:
+        return _within_far(problem, found, tolerance, max_nodes, start, ends, improves, LESS_FEASIBLE)
     if found.x is None or found.bound == -math.inf or not model.fell:
         return found
-    within = _Model(problem, FAR).solved(tolerance, max_nodes - found.nodes, found.x, ends)
-    within = within._replace(nodes=within.nodes + found.nodes)
-    is_far = within.x is None or np.abs(within.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
-    return within._replace(status="unbounded", bound=-math.inf) if is_far else within
+    return _within_far(problem, found, tolerance, max_nodes - found.nodes, found.x, ends, improves, FEASIBLE)
+
+
+def _within_far(problem: EquilibriumProgram, before: Found, *limits: Any) -> Found:
+    """Return what SCIP finds in a large box: what goes to its faces falls for ever."""
+    found = _Model(problem, FAR).solved(*limits)
+    found = found._replace(nodes=found.nodes + before.nodes)
+    if found.status.startswith(FAILED):
+        return found._replace(x=before.x, value=before.value)
+    if found.x is None:
+        return before._replace(status=found.status, bound=-math.inf) if found.bound < math.inf else found
+    is_far = np.abs(found.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
+    return found._replace(status="unbounded", bound=-math.inf) if is_far else found
 
 
 class _Model:
@@ -151,7 +169,7 @@ class _Model:
 
     def solved(
         self, tolerance: float, max_nodes: float, start: FloatVector | None, ends: Watcher | None,
-        feasible: float = FEASIBLE,
+        improves: Improver | None, feasible: float,
     ) -> Found:
         """Return what SCIP finds."""
         if self._excludes:
@@ -163,13 +181,14 @@ class _Model:
             "limits/totalnodes": int(max_nodes) if max_nodes < 2**62 else -1,
         })
         if start is not None:
-            self._begin_with(start)
-        watcher = None if ends is None else self._watched_by(ends)
+            model.addSol(self._solution(start), free=True)
+        watcher = self._watched_by(ends, improves)
         try:
             model.optimize()
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
-            return Found(str(error), None, math.inf, -math.inf, 0)
-        if watcher is not None and watcher.error is not None:
+            words = str(error).strip(" !")
+            return Found(words if words.startswith(FAILED) else FAILED + words, None, math.inf, -math.inf, 0)
+        if watcher.error is not None:
             raise watcher.error
         status, x, value = model.getStatus(), None, math.inf
         if model.getNSols():
@@ -308,7 +327,7 @@ class _Model:
             exponent = float(name.removeprefix("power "))
             return u[0] ** (int(exponent) if exponent.is_integer() else exponent)
         forms: dict[str, Callable[..., Any]] = {
-            "exp": scip.exp, "log": scip.log, "sin": scip.sin, "cos": scip.cos, "absolute value": abs,
+            "exp": scip.exp, "log": scip.log, "sin": scip.sin, "cos": scip.cos,
             "product": lambda a, b: a * b, "quotient": lambda a, b: a / b,
             "log1p": lambda a: scip.log(1.0 + a), "log10": lambda a: scip.log(a) / math.log(10.0),
             "relative entropy": lambda a, b: a * _log(scip, a / b), "tan": lambda a: scip.sin(a) / scip.cos(a),
@@ -323,29 +342,34 @@ class _Model:
         if name not in forms:
             raise UnsupportedModel(
                 f"SCIP knows no {name}, so that no global bound is found; write it with products, quotients, powers, "
-                "exp, log, sqrt, sin, cos and abs, or leave out the objective and use requires_grad=True for a local "
+                "exp, log, sqrt, sin and cos, or leave out the objective and use requires_grad=True for a local "
                 "search"
             )
         return forms[name](*u)
 
     # --- the run ---
 
-    def _begin_with(self, x: FloatVector) -> None:
-        solution = self.model.createSol()
+    def _solution(self, x: FloatVector) -> Any:
+        solution = self.model.createOrigSol()
         for variable, value in zip(self.x, x.tolist(), strict=True):
             self.model.setSolVal(solution, variable, value)
         for variable, function in self.added:
             self.model.setSolVal(solution, variable, function(x))
-        self.model.addSol(solution, free=True)
+        return solution
 
-    def _watched_by(self, ends: Watcher) -> Any:
-        event = self.scip.SCIP_EVENTTYPE  # type: ignore[attr-defined]
+    def _relaxed(self) -> FloatVector | None:
+        """Return the point of the present node's relaxation, None where it has none."""
+        if self.model.getLPSolstat() != self.scip.SCIP_LPSOLSTAT.OPTIMAL:  # type: ignore[attr-defined]
+            return None
+        x = np.array([self.model.getSolVal(None, one) for one in self.x])
+        return x if (np.abs(x) < LARGEST).all() else None
 
-        class Handler(self.scip.Eventhdlr):  # type: ignore[misc, name-defined]
-            """Asks after each node whether the search ends."""
+    def _watched_by(self, ends: Watcher | None, improves: Improver | None) -> _Watched:
+        """Let SCIP ask after each node whether the search ends, and now and then for a better point."""
+        scip, own, watched = self.scip, self, _Watched(self.model)
+        event = scip.SCIP_EVENTTYPE
 
-            error: BaseException | None = None
-
+        class Nodes(scip.Eventhdlr):  # type: ignore[misc, name-defined]
             def eventinit(self) -> None:
                 self.model.catchEvent(event.NODESOLVED, self)
 
@@ -353,22 +377,49 @@ class _Model:
                 self.model.dropEvent(event.NODESOLVED, self)
 
             def eventexec(self, _: Any) -> None:
-                model = self.model
-                if self.error is not None:
-                    return
-                try:
-                    value, bound = model.getPrimalbound(), model.getDualbound()
-                    value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one
-                                    for one in (value, bound))
-                    if ends(value, bound, int(model.getNTotalNodes())):
-                        model.interruptSolve()
-                except BaseException as error:  # SCIP, written in C, would swallow it
-                    self.error = error
-                    model.interruptSolve()
+                if ends is not None and watched.call(ends, *watched.reached()):
+                    self.model.interruptSolve()
 
-        handler = Handler()
-        self.model.includeEventhdlr(handler, "lcp_plugin", "asks whether the search ends")
-        return handler
+        class Points(scip.Heur):  # type: ignore[misc, name-defined]  # an event is no place to add solutions
+            next_nodes = 2.0
+
+            def heurexec(self, *_: Any) -> dict[str, Any]:
+                nodes, better = watched.reached()[2], None
+                if improves is not None and nodes >= self.next_nodes:
+                    self.next_nodes = GROWTH * nodes
+                    better = watched.call(improves, own._relaxed())
+                is_found = better is not None and self.model.trySol(own._solution(better))
+                return {"result": scip.SCIP_RESULT.FOUNDSOL if is_found else scip.SCIP_RESULT.DIDNOTFIND}
+
+        self.model.includeEventhdlr(Nodes(), "lcp_plugin", "asks whether the search ends")
+        after = scip.SCIP_HEURTIMING.AFTERLPNODE
+        self.model.includeHeur(Points(), "lcp_plugin", "asks for a better point", "l", timingmask=after)
+        return watched
+
+
+class _Watched:
+    """Calls of ours from within a model's run, whose C code would swallow what they raise."""
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+        self.error: BaseException | None = None
+
+    def reached(self) -> tuple[float, float, int]:
+        """Return value, bound and nodes."""
+        value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one
+                        for one in (self.model.getPrimalbound(), self.model.getDualbound()))
+        return value, bound, int(self.model.getNTotalNodes())
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a function returns, None where it raises, which ends the run, or did before."""
+        if self.error is not None:
+            return None
+        try:
+            return function(*arguments)
+        except BaseException as error:
+            self.error = error
+            self.model.interruptSolve()
+            return None
 
 
 def _is_number(term: Any) -> bool:

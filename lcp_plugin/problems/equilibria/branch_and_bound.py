@@ -18,6 +18,7 @@ import heapq
 import math
 from collections import defaultdict
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,9 +32,9 @@ from ...core.registry import ask_or_none
 from ...core.settings import Status
 from ..programs.convexity import refuse_nonconvex
 from ..programs.qp_proofs import QPUnboundedness
-from .cuts import Strengthened, strengthened
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .incumbents import LocalSearch
+from .lower_level import tightened
 from .relaxations import Node, Relaxations
 from .result import CONTRADICTED, EquilibriumResult, Outside
 
@@ -152,11 +153,11 @@ class BranchAndBound:
         self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._is_infeasible = self._is_stuck = False
         self._gains: dict[tuple[int, int], list[float]] = defaultdict(list)
-        self._begin(Strengthened(problem, problem))
+        self._begin(problem)
 
-    def _begin(self, stronger: Strengthened) -> None:
+    def _begin(self, problem: EquilibriumProgram) -> None:
         """Begin with an empty tree."""
-        self.strengthened, self.problem = stronger, stronger.problem
+        self.problem = problem
         self.relaxations = Relaxations(self.problem, self.tolerance)
         self.tree: list[Node] = []
         self._open: list[tuple[float, int, Node]] = []
@@ -197,14 +198,11 @@ class BranchAndBound:
             return None
         if x0 is not None:
             self.local.from_point(x0)
-        if engine is None:
-            self.local.from_leaders(x0)
+        self.local.from_leaders(x0, most=None if engine is None else 1)
         if is_provable and self._next() is None:
             return None
         if engine is not None:
-            ended = self._ask(engine, ends)
-            if self.local.best is None and ended is not None:
-                self.local.from_leaders(x0, stops=True)
+            ended = self._ask(engine, ends, x0)
             if ended is not None or not is_provable or (self._is_closed() and not prove):
                 return ended
             if not prove:
@@ -220,7 +218,9 @@ class BranchAndBound:
             self.local.from_point(root.point)
         return self._next() is not None
 
-    def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
+    def _ask(
+        self, engine: Callable[..., Any], ends: Callable[[], bool], x0: FloatVector | None
+    ) -> Status | None:
         """Let a global solver search, and take what it says; return which limit ended it, or None."""
         before, best = self.nodes, self.local.best
 
@@ -228,9 +228,17 @@ class BranchAndBound:
             self.nodes, self._outside_value, self.outside = before + nodes, value, Outside("", bound)
             return ends()
 
+        def improved(x: FloatVector | None) -> FloatVector | None:
+            before = self.local.best
+            self.local.from_leaders(x0, most=1)
+            if x is not None:
+                self.local.from_point(x)
+            best = self.local.best
+            return None if best is before or best is None else best.point
+
         found = engine(
-            self.original, tolerance=self.tolerance, max_nodes=self.max_nodes,
-            start=None if best is None else best.point, ends=watched,
+            self._tighter, tolerance=self.tolerance, max_nodes=self.max_nodes,
+            start=None if best is None else best.point, ends=watched, improves=improved,
         )
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = Outside(found.status, found.bound)
@@ -240,15 +248,18 @@ class BranchAndBound:
             self.outside = Outside(CONTRADICTED, -math.inf)
         return ENDS.get(found.status)
 
+    @cached_property
+    def _tighter(self) -> EquilibriumProgram:
+        return tightened(self.original)
+
     def _is_closed(self) -> bool:
         value = self.local.value
         return value < math.inf and value - self.lower_bound <= self.tolerance * max(1.0, abs(value))
 
     def _search(self, ends: Callable[[], bool]) -> Status | None:
         """Branch until no node is open; return which limit came first, or None."""
-        stronger = strengthened(self.original)
-        if stronger.problem is not self.original:
-            self._begin(stronger)
+        if self._tighter is not self.original:
+            self._begin(self._tighter)
             self._root()
         while self._next() is not None and self.descent is None:
             if (ended := self._limit(ends)) is not None:
@@ -366,9 +377,9 @@ class BranchAndBound:
         is_proved = status is Status.SOLVED and bound_by == "proof"
         is_stationary = None if best is None else True if is_proved else self.local.is_stationary()
         return EquilibriumResult(
-            self.strengthened, status, None if best is None else best.point, value, lower, bound_by, is_stationary,
-            self.nodes, self.relaxations.solved + self.local.relaxations.solved, self.clock.read(), self.tolerance,
-            tuple(self.tree), self.descent, self.outside,
+            self.original, self.problem, status, None if best is None else best.point, value, lower, bound_by,
+            is_stationary, self.nodes, self.relaxations.solved + self.local.relaxations.solved, self.clock.read(),
+            self.tolerance, tuple(self.tree), self.descent, self.outside,
         )
 
 

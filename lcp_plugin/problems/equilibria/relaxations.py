@@ -159,7 +159,7 @@ class Relaxations:
         lower[whole] = upper[whole] = np.clip(np.rint(near[whole]), np.ceil(lower[whole]), np.floor(upper[whole]))
         if (lower > upper).any():
             return node
-        around = _Around(self.problem, np.clip(near, lower, upper))
+        around, last = _Around(self.problem, np.clip(near, lower, upper)), None
         size = float(np.abs(around.slope).max(initial=0.0)) or 1.0
         sigma, penalty = 0.0 if self.problem.is_convex else size * FLATTER**3, 0.0
         for _ in range(MOST_PROGRAMS):
@@ -177,7 +177,7 @@ class Relaxations:
             step = _Around(self.problem, np.clip(solution.x, lower, upper))
             moved = float(np.abs(step.x - around.x).max(initial=0.0))
             if step.merit(penalty) <= around.merit(penalty) or sigma == 0.0:
-                around, sigma = step, sigma * FLATTER
+                around, last, sigma = step, solution, sigma * FLATTER
                 if moved <= REACHED * (1.0 + np.abs(step.x).max(initial=0.0)) or sigma == 0.0:
                     break
             elif moved <= REACHED or sigma > STEEPEST * size:
@@ -186,6 +186,8 @@ class Relaxations:
                 sigma = max(STEEPER * sigma, size * FLATTER**3)
         if around.is_defined and self.problem.excess(around.x) <= FEASIBLE:
             node.point, node.value = around.x, self.problem.objective(around.x)
+            if last is not None and self.problem.smooth is None:  # rows are the program's, in their order
+                node.dual = around.x, np.concatenate([last.inequality, last.equality])
         return node
 
     def _solution(self, program: QuadraticProgram) -> QPSolution | None:

@@ -3,8 +3,8 @@
 The relaxation with all cases open comes first: its bound, or its refutation, is proved. SCIP's point gives the cases
 of a piece, which is solved again here. Our own nodes follow where a proof is asked for, or SCIP is not here, or what
 it says, that there is no solution or no least one, waits for a proof: a node leaves some cases of each pair open, its
-children take one case each of the pair that its relaxation violates most, or by experience moves the bound most. The
-search dives: of the children it goes on with the lower bound, and when a dive ends, with the lowest bound of all.
+children take one case each of the pair that its relaxation violates most. The search dives: of the children it goes
+on with the lower bound, and when a dive ends, with the lowest bound of all.
 
 References
 ----------
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections import defaultdict
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -40,7 +39,6 @@ from .result import CONTRADICTED, EquilibriumResult, Outside
 
 MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
 SHARE = 0.5  # of the tolerance: how near the best value a node's bound has to be to close it
-LEAST_GAIN = 1e-9
 OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
 GROWTH = 1.5  # of the nodes from one line of the log to the next
 MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
@@ -152,7 +150,6 @@ class BranchAndBound:
         self._outside_value = math.inf  # of a point that is not confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._is_infeasible = self._is_stuck = False
-        self._gains: dict[tuple[int, int], list[float]] = defaultdict(list)
         self._begin(problem)
 
     def _begin(self, problem: EquilibriumProgram) -> None:
@@ -308,8 +305,6 @@ class BranchAndBound:
                 cases = node.cases.copy()
                 cases[pair] = case
                 child = self.relaxations.node(cases, node)
-                if math.isfinite(node.bound) and math.isfinite(child.bound):
-                    self._gains[pair, case].append(child.bound - node.bound)
                 children.append(child)
         children.sort(key=lambda child: child.bound)
         self.tree += children
@@ -335,16 +330,7 @@ class BranchAndBound:
         wrong = np.flatnonzero((case_counts(node.cases) > 1) & is_wrong)
         if not wrong.size:
             return -1
-        scores = np.array([self._score(int(pair)) for pair in wrong])
-        new = np.flatnonzero(np.isnan(scores))
-        if new.size:
-            return int(wrong[new[np.argmax(violations[wrong[new]])]])
-        return int(wrong[np.argmax(scores)])
-
-    def _score(self, pair: int) -> float:
-        """Return the product of what the cases of a pair have gained on average, NaN where that is not known."""
-        means = [float(np.mean(self._gains[pair, case])) for case in CASES if self._gains.get((pair, case))]
-        return math.prod(max(mean, LEAST_GAIN) for mean in means) if len(means) > 1 else math.nan
+        return int(wrong[np.argmax(violations[wrong])])
 
     def _settle(self, piece: Node) -> None:
         """Close a piece that is neither solved to its bound nor refuted: it falls for ever, or nothing is known."""

@@ -53,7 +53,7 @@ def main(out: Path = Path()) -> None:
     second = spsolve(problem.csr[warm][:, warm].tocsc(), -(problem.slack(hot))[warm])
     apart = abs(z[warm] - second).max()
     print(f"check: with the same {problem.n - warm.size} hottest points a linear solve differs by {apart:.1e}")
-    report.plot(out / "error_against_time.png")
+    report.save(out / "error_against_time.png")
 
 
 if __name__ == "__main__":

@@ -187,7 +187,8 @@ def program(name: str, ends: Any, x: Any, P: Any, c: Any, **rest: Any) -> Sample
 
 def least_squares(name: str, A: Any, b: Any, x: Any, **bounds: Any) -> Sample:
     A, b = np.asarray(A, float), np.asarray(b, float)
-    data = full_data(A.T @ A, -A.T @ b, **{"lower": 0.0, **bounds})
+    rest = {name: bound for name, bound in bounds.items() if name != "l1"}  # x ≥ 0: a penalty is linear
+    data = full_data(A.T @ A, bounds.get("l1", 0.0) - A.T @ b, **{"lower": 0.0, **rest})
     return Sample(
         name, "BoundedLeastSquares", BoundedLeastSquares(A, b, **bounds), (Status.SOLVED,), x,
         lambda: cvxpy_program(data), lambda: pyomo_program(data), data,
@@ -240,6 +241,7 @@ SAMPLES = [
     program("LP, unbounded", (Status.UNBOUNDED,), None, None, [-1.0, 0.0], lower=0.0),
     least_squares("least squares", [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [2.0, 1.0, -1.0], [1.5, 0.0]),
     least_squares("least squares in a box", [[1.0, 0.0], [0.0, 2.0]], [5.0, 1.0], [3.0, 0.5], upper=3.0),
+    least_squares("least squares, l1", [[1.0, 0.0], [0.0, 2.0]], [5.0, 0.25], [4.0, 0.0], l1=1.0),
     least_squares("least squares, rank deficient", [[1.0, 1.0], [2.0, 2.0]], [1.0, 2.0], None),
     equilibrium("objective", GOOD, [0.5, 0.0], [[2.0, 0.0], [0.0, 0.0]], [-2.0, 1.0], 1, [-1.0, 1.0], 0.5),
     equilibrium("objective, infeasible", (Status.INFEASIBLE,), None, np.eye(2), [1.0, 1.0], 1, [1.0, 1.0], 0.0,

@@ -32,12 +32,12 @@ OF_SOLVE = {
     "algorithm": (str, "a name that lcp-plugin list shows (auto) *"),
     "max_iterations": (int, "limit of iterations (100000), or of nodes (none)"),
     "max_seconds": (float, "limit of wall-clock seconds (none)"),
+    "prove": (int, "1 asks for a proof of the gap, of an objective beside complementarities alone (0)"),
     "threads": (int, "how many threads it may use (all)"),
     "tolerance": (float, "solved means a residual of at most this (1e-8), or such a gap (1e-6)"),
 }
 OF_COMMAND = {
     "outlev": (int, "1 prints the run (0)"),
-    "prove": (int, "1 has the bound proved where an objective stands beside complementarities (0)"),
     "timing": (int, "1 adds the seconds of reading, solving and writing to the message (0)"),
     "version": (int, "1 adds the version line to the output (0)"),
     "wantsol": (int, "without -AMPL, the sum of: 1 write .sol, 2 print values, 4 print duals, 8 no message (0)"),
@@ -67,7 +67,8 @@ class Call:
     @property
     def settings(self) -> dict[str, Any]:
         """What the solver is called with."""
-        own = {name: value for name, value in self.asked.items() if name in OF_SOLVE}
+        own = {name: value for name, value in self.asked.items() if name in OF_SOLVE and name != "prove"}
+        own |= {"prove": True} if self.of_command("prove") else {}
         return own | ({"verbose": True} if self.of_command("outlev") else {})
 
     @property
@@ -184,7 +185,8 @@ def _solve(call: Call) -> int:
     """Solve the stub, and write, print or both."""
     from ..core.settings import Settings
 
-    Settings(**{name: value for name, value in call.settings.items() if name != "algorithm"})  # before anything is read
+    of_run = {name: value for name, value in call.settings.items() if name not in ("algorithm", "prove")}
+    Settings(**of_run)  # before anything is read
     from ..doors.nl.reading import read_content, source_of
 
     began = time.perf_counter()
@@ -210,15 +212,12 @@ def _solve(call: Call) -> int:
 
 def _answer(content: NLContent, call: Call) -> tuple[str, Any, Any, int]:
     """Return message, values, duals and code; a model that is refused is answered by its refusal."""
-    from ..doors.nl.answers import EquilibriumModel
     from ..doors.nl.model import model_of
 
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("default", UserWarning)
-            model = model_of(content)
-            more = {"prove": bool(call.of_command("prove"))} if isinstance(model, EquilibriumModel) else {}
-            answer = model.solve(**call.settings, **more)
+            answer = model_of(content).solve(**call.settings)
     except (LCPError, MemoryError) as error:
         if isinstance(error, (InvalidOption, UnknownAlgorithm)) and not call.writes:
             raise  # of the caller, not of the model

@@ -58,7 +58,7 @@ def main(
     "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
     "solve folder_with_M_and_q/ --json", "solve program.qps --out answer.npz", "solve model.nl",
-    "solve own.npz --plot out.png --grid 500x500",
+    "solve own.npz --plot out.png --grid 500x500", "solve own.npz --plot p.png --rows 0:40 --points xy.npy",
     "solve obstacle-2d --size 500 --backend petsc --out answer",
 )
 def solve(
@@ -91,6 +91,13 @@ def solve(
     grid: Annotated[
         str | None, typer.Option(help="Of a file's unknowns, for the picture: rows x columns, as 500x500.")
     ] = None,
+    rows: Annotated[
+        str | None, typer.Option(help="The rows in the picture, z and w: 0:40,45, or a .npy file of them.")
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(help="Coordinates of the rows for the picture: a .npy file, shape (n,), or (n, 2) in a plane."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Save z and w, or x and its multipliers: an .npz file; with petsc a folder."),
@@ -114,10 +121,10 @@ def solve(
         threads=threads, **({} if tolerance is None else {"tolerance": tolerance}),
     )
     chosen, options = own_algorithm(algorithm, solving.options(relaxation, option or []))
-    shape = solving.checked_grid(grid, plot)
+    picture = solving.Picture.asked(plot, grid, rows, points)
     if solving.is_model(target):
-        return solving.run_model(target, size, backend, chosen, options, settings, plot, shape, out, as_json=json)
-    return solving.run(kinds[backend](), target, size, chosen, options, settings, plot, shape, out, as_json=json)
+        return solving.run_model(target, size, backend, chosen, options, settings, picture, out, as_json=json)
+    return solving.run(kinds[backend](), target, size, chosen, options, settings, picture, out, as_json=json)
 
 
 @command(
@@ -248,7 +255,7 @@ def study(
     option: Annotated[
         list[str] | None, typer.Option("--option", "-o", help="Of the only algorithm given: name=value.")
     ] = None,
-    size: Annotated[list[int] | None, typer.Option(help="Sizes of the families; give it once for each.")] = None,
+    size: Annotated[list[str] | None, typer.Option(help="Sizes of the families: 50,100, or once for each.")] = None,
     repeats: Annotated[int | None, typer.Option(help="Runs behind each median of seconds; by default 3.")] = None,
     tolerance: Annotated[float | None, typer.Option(help="SOLVED means a residual of at most this: 1e-8.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds of a run: 20.")] = None,
@@ -273,7 +280,7 @@ def study(
             raise InvalidOption("--option is for one --algorithm; with several write a study file, [methods]")
         methods = [((algorithm or [])[0], solving.options(None, option))]
     return measured.run([*(targets or []), *(problem or [])], {
-        "methods": methods, "sizes": size, "repeats": repeats, "tolerance": tolerance,
+        "methods": methods, "sizes": measured.sizes_of(size or []), "repeats": repeats, "tolerance": tolerance,
         "max_seconds": max_seconds, "max_work": max_work, "error_bound": error_bound, "out": out, "save": save,
     })
 

@@ -65,9 +65,87 @@ class OneProcess:
         return save_arrays(out, result.status, {"z": result.z, "w": result.w})
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What --plot saves: all unknowns, on a grid where one is given, or some rows over their coordinates.
+
+    Attributes
+    ----------
+    path : Path or None
+    grid : tuple of int, optional
+        Rows and columns.
+    rows : array of int or of bool, optional
+    points : array, shape (n,) or (n, 2), optional
+    """
+
+    path: Path | None = None
+    grid: tuple[int, ...] | None = None
+    rows: Any = None
+    points: Any = None
+
+    @classmethod
+    def asked(cls, path: Path | None, grid: str | None, rows: str | None, points: Path | None) -> Picture:
+        """Return what the options ask for, or raise InvalidOption or UnreadableFile."""
+        given = {"grid": grid, "rows": rows, "points": points}
+        for name, value in given.items():
+            if value is not None and path is None:
+                raise InvalidOption(f"--{name} {value} is for a picture; give --plot FILE as well")
+        if grid is not None and (rows is not None or points is not None):
+            raise InvalidOption("--grid is that of all unknowns; give it without --rows and --points")
+        shape = None if grid is None else checked_grid(grid)
+        return cls(path, shape, _checked_rows(rows), None if points is None else _array_in(points))
+
+    @property
+    def is_of_rows(self) -> bool:
+        """Whether rows or their coordinates are given."""
+        return self.rows is not None or self.points is not None
+
+    def check(self, problem: LCP) -> None:
+        """Raise where there are no such rows, or not a place for each."""
+        if self.is_of_rows:
+            from ..evidence.plots import checked_rows
+
+            if problem.is_distributed:
+                raise InvalidOption("--rows and --points are for one process; save with --out and plot that")
+            checked_rows(self.rows, self.points, problem.n)
+
+    def save(self, answer: Any) -> None:
+        """Write the picture of an answer."""
+        from ..evidence.plots import save_plot
+
+        assert self.path is not None
+        save_plot(answer, self.path, self.grid, rows=self.rows, over=self.points)
+
+
+def _checked_rows(text: str | None) -> Any:
+    """Return the rows that --rows names: numbers and ranges, as 0:40,45, or a .npy file of numbers or truth values."""
+    if text is None:
+        return None
+    if text.endswith(".npy"):
+        return _array_in(Path(text))
+    rows: list[int] = []
+    for part in text.split(","):
+        try:
+            first, *rest = map(int, part.split(":"))
+        except ValueError:
+            raise InvalidOption(f"--rows wants numbers and ranges, as 0:40,45, or a .npy file; got {text!r}") from None
+        rows += range(first, *rest) if rest else [first]
+    return np.array(rows, dtype=np.intp)
+
+
+def _array_in(path: Path) -> Any:
+    """Return the array in a .npy file."""
+    try:
+        return np.load(path, allow_pickle=False)
+    except OSError as error:
+        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from None
+    except (ValueError, EOFError):
+        raise UnreadableFile(f"{path} holds no array; write it with numpy.save, as a .npy file") from None
+
+
 def run(
     here: OneProcess, target: str, size: int | None, algorithm: Any, options: dict[str, Any], settings: dict[str, Any],
-    plot: Path | None, grid: tuple[int, ...] | None, out: Path | None, *, as_json: bool,
+    picture: Picture, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved, the same on every rank."""
     from ..core.policy.choice import policy_for
@@ -75,16 +153,20 @@ def run(
     with here.ending_together():
         Settings(**settings)  # a wrong one is seen before anything is built
         chosen = policy_for(algorithm, options, on_ranks=not here.communicator.is_alone).chosen
+        plot = picture.path
         here.communicator.from_first(lambda: here.check_outputs(target, plot, out))
         problem, scene = here.read(target, size)
-        pictured = scene if grid is None else on_grid(problem, target, scene, grid)
+        picture.check(problem)
+        pictured = scene if picture.grid is None else on_grid(problem, target, scene, picture.grid)
         results = _solve_all(problem, scene, {**settings, "algorithm": chosen, "record": plot is not None})
         more, lines = here.beyond()
         content, story = _content(results) | more, _story(results, scene, lines)
 
         def saved() -> list[Path]:
             files = [] if out is None else here.save(results[-1], content, out)
-            if plot is not None:
+            if plot is not None and picture.is_of_rows:
+                picture.save(results[-1])
+            elif plot is not None:
                 from ..evidence.pictures import draw
 
                 draw(results[-1], plot, pictured, results)
@@ -122,12 +204,8 @@ def on_grid(problem: LCP, target: str, scene: Any, grid: tuple[int, ...]) -> Any
     return Scene(problem=problem, name=target, is_declared=False, grid=shape, axis_labels=labels_of(grid))
 
 
-def checked_grid(text: str | None, plot: Path | None) -> tuple[int, ...] | None:
+def checked_grid(text: str) -> tuple[int, ...]:
     """Return the shape that --grid names, rows x columns, or raise InvalidOption."""
-    if text is None:
-        return None
-    if plot is None:
-        raise InvalidOption(f"--grid {text} is the grid of a picture; give --plot FILE as well")
     sizes = text.lower().replace("×", "x").split("x")
     if not all(size.strip().isdecimal() and int(size) for size in sizes):
         raise InvalidOption(f"--grid wants whole numbers, rows x columns, as --grid 500x500; got {text!r}")
@@ -255,32 +333,34 @@ def is_model(target: str) -> bool:
 
 def run_model(
     target: str, size: int | None, backend: str, algorithm: Any, options: dict[str, Any], settings: dict[str, Any],
-    plot: Path | None, grid: tuple[int, ...] | None, out: Path | None, *, as_json: bool,
+    picture: Picture, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved."""
     from ..core.policy.choice import policy_for
 
-    for name, is_given, whose in (("--size", size is not None, "a scene"), ("--backend", backend != "serial", "LCPs")):
+    for name, is_given, whose in (
+        ("--size", size is not None, "a scene"), ("--backend", backend != "serial", "LCPs"),
+        ("--rows", picture.rows is not None, "LCPs"), ("--points", picture.points is not None, "LCPs"),
+    ):
         if is_given:
             raise InvalidOption(f"{name} is for {whose}, not for this file; leave it out")
     Settings(**settings)
     plain = {one.name: one.default for one in fields(Settings)}
     asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
+    asked |= {name: options.pop(name) for name in ("prove",) if name in options}  # of a search
     chosen = policy_for(algorithm, options).chosen
-    OneProcess().check_outputs(target, plot, out)
+    OneProcess().check_outputs(target, picture.path, out)
     find = _in_nl if Path(target.strip()).suffix.lower() == ".nl" else _in_arrays
     found = find(target.strip(), chosen, asked)
     LINE.say("")
     content = {"status": found.status.name, **found.more, "model": found.model, "run": found.result.to_content()}
 
     def saved() -> list[Path]:
-        if plot is not None:
-            from ..evidence.plots import save_plot
-
-            save_plot(found.result, plot, grid)
+        if picture.path is not None:
+            picture.save(found.result)
         return [] if out is None else save_arrays(out, found.status, found.vectors)
 
-    _tell(content, _model_story(target, found), as_json, plot, saved)
+    _tell(content, _model_story(target, found), as_json, picture.path, saved)
     return found.status is Status.SOLVED
 
 

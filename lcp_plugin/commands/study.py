@@ -10,6 +10,7 @@ from typing import Any
 import typer
 
 from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
+from ..core.written import in_words
 from ..evidence.drawing import FORMATS, require_matplotlib
 from ..evidence.exporting import TABLES
 from ..evidence.results import VIEWS, Study
@@ -53,8 +54,23 @@ def run(targets: Sequence[str], given: Mapping[str, Any]) -> bool:
     again = f", {found.found} of them from a former run" if found.found else ""
     missing = len(found.missing)
     rest = f"; interrupted, {missing} missing: the same command goes on from here" if missing else ""
-    typer.echo(f"{out}: {len(found.rows)} rows{again}{rest}")
+    typer.echo(f"{out}: {in_words(len(found.rows), 'row')}{again}{rest}")
     return not found.missing and all(row.curve.status != "ERROR" for row in found.rows)
+
+
+def sizes_of(texts: Sequence[str]) -> list[int]:
+    """Return the sizes that stand behind --size, separated by commas or not.
+
+    Raises
+    ------
+    InvalidOption
+        Where one is no whole number.
+    """
+    try:
+        return [int(size) for text in texts for size in text.split(",")]
+    except ValueError:
+        wrong = ", ".join(map(repr, texts))
+        raise InvalidOption(f"--size must be whole numbers, as --size 50,100, got {wrong}") from None
 
 
 def _of_file(file: Path) -> dict[str, Any]:

@@ -99,7 +99,8 @@ def rectangular_matrix(
         check_kind(values.dtype, need)
     matrix = values if is_sparse else real_array(values, need)
     if matrix.ndim != 2 or rows not in (None, matrix.shape[0]) or columns not in (None, matrix.shape[1]):
-        hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
+        fits = matrix.ndim == 2 and rows in (None, matrix.shape[1]) and columns in (None, matrix.shape[0])
+        hint = f"; did you mean {name}.T?" if fits else "; write a single row as [[…]]" if matrix.ndim == 1 else ""
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if is_sparse:
         return canonical_csr(matrix, name, is_copied=is_copied)

@@ -65,7 +65,7 @@ _limit: ContextVar[tuple[float, bool]] = ContextVar("limit", default=(math.inf, 
 
 
 class OutOfTimeError(Exception):
-    """The limit of a run passed inside work that cannot be divided; who set the limit ends the run."""
+    """Work that cannot be divided would end after the limit of a run; who set the limit ends the run."""
 
 
 class Compilation:
@@ -197,7 +197,8 @@ def _now() -> float:
 def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
     """Let what runs inside know that it ends so many seconds from now.
 
-    Where the limit is enforced, work that cannot be divided raises OutOfTimeError, which the caller expects.
+    Where the limit is enforced, work that cannot be divided is not begun where it is predicted to end later:
+    OutOfTimeError, which the caller expects.
     """
     token = _limit.set((_now() + seconds, is_enforced))
     try:
@@ -224,6 +225,20 @@ def enforced_seconds_left() -> float:
     """Return the seconds until the limit, less than 0 beyond it; ∞ where none is enforced."""
     until, is_enforced = _limit.get()
     return until - _now() if is_enforced else math.inf
+
+
+def require_seconds(predicted: float) -> None:
+    """Raise OutOfTimeError where work that cannot be divided is predicted to end after an enforced limit.
+
+    Examples
+    --------
+    >>> with time_limit(1.0, is_enforced=True):
+    ...     require_seconds(60.0)
+    Traceback (most recent call last):
+    lcp_plugin.core.deadline.OutOfTimeError
+    """
+    if predicted > enforced_seconds_left():
+        raise OutOfTimeError
 
 
 def is_over() -> bool:

@@ -30,7 +30,7 @@ class Status(Enum):
     )
     MAX_ITERATIONS = "the iteration limit came first: raise max_iterations"
     MAX_SECONDS = "the time limit came first: raise max_seconds"
-    STALLED = "the residual no longer falls enough to converge within max_iterations"
+    STALLED = "the residual has stopped falling, or falls too slowly to arrive within max_iterations"
     DIVERGED = "the iteration left every reasonable range"
     INFEASIBLE = (
         "no z within the bounds gives w the signs it needs, by more than the tolerance; result.proof proves "

@@ -1,4 +1,4 @@
-"""Reprs that can be pasted: of small problems the call that makes them again, bit for bit."""
+"""Reprs that can be pasted: of small problems the call that makes them again, bit for bit; counts in words."""
 
 from __future__ import annotations
 
@@ -10,6 +10,17 @@ import scipy.sparse as sp
 from .checks import FloatVector
 
 WRITTEN_UP_TO = 8  # unknowns: up to here a repr holds all data
+
+
+def in_words(count: int, what: str) -> str:
+    """Return how many there are.
+
+    Examples
+    --------
+    >>> in_words(1, "iteration"), in_words(12, "iteration")
+    ('1 iteration', '12 iterations')
+    """
+    return f"{count} {what}" + "s" * (count != 1)
 
 
 def written_lcp(problem: Any) -> str:

@@ -11,7 +11,8 @@ A pair is a special ordered set: of z − lower and w, both ≥ 0, at most one i
 w = w⁺ − w⁻. Smooth terms are expressions of SCIP's, term by term; what occurs twice inside others is a variable.
 
 Where its first relaxation falls for ever, SCIP may cut off children that do, too, and call the rest optimal (release
-10, special ordered sets). Then it is asked again within |x| ≤ 10⁶, and what reaches that far is called unbounded.
+10, special ordered sets). Then it is asked again within |x| ≤ 10⁶, and what reaches that far is called unbounded; so it
+is where SCIP itself calls the objective unbounded, for a point that is a number.
 
 What comes out is in floating point, feasible to 1e-8 at best, and no proof: :mod:`lcp_plugin.problems.equilibria` reads
 off the cases, solves the pairs again, measures the point, and says whose the bound is. SCIP asks for no licence key.
@@ -24,8 +25,9 @@ S. Bolusani et al., *The SCIP Optimization Suite 9.0* (2024), arXiv:2402.17702.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from importlib.util import find_spec
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,14 +38,15 @@ from ..core.deadline import seconds_left
 from ..core.errors import UnsupportedModel
 from ..modeling.expressions.functions import Function
 from ..modeling.expressions.program import Combination, Program
+from ..problems.equilibria.branch_and_bound import ENDS
 from ..problems.equilibria.equilibrium_program import BETWEEN, LOWER, UPPER, EquilibriumProgram
-from ..problems.equilibria.result import FAILED
 
 LARGEST = 1e20  # what is farther is infinite for SCIP
 LONGEST = 1e20  # seconds
 SHARE = 0.25  # of the gap that is asked for
 FAR, INSIDE = 1e6, 1e-3  # a box for what falls for ever, and what is near it, relatively
 FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
+FAILED = "SCIP:"  # what its errors begin with
 LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better
 GROWTH = 1.5  # of the nodes between two points that are asked for
 
@@ -59,6 +62,7 @@ class Found(NamedTuple):
     status : str
         SCIP's word.
     x : ndarray, shape (n,), or None
+        None where an entry is infinite.
     value, bound : float
         Of the objective; ∞ and −∞ where there is none.
     nodes : int
@@ -72,11 +76,12 @@ class Found(NamedTuple):
 
 
 def minimize_or_none() -> Callable[..., Found] | None:
-    """Return `minimize`, None where pyscipopt is not installed."""
+    """Return `minimize`, None where pyscipopt is not installed, or does not load."""
     try:
-        return minimize if find_spec("pyscipopt") is not None else None
-    except ValueError:  # it is None among the modules that are loaded
+        import pyscipopt  # noqa: F401
+    except ImportError:
         return None
+    return minimize
 
 
 def minimize(
@@ -115,23 +120,18 @@ def minimize(
         found = model.solved(tolerance, max_nodes, start, ends, improves, feasible)
         if not found.status.startswith(FAILED):
             break
-    else:
-        return _within_far(problem, found, tolerance, max_nodes, start, ends, improves, LESS_FEASIBLE)
-    if found.x is None or found.bound == -math.inf or not model.fell:
+    is_unbounded = found.status == "unbounded"
+    if not is_unbounded and (found.x is None or not model.fell):
         return found
-    return _within_far(problem, found, tolerance, max_nodes - found.nodes, found.x, ends, improves, FEASIBLE)
-
-
-def _within_far(problem: EquilibriumProgram, before: Found, *limits: Any) -> Found:
-    """Return what SCIP finds in a large box: what goes to its faces falls for ever."""
-    found = _Model(problem, FAR).solved(*limits)
-    found = found._replace(nodes=found.nodes + before.nodes)
-    if found.status.startswith(FAILED):
-        return found._replace(x=before.x, value=before.value)
-    if found.x is None:
-        return before._replace(status=found.status, bound=-math.inf) if found.bound < math.inf else found
-    is_far = np.abs(found.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
-    return found._replace(status="unbounded", bound=-math.inf) if is_far else found
+    if found.status in ENDS:  # of the children that were cut off it may know nothing
+        return found._replace(bound=-math.inf)
+    within = _Model(problem, FAR).solved(tolerance, max_nodes - found.nodes, found.x, ends, improves, FEASIBLE)
+    within = within._replace(nodes=within.nodes + found.nodes)
+    if within.status.startswith(FAILED) and not is_unbounded:
+        return within._replace(x=found.x, value=found.value)
+    is_far = within.x is None or np.abs(within.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
+    is_deep = within.value <= -LARGEST * (1.0 - INSIDE)
+    return within._replace(status="unbounded", bound=-math.inf) if is_unbounded or is_far or is_deep else within
 
 
 class _Model:
@@ -179,21 +179,26 @@ class _Model:
             "limits/time": min(seconds_left(), LONGEST), "limits/gap": SHARE * tolerance,
             "limits/absgap": SHARE * tolerance, "numerics/feastol": feasible, "timing/clocktype": 2,
             "limits/totalnodes": int(max_nodes) if max_nodes < 2**62 else -1,
+            "heuristics/multistart/freq": -1,  # takes 10 s where bounds are missing
         })
         if start is not None:
             model.addSol(self._solution(start), free=True)
-        watcher = self._watched_by(ends, improves)
+        silence = _Silence()
+        watcher = self._watched_by(ends, improves, silence)
         try:
-            model.optimize()
+            with silence:
+                model.optimize()
+        except MemoryError:
+            raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
-            words = str(error).strip(" !")
-            return Found(words if words.startswith(FAILED) else FAILED + words, None, math.inf, -math.inf, 0)
+            return Found(str(error), None, math.inf, -math.inf, 0)
         if watcher.error is not None:
             raise watcher.error
         status, x, value = model.getStatus(), None, math.inf
         if model.getNSols():
             best = model.getBestSol()
             x, value = np.array([model.getSolVal(best, one) for one in self.x]), model.getSolObjVal(best)
+            x = x if (np.abs(x) < LARGEST).all() else None
         bound = model.getDualbound()
         bound = math.copysign(math.inf, bound) if abs(bound) >= LARGEST else bound
         return Found(status, x, value, bound, int(model.getNTotalNodes()))
@@ -364,9 +369,9 @@ class _Model:
         x = np.array([self.model.getSolVal(None, one) for one in self.x])
         return x if (np.abs(x) < LARGEST).all() else None
 
-    def _watched_by(self, ends: Watcher | None, improves: Improver | None) -> _Watched:
+    def _watched_by(self, ends: Watcher | None, improves: Improver | None, silence: _Silence) -> _Watched:
         """Let SCIP ask after each node whether the search ends, and now and then for a better point."""
-        scip, own, watched = self.scip, self, _Watched(self.model)
+        scip, own, watched = self.scip, self, _Watched(self.model, silence)
         event = scip.SCIP_EVENTTYPE
 
         class Nodes(scip.Eventhdlr):  # type: ignore[misc, name-defined]
@@ -400,8 +405,8 @@ class _Model:
 class _Watched:
     """Calls of ours from within a model's run, whose C code would swallow what they raise."""
 
-    def __init__(self, model: Any) -> None:
-        self.model = model
+    def __init__(self, model: Any, silence: _Silence) -> None:
+        self.model, self.silence = model, silence
         self.error: BaseException | None = None
 
     def reached(self) -> tuple[float, float, int]:
@@ -415,11 +420,47 @@ class _Watched:
         if self.error is not None:
             return None
         try:
-            return function(*arguments)
+            with self.silence.lifted():
+                return function(*arguments)
         except BaseException as error:
             self.error = error
             self.model.interruptSolve()
             return None
+
+
+class _Silence:
+    """Sends what C writes to stderr nowhere: SCIP's linear solver warns there, whatever its output is set to.
+
+    SCIP holds Python's lock, so that no other thread writes meanwhile; it is lifted for what is called back.
+    """
+
+    def __enter__(self) -> None:
+        self._stderr: int | None = None
+        with suppress(OSError):  # nobody may have opened it
+            self._stderr = os.dup(2)
+            self._begin()
+
+    def __exit__(self, *raised: object) -> None:
+        if self._stderr is not None:
+            os.dup2(self._stderr, 2)
+            os.close(self._stderr)
+
+    def _begin(self) -> None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
+
+    @contextmanager
+    def lifted(self) -> Iterator[None]:
+        """Let stderr be what it was."""
+        if self._stderr is None:
+            yield
+            return
+        os.dup2(self._stderr, 2)
+        try:
+            yield
+        finally:
+            self._begin()
 
 
 def _is_number(term: Any) -> bool:

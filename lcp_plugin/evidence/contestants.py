@@ -128,6 +128,9 @@ def _contestant(label: Any, one: Any) -> Contestant:
     """Return who takes part: an algorithm, made of its name or of a pair of its name and its options, or "auto"."""
     made = one
     if not isinstance(one, Algorithm):
+        if isinstance(one, type):
+            name = one.__name__
+            raise InvalidOption(f"an algorithm is a name or an object, got the class {name}; write {name}()")
         if not (isinstance(one, str) or _is_with_options(one)):
             raise InvalidOption(
                 'an algorithm is a name, an Algorithm object or a pair as in ("npsor", {"relaxation": 1.5}), '
@@ -234,7 +237,12 @@ def told(error: BaseException) -> str:
 def own_frame(error: BaseException) -> traceback.FrameSummary | None:
     """Return the last frame of an error that is neither ours nor a library's, None where there is none."""
     frames = traceback.extract_tb(error.__traceback__)
-    return next((one for one in reversed(frames) if not one.filename.startswith((*OURS, "<"))), None)
+    return next((one for one in reversed(frames) if not _is_installed(one.filename)), None)
+
+
+def _is_installed(path: str) -> bool:
+    """Return whether a file is ours, of a library, wherever that is installed, or none at all."""
+    return path.startswith((*OURS, "<")) or not {"site-packages", "dist-packages"}.isdisjoint(Path(path).parts)
 
 
 def own_source(thing: Any) -> str:
@@ -242,7 +250,7 @@ def own_source(thing: Any) -> str:
     if isinstance(thing, str):
         return ""
     path = getattr(sys.modules.get(type(thing).__module__), "__file__", None)
-    if path is None or path.startswith(OURS) or not Path(path).is_file():
+    if path is None or _is_installed(path) or not Path(path).is_file():
         return ""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 

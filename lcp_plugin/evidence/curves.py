@@ -14,8 +14,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ..core.errors import InvalidOption
-from .drawing import Line, Panel, draw_panels, saved
-from .exporting import AnyPath, Exported, number
+from .drawing import Line, Panel, draw_panels
+from .exporting import Exported, number
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {
@@ -105,6 +105,12 @@ class Curve:
     def iterations(self) -> int:
         """Iterations until the answer."""
         return self.last.iteration
+
+    def told(self) -> str:
+        """Return what the answer took, or why there is none."""
+        if not self.points:
+            return self.note
+        return f"{self.iterations:>7} iterations {self.work:>9.1f} passes {self.seconds:>9.3g} s"
 
     def line(self, against: str) -> Line:
         """Return what a figure shows of it: errors against seconds with their spread, or against passes."""
@@ -196,12 +202,11 @@ class Report(Exported):
                          reference.error, reference.residual))
         return rows
 
-    def plot(self, path: AnyPath | None = None, *, against: str = "seconds", width: float | None = None) -> Any:
-        """Return a matplotlib figure of the curves, and save it where `path` is given (.png, .pdf, .svg).
+    def plot(self, *, against: str = "seconds", width: float | None = None) -> Any:
+        """Return a matplotlib figure of the curves; `save` writes it into a file.
 
         Parameters
         ----------
-        path : path, optional
         against : {"seconds", "work"}
             Seconds with their spread and the references, or passes over M, the same on every machine.
         width : float, optional
@@ -210,11 +215,11 @@ class Report(Exported):
         Raises
         ------
         InvalidOption
-            Where `against` is something else.
+            Where `against` is something else, or no run has a point to show.
         LCPError
             Where matplotlib is not installed.
         """
-        return saved(draw_panels([self.panel(against)], width), path)
+        return draw_panels([self.panel(against)], width)
 
     def panel(self, against: str = "seconds") -> Panel:
         """Return what `plot` draws, as a part of a figure."""
@@ -283,8 +288,8 @@ class Profile(Exported):
             for problem, ratio in zip(self.problems, row, strict=True)
         ]
 
-    def plot(self, path: AnyPath | None = None, *, width: float | None = None) -> Any:
-        """Return a matplotlib figure, so many inches wide, and save it where `path` is given."""
+    def plot(self, *, width: float | None = None) -> Any:
+        """Return a matplotlib figure, so many inches wide; `save` writes it into a file."""
         lines = [
             Line(label, family, finite, [(k + 1) / len(row) for k in range(len(finite))], len(finite) == len(row))
             for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
@@ -293,7 +298,7 @@ class Profile(Exported):
         unit = {"work": "work", "seconds": "time"}[self.by]
         title = f"Performance profile, {len(self.problems)} problems"
         panel = Panel(title, lines, f"{unit}, as a multiple of the best", "share of the problems solved", "shares")
-        return saved(draw_panels([panel], width), path)
+        return draw_panels([panel], width)
 
 
 def performance_profile(reports: Sequence[Report], by: str = "work") -> Profile:

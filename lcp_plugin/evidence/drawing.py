@@ -11,14 +11,13 @@ import math
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
-from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..core.errors import InvalidOption, LCPError
-from ..doors.files.files import checked_path, write_whole
+from ..doors.files.files import write_whole
 
 FORMATS = (".png", ".pdf", ".svg")
 COLOURS = {
@@ -50,8 +49,8 @@ COLUMN, PAGE = 3.5, 7.1
 
 HEIGHT, MOST_COLUMNS, MOST_MAPS = 0.78, 3, 4  # of a panel, as a share of its width; panels and maps side by side
 MARKED = 7  # markers along a line
-MOST_NAMES = 9  # in a legend of a panel's own
 LEGEND_LINE, LETTERS = 0.17, 13  # inches; letters of a title to the inch
+NAME_WIDTH, LETTER_WIDTH = 0.5, 0.055  # inches: of a line and the room beside it in a legend, of a letter of its name
 DEEPEST_BELOW_TOLERANCE = 1e-3
 DIGITS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0), tuple(np.arange(1.0, 10.0, 0.2)))
 """First digits of the ticks, the first set that gives two of them."""
@@ -78,13 +77,6 @@ def save(figure: Any, path: Path) -> None:
     kind = path.suffix[1:].lower()
     with styled():  # a font is chosen when the file is written
         write_whole({path: lambda file: figure.savefig(file, dpi=150, format=kind)})
-
-
-def saved(figure: Any, path: str | PathLike[str] | None) -> Any:
-    """Return the figure, written where a path is given."""
-    if path is not None:
-        save(figure, checked_path(path))
-    return figure
 
 
 def styled(more: Mapping[str, Any] | None = None) -> Any:
@@ -177,19 +169,29 @@ class Panel(NamedTuple):
 
 
 def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
-    """Return a figure as wide as a column, or with several panels as a page, each with a legend.
+    """Return a figure as wide as a column, or with several panels as a page, the names of all lines below them.
 
-    Where there are many names, or several panels share them, one below the panels has them.
+    Where lines have a text of their own, the names stand below each panel.
+
+    Raises
+    ------
+    InvalidOption
+        Where no panel has a point to show.
     """
+    if not any(len(line.x) for panel in panels for line in panel.lines) and not any(panel.marks for panel in panels):
+        raise InvalidOption("there is nothing to draw: no run gave an answer; print() says how each ended")
     columns = max(1, min(len(panels), MOST_COLUMNS))
     rows = max(1, -(-len(panels) // columns))
     width = width or (COLUMN if columns == 1 else PAGE)
     labels = {line.label: line.family for panel in panels for line in panel.lines}
     looks = dict(zip(labels, styles(list(labels.values())), strict=True))
+    has_own = any(line.text for panel in panels for line in panel.lines)
     with styled(JOURNAL):
         height = rows * HEIGHT * width / columns
         figure = require_matplotlib()(figsize=(width, height), layout="constrained")
-        every = figure.subplots(rows, columns, squeeze=False).ravel()
+        parts = list(figure.subfigures(rows, columns, squeeze=False).ravel()) if has_own else []
+        axes_of = [part.subplots() for part in parts[: len(panels)]]
+        every = axes_of if has_own else figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in every[len(panels):]:
             axes.set_axis_off()
         for k, (axes, panel) in enumerate(zip(every, panels, strict=False)):
@@ -199,21 +201,25 @@ def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
                 axes.set_ylabel("")
             if k + columns < len(panels):
                 axes.set_xlabel("")
-        own = [axes.get_legend_handles_labels() for axes in every]
-        if any(line.text for panel in panels for line in panel.lines) or (
-            len(panels) == 1 and len(own[0][1]) <= MOST_NAMES
-        ):
-            for axes, panel, (_, named) in zip(every, panels, own, strict=False):
-                if named:
-                    axes.legend(loc="lower right" if panel.kind == "shares" else "best", fontsize=LABEL_SIZE,
-                                handlelength=2.4, labelspacing=0.3)
-            return figure
-        found = {label: handle for handles, labels in own for handle, label in zip(handles, labels, strict=True)}
-        count = max(1, min(len(found), int(width / 1.1)))
-        figure.set_size_inches(width, height + math.ceil(len(found) / count) * LEGEND_LINE)
-        figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=count, fontsize=LABEL_SIZE,
-                      handlelength=2.4, columnspacing=1.0, labelspacing=0.3)
+        own = [dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True)) for axes in every]
+        if has_own:
+            lines = [_name_lines(part, names, width / columns) for part, names in zip(parts, own, strict=False)]
+            below = sum(max(lines[first : first + columns]) for first in range(0, len(lines), columns))
+        else:
+            below = _name_lines(figure, {label: handle for names in own for label, handle in names.items()}, width)
+        figure.set_size_inches(width, height + below * LEGEND_LINE)
     return figure
+
+
+def _name_lines(figure: Any, named: Mapping[str, Any], width: float) -> int:
+    """Write the names below a figure of that width, where they hide nothing; return how many lines that takes."""
+    if not named:
+        return 0
+    longest = max(map(len, named))
+    count = max(1, min(len(named), int(width / (NAME_WIDTH + LETTER_WIDTH * longest))))
+    figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=count, fontsize=LABEL_SIZE,
+                  handlelength=2.4, columnspacing=1.0, labelspacing=0.3)
+    return math.ceil(len(named) / count)
 
 
 def _draw_panel(axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) -> None:
@@ -230,6 +236,8 @@ def _draw_panel(axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) ->
         axes.set_ylim(shown[0] / 1.5, shown[1])
     for line in panel.lines:
         _draw(axes, line, looks[line.label], shown, is_share=is_share)
+    if not panel.lines:
+        axes.text(0.5, 0.5, "no answer: print() says why", ha="center", transform=axes.transAxes, color="#777777")
     for k, (label, x, y) in enumerate(panel.marks):
         axes.plot([x], [max(y, shown[0])], "Dsv^<>"[k % 6], color=COLOURS["reference"], markerfacecolor="white",
                   markersize=5, label=label, linestyle="none", zorder=5)

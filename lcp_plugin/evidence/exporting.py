@@ -9,10 +9,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..core.errors import InvalidOption
 from ..doors.files.files import checked_path, write_whole
+from .drawing import FORMATS, save
 
 AnyPath = str | PathLike[str]
 DIGITS = 3
@@ -29,9 +30,11 @@ LATEX = {
 
 
 class Exported:
-    """What a table of measurements can do: become JSON, CSV or a figure, and be saved as that."""
+    """What a table of measurements can do: become JSON, CSV or a figure, and be saved as one of these."""
 
     columns: ClassVar[Sequence[str]]
+    if TYPE_CHECKING:
+        plot: ClassVar[Any]  # a method of each, with options of its own
 
     def to_content(self) -> dict[str, Any]:
         """Return everything as dictionaries and lists that JSON can hold; numbers that are not finite become None."""
@@ -42,13 +45,40 @@ class Exported:
         """Return the rows of the CSV."""
         raise NotImplementedError
 
-    def to_json(self, path: AnyPath | None = None) -> str:
-        """Return everything as JSON text, and write it to `path` where one is given."""
-        return _written(json.dumps(self.to_content(), indent=1, ensure_ascii=False), path)
+    def to_json(self) -> str:
+        """Return everything as JSON text."""
+        return json.dumps(self.to_content(), indent=1, ensure_ascii=False)
 
-    def to_csv(self, path: AnyPath | None = None) -> str:
-        """Return the rows as CSV text, and write it to `path` where one is given."""
-        return _written(csv_text(self.columns, self.rows()), path)
+    def to_csv(self) -> str:
+        """Return the rows as CSV text."""
+        return csv_text(self.columns, self.rows())
+
+    def save(self, path: AnyPath, **how: Any) -> None:
+        """Write a file whose ending says what: .png, .pdf, .svg the figure, .csv the rows, .json everything.
+
+        Parameters
+        ----------
+        path : path
+        **how
+            Of `plot`, where it is a figure.
+
+        Raises
+        ------
+        InvalidOption
+            Where the name has another ending, or more is said of a table.
+        """
+        place = checked_path(path)
+        texts = {".csv": self.to_csv, ".json": self.to_json}
+        kind = place.suffix.lower()
+        if kind not in (*texts, *FORMATS):
+            endings = ", ".join([*FORMATS, *texts])
+            raise InvalidOption(f"a file of measurements must end in {endings}, got {place.name!r}")
+        if kind in FORMATS:
+            save(self.plot(**how), place)
+        elif how:
+            raise InvalidOption(f"{', '.join(how)} is for a picture ({', '.join(FORMATS)}), got {place.name!r}")
+        else:
+            write_text(place, texts[kind]())
 
 
 @dataclass(frozen=True)
@@ -76,6 +106,9 @@ class Table:
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
+
+    def __str__(self) -> str:
+        return f"{self.title}\n\n{self.to_markdown()}"
 
     def is_of_numbers(self, k: int) -> bool:
         """Return whether a number stands in column k."""
@@ -201,12 +234,6 @@ def _latex_cell(cell: str, is_of_numbers: bool) -> str:
 
 def _escaped(text: str) -> str:
     return "".join(LATEX.get(sign, sign) for sign in text)
-
-
-def _written(text: str, path: AnyPath | None) -> str:
-    if path is not None:
-        write_text(path, text)
-    return text
 
 
 def finite_content(value: Any) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 from ..core.certificates.residuals import Certificate
 from ..core.certificates.row_residuals import is_at_bound
 from ..core.solving.result import Result
+from ..core.written import in_words
 from ..gallery.scene import Scene
 from .drawing import HEIGHTS, check_format, heights_as_colours, require_matplotlib, save, styled
 
@@ -51,7 +52,8 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
                 _draw_edge(figure.add_subplot(1, panels, 2), march, scene)
         draw_residuals(figure.add_subplot(1, panels, panels), result)
         title = scene.description if scene is not None else ""
-        run = f"n = {result.z.size}: {result.status.name} by {result.algorithm} in {result.iterations} iterations"
+        steps = in_words(result.iterations, "iteration")
+        run = f"n = {result.z.size}: {result.status.name} by {result.algorithm} in {steps}"
         figure.suptitle(f"{title}\n{run}".strip(), fontsize=11, x=0.01, ha="left")
         save(figure, path)
 

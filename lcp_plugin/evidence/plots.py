@@ -17,6 +17,7 @@ from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.settings import Status
 from ..core.solving.answer import Answer
 from ..core.solving.result import Result
+from ..core.written import in_words
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.many.answers import AnswerSequence
 from ..problems.march import March
@@ -66,11 +67,13 @@ def plot_answer(
         raise InvalidOption(f"plot_answer needs what solve returns, got {type(answer).__name__}")
     require_matplotlib()
     if rows is not None or over is not None:
-        return _plot_rows(answer, axes, shape, rows, over)
+        return _plot_rows(answer, axes, shape, rows, over, _shown_by_pyplot)
     return _plotted(answer, axes, shape, _shown_by_pyplot)
 
 
-def _plot_rows(answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, over: Any) -> Any:
+def _plot_rows(
+    answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, over: Any, new: Callable[..., Any]
+) -> Any:
     """Draw z and w of some rows over their coordinates."""
     if shape is not None:
         raise InvalidOption("shape is that of all unknowns on a grid; give it without rows and over")
@@ -78,11 +81,10 @@ def _plot_rows(answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, o
         raise InvalidOption(f"rows and over are for the z and w of a Result, got "
                             f"{type(answer).__name__}; leave them out")
     n = answer.z.size
-    chosen = _checked_rows(rows, n)
-    points = _checked_points(over, chosen, n)
+    chosen, points = checked_rows(rows, over, n)
     values = {"z": answer.z[chosen], "w": answer.w[chosen]}
     with _style_of(axes):
-        every = _axes_for(_shown_by_pyplot, len(values)) if axes is None else [axes]
+        every = _axes_for(new, len(values)) if axes is None else [axes]
         for one, (name, numbers) in zip(every, values.items(), strict=False):
             one.set_title(name)
             if points.ndim == 1:
@@ -98,14 +100,23 @@ def _plot_rows(answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, o
     return every[0]
 
 
-def _checked_rows(rows: Any, n: int) -> Any:
+def checked_rows(rows: Any, over: Any, n: int) -> tuple[Any, FloatVector]:
+    """Return the numbers of the rows to draw and a coordinate, or a point in the plane, of each; or raise."""
+    chosen = _checked_numbers(rows, n)
+    return chosen, _checked_points(over, chosen, n)
+
+
+def _checked_numbers(rows: Any, n: int) -> Any:
     if rows is None:
         return np.arange(n)
     given = np.asarray(rows)
     if given.dtype == np.bool_ and given.shape == (n,):
         return np.flatnonzero(given)
-    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer) or not ((given >= 0) & (given < n)).all():
-        raise InvalidOption(f"rows must be whole numbers from 0 to {n - 1}, or {n} truth values, got {rows!r}")
+    need = f"rows must be whole numbers from 0 to {n - 1}, or {n} truth values"
+    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
+        raise InvalidOption(f"{need}, got {rows!r}")
+    if (outside := given[(given < 0) | (given >= n)]).size:
+        raise InvalidOption(f"{need}, got {outside[0]}")
     return given
 
 
@@ -123,9 +134,15 @@ def _checked_points(over: Any, chosen: Any, n: int) -> FloatVector:
     return points if len(points) == chosen.size else points[chosen]
 
 
-def save_plot(answer: Answer, path: Path, shape: Sequence[int] | None = None) -> None:
+def save_plot(
+    answer: Answer, path: Path, shape: Sequence[int] | None = None, *, rows: Any = None, over: Any = None
+) -> None:
     """Write what `plot_answer` draws into a file, .png, .pdf or .svg."""
-    save(_plotted(answer, None, shape, require_matplotlib()).figure, path)
+    new = require_matplotlib()
+    if rows is None and over is None:
+        save(_plotted(answer, None, shape, new).figure, path)
+    else:
+        save(_plot_rows(answer, None, shape, rows, over, new).figure, path)
 
 
 def _plotted(answer: Any, axes: Any, shape: Sequence[int] | None, new: Callable[..., Any]) -> Any:
@@ -208,7 +225,7 @@ def _unknown(answer: Answer) -> str:
 def _headline(answer: Answer) -> str:
     value = "" if answer.objective is None else f"objective {answer.objective:.6g}, "
     size = "" if answer.x is None else f"n = {len(answer.x)}: "
-    return f"{size}{answer.status.name} by {answer.algorithm},\n{value}{answer.iterations} iterations"
+    return f"{size}{answer.status.name} by {answer.algorithm},\n{value}{in_words(answer.iterations, 'iteration')}"
 
 
 def _panel_beside(answer: Answer) -> Any:

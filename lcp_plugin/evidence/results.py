@@ -17,7 +17,7 @@ from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
 from ..doors.files.files import checked_path
 from .collecting import Part, fingerprint
 from .curves import RESIDUAL, Curve, Point, Profile, Report, performance_profile
-from .drawing import FORMATS, Line, Panel, draw_panels, saved
+from .drawing import FORMATS, Line, Panel, draw_panels, save
 from .exporting import AnyPath, Table, csv_text, number, save_tables, write_text
 
 VALUES = {
@@ -37,6 +37,7 @@ COLUMNS = (
 )
 RATIOS = (1.0, 2.0, 5.0, math.inf)
 LEAST_SIZES, FITS = 3, 1.2  # behind an exponent: sizes, and the largest factor between a value and its fit
+NEEDS_SIZES = f"needs {LEAST_SIZES} solved sizes"
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,7 @@ class Study:
         """Return p of the fit value ~ nᵖ by least squares of logarithms.
 
         NaN with fewer than three solved sizes, and where a value is off the fit by more than a fifth: no power then.
+        A table says which, "needs 3 solved sizes" or "no power".
         """
         x, y = (np.log(np.array(values)) for values in self._series(problem, method, value))
         if len(x) < LEAST_SIZES:
@@ -195,32 +197,37 @@ class Study:
         fits = value in GROWING and len(sizes) >= LEAST_SIZES
         table = [
             (method, *(cells.get((method, size)) for size in sizes),
-             *([round(self.exponent(problem, method, value), 2) + 0.0] if fits else []))
+             *([self._told_exponent(problem, method, value)] if fits else []))
             for method in self.methods
         ]
         heads = ("method", *(f"n = {n[size]}" if size in n else f"size {size}" for size in sizes),
                  *(["exponent"] if fits else []))
         return Table(f"{problem}: {VALUES[value]}", heads, table)
 
-    def plot(self, view: str = "work", path: AnyPath | None = None) -> Any:
-        """Return a matplotlib figure of a view, a panel a problem, and save it where `path` is given.
+    def _told_exponent(self, problem: str, method: str, value: str) -> float | str:
+        """Return the exponent, or in words why there is none."""
+        power = self.exponent(problem, method, value)
+        if not math.isnan(power):
+            return round(power, 2) + 0.0
+        return "no power" if len(self._series(problem, method, value)[0]) >= LEAST_SIZES else NEEDS_SIZES
+
+    def plot(self, view: str = "work") -> Any:
+        """Return a matplotlib figure of a view, a panel a problem; `save` writes it into a file.
 
         Parameters
         ----------
         view : str
             A value against n with fitted exponents; "profile" or "profile-seconds"; "curves" or "curves-work", error
             against time or work, where the study kept its curves.
-        path : path, optional
-            .pdf, .svg or .png.
 
         Raises
         ------
         InvalidOption
-            Where there is no such view, or no curves were kept.
+            Where there is no such view, no curves were kept, or no method gave an answer to draw.
         """
         _check_view(view)
         if view.startswith("profile"):
-            return self.profile("seconds" if view.endswith("seconds") else "work").plot(path)
+            return self.profile("seconds" if view.endswith("seconds") else "work").plot()
         if view == "results":
             raise InvalidOption("results are a table: save them as .csv, .md or .tex; a picture shows a value")
         if view.startswith("curves"):
@@ -230,7 +237,7 @@ class Study:
             panels = [report.panel(against) for report in self.reports() if report.curves]
         else:
             panels = [self._panel(problem, view) for problem in self.problems]
-        return saved(draw_panels(panels), path)
+        return draw_panels(panels)
 
     def _panel(self, problem: str, value: str) -> Panel:
         families = {row.curve.label: row.curve.family for row in self.rows}
@@ -244,15 +251,14 @@ class Study:
 
     def save(self, view: str, path: AnyPath) -> None:
         """Write a view as a table (.tex, .md, .csv) or a picture (.pdf, .svg, .png)."""
-        if checked_path(path).suffix in FORMATS:
-            self.plot(view, path)
+        if (place := checked_path(path)).suffix.lower() in FORMATS:
+            save(self.plot(view), place)
         else:
             save_tables(self.table(view), path)
 
     def __str__(self) -> str:
-        lines = [f"{row.problem:<20} n = {row.n:<8} {row.curve.label:<20} {row.curve.status:<15} "
-                 f"{row.curve.iterations:>7} iterations {row.curve.work:>9.1f} passes {row.curve.seconds:>9.3g} s"
-                 for row in self.rows]
+        lines = [f"{row.problem:<20} {f'n = {row.n}' if row.n else '':<12} {row.curve.label:<20} "
+                 f"{row.curve.status:<15} {row.curve.told()}" for row in self.rows]
         return "\n".join([*lines, *(f"missing: {what}" for what in self.missing)])
 
 

@@ -23,9 +23,9 @@ from ..core.errors import (
 from ..core.solving.driver import solve
 from ..core.solving.result import Result
 from .contestants import checked_names, contestants
-from .drawing import draw_maps, saved
+from .drawing import draw_maps
 from .exact_answers import lie_in, relative_error
-from .exporting import AnyPath, Exported
+from .exporting import Exported
 from .stresses import FAMILIES, StressCase
 
 Progress = Callable[[int, int, str], Any]
@@ -160,13 +160,11 @@ class Atlas(Exported):
         lines += [f"left out: {what}: {reason}" for what, reason in self.skipped]
         return "\n".join(lines)
 
-    def plot(self, path: AnyPath | None = None, *, family: str = RANGES, width: float | None = None) -> Any:
-        """Return a figure with a map a method, how far each kind of stiffness may go, and save it where asked.
+    def plot(self, *, family: str = RANGES, width: float | None = None) -> Any:
+        """Return a figure with a map a method, how far each kind of stiffness may go; `save` writes it into a file.
 
         Parameters
         ----------
-        path : path, optional
-            .pdf, .svg or .png.
         family : {"ranges", "proved ranges"}
             SOLVED by the residual, as `solve` does it, or by a proved error, ``tolerance_on="error"``.
         width : float, optional
@@ -180,7 +178,7 @@ class Atlas(Exported):
         if not maps:
             raise InvalidOption(f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])')
         title = "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error"
-        return saved(draw_maps(maps, OUTCOMES, title, width), path)
+        return draw_maps(maps, OUTCOMES, title, width)
 
     def to_content(self) -> dict[str, Any]:
         """Return what JSON can hold: numbers that are not finite become the texts "inf" and "nan"."""

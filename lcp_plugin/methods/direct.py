@@ -9,6 +9,7 @@
 | any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
 | the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
 | −M an M-matrix, no upper bounds | first of all largest_point: one linear solve, which decides it |
+| sparse, few rows with a bound | first condensed, where that is less than ten factors |
 
 Where the diagonal is negative throughout, as where M has the wrong sign, newton is left out beyond n = 5000. Before
 them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases
@@ -44,17 +45,20 @@ from ..core.crossovers import (
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
+from ..core.matrix.units import Exponents, scaled
 from ..core.policy.choice import last_resort
 from ..core.policy.stages import Choice, Stage
 from ..proofs.no_solution.infeasibility import contradictory_row
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
 from .lemke import has_parts_that_fit
+from .newton.condensed import Condensed, condensing_passes
 from .presolve import presolve
 
 CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
 # Turns of lemke, in pivots by n, and of newton, in steps.
 FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
 FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M is a dense one
+FEWEST_FACTORS = 10  # that an interior point makes as a rule, beside the one that condensing does
 PIVOTS = 2.0
 GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
 
@@ -125,13 +129,18 @@ class Retries:
 
 
 def factor_passes(problem: LCP) -> float:
-    """Return about how many passes over a sparse M the factors of an interior point take; ∞ where one is too large.
+    """Return about how many passes over a sparse M factors take at the most; ∞ where one is too large.
 
-    An operation of a factor is reckoned as an entry of a sweep: it takes .15 (cubes) to 2.5 times as long (strips).
+    Of an interior point, or to condense twice: either is twice what it takes as a rule. An operation of a factor is
+    reckoned as an entry of a sweep: it takes .15 (cubes) to 2.5 times as long (strips).
     """
+    return min(_passes_of_factors(problem, INTERIOR_STEPS), 2.0 * condensing_passes(problem))
+
+
+def _passes_of_factors(problem: LCP, count: int) -> float:
     from ..systems.factors import sizes_of_factor
 
-    return INTERIOR_STEPS * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
+    return count * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
 
 
 def has_had_its_turn(stage: Stage, turn: float, problem: LCP, goal: float) -> bool:
@@ -163,7 +172,8 @@ def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
     from .search.stages import ExhaustiveSearch
 
     if may_be_searched(problem):
-        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), "so few cases that all can be tried")
+        why = "so few unknowns that every choice of bounds can be tried"
+        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), why)
 
 
 def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
@@ -178,7 +188,9 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     left = problem if reduced is None else reduced.problem
     about = f" ({reduced})" if left is not problem else ""
     newton = Choice(create("newton", {}), f"guesses what is at a bound, solves for the rest{about}", reduced)
-    interior = Choice(create("interior_point", {}), f"suits M, which is monotone or may be{about}", reduced)
+    why = f"steps strictly between the bounds; suits M, which is monotone or may be{about}"
+    is_made = "interior_point" in getattr(problem.origin, "attempted", ())
+    interior = Choice(create("interior_point", {}), why, reduced, is_made=is_made)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
     left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
@@ -189,7 +201,10 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
         left_out.append(newton.algorithm)  # whose active sets change at random there
     row = contradictory_row(problem) if refutes else None
-    if row is not None and row.excludes(EPSILON):
+    is_contradictory = row is not None and row.excludes(EPSILON)
+    if not (is_kkt or is_contradictory) and condensing_passes(left) < _passes_of_factors(left, FEWEST_FACTORS):
+        yield Choice(Condensed(), f"few rows have a bound: one factor eliminates the others{about}", reduced)
+    if is_contradictory:
         yield replace(check, because="one row contradicts its bounds by itself")
     elif newton.algorithm not in left_out and _suits_newton(left):
         yield newton
@@ -220,7 +235,7 @@ def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
     from .search.stages import ExhaustiveSearch
 
     if refutes and problem.n <= LARGEST_SIZE:
-        yield Choice(ExhaustiveSearch(), "few enough cases to look at all of them to the end")
+        yield Choice(ExhaustiveSearch(), "few enough unknowns to try every choice of bounds to the end")
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
 
@@ -245,8 +260,10 @@ def _seems_monotone(problem: LCP, origin: Any) -> bool:
     if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
         return True
     from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
+    from .interior.suited_matrix import monotone_rows
 
-    twice = symmetric_part(problem.M)
+    row = monotone_rows(problem.M)  # interior points take these
+    twice = symmetric_part(problem.M if row is None else scaled(problem.M, Exponents(row, np.zeros_like(row))))
     if bool((twice.diagonal() < 0.0).any()):
         return False
     # The multipliers of a quadratic program have empty rows and columns there.

@@ -16,6 +16,7 @@ from ..core.errors import InvalidOption, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.driver import solve
 from ..core.solving.result import Result
+from ..core.written import in_words
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.nonlinear.solving import solve_nonlinear
 from .equations import Affine, Elimination, eliminate_definitions, known_ranges, matched_for_monotony
@@ -220,8 +221,8 @@ class Assembly:
                 "the equation a free multiplier, a variable in the rows of the pairs"
             )
         raise UnsupportedModel(
-            f"the model has {free.size} unknowns without a complementarity ({names}) and {equations} "
-            f"equations{counted}; it needs as many equations as such unknowns{way_out}"
+            f"the model has {in_words(equations, 'equation')}{counted} and {in_words(free.size, 'unknown')} without a "
+            f"complementarity ({names}); it needs as many equations as such unknowns{way_out}"
         )
 
 

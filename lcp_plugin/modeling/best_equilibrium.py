@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cvxpy as cp
@@ -25,7 +25,15 @@ from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.programs.reductions import fold_simple_rows
 from ._compat import CVXPY_STATUS, dense, leaf_value, statistics
-from .builder import Builder, bounds_of_rows, by_rank, sign_of_inequality, states_bounds, warn_of_unbounded
+from .builder import (
+    Builder,
+    bounds_of_rows,
+    by_rank,
+    entry_name,
+    sign_of_inequality,
+    states_bounds,
+    warn_of_unbounded,
+)
 from .certified_problem import ReducedProblem
 from .constraint import Complements
 from .equilibrium_rows import EquilibriumRows
@@ -126,6 +134,18 @@ def _integers(variables: list[Any]) -> list[Any]:
     return [one for one in variables if one.attributes.get("integer") or one.attributes.get("boolean")]
 
 
+def _entries(variable: Any, chosen: Any) -> Indices:
+    """Return which entries, column by column, cvxpy's ``boolean_idx`` or ``integer_idx`` names."""
+    if not len(chosen):
+        return np.zeros(0, dtype=np.int64)
+    shape = max(variable.shape, (1,))
+    try:
+        found = np.ravel_multi_index(chosen, shape, order="F")
+    except ValueError:  # a list of entries, as cvxpy took it before it took arrays of rows and of columns
+        found = np.ravel_multi_index(tuple(np.transpose(chosen)), shape, order="F")
+    return np.asarray(found, dtype=np.int64)
+
+
 def _compiled(problem: Any, pairs: list[StatedPair], others: list[Any]) -> Statement:
     """Let cvxpy compile the objective and the constraints, the sides being variables."""
     added: list[Any] = []
@@ -154,7 +174,11 @@ def _compiled(problem: Any, pairs: list[StatedPair], others: list[Any]) -> State
         found = places[variable.id].places if variable.size else nothing
         return found if found.size == variable.size else None
 
-    stated = EquilibriumProgram(program, first, second, parts[2], parts[3], reduced.offset)
+    names = [""] * program.n
+    for one in problem.variables():
+        for k, column in enumerate([] if (own_places := places_of(one)) is None else own_places.tolist()):
+            names[column] = entry_name(one, k)
+    stated = EquilibriumProgram(program, first, second, parts[2], parts[3], reduced.offset, names=names)
     return Statement(stated, pairs, columns, values, places_of)
 
 
@@ -173,13 +197,13 @@ def _variable(expression: Any, added: list[Any]) -> Any:
 def _read(problem: Any, pairs: list[StatedPair], others: list[Any]) -> Statement:
     """Read objective, constraints and sides by our own expressions."""
     builder = Builder([problem.objective, *problem.constraints], {}, takes_integers=True)
-    whole = {one.id for one in _integers(builder.variables)}
     columns = [np.arange(one.size) + builder.offsets[one.id] for one in builder.variables]
-    integers = [own for one, own in zip(builder.variables, columns, strict=True) if one.id in whole]
+    integers = []
     for one, own in zip(builder.variables, columns, strict=True):
-        if one.attributes.get("boolean"):
-            builder.lower[own] = np.maximum(builder.lower[own], 0.0)
-            builder.upper[own] = np.minimum(builder.upper[own], 1.0)
+        binary, whole = own[_entries(one, one.boolean_idx)], own[_entries(one, one.integer_idx)]
+        integers += [binary, whole]
+        builder.lower[binary] = np.maximum(builder.lower[binary], 0.0)
+        builder.upper[binary] = np.minimum(builder.upper[binary], 1.0)
     found = EquilibriumRows(
         builder.compiler, builder.first, builder.lower, builder.upper,
         np.concatenate([*integers, np.zeros(0, dtype=np.int64)]),
@@ -204,7 +228,9 @@ def _read(problem: Any, pairs: list[StatedPair], others: list[Any]) -> Statement
     def values(x: FloatVector) -> dict[int, Any]:
         return {one.id: x[places[one.id]].reshape(one.shape, order="F") for one in problem.variables()}
 
-    return Statement(found.program(goal, sense_of(problem)), pairs, sides, values, lambda one: places[one.id])
+    names = [entry_name(one, k) for one in builder.variables for k in range(one.size)]
+    program = replace(found.program(goal, sense_of(problem)), names=names)
+    return Statement(program, pairs, sides, values, lambda one: places[one.id])
 
 
 def solve_for_the_best(problem: Any, verbose: bool, warm_start: bool, options: dict[str, Any]) -> Any:

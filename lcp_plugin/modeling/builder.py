@@ -206,8 +206,13 @@ class Builder(Assembly):
     def entry(self, column: np.int64) -> str:
         """Return how the unknown is written: h[2]."""
         variable = next(one for one in reversed(self.variables) if self.offsets[one.id] <= column)
-        place = np.unravel_index(column - self.offsets[variable.id], variable.shape, order="F")
-        return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
+        return entry_name(variable, int(column) - self.offsets[variable.id])
+
+
+def entry_name(variable: Any, k: int) -> str:
+    """Return how the entry of a variable is written that comes k-th, column by column: h[2]."""
+    place = np.unravel_index(k, variable.shape, order="F")
+    return f"{variable.name()}[{', '.join(map(str, place))}]" if place else str(variable.name())
 
 
 def preference(side: Side, is_bounded: bool, is_plain: bool) -> int:

@@ -107,7 +107,7 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
     x = reduced.values(problem, proofs)
     found = Proved(
         (value - rounding, value + rounding), violation, proofs.own_lower, proofs.upper(*([] if x is None else [x])),
-        tolerance,
+        tolerance, reduced.program.units.objective,
     )
     complaint = "" if x is None else _dual_error(problem, reduced, x, tolerance)
     if x is None:  # nothing can be said of an x that the program does not show
@@ -136,12 +136,14 @@ def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance
     duals = {constraint.id: constraint.dual_value for constraint in problem.constraints}
     if any(dual is None for dual in duals.values()):
         return ""
-    size = 1.0 + max((float(np.abs(dense_value(dual)).max(initial=0.0)) for dual in duals.values()), default=0.0)
+    size = max((float(np.abs(dense_value(dual)).max(initial=0.0)) for dual in duals.values()), default=0.0)
+    y, units = reduced.multipliers(duals), reduced.program.units
+    if y is not None and y.size:
+        size = max(size, units.objective / float(units.coefficient[: y.size].max()))
     for constraint in problem.constraints:
         least = float(dense_value(duals[constraint.id]).min(initial=0.0))
         if isinstance(constraint, INEQUALITIES) and least < -LOOSE * tolerance * size:
             return f"the dual value {least:.3g} of {name_of(constraint)} has the wrong sign"
-    y = reduced.multipliers(duals)
     if y is None:
         return ""
     if idle := multiplier_beside_room(reduced.program, x, np.nan_to_num(y), tolerance):
@@ -242,7 +244,8 @@ class ReducedProblem:
             )
             s = s + matrix[added].T @ found
             terms.append(abs(matrix[added]).T @ np.abs(found))
-        excess = np.abs(s) - LOOSE * tolerance * (1.0 + np.max(terms, axis=0))
+        unit = program.units.objective / program.units.unknown
+        excess = np.abs(s) - LOOSE * tolerance * (unit + np.max(terms, axis=0))
         return float(np.abs(s[excess > 0.0]).max(initial=0.0))
 
     def in_the_users_units(self, found: Certification, sense: float) -> Certification:

@@ -107,7 +107,7 @@ class ProgramDerivative:
         found += [(entries.taken(z), constraint.dual_value) for constraint, entries in self._duals]
         residual = self._residual(z)
         error = np.abs(residual @ point - (self._conditions.M @ z + self._conditions.q))
-        is_same = (error <= ROUNDING * (1.0 + abs(residual) @ np.abs(point))).all()
+        is_same = (error <= ROUNDING * (abs(residual) @ np.abs(point))).all()
         goal = SAME * self._answer.goal  # cvxpy projects values on the attributes of their variables
         if not is_same or not all(_agree(own, dense(theirs), goal) for own, theirs in found):
             raise UnsupportedModel(

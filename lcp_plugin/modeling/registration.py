@@ -279,7 +279,8 @@ def _best(
 
     if algorithm != "auto" or requires_grad:
         what = "requires_grad=True" if requires_grad else f"algorithm={algorithm!r}"
-        raise UnsupportedModel(f"{what} does not go with an objective beside complementarity; leave it out")
+        rest = "; for a local search leave out the objective" if requires_grad else "; leave it out"
+        raise UnsupportedModel(f"{what} does not go with an objective beside complementarity{rest}")
     return solve_for_the_best(problem, verbose, warm_start, options)
 
 

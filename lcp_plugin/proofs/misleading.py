@@ -35,8 +35,8 @@ def _uncovered(result: Result) -> str:
     guarantee = result.guarantee
     if guarantee.is_guaranteed or not guarantee.remedy:
         return ""
-    return (f"{result.algorithm} on this matrix: {guarantee.verdict} ({guarantee.theorem}); what to do: "
-            f"{guarantee.remedy}")
+    return (f"nothing proves that {result.algorithm} converges on this matrix ({guarantee.theorem}); "
+            f"what to do: {guarantee.remedy}")
 
 
 def _stiffness(result: Result) -> str:
@@ -61,8 +61,8 @@ def _stiffness(result: Result) -> str:
         return f"{stiff} of z, and nothing about M allows a bound of it"
     further = '; tolerance_on="error" asks for less' if bound.relative > result.tolerance else ""
     how = "proved to be" if bound.kind == "rigorous" else "estimated to be"
-    return (f"{stiff} of z: here it is {how} at most {bound.infinity:.1e}, {bound.relative:.1e} of the largest |z_i|"
-            f"{further}")
+    return (f"{stiff} of z: here it is {how} at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
+            f"largest |z_i|{further}")
 
 
 def _is_bound_cheap(result: Result) -> bool:
@@ -93,8 +93,10 @@ def _nearness_to_singular(result: Result) -> str:
         return (f"z is one of several answers: w = M z + q is the same for all of them in {int(same.sum())} of "
                 f"{same.size} rows, and {shared} entries of z are not determined, as how contacts share a load")
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
+    wrong = ": z may be wrong in every digit" if error > size else ""
     return (f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
-            f"residual of {residual:.0e} goes with an error of z {known}, and ‖z‖∞ = {size:.0e}{_advised(result)}")
+            f"residual of {residual:.0e} goes with an error of z {known}, beside a largest |z_i| of {size:.0e}{wrong}"
+            f"{_advised(result)}")
 
 
 def _advised(result: Result) -> str:

@@ -2,28 +2,26 @@
 
 Callers say what they need: any factor (:func:`factorise`), pivots from the diagonal, as an M-matrix has them
 (:func:`diagonal_pivot_factor`), or positive pivots, which prove a symmetric matrix definite (:func:`positive_factor`).
-:func:`factor_fits` says beforehand whether a factorisation has its end in sight; one that may take long is left behind
-where time is over or Ctrl-C comes (:func:`made`). :func:`bands` has the diagonals of a matrix, where a factor within
-them is small.
+:func:`factor_fits` says beforehand whether a factorisation has its end in sight. None is begun that is predicted to end
+after the limit of a run; Ctrl-C acts after the one under way. :func:`bands` has the diagonals of a matrix, where a
+factor within them is small.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector, read_only
-from ..core.crossovers import FACTOR_OPERATIONS_UP_TO
+from ..core.crossovers import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
+from ..core.deadline import enforced_seconds_left, require_seconds
 from ..core.matrix.matrix import Matrix, fact, largest_in_rows
 from ..core.matrix.structure import row_numbers
 from .equilibration import power_of_two
-from .interruptible import interruptible
-
-T = TypeVar("T")
 
 DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
 DENSE_UP_TO_ON_DIAGONAL = 300  # the same where pivots are to come from the diagonal
@@ -35,8 +33,6 @@ SYMMETRIC_PIVOT = 0.01  # SuperLU keeps the diagonal pivot where it is at least 
 
 ALWAYS = 1_000  # rows; up to here any fill is cheap
 LARGEST_FILL = 2e8  # entries
-
-LONG = 1e8  # operations, from .05 s with SuperLU, beside which it costs nothing to wait for another thread
 
 IN_ONE_ORDER = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
 
@@ -100,19 +96,6 @@ def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, 
     return _sparse_lu(matrix, is_symmetric)
 
 
-def made(factorisation: Callable[[], T], operations: float, *, is_kept: bool = False) -> T:
-    """Return a factorisation; where it may take so many operations that it is long, a limit and Ctrl-C are obeyed.
-
-    One that `is_kept` is dropped in the thread that makes it, as SuperLU asks: scipy frees its memory nowhere else.
-
-    Raises
-    ------
-    OutOfTimeError
-        Where an enforced limit passed first (:func:`lcp_plugin.systems.interruptible.interruptible`).
-    """
-    return factorisation() if operations <= LONG else cast(T, interruptible(factorisation, is_kept=is_kept))
-
-
 def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
     factor = None
     if is_symmetric and matrix.shape[0] and matrix.diagonal().min() > 0.0:
@@ -124,11 +107,10 @@ def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
     """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None where A is not positive definite."""
     from scipy.linalg import lapack
 
-    from .lapack import dpotrf
-
     n = matrix.shape[0]
+    require_seconds(n**3 / 3.0 / DENSE_OPERATIONS)
     # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
-    factor, info = made(lambda: dpotrf(matrix.T, overwrite=overwrite), n**3 / 3.0)
+    factor, info = lapack.dpotrf(matrix.T, lower=1, clean=0, overwrite_a=overwrite)
     if info != 0:
         return None
 
@@ -150,7 +132,8 @@ def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool =
     if n == 0:
         return Factor("LU", np.copy, np.copy, 0.0, 0.0)
     array = matrix if by_columns else matrix.T
-    factor, pivots, info = made(lambda: lapack.dgetrf(array, overwrite_a=overwrite), n**3 / 1.5)
+    require_seconds(n**3 / 1.5 / DENSE_OPERATIONS)
+    factor, pivots, info = lapack.dgetrf(array, overwrite_a=overwrite)
     if info != 0:
         return None
 
@@ -163,12 +146,11 @@ def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool =
 def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
     from scipy.linalg import lapack
 
-    from .lapack import dgbtrf
-
     n = matrix.shape[0]
     band = np.zeros((2 * below + above + 1, n), order="F")
     band[below + above + row_numbers(matrix) - matrix.indices, matrix.indices] = matrix.data
-    factor, pivots, info = made(lambda: dgbtrf(band, below, above), 2.0 * n * below * (below + above + 1))
+    require_seconds(2.0 * n * below * (below + above + 1) / SPARSE_OPERATIONS)
+    factor, pivots, info = lapack.dgbtrf(band, below, above, overwrite_ab=1)
     if info != 0:
         return None
 
@@ -237,18 +219,16 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
     matrix = sp.csc_array(matrix)
     if not (matrix.diagonal() != 0.0).all() and not _is_structurally_regular(matrix):
         raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
-    return made(lambda: splu(matrix, **options), most_operations(matrix), is_kept=True)
+    require_time_for_factor(matrix)
+    return splu(matrix, **options)
 
 
-def most_operations(matrix: sp.csc_array) -> float:
-    """Return what a factor within the envelope of the present order takes: others have less fill as a rule."""
-    n = matrix.shape[0]
-    if n**3 <= LONG:
-        return float(n**3)
-    first, others = np.arange(n), row_numbers(matrix)
-    np.minimum.at(first, np.maximum(others, matrix.indices), np.minimum(others, matrix.indices))
-    width = (np.arange(n) - first).astype(np.float64)
-    return 2.0 * float(width @ width)
+def require_time_for_factor(matrix: Any) -> None:
+    """Raise OutOfTimeError where a factor of a CSR or CSC array is predicted to end after an enforced limit."""
+    if enforced_seconds_left() < matrix.shape[0] ** 3 / SPARSE_OPERATIONS:
+        from .minimum_degree import factor_sizes
+
+        require_seconds(factor_sizes(matrix, LARGEST_FILL, np.inf)[1] / SPARSE_OPERATIONS)
 
 
 def _is_structurally_regular(matrix: Any) -> bool:

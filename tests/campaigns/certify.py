@@ -26,7 +26,7 @@ from lcp_plugin import Certification, QuadraticProgram, certify
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")
-TOLERANCE = 1e-6
+TOLERANCE, LOOSE = 1e-6, 10  # x is refuted where it is farther than LOOSE · TOLERANCE max(1, ‖x‖∞) from all optima
 ROUNDING = 1e-13  # gaps below that, beside 1 + |f|, are nobody's to be sharp about
 
 
@@ -105,14 +105,17 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
         found.append("violation")
     if said.gap is not None and Fraction(said.gap) < abs(value - Fraction(said.lower)):
         found.append("gap")
-    if said.distance is not None:
-        apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
-        if not given.is_definite or Fraction(said.distance) ** 2 < apart:
-            found.append("distance")
-    is_right = missed <= tolerance and abs(value - given.value) <= tolerance * (1 + abs(value))
-    if said.verdict == "refuted" and is_right:
+    apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
+    if said.distance is not None and (not given.is_definite or Fraction(said.distance) ** 2 < apart):
+        found.append("distance")
+    size = Fraction(program.units.objective) + abs(value)
+    is_optimal = missed <= tolerance and abs(value - given.value) <= tolerance * size
+    far = LOOSE * tolerance * max(1, Fraction(float(np.abs(x).max(initial=0.0))))
+    off = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)), default=0)
+    is_near = off <= far or (missed <= 0 and value == given.value)  # "farther from every optimal one" is refuted
+    if said.verdict == "refuted" and is_optimal and is_near:
         found.append("wrong refutation")
-    if said.verdict == "proved" and not is_right:
+    if said.verdict == "proved" and not is_optimal:
         found.append("wrong proof")
     return found
 
@@ -153,7 +156,8 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
 def is_still_right(given: Case, x: Any) -> bool:
     """Whether x is within the promise although it was moved: where P is not definite there may be flat directions."""
     value, promise = objective(given.program, x), Fraction(TOLERANCE)
-    is_near = abs(value - given.value) <= promise * (1 + abs(value)) and violation(given.program, x) <= promise
+    size = Fraction(given.program.units.objective) + abs(value)
+    is_near = abs(value - given.value) <= promise * size and violation(given.program, x) <= promise
     return is_near and (not given.is_definite or bool(np.abs(x - given.x).max() <= TOLERANCE))
 
 

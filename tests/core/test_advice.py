@@ -17,6 +17,7 @@ from test_driver import TRAP
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    Certificate,
     ComplementarityProblem,
     LCPError,
     NonlinearProblem,
@@ -27,8 +28,10 @@ from lcp_plugin import (
     certify,
     complements,
     convergence_guarantee,
+    derivative,
     error_bound,
     gallery,
+    march,
     prepare,
     solve,
     solve_many,
@@ -162,6 +165,43 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert solve(problem, z0=z + 1e-6).is_solved
 
 
+@pytest.mark.parametrize("form", [np.asarray, sp.csr_array])
+def test_boundary_values_written_as_rows_are_told_how_to_be_no_kinks(form: Any) -> None:
+    """Of a solve and of a march, in one line; without the bounds the answer is the same and no row degenerate."""
+    n = 9
+    M = 3.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    M[[0, -1]] = np.eye(n)[[0, -1]]
+    lower, forcing = np.full(n, 0.2), np.full((4, n), -0.1)
+    lower[[0, -1]], forcing[:, [0, -1]] = 1.0, -1.0
+    carry = -np.diag([0.0, *np.ones(n - 2), 0.0])
+    problem = LCP(form(M), forcing[0], lower=lower)
+    run, result = march(problem, forcing, carry), solve(problem)
+    for said in (run.explain(), result.explain()):
+        assert said.count("M has nothing but a diagonal entry in rows 0 and 8, where") == 1
+        assert "leave its bounds out (lower = -inf, upper = inf)" in said
+    assert len(derivative(run).degenerate) == 8
+    lower[[0, -1]] = -np.inf
+    free = LCP(form(M), forcing[0], lower=lower)
+    without, answer = march(free, forcing, carry), solve(free)
+    np.testing.assert_allclose(np.array(without.z), np.array(run.z), atol=1e-12)
+    assert not len(derivative(without).degenerate)
+    assert not derivative(answer).degenerate.size
+    assert "diagonal entry" not in without.explain() + answer.explain()
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "psor", "newton", "lemke", "interior_point"])
+def test_an_answer_beyond_doubles_is_told_as_a_question_of_units(algorithm: str) -> None:
+    """M·10⁻²⁰⁰ and q·10²⁰⁰: no other start or algorithm, but by what to divide; so divided the problem is solved."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
+    advice = advice_of(lambda: solve(LCP(M * 1e-200, q * 1e200), algorithm))
+    assert "z0" not in advice
+    assert calls_in(advice) == []
+    by_M, by_q = re.findall(r"divide M by (\S+), q by (\S+), and z", advice)[0]
+    solved = solve(LCP(M * 1e-200 / float(by_M), q * 1e200 / float(by_q)), algorithm).require_solved()
+    np.testing.assert_allclose(solved.z, [1.0, 0.0], atol=1e-6)
+    assert "divide M" not in solve(LCP(M, q), algorithm, max_iterations=0).advice
+
+
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])
 def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
     """"Go on from z0=result.z" is said where it helps, and raising the limit solves the problem."""
@@ -175,6 +215,86 @@ def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
     assert whole.is_solved
     assert rest.is_solved
     assert rest.iterations <= 1.1 * whole.iterations  # psor looks for its relaxation anew
+
+
+@pytest.mark.parametrize("size", [3, 40], ids=["in one compiled call", "step by step"])
+@pytest.mark.parametrize("algorithm", ["auto", "psor", "newton"])
+def test_a_start_that_is_the_answer_is_said(size: int, algorithm: str) -> None:
+    """Of a run that had nothing to do explain() says so, in place of why its method comes; of another it does not."""
+    problem = gallery.obstacle_2d(size=size).problem
+    answer = solve(problem, algorithm, tolerance=1e-10)
+    again = solve(problem, algorithm, z0=answer.z)
+    assert again.iterations == 0
+    assert "where it begins the residual is within the tolerance already" in again.explain()
+    assert "0 iterations" in again.explain()
+    assert "where it begins" not in answer.explain()
+
+
+@pytest.mark.parametrize(("problem", "point"), [
+    (LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0]), "z = 0"),
+    (LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0], lower=[1.0, -np.inf]), "the point of the bounds nearest to 0"),
+])
+def test_the_residual_is_told_beside_a_point(problem: LCP, point: str) -> None:
+    """The point that explain() names has the relative residual 1; where that point is the answer none is named."""
+    result = solve(problem)
+    assert f"relative residual {result.residual:.3e} ({point} has 1), asked for" in result.explain()
+    assert Certificate.of(problem, problem.nearest_to_zero).relative_residual == pytest.approx(1.0)
+    assert "has 1" not in solve(LCP([[1.0]], [1.0])).explain()
+
+
+STAGE_LINES = {
+    "a program": (
+        lambda: solve(QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])),
+        "begins at the minimum without constraints and takes in those that are violated",
+    ),
+    "a program, its residuals": (
+        lambda: solve(QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])),
+        "by how much x violates a constraint",
+    ),
+    "a program by interior points": (
+        lambda: solve(QuadraticProgram(
+            sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(900, 900)), np.arange(900) % 7 - 3.0,
+            A=np.ones((1, 900)), b=[1.0], lower=-1.0, upper=1.0,
+        )),
+        "keep strictly inside the inequalities",
+    ),
+    "a nonlinear problem": (
+        lambda: solve(NonlinearProblem(lambda x: np.exp(x) - 2.0), x0=[0.0]),
+        "replaces F by its tangent at x",
+    ),
+    "its work": (
+        lambda: solve(NonlinearProblem(lambda x: np.exp(x) - 2.0), x0=[0.0]), "products of F′ with a vector",
+    ),
+    "work": (lambda: solve(LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])), "products of M with a vector"),
+}
+
+
+@pytest.mark.parametrize("name", STAGE_LINES)
+def test_a_stage_is_told_in_words(name: str) -> None:
+    """explain() says what each kind of run does, and what its numbers count."""
+    call, words = STAGE_LINES[name]
+    assert words in call().explain()
+    assert "1 iterations" not in call().explain()
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "psor"])
+def test_numbers_too_far_apart_for_doubles_are_told(algorithm: str) -> None:
+    """Where the residual overflows at z° no other start is advised; in the unit that is, the problem is solved."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-1.0, 1.0])
+    result = solve(LCP(1e-200 * M, 1e200 * q), algorithm)
+    assert not result.is_solved
+    assert "state the unknowns in a larger unit" in result.advice
+    assert "another start" not in result.advice
+    assert "has 1" not in result.explain()
+    assert solve(LCP(1e200 * M, 1e200 * q), algorithm).is_solved
+
+
+def test_a_refuted_program_tells_the_run_that_refuted_it() -> None:
+    """explain() of a small infeasible program makes no second run, whose stages would contradict what it says."""
+    result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
+    assert result.status is Status.INFEASIBLE
+    assert "dual active set: 0 iterations" in result.explain()
+    assert "npsor" not in result.explain()
 
 
 @pytest.mark.parametrize("algorithm", ["lemke", "interior_point"])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -23,7 +22,6 @@ from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, galler
 from lcp_plugin.algorithms import REGISTRY, Step
 from lcp_plugin.core.errors import LCPError, UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.core.splittings.projected_type import NPSOR
-from lcp_plugin.systems.lapack import dgbtrf, dpotrf
 
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
@@ -219,32 +217,6 @@ def test_ctrl_c_while_a_first_call_loads_breaks_no_later_call(call: str, seconds
     code = f"import sys\nsys.argv[1:] = {[call, str(seconds)]!r}\n"
     done = in_a_process(code + textwrap.dedent(WHILE_LOADING))
     assert done.stdout.split() == ["True", "True"], done.stdout + done.stderr
-
-
-@pytest.mark.parametrize("factorisation", [
-    lambda: dpotrf(np.asfortranarray(np.eye(3))), lambda: dgbtrf(np.asfortranarray(np.ones((4, 5))), 1, 1),
-])  # fmt: skip
-def test_ctrl_c_at_every_line_before_a_factorisation_stays_ctrl_c(factorisation: Callable[[], object]) -> None:
-    """Raised at the k-th step of the interpreter, for every k, it arrives as KeyboardInterrupt."""
-    factorisation()
-    for k in range(1000):
-        left = itertools.count(k, -1)
-
-        def interrupted(*_: object, left: Iterator[int] = left) -> Callable[..., object]:
-            if next(left) == 0:
-                raise KeyboardInterrupt
-            return interrupted
-
-        tracer = sys.gettrace()
-        sys.settrace(interrupted)
-        try:
-            factorisation()
-        except KeyboardInterrupt:
-            continue
-        finally:
-            sys.settrace(tracer)
-        break
-    assert 5 < k < 1000
 
 
 def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:

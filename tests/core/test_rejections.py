@@ -659,12 +659,10 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "stability_atlas progress": lambda p, wrong: stability_atlas(["psor"], ["sizes"], progress=wrong),
     "gallery parse": lambda p, wrong: gallery.parse(wrong),
     "gallery build": lambda p, wrong: gallery.build(wrong),
-    "report plot": lambda p, wrong: REPORT.plot(wrong),
     "report against": lambda p, wrong: REPORT.plot(against=wrong),
-    "report csv": lambda p, wrong: REPORT.to_csv(wrong),
-    "report json": lambda p, wrong: REPORT.to_json(wrong),
-    "profile csv": lambda p, wrong: performance_profile([REPORT]).to_csv(wrong),
-    "atlas csv": lambda p, wrong: Atlas((), ()).to_csv(wrong),
+    "report save": lambda p, wrong: REPORT.save(wrong),
+    "profile save": lambda p, wrong: performance_profile([REPORT]).save(wrong),
+    "atlas save": lambda p, wrong: Atlas((), ()).save(wrong),
     "ComplementarityProblem": lambda p, wrong: ComplementarityProblem(wrong),
 }
 REPORT = Report("", "", 1, 1, "residual", 1e-8, 1, 0.0, ())

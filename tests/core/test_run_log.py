@@ -80,7 +80,9 @@ def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys: pytest.CaptureFi
     result = solve_nonlinear(problem, [0.0, 0.0], verbose=True)
     header, stages, _, end = printed_by(result, capsys.readouterr().out)
     assert header == "NonlinearProblem(n=2, differences)"
-    assert stages == ["josephy_newton"]
+    assert stages == [
+        "josephy_newton: each iteration replaces F by its tangent at x and solves the linear problem that this gives"
+    ]
     assert "as measured on F" in end
 
 

@@ -17,6 +17,7 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
 from fresh_process import printed_by
+from legends import hides_nothing
 
 from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, gallery, solve
 from lcp_plugin.algorithms import Algorithm, Step
@@ -290,7 +291,7 @@ def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) 
     report = error_against_time(scene(), ["pgs"], repeats=1)
     with mpl.rc_context({"pdf.fonttype": 3}):
         before = dict(mpl.rcParams)
-        report.plot(tmp_path / f"curves{ending}")
+        report.save(tmp_path / f"curves{ending}")
         draw(solve(scene().problem, record=True), tmp_path / f"answer{ending}", scene())
         assert dict(mpl.rcParams) == before
     for name in ("curves", "answer"):
@@ -318,12 +319,15 @@ def test_options_may_stand_beside_a_name(algorithms: Any, labels: list[str]) -> 
 def test_csv_and_json_hold_every_digit(tmp_path: Path) -> None:
     """The CSV has one line a point with all digits; JSON gives the same report back."""
     report = error_against_time(scene(), ["pgs", "gfp"], ("clarabel",), repeats=1)
-    rows = list(csv.DictReader(io.StringIO(report.to_csv(tmp_path / "curves.csv"))))
+    report.save(tmp_path / "curves.csv")
+    report.save(tmp_path / "curves.json")
+    rows = list(csv.DictReader(io.StringIO(report.to_csv())))
     assert (tmp_path / "curves.csv").read_text(encoding="utf-8") == report.to_csv()
     assert len(rows) == sum(len(curve.points) for curve in report.curves) + 1
     errors = [float(row["error"]) for row in rows if row["algorithm"] == "gfp"]
     assert errors == [point.error for point in report.curves[1].points]
-    assert Report.from_content(json.loads(report.to_json(tmp_path / "curves.json"))) == report
+    assert (tmp_path / "curves.json").read_text(encoding="utf-8") == report.to_json()
+    assert Report.from_content(json.loads(report.to_json())) == report
     assert "pgs" in str(report)
 
 
@@ -332,7 +336,8 @@ def test_csv_and_json_hold_every_digit(tmp_path: Path) -> None:
 def test_plot_names_every_curve_and_its_axis(against: str, tmp_path: Path) -> None:
     """The picture has log–log axes, says which error it shows, and names each curve in its family's colour."""
     report = error_against_time(scene(), repeats=1)
-    figure = report.plot(tmp_path / "curves.svg", against=against)
+    figure = report.plot(against=against)
+    report.save(tmp_path / "curves.svg", against=against)
     axes = figure.axes[0]
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert "true error" in axes.get_ylabel()
@@ -343,19 +348,20 @@ def test_plot_names_every_curve_and_its_axis(against: str, tmp_path: Path) -> No
 
 def names_in(figure: Any) -> set[str]:
     """The names beside the lines, and those of every legend."""
-    legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
+    legends = [legend for one in (figure, *figure.subfigs) for legend in one.legends]
     beside = [text.get_text() for axes in figure.axes for text in axes.texts]
     return {*beside, *(text.get_text() for legend in legends for text in legend.get_texts())}
 
 
-def test_few_names_stand_in_the_panel_and_many_below_it() -> None:
-    """Two curves have a legend within the axes; twelve have one below them."""
+def test_names_stand_where_they_hide_nothing() -> None:
+    """Two curves, or twelve, have their names below the axes, and the axes keep most of the figure."""
     few = error_against_time(gallery.build("obstacle_2d", size=12), ["npgs", "psor"], repeats=1).plot()
     assert names_in(few) == {"npgs", "psor"}
-    assert not few.legends
     many = error_against_time(scene(), repeats=1).plot()
-    assert many.axes[0].get_legend() is None
-    assert len(many.legends[0].get_texts()) == 12
+    assert len(names_in(many)) == 12
+    for figure in (few, many):
+        assert hides_nothing(figure)
+        assert figure.axes[0].get_position().height > 0.4
 
 
 def test_no_two_curves_look_alike_in_grey() -> None:

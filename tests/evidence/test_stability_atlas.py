@@ -251,7 +251,7 @@ def test_atlas_survives_json_pickle_and_addition(some: Atlas, tmp_path: Path) ->
     assert repr(again) == repr(some)
     assert repr(pickle.loads(pickle.dumps(some))) == repr(some)
     assert repr(Atlas(some.cells[:5]) + Atlas(some.cells[5:], some.skipped)) == repr(some)
-    some.to_csv(tmp_path / "atlas.csv")
+    some.save(tmp_path / "atlas.csv")
     with (tmp_path / "atlas.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["stress"] for row in rows] == [cell.stress for cell in some.cells]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from legends import hides_nothing
 
 import lcp_plugin.evidence.study as module
 from lcp_plugin import (
@@ -321,15 +322,15 @@ def test_the_paper_s_tables_compile_without_a_warning(tmp_path: Path) -> None:
 
 
 def test_pictures_are_as_wide_as_a_column_or_a_page() -> None:
-    """One problem makes 3.5 inches, several 7.1; names with their exponents stand in the legend of each panel."""
+    """One problem makes 3.5 inches, several 7.1; names with their exponents stand below each panel."""
     pytest.importorskip("matplotlib")
     powers = [(p, n, m, k * n**0.5) for p in "pq" for n in (100, 400, 1600) for m, k in (("a", 1.0), ("b", 9.0))]
     one, two = (made(*[row for row in powers if row[0] in which]).plot("work") for which in ("p", "pq"))
     assert (one.get_size_inches()[0], two.get_size_inches()[0]) == (3.5, 7.1)
     for figure in (one, two):
-        assert not figure.legends
-        for axes in figure.axes:
-            assert [text.get_text() for text in axes.get_legend().get_texts()] == ["a  $n^{0.50}$", "b  $n^{0.50}$"]
+        assert hides_nothing(figure)
+        for part in figure.subfigs:
+            assert [text.get_text() for text in part.legends[0].get_texts()] == ["a  $n^{0.50}$", "b  $n^{0.50}$"]
     assert [axes.get_title("left") for axes in two.axes] == ["p", "q"]
     assert two.axes[0].get_ylabel() == "work [passes over M]"
     assert two.axes[1].get_xlabel() == "unknowns n"
@@ -344,6 +345,55 @@ def test_every_view_is_a_picture(view: str, tmp_path: Path) -> None:
     for ending in ("pdf", "svg", "png"):
         found.save(view, tmp_path / f"v.{ending}")
         assert (tmp_path / f"v.{ending}").stat().st_size > 2000
+
+
+def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
+    """Where no run gave an answer there is no file with empty axes; a problem without one says so in its panel."""
+    pytest.importorskip("matplotlib")
+    failed = made(("p", 4, "a", -7.0))
+    for view in ("work", "profile"):
+        with pytest.raises(InvalidOption, match="nothing to draw: no run gave an answer"):
+            failed.save(view, tmp_path / "v.png")
+        assert not (tmp_path / "v.png").exists()
+    figure = made(("p", 4, "a", -7.0), ("q", 4, "a", 7.0)).plot("work")
+    assert [text.get_text() for text in figure.axes[0].texts] == ["no answer: print() says why"]
+    assert not figure.axes[1].texts
+
+
+def test_a_file_of_measurements_says_what_it_can_be(tmp_path: Path) -> None:
+    """One verb saves: the ending says what; another ending, and what is for a picture alone, are refused in words."""
+    report = made(("p", 4, "a", 7.0)).reports()[0]
+    with pytest.raises(InvalidOption, match=r"must end in .png, .pdf, .svg, .csv, .json, got 'r.txt'"):
+        report.save(tmp_path / "r.txt")
+    with pytest.raises(InvalidOption, match=r"against is for a picture .*got 'r.csv'"):
+        report.save(tmp_path / "r.csv", against="work")
+
+
+def test_a_class_in_place_of_an_object_is_told() -> None:
+    """study([Mine]) says to write Mine(); a table prints as one."""
+    with pytest.raises(InvalidOption, match=r"got the class Damped; write Damped\(\)"):
+        study("half_active", [Damped], [16])
+    assert str(made(("p", 4, "a", 7.0)).table()[0]).startswith("p: iterations\n\n| method | n = 4 |")
+
+
+def test_a_missing_exponent_is_told() -> None:
+    """A table says why a method has no exponent: too few solved sizes, or no power; one that has is a number."""
+    powers = [("p", n, "a", n**0.5) for n in (4, 64, 256)]
+    jumps = [("p", n, "b", y) for n, y in ((4, 1.0), (64, 90.0), (256, 2.0))]
+    few = [("p", n, "c", y) for n, y in ((4, 2.0), (64, 8.0), (256, -9.0))]
+    rows = made(*powers, *jumps, *few).table("work")[0].rows
+    assert [row[-1] for row in rows] == [0.5, "no power", "needs 3 solved sizes"]
+
+
+def test_why_there_is_no_answer_is_printed() -> None:
+    """A method that refuses, and a family called without sizes, say why in print(study), without a NaN."""
+    def family(n: int) -> LCP:
+        return LCP(*chain(n))
+
+    told = str(study({"own": LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0]), "family": family}, ["psor"], repeats=1))
+    assert "nan" not in told
+    assert "psor needs a positive diagonal, but M[0, 0] = 0.0" in told
+    assert "family needs a size (sizes=[100], --size 100)" in told
 
 
 def test_a_view_that_does_not_exist_is_refused() -> None:
@@ -390,7 +440,8 @@ def test_nothing_is_wrong_but_solved_and_a_proved_error_hides_nothing(tmp_path: 
     assert outcomes["proved ranges"] == {"right", "says that it failed"}
     assert not atlas.lies
     for family in outcomes:
-        figure = atlas.plot(tmp_path / "map.png", family=family)
+        figure = atlas.plot(family=family)
+        atlas.save(tmp_path / "map.png", family=family)
         assert [axes.get_title("left") for axes in figure.axes] == ["auto", "npsor", "psor", "newton"]
         assert len(figure.legends[0].get_texts()) == len(OUTCOMES)
 

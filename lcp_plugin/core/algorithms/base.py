@@ -95,6 +95,37 @@ class Algorithm(ABC):
     `problem.communicator` for what other ranks know; `is_monotone` False says that rises of the residual are legal, and
     that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
     run whose best residual stands still; `why_no_start` is said of a start that is given and not used.
+
+    A method of your own needs a `name` and `iterates(problem, z0)`; clock, tolerance and status are `solve`'s. Of its
+    problem it may use, and must not change:
+
+    - ``M``, as it is kept, dense or CSR, and ``csr``, canonical CSR, shape (n, n); ``is_dense``; ``diagonal``, (n,);
+    - ``q``, ``lower``, ``upper``, shape (n,), bounds perhaps infinite; ``n`` and ``nonzeros``;
+    - ``slack(z)``, w = M z + q; ``nearest_to_zero``, z°; ``residual_scale``, the d_i of the residual;
+    - ``np.clip(z, problem.lower, problem.upper)`` for the projection, and `require_positive_diagonal` of this module.
+
+    ``solve(problem, Mine())`` runs it, ``study`` and ``error_against_time`` compare it with others, and
+    ``lcp-plugin solve FILE -a mine.py:Mine`` takes it on the command line.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> from lcp_plugin import LCP, solve
+    >>> @dataclass(frozen=True, kw_only=True)
+    ... class DampedJacobi(Algorithm):
+    ...     name = "damped_jacobi"
+    ...     damping: float = 0.8
+    ...
+    ...     def iterates(self, problem, z0):
+    ...         z = z0.copy()
+    ...         while True:
+    ...             yield Step(z)
+    ...             step = self.damping * problem.slack(z) / problem.diagonal
+    ...             z = np.clip(z - step, problem.lower, problem.upper)
+    >>> result = solve(LCP([[4, -1], [-1, 4]], [-3, 5]), DampedJacobi(damping=0.9))
+    >>> result.status.name, result.z.round(6)
+    ('SOLVED', array([0.75, 0.  ]))
     """
 
     name: ClassVar[str]

@@ -353,8 +353,25 @@ def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector
     return start, found
 
 
-def _potentials(whole: IntVector, tails: IntVector, heads: IntVector, nodes: int) -> IntVector:
-    """Return integers p with whole_k + p_head − p_tail = 0 along a breadth first forest, 0 at its roots."""
+def symmetrising_rows(M: sp.csr_array) -> FloatVector:
+    """Return t with 2^t_i |m_ij| = 2^t_j |m_ji| along a forest of the pairs that M has both ways, 0 at its roots.
+
+    Examples
+    --------
+    >>> symmetrising_rows(sp.csr_array([[2.0, -1.0], [-64.0, 128.0]])).tolist()
+    [0.0, -6.0]
+    """
+    here = sp.csr_array(M.multiply(sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape).T))
+    there = sp.csr_array(here.T)
+    for side in (here, there):
+        side.sort_indices()
+    ratio = np.log2(np.abs(there.data)) - np.log2(np.abs(here.data))
+    found: FloatVector = _potentials(ratio, row_numbers(here), here.indices.astype(np.int64), M.shape[0])
+    return found
+
+
+def _potentials(whole: Any, tails: IntVector, heads: IntVector, nodes: int) -> Any:
+    """Return p with whole_k + p_head − p_tail = 0 along a breadth first forest, 0 at its roots."""
     from scipy.sparse.csgraph import breadth_first_order, connected_components
 
     graph = _graph(tails, heads, nodes)
@@ -362,11 +379,10 @@ def _potentials(whole: IntVector, tails: IntVector, heads: IntVector, nodes: int
     origin = np.full(roots.size, nodes)  # one node more, which all roots hang on
     tied = _graph(np.append(tails, origin), np.append(heads, roots), nodes + 1)
     before = breadth_first_order(tied, nodes, directed=False)[1][:nodes]
-    step = np.zeros(nodes + 1, np.int64)
-    ends = np.concatenate([np.stack([tails, heads, whole]), np.stack([heads, tails, -whole])], axis=1)
-    is_tree = before[ends[1]] == ends[0]
-    ends = ends[:, is_tree][:, ::-1]  # of two entries between a pair the first counts
-    step[ends[1]] = -ends[2]
+    step = np.zeros(nodes + 1, whole.dtype)
+    parents, children = np.append(tails, heads), np.append(heads, tails)
+    is_tree = np.flatnonzero(before[children] == parents)[::-1]  # of two entries between a pair the first counts
+    step[children[is_tree]] = np.append(-whole, whole)[is_tree]
     parent, potential = np.append(np.where(before < 0, nodes, before), nodes), step
     while (parent != nodes).any():  # each jump doubles how far back a node has looked
         potential = potential + potential[parent]

@@ -155,14 +155,16 @@ class Auto(Policy):
         if getattr(problem.origin, "form", "") == "kkt":
             self._direct = self._turns(problem)
             if self._direct is not None and (first := self._direct.first()) is not None:
-                return replace(first, because=f"multipliers have no diagonal entry to sweep with; {first.because}")
+                why = "multipliers have no diagonal entry, which sweeps need"
+                return replace(first, because=f"{why}; {first.because}")
             self._direct = None
         if takes_the_small_dense_solver(problem):
             return Choice(_small(), "small: a few sweeps guess which unknowns are at a bound")
         banded = _banded()
         passes = math.inf if banded is None else in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
+        cost = f"{max(passes, 1.0):.0f} sweep" + "s" * (passes > 1.5)
         narrow = PROJECTED_TYPE if banded is None else Choice(
-            banded, f"M is a narrow band, which it solves at the cost of about {passes:.0f} sweeps"
+            banded, f"M is a narrow band, solved in about the time of {cost}"
         )
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
         if passes <= TRIAL_SWEEPS:
@@ -180,7 +182,8 @@ class Auto(Policy):
         if (order := _exact_order(problem, now)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if now.algorithm.name == "banded":
-            return replace(PROJECTED_TYPE, because="banded ended without a solution: sweeps") if failed else None
+            why = "banded ended without a solution; cheap sweeps over the rows are next"
+            return replace(PROJECTED_TYPE, because=why) if failed else None
         left = Remaining.of(problem, now, goal, failed=failed)
         if left is None:
             return None
@@ -198,7 +201,7 @@ class Auto(Policy):
             if rival is None or not left.loses_to(rival, passes := predicted[rival]):
                 return None
             if passes < math.inf and rival.name != DIRECT:
-                return Choice(rival, f"{left}, this one about {passes:.0f} passes over M")
+                return Choice(rival, f"{left}; this one is expected to take as long as {passes:.0f} sweeps")
         self._direct = self._turns(problem)
         first = None if self._direct is None else self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")

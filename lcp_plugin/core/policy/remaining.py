@@ -75,7 +75,7 @@ class Remaining:
             return f"{self.name} ended without a solution"
         known = self.sweeps < math.inf
         if self.name == "multigrid" and known:
-            return f"multigrid had taken {self.work:.0f} passes over M and would have needed {self.sweeps:.0f} more"
+            return f"multigrid had cost as much as {self.work:.0f} sweeps and would have cost {self.sweeps:.0f} more"
         if not known:
             return f"{self.name} was not converging"
         return f"{self.name} would have needed {self.sweeps:.0f} more sweeps"

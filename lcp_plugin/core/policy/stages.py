@@ -32,7 +32,8 @@ class Choice:
     """An algorithm, the reason for it, and the smaller problem it is to run on, if any.
 
     `turn` says after how many steps, or of lemke pivots divided by n, another one may have its turn before this one has
-    come to its end; `from_start`, that it does not go on from the best point so far but begins where the run began.
+    come to its end; `from_start`, that it does not go on from the best point so far but begins where the run began;
+    `is_made`, that it came to its end before the run, which begins with the point that it led to.
     """
 
     algorithm: Algorithm
@@ -40,9 +41,12 @@ class Choice:
     presolved: Presolved | None = None
     turn: float = math.inf
     from_start: bool = False
+    is_made: bool = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the steps of the algorithm in terms of the caller's problem."""
+        if self.is_made:
+            return iter((Step(z0, work=0.0),))
         if self.presolved is None:
             return self.algorithm.iterates(problem, z0)
         return self.presolved.iterates(self.algorithm, problem, z0)
@@ -145,7 +149,7 @@ class Stage:
 
 PARTS_IN_WORDS = {
     "newton": "guesses which unknowns are at a bound and solves for the others, until the guess proves right",
-    "lemke": "pivots: swaps unknowns at their bounds one by one",
+    "lemke": "pivots: brings one unknown at a time to its bound, or away from it",
 }
 
 

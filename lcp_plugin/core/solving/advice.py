@@ -5,16 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ..algorithms import Algorithm
+from ..checks import FloatVector
+from ..kernels.floats import EPSILON
 from ..lcp import LCP
 from ..matrix.row_sums import has_positive_diagonal
 from ..policy.stages import Stage
 from ..settings import Status
 
+ROUNDING = 4.0 * EPSILON
+MOST_DIGITS = 308.0  # of a double
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 EXCLUDED = "no solution was found, and as far as doubles tell there is none near any z"
 FAR_OUT = "no start leads to a solution within that size: check the data"
+BEYOND_DOUBLES = (
+    "the residual overflows already at the point of the bounds nearest to 0: M and q are too far apart for double "
+    "precision; state the unknowns in a larger unit, or divide q"
+)
 ELSEWHERE = "auto has tried what suits this M: another start z0 may lead elsewhere"
 
 
@@ -53,6 +63,7 @@ def advice_of_run(
     for status in LIMITS:
         said[status] += ", or go on from z0=result.z" * goes_on + f", or try {other}" * bool(other)
     end = FAR_OUT if any(stage.refutes_nearby for stage in stages) else f"try {other}" if other else ELSEWHERE
+    end = beyond_doubles(problem) or end
     for status in WITHOUT_END:
         said[status] = EXCLUDED if is_excluded else f"{said[status]}; {end}"
     return {**words, **said}
@@ -69,11 +80,81 @@ def advice_beside_a_wrong_row(words: Mapping[Status, str], row: str) -> dict[Sta
     return {**words, **said}
 
 
+def beyond_doubles(problem: LCP) -> str:
+    """Return what to do where a row asks for a z beyond the largest double; '' where none does.
+
+    Where w_i(z°) has the wrong sign and no bound stops z, some |z_j| is at least |w_i|/Σ_j |m_ij|.
+
+    Parameters
+    ----------
+    problem : LCP
+
+    Examples
+    --------
+    >>> print(beyond_doubles(LCP([[1e-200]], [-1e200])))
+    row 0 has |q| = 1e+200 beside entries of M up to 1e-200, so that |z| is at least 1e+400, beyond the largest double:
+    divide M by 1e-200, q by 1e+200, and z is in units of 1e+200/1e-200
+    >>> beyond_doubles(LCP([[1e-200]], [1e200])), beyond_doubles(LCP([[1e-200]], [-1e200], upper=1.0))
+    ('', '')
+    """
+    largest = problem.matrix.row_largest
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        w = problem.slack(problem.nearest_to_zero)
+        wrong = ((w < 0.0) & (problem.upper == np.inf)) | ((w > 0.0) & (problem.lower == -np.inf))
+        exponents = np.where(wrong, np.log10(np.abs(problem.q)) - np.log10(largest * problem.n), -np.inf)
+    i = int(np.argmax(exponents)) if exponents.size else 0
+    if not exponents.size or not exponents[i] > MOST_DIGITS or not exponents[i] < np.inf:
+        return ""
+    q, m = f"{abs(problem.q[i]):.3g}", f"{largest[i]:.3g}"
+    return (
+        f"row {problem.first + i} has |q| = {q} beside entries of M up to {m}, so that |z| is at least "
+        f"1e+{exponents[i]:.0f}, beyond the largest double: divide M by {m}, q by {q}, and z is in units of {q}/{m}"
+    )
+
+
+def advice_on_given_rows(problem: LCP, z: FloatVector, w: FloatVector) -> str:
+    """Return what to do with rows that only give z, as boundary values do, and lie at a bound with w = 0; '' for none.
+
+    Each is a kink of the solution for :func:`lcp_plugin.derivative`, which an equation is not.
+
+    Parameters
+    ----------
+    problem : LCP
+    z, w : array, shape (n,)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z = np.array([1.0, 1.5])
+    >>> print(advice_on_given_rows(LCP([[1, 0], [-1, 2]], [-1, -2], lower=1.0), z, np.zeros(2)))
+    M has nothing but a diagonal entry in row 0, where z is at a bound with w = 0: if such a row only gives z, as a
+    boundary value does, leave its bounds out (lower = -inf, upper = inf), and derivative() sees no kink in it
+    """
+    if problem.is_distributed:
+        return ""
+    counts = np.count_nonzero(problem.M, axis=1) if problem.is_dense else np.diff(problem.csr.indptr)
+    rows = np.flatnonzero((counts == 1) & (problem.diagonal != 0.0) & (problem.lower < problem.upper))
+    near = ROUNDING * np.abs(z[rows])
+    is_held = (z[rows] <= problem.lower[rows] + near) | (z[rows] >= problem.upper[rows] - near)
+    rows = rows[is_held & (np.abs(w[rows]) <= ROUNDING * np.abs(problem.q[rows]))]
+    if not rows.size:
+        return ""
+    named = " and ".join(map(str, rows)) if rows.size <= 2 else f"{rows[0]}, {rows[1]} and {rows.size - 2} more"
+    return (
+        f"M has nothing but a diagonal entry in row{'s' * (rows.size > 1)} {named}, where z is at a bound with w = 0: "
+        "if such a row only gives z, as a boundary value does, leave its bounds out (lower = -inf, upper = inf), and "
+        "derivative() sees no kink in it"
+    )
+
+
 def _other_call(problem: LCP, chosen: Algorithm) -> str:
     """Return another call than the one that has failed: what its options lack, or auto."""
     is_unscaled = getattr(chosen, "scaling", "auto") is None and bool(has_positive_diagonal(problem.matrix).all())
     scaled = 'scaling="auto", which is enough where M is an H₊-matrix, or ' if is_unscaled else ""
     return f'{scaled}algorithm="auto"'
+
+
+NOTHING_TO_DO = "where it begins the residual is within the tolerance already, and nothing was left to do"
 
 
 def unused_start(problem: LCP, chosen: Any, start: Any) -> str:

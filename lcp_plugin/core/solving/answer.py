@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 from ..errors import NotConverged
 from ..registry import ask
 from ..settings import PROVEN, Status
+from ..written import in_words
 
 
 class Answer:
@@ -94,7 +95,7 @@ class Answer:
 
     def _effort(self) -> str:
         """Return what ran, and what it took."""
-        return f"{self.algorithm}: {self.iterations} iterations, {self.seconds:.3g} s"
+        return f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s"
 
     def require_solved(self) -> Self:
         """Return this result, or raise where it is not solved.

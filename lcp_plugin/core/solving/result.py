@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,6 +12,8 @@ from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
 from ..registry import ask, ask_or_none
 from ..settings import Status
+from ..written import in_words
+from .advice import advice_on_given_rows
 from .answer import Answer
 
 if TYPE_CHECKING:
@@ -32,6 +35,18 @@ class StageRecord(NamedTuple):
     iterations: int
     work: float
     remark: str = ""
+
+
+def told_stages(stages: Sequence[StageRecord]) -> list[str]:
+    """Return a line for each stage: what ran, for how long, and why; of one stage alone only where that says why."""
+    if len(stages) == 1:
+        return [f"  {stages[0].name}: {stages[0].because}"] if stages[0].because else []
+    total = sum(stage.work for stage in stages) or 1.0
+    return [
+        f"  {stage.name}, {in_words(stage.iterations, 'iteration')}, {stage.work / total:.0%} of the work"
+        + (stage.because and f": {stage.because}")
+        for stage in stages
+    ]
 
 
 @dataclass(frozen=True)
@@ -178,6 +193,12 @@ class Result(Answer):
             return []
         return [self.infeasibility.how_small(self.tolerance, self.absolute_tolerance, self.certificate.scaled_residual)]
 
+    def _given_rows(self) -> list[str]:
+        """Return what to do with rows that give z and are kinks of it, of an LCP."""
+        problem = self.certificate.problem
+        said = "" if self.certificate.is_linearised else advice_on_given_rows(problem, self.z, self.w)
+        return [said] if said else []
+
     def explain(self) -> str:
         """Return the story of the run in a few lines."""
         lines = [
@@ -185,16 +206,11 @@ class Result(Answer):
             self.reached(),
             *self._course(),
         ]
-        if len(self.stages) > 1 or (self.stages and self.stages[0].because):
-            total = sum(stage.work for stage in self.stages) or 1.0
-            lines += [
-                f"  {stage.name}, {stage.iterations} iterations, {stage.work / total:.0%} of the work"
-                + (stage.because and f": {stage.because}")
-                for stage in self.stages
-            ]
+        lines += told_stages(self.stages)
         if self.is_solved:
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
             lines += [*(f"the stored doubles are {small}" for small in self._small_contradiction()), *self._sign()]
+            lines += self._given_rows()
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
@@ -203,22 +219,36 @@ class Result(Answer):
         return "\n".join([*lines, *(misleading(self) if misleading else []), *self._complementarity()])
 
     def _effort(self) -> str:
+        matrix = "F′" if self.certificate.is_linearised else "M"
         return (
-            f"{self.algorithm}: {self.iterations} iterations, work {self.work:.1f} passes over M, "
-            f"{self.seconds:.3g} s of which set-up {self.setup_seconds:.3g} s"
+            f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s (set-up "
+            f"{self.setup_seconds:.3g} s), the work of {self.work:.1f} products of {matrix} with a vector"
         )
 
     def reached(self) -> str:
         """Return what was reached beside what was asked for."""
-        residual = f"relative residual {self.residual:.3e}"
+        residual, beside = f"relative residual {self.residual:.3e}", self._beside
         asked_on_error = self.tolerance_on == "error"
         if self.error_bound is None:
             what = "a relative error of " if asked_on_error else ""
+            residual += beside and f" ({beside})"
             return f"{residual}, asked for {what}{self.tolerance:.3e}{self._or_absolute}"
-        residual += "" if asked_on_error else f" (asked for {self.tolerance:.3e}{self._or_absolute})"
+        asked_for = "" if asked_on_error else f"asked for {self.tolerance:.3e}{self._or_absolute}"
+        notes = "; ".join(filter(None, (beside, asked_for)))
+        residual += notes and f" ({notes})"
         asked = f" (asked for {self.tolerance:.3e})" if asked_on_error else ""
         bound, *proven = str(self.error_bound).splitlines()
         return "\n".join([f"{residual}; {bound}{asked}", *proven])
+
+    @property
+    def _beside(self) -> str:
+        """Return which point has the relative residual 1, where one of this process is known to."""
+        problem = self.certificate.problem
+        if self.certificate.is_linearised or problem.is_distributed:
+            return ""
+        if not 0.0 < self.certificate.references[0].max(initial=0.0) < math.inf:
+            return ""
+        return f"{'the point of the bounds nearest to 0' if problem.nearest_to_zero.any() else 'z = 0'} has 1"
 
     @property
     def _or_absolute(self) -> str:

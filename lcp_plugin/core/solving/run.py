@@ -21,7 +21,7 @@ from ..lcp import LCP
 from ..policy.choice import Policy, name_of
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage, reason_of_part
 from ..settings import Settings, Status
-from .advice import advice_beside_a_wrong_row, advice_of_run, unused_start
+from .advice import BEYOND_DOUBLES, NOTHING_TO_DO, WITHOUT_END, advice_beside_a_wrong_row, advice_of_run, unused_start
 from .judge import Judge, judge_of
 from .result import BoundOrReason, Result, Sample, StageRecord
 from .run_log import RunLog
@@ -225,10 +225,17 @@ class Run:
         if reason is Status.INTERRUPTED and (ended_by := getattr(self.judge.problem.origin, "ended_by", None)):
             status, proof = ended_by.status, ended_by
             words = {**words, status: f"the program is {proof}"}
+        is_over_at_once = status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None and (
+            self.problem.communicator.everywhere(np.array_equal(self.incumbent.z, start))
+        )
+        if is_over_at_once:
+            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
         if isinstance(self.judge.asked, LCP):
-            if unused := unused_start(self.problem, self.policy.chosen, start):
+            if not is_over_at_once and (unused := unused_start(self.problem, self.policy.chosen, start)):
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
-            if status is not Status.SOLVED:
+            if np.isinf(certificate.references[0]).any():
+                words |= dict.fromkeys(WITHOUT_END, BEYOND_DOUBLES)
+            elif status is not Status.SOLVED:
                 words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
                 is_small = certificate.relative_above(settings.least_reference) <= settings.goal
                 if is_small and not certificate.is_right_row_by_row(settings.goal, settings.least_reference):

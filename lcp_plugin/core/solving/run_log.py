@@ -68,7 +68,8 @@ class RunLog:
         """Print what came out."""
         self._say(
             f"{result.status.name}: relative residual {result.residual:.2e} after {result.iterations} "
-            f"iterations, work {result.work:.1f} passes over M, {result.seconds:.3g} s; {result.advice}"
+            f"iterations, the work of {result.work:.1f} products of M with a vector, {result.seconds:.3g} s; "
+            f"{result.advice}"
         )
 
     def _say(self, line: str) -> None:

@@ -26,7 +26,7 @@ PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of
 ALIASES = {"q": "c", "lb": "lower", "ub": "upper"}
 QUADPROG = {"H": "P", "f": "c", "A": "G", "b": "h", "Aeq": "A", "beq": "b", "lb": "lower", "ub": "upper"}
 OF_PROGRAM = ("P", "c", "A", "l", "u", "G", "h", "b", "lower", "upper", "r")
-OF_LEAST_SQUARES = ("A", "b", "lower", "upper", "weights", "ridge")
+OF_LEAST_SQUARES = ("A", "b", "lower", "upper", "weights", "ridge", "l1")
 MATRICES = ("P", "A", "G", "H", "Aeq")
 MOST_ROWS = 10**8
 KEYS = {*OF_PROGRAM, *OF_LEAST_SQUARES, *PARTS, *ALIASES, *QUADPROG}
@@ -66,7 +66,7 @@ def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedL
     path : str or Path
         ``.qps`` and ``.mps`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A, l, u, or
         the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program; with A
-        and b, no more than bounds, weights and ridge beside them, a BoundedLeastSquares. Everything else is read by
+        and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares. Everything else is read by
         :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by :func:`lcp_plugin.doors.nl.read_nl`.
 
     Raises
@@ -144,7 +144,7 @@ def load_program(path: str | PathLike[str]) -> Stated:
 
 
 def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
-    """Return the problem of an ``.npz`` or ``.mat`` file with A, b and, if wanted, lower, upper, weights, ridge.
+    """Return the problem of an ``.npz`` or ``.mat`` file with A, b and, if wanted, lower, upper, weights, ridge, l1.
 
     See :class:`~lcp_plugin.BoundedLeastSquares` for what is meant where one is missing: lower is 0 then. Bounds may be
     called lb and ub, and a sparse A is A_data, A_indices, A_indptr, A_shape (CSC) in ``.npz``.
@@ -156,7 +156,7 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
     try:
         return _class_of("BoundedLeastSquares")(  # type: ignore[no-any-return]
             content["A"], content["b"], **_limits(content, "lower", "upper"), weights=content.get("weights"),
-            ridge=_number(content.get("ridge", 0.0)),
+            ridge=_number(content.get("ridge", 0.0)), l1=_limits(content, "l1").get("l1", 0.0),
         )
     except (InvalidProblem, ValueError) as error:
         raise InvalidProblem(f"{source}: {error}") from error

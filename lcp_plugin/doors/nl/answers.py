@@ -15,6 +15,7 @@ from ...core.errors import InvalidOption
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
+from ...core.written import in_words
 from ...modeling.assembly import Arrangement, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
@@ -33,7 +34,7 @@ OUTSIDE = 1e-8  # of 1 + |x|
 ROUNDINGS = 100.0  # times what rounding alone leaves open
 PROGRAM_GOAL = 1e-6  # of the terms of a row
 OBJECTIVE = 1e-3  # of what the objective may differ by: one that is expanded has lost digits
-TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads")  # beside an objective
+TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads", "prove")  # beside an objective
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
@@ -120,7 +121,7 @@ class NLModel(ABC):
         return f"{type(self).__name__}({self.problem})"
 
     def _message(self, words: str, residual: float, iterations: int) -> str:
-        return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {iterations} iterations"
+        return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {in_words(iterations, 'iteration')}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from typing import Any
@@ -224,6 +225,7 @@ class FileStatement:
         sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
         goal = found.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
         problem = stated.program(goal, sign, found.quadratic(m) if has_objective else None)
+        problem = replace(problem, names=[content.variable(j) for j in own])
         return EquilibriumModel(content, problem, own, self.known, sign, rows, np.concatenate(columns))
 
     def _put_in_definitions(self) -> None:

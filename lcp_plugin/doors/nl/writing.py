@@ -35,7 +35,7 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
     Raises
     ------
     InvalidProblem
-        Where the format cannot say it: a function written in Python, integer variables that are not the last ones.
+        Where the format cannot say it: a function written in Python, integer variables among others.
     UnsupportedModel
         Naming the component of a Pyomo model that is not taken.
 
@@ -297,9 +297,14 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     integers = np.flatnonzero(content.is_integer)
     if not integers.size:
         return in_rows, in_objectives, (0, 0, 0, 0)
+    ends = np.flatnonzero(content.is_integer & ~np.append(content.is_integer[1:], False)) + 1
+    first = int(ends[0])
+    if ends.size <= 2 and int(ends[-1]) in (first, n) and max(in_rows, in_objectives) <= first < n:
+        own = int(content.is_integer[:first].sum())  # the last ones of those that are nonlinear, and of the others
+        return first, first, (integers.size - own, own, 0, 0)
     if integers[0] != n - integers.size:
         raise InvalidProblem(f"variable {integers[0]} is integer and one behind it is not; the integer variables of an "
-                             ".nl file must come last; order the variables so")
+                             ".nl file must come last, or last of those that are nonlinear; order the variables so")
     if integers[0] >= max(in_rows, in_objectives):
         return in_rows, in_objectives, (integers.size, 0, 0, 0)
     return n, n, (0, integers.size, 0, 0)

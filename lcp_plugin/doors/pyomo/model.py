@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyomo.common.errors import InvalidValueError
 from pyomo.core import (
     Block,
     ConcreteModel,
@@ -34,7 +35,7 @@ from pyomo.repn.plugins.nl_writer import NLWriter
 from pyomo.repn.util import categorize_valid_components
 
 from ...core.checks import FloatVector
-from ...core.errors import UnsupportedModel
+from ...core.errors import InvalidProblem, UnsupportedModel
 from ..nl.content import NLContent, Token, Trees
 from ..nl.reading import read_content
 from .pairs import Pair, PairSide, cannot_vary, difference, number, paired, sides_of, unit
@@ -268,10 +269,13 @@ class _Draft:
 
     def _write(self, path: Path, exported: list[Any]) -> Any:
         with path.open("w", newline="") as file:
-            return NLWriter().write(
-                self.model, file, linear_presolve=False, scale_model=False, skip_trivial_constraints=False,
-                export_nonlinear_variables=exported or None,
-            )
+            try:
+                return NLWriter().write(
+                    self.model, file, linear_presolve=False, scale_model=False, skip_trivial_constraints=False,
+                    export_nonlinear_variables=exported or None,
+                )
+            except InvalidValueError as error:
+                raise InvalidProblem(f"numbers of a model must be finite: {' '.join(str(error).split())}") from error
 
     def _paired(self, content: NLContent, variables: list[Any], rows: list[Any]) -> NLContent:
         """Return the content with the pairs' bounds of variables, and no others but of a program."""

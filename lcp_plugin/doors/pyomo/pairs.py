@@ -15,6 +15,7 @@ from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.core.expr.visitor import identify_variables
 
 from ...core.errors import UnsupportedModel
+from ...core.written import in_words
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +101,9 @@ def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
                 "both; write the equation as a Constraint and the bound at the variable"
             )
     elif first.bounds + second.bounds != 2:
+        bounds = in_words(first.bounds + second.bounds, "finite bound")
         raise UnsupportedModel(
-            f"{stated.name} has {first.bounds + second.bounds} finite bounds on its two sides together, and needs two: "
+            f"{stated.name} has {bounds} on its two sides together, and needs two: "
             "complements(x >= 0, F >= 0), or complements(inequality(lower, x, upper), F)"
         )
     return first, second

@@ -12,6 +12,7 @@ pivots first, is two Cholesky factors. What comes out is L and D in one pattern 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,8 +21,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, read_only
 from ...core.crossovers import BLOCKED_ENTRY, BLOCKED_FROM, BLOCKED_RATE
 from ...core.matrix.structure import row_numbers
-from ...systems.lapack import signed_cholesky
-from .newton_matrix import DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix
+from .newton_matrix import DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix, signed_cholesky
 from .quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
 
 DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
@@ -30,6 +30,7 @@ LEAP, CLASSES = 1.2, 4  # rows with so many times as many entries as the next on
 NARROW = 2.0 * (BLOCKED_ENTRY + BLOCKED_FROM) * BLOCKED_RATE / (BLOCKED_RATE - 1.0)  # rows: fewer gain nothing
 TALL = 3.0  # times as many dense rows as columns that share them are not looked at
 SOLVES = 20.0  # times that an entry of L is used after each factorisation
+KEPT_PATTERNS, KEPT_ENTRIES = 16, 50_000  # how many are kept, each of so many entries at the most
 SHARED_BY = 3.0  # times the work of the dense block that an order with dense rows last may take in all
 
 
@@ -64,7 +65,23 @@ class DensePart(NamedTuple):
 
 
 def analysed(M: sp.csr_array, signs: FloatVector) -> Symbolic:
-    """Return order and pattern of a factor of M, canonical, with a dense end where that is predicted to be quicker."""
+    """Return order and pattern of a factor of M, canonical, with a dense end where that is predicted to be quicker.
+
+    Those of small patterns are kept: a program that is stated anew with other numbers has the same.
+    """
+    if M.nnz > KEPT_ENTRIES:
+        return _analysed(M, signs)
+    return _of_pattern(M.indptr.tobytes(), M.indptr.dtype, M.indices.tobytes(), M.indices.dtype, signs.tobytes())
+
+
+@lru_cache(maxsize=KEPT_PATTERNS)
+def _of_pattern(indptr: bytes, of_starts: Any, indices: bytes, of_columns: Any, signs: bytes) -> Symbolic:
+    starts, columns = np.frombuffer(indptr, of_starts), np.frombuffer(indices, of_columns)
+    M = sp.csr_array((np.ones(columns.size), columns, starts), shape=(starts.size - 1, starts.size - 1))
+    return _analysed(M, np.frombuffer(signs))
+
+
+def _analysed(M: sp.csr_array, signs: FloatVector) -> Symbolic:
     order, last = dense_rows_last(M, signs)
     if last:
         symbolic = in_order(M, order)

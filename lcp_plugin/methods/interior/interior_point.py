@@ -41,7 +41,7 @@ NEAR, MOST_HELD = 1e-6, 30  # of the residual of z°; steps
 FINISHED = 1e-12  # of the residual of z°: what an active set that is solved for leaves
 CLASSIFICATIONS = (1.0, 1e-3, 1e3)
 SAFE_TO_MULTIPLY = 400  # bits
-MISSED, MISSED_FOR = 0.5, 12  # share of the infeasibility that solves leave, gap closed, until pivots are tried; steps
+MISSED, MISSED_FOR = 0.5, 12  # share of the infeasibility that solves leave, until pivots are tried; steps
 PINNED = 1e30  # a diagonal that leaves nothing of a row's unknown, beside entries of about 1
 
 
@@ -260,7 +260,7 @@ class Search:
     ) -> Generator[Step, None, bool]:
         """Make steps from a start of that weight until nothing improves; return whether there was a start.
 
-        Nothing does, either, where for so many steps solves leave what is infeasible.
+        Nothing does, either, where for so many steps solves leave what is infeasible, which hides the gap.
         """
         if not point.start(starts.weight):
             return False
@@ -283,7 +283,8 @@ class Search:
                 if not point.start(starts.weight):
                     return False
                 continue
-            is_missed = point.matrix.missed >= MISSED * point.infeasibility and point.gap <= small_gap
+            is_closed = point.gap <= min(small_gap, point.infeasibility)
+            is_missed = is_closed and point.matrix.missed >= MISSED * point.infeasibility
             missing = missing + made if is_missed else 0
             if missing >= patience or standstill.is_reached(made, self.best, point.gap, point.infeasibility):
                 break
@@ -294,7 +295,7 @@ class Search:
                     if primal.is_solved:  # and yet the driver asks on: what is left is a matter of rounding
                         break
                 continue
-            if point.has_settled and point.gap <= small_gap and polishes < MOST_POLISHES:
+            if point.has_settled and polishes < MOST_POLISHES:
                 polishes += 1
                 yield from self.polished(point.z, *point.active(1.0))
         for threshold in CLASSIFICATIONS:

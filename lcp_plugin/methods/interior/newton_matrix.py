@@ -13,9 +13,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.crossovers import DENSE_OPERATIONS
+from ...core.deadline import require_seconds
 from ...core.matrix.structure import row_numbers
-from ...systems.factors import Factor, cholesky, dense_lu, made, sparse_lu, sparse_work
-from ...systems.lapack import signed_cholesky
+from ...systems.factors import Factor, cholesky, dense_lu, sparse_lu, sparse_work
 from ...systems.refinement import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
 
 REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
@@ -179,7 +180,8 @@ def quasidefinite(matrix: FloatVector, positive: int, *, overwrite: bool = False
     n = matrix.shape[0]
     mirrored = matrix.T if overwrite else matrix.T.copy(order="F")
     mirrored[positive:, positive:] *= -1.0
-    C = made(lambda: signed_cholesky(mirrored, positive), n**3 / 3.0)
+    require_seconds(n**3 / 3.0 / DENSE_OPERATIONS)
+    C = signed_cholesky(mirrored, positive)
     if C is None:
         return None
 
@@ -195,6 +197,37 @@ def quasidefinite(matrix: FloatVector, positive: int, *, overwrite: bool = False
         return signs * solve(signs * right)
 
     return Factor("Cholesky", solve, solve_transposed, n**3 / 6.0, float(n * n))
+
+
+def signed_cholesky(matrix: FloatVector, positive: int) -> FloatVector | None:
+    """Return lower C with C diag(±1) Cᵀ = A, +1 in the first rows and −1 in the others; None where there is none.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n), by columns
+        Its lower triangle is read; it may be overwritten.
+    positive : int
+        How many of the signs are +1.
+
+    Examples
+    --------
+    >>> np.tril(signed_cholesky(np.array([[4.0, 2.0], [2.0, -8.0]], order="F"), 1))
+    array([[2., 0.],
+           [1., 3.]])
+    """
+    from scipy.linalg import blas, lapack
+
+    rest, info = -matrix[positive:, positive:], 0
+    if positive:
+        above, info = lapack.dpotrf(matrix[:positive, :positive], lower=1, clean=0)
+        matrix[:positive, :positive] = above
+    if positive and rest.size and not info:
+        across = blas.dtrsm(1.0, above, matrix[positive:, :positive], side=1, lower=1, trans_a=1)
+        matrix[positive:, :positive] = across
+        rest = blas.dsyrk(1.0, across, 1.0, rest, lower=1)
+    if rest.size and not info:
+        matrix[positive:, positive:], info = lapack.dpotrf(rest, lower=1, clean=0)
+    return None if info else matrix
 
 
 class SparseNewtonMatrix(NewtonMatrix):

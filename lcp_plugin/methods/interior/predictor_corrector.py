@@ -72,7 +72,7 @@ class PredictorCorrector:
     infeasibility : float
         The largest |M z + q − w_lower + w_upper| before the last step.
     changes, settled : int
-        Rows that came to a bound or left one with the last step; steps since there was any.
+        Rows that came to a bound or left one with the last step; steps since there was any, or the gap was not small.
     """
 
     def __init__(
@@ -212,8 +212,8 @@ class PredictorCorrector:
                 return made
             present = self.is_active()
             self.changes, self._was_active = int(np.count_nonzero(present != self._was_active)), present
-            self.settled = 0 if self.changes else self.settled + 1
-            if self.gap <= small_gap and self.has_settled:
+            self.settled = 0 if self.changes or self.gap > small_gap else self.settled + 1
+            if self.has_settled:
                 return made + 1
         return most
 

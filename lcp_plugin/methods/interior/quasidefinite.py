@@ -14,12 +14,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...systems.factors import LONG, made, most_operations
+from ...core.crossovers import SPARSE_OPERATIONS
+from ...core.deadline import require_seconds
+from ...systems.factors import require_time_for_factor
 from ...systems.graph import compressed_rows
 from ...systems.refinement import REFINEMENTS, STABLE, USEFUL
 from .newton_matrix import SMALLEST, NewtonMatrix
 
 DEAR = (8.0, 30.0)  # times the work of a solve: factorisations that are worth one correction, or two
+AT_ONCE_UP_TO = 1e8  # operations a factor, .1 s: beyond, somebody may want to look between two steps
 SAME = 1e-12  # entries that differ by less, beside their size, are the same but for rounding
 
 
@@ -71,7 +74,8 @@ class Symbolic:
         indices[numbers > 0.0], indices[numbers == 0.0] = np.arange(n), columns
         upper = sp.csc_array((numbers, indices, starts), shape=(n, n))
         try:
-            solver = made(lambda: qdldl.Solver(upper, upper=True), most_operations(upper))
+            require_time_for_factor(upper)
+            solver = qdldl.Solver(upper, upper=True)
         except RuntimeError as error:  # no pivot is 0: it found no memory
             raise MemoryError(str(error)) from error
         lower, _, order = solver.factors()
@@ -111,13 +115,14 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         self._own_diagonal, self._entries_of = M.diagonal(), compressed_rows(M)
         self._signed = np.repeat(signs, np.diff(M.indptr)) * M.data
         self._values, self._pivots = np.empty(self.symbolic.entries), np.empty(self.n)
-        self._ones, self._spare = np.ones(self.n), np.empty((5, self.n))
+        self._ones, self._spare = np.ones(self.n), np.empty((4, self.n))
         self._system = *self.symbolic.pattern[:3], self._values, self._pivots, self.signs, *self._entries_of
 
     def _try(self, diagonal: FloatVector) -> bool:
         self.work += self.symbolic.work
         np.multiply(self.signs, self._own_diagonal + diagonal, out=self._pivots)
-        if not made(self._eliminate, self.symbolic.work):
+        require_seconds(self.symbolic.work / SPARSE_OPERATIONS)
+        if not self._eliminate():
             return False
         x, error, _ = self._solved(self._ones, diagonal, 0)
         return error <= max(USEFUL, STABLE * float(np.abs(x).max()))
@@ -133,7 +138,7 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, small_gap: float, most: int, settled: int
     ) -> tuple[int, int] | None:
         """Make steps as :mod:`lcp_plugin.methods.interior.kernels.steps_at_once` does; None where each takes long."""
-        if self.symbolic.work > LONG:
+        if self.symbolic.work > AT_ONCE_UP_TO:
             return None
         from .kernels import steps_at_once as kernels
 

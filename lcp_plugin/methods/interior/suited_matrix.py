@@ -16,7 +16,7 @@ from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import IntVector, row_numbers
-from ...core.matrix.units import Exponents, scaled
+from ...core.matrix.units import Exponents, scaled, symmetrising_rows
 from ...systems.equilibration import unit_diagonal
 from ...systems.graph import compressed_rows
 from ...systems.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
@@ -27,7 +27,6 @@ SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not tre
 EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
 SWEEPS, RUIZ_PASSES = 6, 8
 CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
-LARGEST_SEARCH = 20_000  # rows up to which a tree through the pattern is followed row by row
 LARGEST_EXPONENT = 1000
 FIXED = 16.0 * EPSILON  # bounds that differ by less, beside their size, are the same but for rounding
 
@@ -62,9 +61,7 @@ class SuitedMatrix:
         M, signs, is_symmetric = _stored(M, is_mirrored)
         r = None if is_symmetric else monotone_rows(M)
         if r is not None:
-            M = scaled(M, Exponents(r, np.zeros_like(r)))
-            if sp.issparse(M):
-                M, signs, is_symmetric = _stored(M)
+            M, signs, is_symmetric = _stored(scaled(M, Exponents(r, np.zeros_like(r))))
         c = equilibration(M, signs)
         unit = read_only(np.ones(M.shape[0]) if c is None else np.ldexp(1.0, c.row))
         return cls(scaled(M, c), None if r is None else np.ldexp(1.0, r), unit, signs, is_symmetric)
@@ -167,8 +164,8 @@ def monotone_rows(M: Any) -> IntVector | None:
     exponents = np.zeros(diagonal.size, np.int64)
     if _may_be_monotone(rows, exponents):
         return None
-    candidates = [_symmetrising(rows)] if diagonal.size <= LARGEST_SEARCH else []
-    for exponents in (*candidates, -np.rint(np.log2(diagonal)).astype(np.int64)):
+    for logarithms in (symmetrising_rows(rows), -np.log2(diagonal)):
+        exponents = np.rint(logarithms).astype(np.int64)
         if np.abs(exponents).max() <= LARGEST_EXPONENT and _may_be_monotone(rows, exponents):
             return exponents
     return None
@@ -181,25 +178,6 @@ def _may_be_monotone(M: sp.csr_array, exponents: IntVector) -> bool:
         both = sp.coo_array(M + M.T)
         allowed = 2.0 * root[both.row] * root[both.col] * CLEARLY
         return bool(np.all(np.abs(both.data) <= allowed))
-
-
-def _symmetrising(M: sp.csr_array) -> IntVector:
-    """Return the exponents r of 2^r_i m_ij = 2^r_j m_ji along a tree through each connected part of the pattern."""
-    from scipy.sparse.csgraph import breadth_first_order, connected_components
-
-    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
-    mutual = sp.csr_array(pattern * pattern.T)
-    size = sp.csr_array((np.log2(np.abs(M.data)), M.indices, M.indptr), shape=M.shape)
-    ratio = sp.csr_array(mutual * size) - sp.csr_array(mutual * size.T)  # log₂ of m_ij/m_ji
-    exponents = np.zeros(M.shape[0])
-    count, part = connected_components(mutual, directed=False)
-    first = np.full(count, -1)
-    first[part[::-1]] = np.arange(M.shape[0])[::-1]
-    for start in first.tolist():
-        order, before = breadth_first_order(mutual, start, directed=False)
-        for i in order[1:].tolist():
-            exponents[i] = exponents[before[i]] - ratio[i, before[i]]
-    return np.rint(exponents).astype(np.int64)
 
 
 def known_before(problem: LCP) -> FloatVector:

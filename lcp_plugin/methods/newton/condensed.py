@@ -6,6 +6,7 @@ of the Schur complement S = M_BB − M_BI M_II⁻¹ M_IB. A contact problem has 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
@@ -94,15 +95,15 @@ class Condensed(Algorithm):
             change, rows = -known.free(w), known.rows
             offset = w[rows] + known.coupling @ change - known.problem.matrix.array @ z[rows]
             smaller = known.problem.with_q(offset, lower=problem.lower[rows], upper=problem.upper[rows])
-            held = z[rows]
+            held, spent = z[rows], 0.0
             for step in Newton().iterates(smaller, held.copy()):
-                held = step.z
+                held, spent = step.z, spent + step.work * smaller.nonzeros
             moved = held - z[rows]
             z = z + change - known.free(known.columns @ moved)
             z[rows] = held
             w, before = problem.slack(z), residual
             residual = float(np.abs(scaled_residual(problem, z, w)).max(initial=0.0))
-            yield Step(z, residual, work=4.0 + 2.0 * known.solve_work / entries)
+            yield Step(z, residual, work=4.0 + (2.0 * known.solve_work + spent) / entries)
             if not residual < NO_GAIN * before:
                 return
 
@@ -113,10 +114,10 @@ def has_bound(problem: LCP) -> BoolVector:
     return bounded
 
 
-def condensing_pays(problem: LCP, work: float) -> bool:
-    """Return whether to condense a problem takes less than so many passes over its M: predicted, in operations."""
+def condensing_passes(problem: LCP) -> float:
+    """Return about how many passes over M condensing takes, in operations; ∞ where many rows have a bound, or none."""
     count = int(np.count_nonzero(has_bound(problem)))
     if not 0 < count <= min(BOUNDED_UP_TO, BOUNDED_SHARE * problem.n) or problem.is_dense:
-        return False
+        return math.inf
     fill, operations = sizes_of_factor(problem.matrix)
-    return operations + 2.0 * fill * count + count**3 <= work * problem.nonzeros
+    return (operations + 2.0 * fill * count + count**3) / max(problem.nonzeros, 1)

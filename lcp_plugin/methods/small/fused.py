@@ -12,6 +12,7 @@ from ...core.matrix.structure import parts
 from ...core.policy.choice import Policy, name_of
 from ...core.policy.stages import Choice, reason_of_part
 from ...core.settings import Settings, Status
+from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.judge import answers_program
 from ...core.solving.result import Result, StageRecord
 
@@ -68,6 +69,8 @@ def fused_result(
         StageRecord(name, reason_of_part(name, first.algorithm, first.because, is_first=k == 0), iterations, work)
         for k, (name, iterations, work) in enumerate(found.parts)
     )
+    if not any(stage.iterations for stage in stages):  # the first step is the start
+        stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
     return Result(
         z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
         tolerance=settings.tolerance, algorithm=name_of(policy, stages),

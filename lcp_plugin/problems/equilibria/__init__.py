@@ -18,7 +18,7 @@ EQUILIBRIUM_PROGRAM = Kind(
         "error_bound": "solve(problem).gap is what is left, bound_by says whose bound",
         "save": "state it in AMPL's .nl, which lcp-plugin solve reads",
         "qpsolvers": "its program has no place for pairs: write solve(problem)",
-        **{f"lcp-plugin {name}": "lcp-plugin solve proves its bound"
+        **{f"lcp-plugin {name}": "lcp-plugin solve --option prove=true proves its bound"
            for name in ("check", "certify", "analyze", "study")},
     },
 )

@@ -29,7 +29,6 @@ from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ...core.registry import ask_or_none
 from ...core.settings import Status
-from ..programs.convexity import refuse_nonconvex
 from ..programs.qp_proofs import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .incumbents import LocalSearch
@@ -125,8 +124,9 @@ def minimize_over_solutions(
 
 
 def _refuse_proof(problem: EquilibriumProgram) -> None:
-    refuse_nonconvex(problem.program)
     what = "integers" if problem.integers.size else "a smooth part that is not quadratic"
+    if problem.smooth is None and not problem.has_convex_objective:
+        what = "an objective that is not convex"
     raise UnsupportedModel(
         f"prove=True needs affine rows, a convex quadratic objective and no integers, and this problem has {what}; "
         "leave it out: the bound is SCIP's then"
@@ -200,6 +200,8 @@ class BranchAndBound:
             return None
         if engine is not None:
             ended = self._ask(engine, ends, x0)
+            if self.local.best is None and (self.outside is None or self.outside.status != "infeasible"):
+                self.local.from_leaders(x0)
             if ended is not None or not is_provable or (self._is_closed() and not prove):
                 return ended
             if not prove:

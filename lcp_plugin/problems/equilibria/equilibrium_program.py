@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -16,6 +17,7 @@ from ...core.checks import FloatVector, check_order, checked_bound, checked_vect
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
+from ..programs.reductions import fold_simple_rows
 
 Indices = NDArray[np.int64]
 #: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
@@ -72,6 +74,8 @@ class EquilibriumProgram:
         The variables that are whole numbers.
     smooth : SmoothPart, optional
         What is neither linear nor quadratic.
+    names : sequence of str, optional
+        Of the variables, for messages, which do not speak of what has no name; by default x[0], x[1], ….
 
     Raises
     ------
@@ -95,6 +99,7 @@ class EquilibriumProgram:
     offset: float = 0.0
     integers: Any = ()
     smooth: SmoothPart | None = None
+    names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.program, QuadraticProgram):
@@ -217,6 +222,20 @@ class EquilibriumProgram:
             program.A, program.b, program.lower, program.upper,
         )
         return replace(self, program=wider)
+
+    @property
+    def without_upper_bound(self) -> list[str]:
+        """The names of the variables whose upper bounds help a search: sides of pairs, and what is not convex."""
+        program, columns = self.program, [self.first, self.second]
+        if not self.has_convex_objective:
+            columns.append(np.unique(sp.csr_array(program.P).indices))
+        if self.smooth is not None:
+            columns.append(np.unique(sp.csr_array(self.smooth.map.jacobian(np.zeros(program.n))).indices))
+        of_pairs = np.isin(np.arange(program.n), np.concatenate(columns[:2]))
+        stated = fold_simple_rows(program).folded  # bounds are rows, too
+        lacks = np.isposinf(stated.upper) & ~(of_pairs & np.isneginf(stated.lower))
+        names = self.names or [f"x[{j}]" for j in range(program.n)]
+        return [names[j] for j in np.unique(np.concatenate(columns)) if lacks[j] and j < len(names) and names[j]]
 
     def distances(self, x: FloatVector) -> FloatVector:
         """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""

@@ -39,10 +39,10 @@ FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
 MOST_STEPS = 100  # of interior points, where there may be no solution
 INSIDE = 1e-3  # beside the size of that box
-FAR = 1e4  # times 1 + the largest number that bounds x: a box for what falls for ever
+FAR = 1e4  # times the size of x that the data name, or where a local search begins: what is farther falls for ever
 MOST_PROGRAMS = 60  # of a local search in one piece
 FLATTER, STEEPER, STEEPEST = 0.1, 8.0, 1e12  # of σ
-REACHED = 1e-10  # of 1 + ‖x‖∞: a step that is none
+REACHED = 1e-10  # of ‖x‖∞: a step that is none
 
 
 @dataclass(eq=False)
@@ -150,6 +150,7 @@ class Relaxations:
         found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
 
+    @np.errstate(over="ignore", invalid="ignore")  # of what falls for ever
     def local_node(self, cases: Cases, near: FloatVector) -> Node:
         """Return the node of one piece at a local minimum near a point; integers are those of the point, rounded.
 
@@ -160,6 +161,7 @@ class Relaxations:
         if (lower > upper).any():
             return node
         around, last = _Around(self.problem, np.clip(near, lower, upper)), None
+        far = FAR * (1.0 + float(np.abs(around.x).max(initial=0.0)))
         size = float(np.abs(around.slope).max(initial=0.0)) or 1.0
         sigma, penalty = 0.0 if self.problem.is_convex else size * FLATTER**3, 0.0
         for _ in range(MOST_PROGRAMS):
@@ -172,15 +174,18 @@ class Relaxations:
                     break
                 sigma = size * FLATTER**3  # it may fall for ever
                 continue
+            if np.abs(solution.x).max(initial=0.0) > far:
+                break
             multipliers = np.abs(np.concatenate([solution.inequality, solution.equality]))
             penalty = max(penalty, 2.0 * float(multipliers.max(initial=0.0)))
             step = _Around(self.problem, np.clip(solution.x, lower, upper))
             moved = float(np.abs(step.x - around.x).max(initial=0.0))
+            is_none = moved <= REACHED * float(np.abs(step.x).max(initial=0.0))
             if step.merit(penalty) <= around.merit(penalty) or sigma == 0.0:
                 around, last, sigma = step, solution, sigma * FLATTER
-                if moved <= REACHED * (1.0 + np.abs(step.x).max(initial=0.0)) or sigma == 0.0:
+                if is_none or sigma == 0.0:
                     break
-            elif moved <= REACHED or sigma > STEEPEST * size:
+            elif is_none or sigma > STEEPEST * size:
                 break
             else:
                 sigma = max(STEEPER * sigma, size * FLATTER**3)
@@ -206,8 +211,7 @@ class Relaxations:
 
         Along what falls for ever that one lies far out.
         """
-        limits = np.concatenate([program.lower, program.upper, program.h, program.b])
-        far = FAR * (1.0 + float(np.abs(limits[np.isfinite(limits)]).max(initial=0.0)))
+        far = FAR * program.primal_size
         within = program.with_vectors(lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far))
         found = solved_at_once(within, TOLERANCE)
         solution = _by_steps(within) if found is None else found.solution

@@ -18,7 +18,6 @@ from .lower_level import tightened
 from .relaxations import FEASIBLE, Node, Relaxations
 
 CONTRADICTED = "contradicted"  # by a better point of ours
-FAILED = "SCIP: "  # what its errors begin with
 BY_SCIP = "bound by SCIP, in floating point"
 WIDE = 0.1  # a gap
 MOST_NAMES = 3
@@ -46,6 +45,7 @@ SAID = {
     "inforunbd": "SCIP, in floating point, says that there is no solution, or none that is least: bound the variables",
     CONTRADICTED: "x is better than SCIP's bound, which is not believed therefore: rescale the data",
 }
+FALLS = ("unbounded", "inforunbd")
 
 
 class Outside(NamedTuple):
@@ -235,14 +235,14 @@ class EquilibriumResult(Answer):
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
         if self.status is Status.STALLED and self.outside is not None:
             what = "SCIP's point could not be confirmed" if self.x is None else "the value exceeds SCIP's bound"
-            if self.outside.status.startswith(FAILED):
-                what = f"SCIP ended with an error of its own ({self.outside.status.removeprefix(FAILED)})"
+            if self.outside.bound == -math.inf:
+                what = f"SCIP ended without an answer, with the words {self.outside.status!r}"
             advice = SAID.get(self.outside.status, f"{what}: bound the unknowns, or rescale the data")
         elif self.status is Status.STALLED and not self.problem.is_provable:
             advice = (
                 "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
-                f"installed: {GLOBAL}; for a local way leave out the objective and differentiate the followers: "
-                "requires_grad=True in cvxpy, derivative(result)"
+                f"installed, or does not load: {GLOBAL}; for a local way leave out the objective and differentiate "
+                "the followers: requires_grad=True in cvxpy, derivative(result)"
             )
         elif self.status not in LIMITS:
             return advice
@@ -252,18 +252,18 @@ class EquilibriumResult(Answer):
         return f"{advice}; {found}{self._unbounded_words()}"
 
     def _unbounded_words(self) -> str:
-        """Return which variables a bound would help, where the gap is wide."""
-        if self.gap <= WIDE:
+        """Return which variables an upper bound would help, where the gap is wide."""
+        said = "" if self.outside is None else self.outside.status
+        is_searched = self.outside is not None or self.problem.is_provable
+        if self.gap <= WIDE or not is_searched or (said in SAID and said not in FALLS):
             return ""
-        program, problem = self.problem.program, self.problem
-        names = [
-            f"x[{j}]" for j in np.unique(np.concatenate([problem.first, problem.second])).tolist()
-            if program.upper[j] == math.inf and program.lower[j] > -math.inf
-        ]
+        names = self.problem.without_upper_bound
         if not names:
             return ""
-        some = ", ".join(names[:MOST_NAMES]) + (", …" if len(names) > MOST_NAMES else "")
-        return f"; the bound barely moves where sides of pairs have no upper bound: {some}; limit them by rows beside"
+        some, has = ", ".join(names[:MOST_NAMES]), "has" if len(names) == 1 else "have"
+        some += ", …" * (len(names) > MOST_NAMES)
+        why = "" if said in FALLS else "the lower bound barely moves: "
+        return f"; {why}{some} {has} no upper bound; give {'it' if len(names) == 1 else 'them'} one"
 
     def _numbers(self) -> dict[str, float]:
         own = {"lower_bound": self.lower_bound, "gap": self.gap, "programs": self.programs, "tolerance": self.tolerance}

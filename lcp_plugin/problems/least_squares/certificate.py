@@ -1,4 +1,4 @@
-r"""What SOLVED means for min ½ Σ weights (A x − b)² + ½ ridge ‖x‖², lower ≤ x ≤ upper, and what is proved of an x.
+r"""What SOLVED means for min ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x|, lower ≤ x ≤ upper; what is proved of x.
 
 Write W = diag(weights), r = A x − b, f for the cost. For any y ∈ ℝᵐ and s = AᵀWy + ridge·x, convexity gives, summed
 without cancellation, for every feasible z
@@ -10,16 +10,20 @@ without a bound on one side needs an s_j of one sign, which rounding and the tol
 AᵀWp of that sign has it. Where there is none (a free column, A not proved to have full rank) f(x) − f(z) ≤ f(x) is all
 there is to say: that is the `gap` of a result, rounding included.
 
+A penalty l1_j |x_j| is l1_j x_j where x_j ≥ 0 and −l1_j x_j elsewhere: in the sum x_j and z_j are split at 0, with
+s_j + l1_j on the one side and s_j − l1_j on the other; s_j²/(2μ) becomes that of the least slope at x_j. A column
+without bounds needs |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (Mairal, doctoral thesis, Cachan 2010).
+
 **SOLVED: x is within the bounds and, for some y, the gap is at most tolerance · cost, cost = ½ Σ weights y² + ½ ridge
-‖x‖², where of r_i − y_i and of s_j only what exceeds rounding counts**: what exceeds ρ_i = γ (|A||x| + |b|)_i in row i
-and τ_j = γ (|A|ᵀW|y| + ridge |x|)_j in column j, γ = 4 u (terms + 4). So x is optimal to the tolerance beside its cost
-for entries of A and b that differ from those given by no more than that relative rounding: b_i moved by r_i − y_i, and
-column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small, so that its rounding hides
-nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0. All that is compared is in
-the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their squares) and columns change
-nothing but rounding. It cannot see what such a change of A decides: columns that depend on others up to rounding, where
-no bound stops them. For a LinearOperator, whose entries nobody knows, SOLVED means a small gradient, and all is an
-estimate.
+‖x‖² + Σ l1 |x|, where of r_i − y_i and of s_j only what exceeds rounding counts**: in row i what exceeds ρ_i = γ
+(|A||x| + |b|)_i, and τ_j = γ (|A|ᵀW|y| + ridge |x|)_j in column j, γ = 4 u (terms + 4). So x is optimal to the
+tolerance beside its cost for entries of A and b that differ from those given by no more than that relative rounding:
+b_i moved by r_i − y_i, and column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small,
+so that its rounding hides nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0.
+All that is compared is in the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their
+squares) and columns change nothing but rounding. It cannot see what such a change of A decides: columns that depend on
+others up to rounding, where no bound stops them. For a LinearOperator, whose entries nobody knows, SOLVED means a small
+gradient, and all is an estimate.
 """
 
 from __future__ import annotations
@@ -85,12 +89,13 @@ class Optimality:
         residual = enclosures.residual(x)
         gradient, slope = enclosures.gradients(x, residual)
         *largest, is_at_floor = largest_residuals(
-            *gradient, x, problem.lower, problem.upper, units, problem.has_entries
+            *gradient, x, problem.lower, problem.upper, problem.l1, units, problem.has_entries
         )
         steepness = max(map(_ratio, largest, enclosures.reference))
         value, y = steepness, residual[0]
         if problem.has_entries:
             duals = _dual_points(enclosures, x, residual, slope, dual, is_at_floor=is_at_floor)
+            duals = _with_shrunk(enclosures, x, duals) if problem.l1.any() else duals
             value, y = _beside_cost(problem, x, residual, duals, tolerance)
         return cls(x, residual[0], value, steepness, is_at_floor, y)
 
@@ -125,11 +130,12 @@ def _dual_points(
         yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
     if dual is not None:  # whoever has one knows better than what follows
         return
-    free, y, at_y = (problem.lower < x) & (x < problem.upper), r, slope
+    free, y, at_y = (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0)), r, slope
     if is_at_floor:
         yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
     for accuracy in ACCURACIES:
-        y = y - _push(problem, np.where(free, at_y[0] / problem.column_units, 0.0), free, accuracy)
+        wrong = at_y[0] + np.copysign(problem.l1, x)
+        y = y - _push(problem, np.where(free, wrong / problem.column_units, 0.0), free, accuracy)
         at_y = enclosures.gradient_at(x, y)
         yield y, at_y, NOTHING
         if (np.abs(y) <= slip).any():  # the only entry of a column without bounds wants a y_i of 0, not of rounding
@@ -138,6 +144,31 @@ def _dual_points(
         yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
     if (convexity := enclosures.convexity) is not None:
         yield r, slope, convexity
+
+
+def _with_shrunk(
+    enclosures: Enclosures, x: FloatVector, duals: Iterator[tuple[FloatVector, Ball, FloatVector]]
+) -> Iterator[tuple[FloatVector, Ball, FloatVector]]:
+    """Yield each y, and behind it the same shrunk."""
+    for y, slope, convexity in duals:
+        yield y, slope, convexity
+        if not convexity.size and (shrunk := _shrunk(enclosures, x, y, slope)) is not None:
+            yield (*shrunk, NOTHING)
+
+
+def _shrunk(enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball) -> tuple[FloatVector, Ball] | None:
+    """Return θ y, θ ≤ 1, with |s_j| ≤ l1_j where there is a penalty and no bound, and its s; None where y has that."""
+    problem = enclosures.problem
+    of_y, margin = slope[0] - problem.ridge * x, 2.0 * slope[1]
+    shares = [
+        np.divide(problem.l1 - margin - sign * problem.ridge * x, sign * of_y,
+                  out=np.ones(x.size), where=(sign * of_y > 0.0) & (bound == sign * -np.inf) & (problem.l1 > 0.0))
+        for sign, bound in ((1.0, problem.lower), (-1.0, problem.upper))
+    ]
+    share = float(np.min(shares, initial=1.0)) * (1.0 - 2.0**-50)
+    if not 0.0 < share < 1.0 - 2.0**-49:
+        return None
+    return share * y, enclosures.gradient_at(x, share * y)
 
 
 def _ratio(size: float, unit: float) -> float:
@@ -161,6 +192,8 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
     at_x = enclosures.gradient(x, residual)
     exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
     slopes = [(y, enclosures.gradient_at(x, y)) for y in duals or (residual[0],)]
+    if problem.l1.any():
+        slopes += [shrunk for y, slope in slopes if (shrunk := _shrunk(enclosures, x, y, slope)) is not None]
 
     def above(*given: Any) -> float:
         gap, _, size = _gap(problem, x, *given)
@@ -186,8 +219,8 @@ def _gap(
     from .sums import gap_beside_cost
 
     found: tuple[float, float, float] = gap_beside_cost(
-        *residual, y, *slope, x, problem.lower, problem.upper, problem.root_weights, problem.column_units,
-        problem.ridge, convexity, rounding,
+        *residual, y, *slope, x, problem.lower, problem.upper, problem.l1, problem.root_weights,
+        problem.column_units, problem.ridge, convexity, rounding,
     )
     return found
 
@@ -202,9 +235,9 @@ def _repaired(
     problem = enclosures.problem
     wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
-    sizes = wanted * slope[0] / problem.column_units
+    sizes = (wanted * slope[0] + problem.l1) / problem.column_units
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
-    missing = np.maximum(rounding * slope[1] - wanted * slope[0], 0.0)
+    missing = np.maximum(rounding * slope[1] - wanted * slope[0] - problem.l1, 0.0)
     lacking = (wanted != 0.0) & (missing > 0.0)
     for push in _pushes(problem, np.where(in_doubt, wanted, 0.0), wanted):
         moved = wanted * problem.transposed(problem.weighted(push))
@@ -213,7 +246,7 @@ def _repaired(
             share *= 1.0 + 2.0**-10
             repaired = y + share * push
             value, radius = enclosures.gradient_at(x, repaired)
-            if (wanted * value >= rounding * radius)[wanted != 0.0].all():
+            if (wanted * value + problem.l1 >= rounding * radius)[wanted != 0.0].all():
                 yield repaired, (value, radius)
                 return
             share *= 2.0

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from ...core.checks import FloatVector, checked_answer
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
+from ...core.matrix.structure import IntVector
 from .data import BoundedLeastSquares
 
 FORMS = ("normal", "mixed", "auto")
@@ -44,7 +45,7 @@ class LeastSquaresSolution:
 
     @cached_property
     def cost(self) -> float:
-        """½ Σ weights (A x − b)² + ½ ridge ‖x‖²."""
+        """½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x|."""
         return self.problem.cost(self.x, self.fun)
 
 
@@ -60,7 +61,8 @@ class LeastSquaresOrigin:
 
         Parameters
         ----------
-        answer : Result or array, shape (n,) in the form "normal", (n + m,) in the form "mixed"
+        answer : Result or array, shape (N,)
+            Of the complementarity problem; the first n of its unknowns are x.
 
         Raises
         ------
@@ -68,15 +70,15 @@ class LeastSquaresOrigin:
             Where it is no finite vector of that length.
         """
         m, n = self.problem.shape
-        z = checked_answer(answer, n + m if self.form == "mixed" else n)
+        z = checked_answer(answer, (n + m if self.form == "mixed" else n) + kinks(self.problem).size)
         return LeastSquaresSolution(self.problem, np.clip(z[:n], self.problem.lower, self.problem.upper))
 
 
 def lcp_from_least_squares(
     A: Any, b: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *, weights: ArrayLike | None = None,
-    ridge: float = 0.0, form: str = "auto",
+    ridge: float = 0.0, l1: ArrayLike = 0.0, form: str = "auto",
 ) -> LCP:
-    """Return the complementarity problem that min ½ Σ weights (A x − b)² + ½ ridge ‖x‖² over [lower, upper] is.
+    """Return the complementarity problem that least squares with bounds, weights, a ridge, an l1 penalty are.
 
     Parameters
     ----------
@@ -88,6 +90,9 @@ def lcp_from_least_squares(
         ≥ 0; 1 by default. W is the diagonal matrix of them.
     ridge : float
         ≥ 0.
+    l1 : number or array, shape (n,)
+        ≥ 0. Where a column has room on both sides of 0, the subgradient s ∈ [−l1, l1] of its penalty is an unknown
+        behind the others, with w = −x; elsewhere the penalty is linear and no more than a part of q.
     form : {"auto", "normal", "mixed"}
         - normal: M = AᵀWA + ridge I, q = −AᵀWb, z = x; n rows, symmetric positive semidefinite. Its condition is that
           of A squared.
@@ -126,7 +131,7 @@ def lcp_from_least_squares(
     """
     if form not in FORMS:
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
-    stated = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge)
+    stated = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge, l1=l1)
     if not stated.has_entries:
         raise UnsuitableProblem("an LCP has entries, a LinearOperator has none; use bounded_least_squares(A, b)")
     m, n = stated.shape
@@ -143,17 +148,41 @@ def lcp_from_least_squares(
         dense = stated.A * root[:, None] if stated.is_dense else scaled
         ridges = np.full(n, stated.ridge)
         M = dense.T @ dense + (np.diag(ridges) if stated.is_dense else sp.diags_array(ridges, shape=(n, n)))
-        problem = LCP(M, -stated.transposed(stated.weighted(stated.b)), lower=stated.lower, upper=stated.upper)
+        q, below, above = -stated.transposed(stated.weighted(stated.b)), stated.lower, stated.upper
     else:
         ridges, ones = sp.eye_array(n) * stated.ridge, sp.eye_array(m)
         M = sp.block_array([[ridges, -scaled.T], [scaled, ones]], format="csr")
         free = np.full(m, np.inf)
-        problem = LCP(
-            M, np.concatenate([np.zeros(n), -root * stated.b]),
-            lower=np.concatenate([stated.lower, -free]), upper=np.concatenate([stated.upper, free]),
-        )
+        q = np.concatenate([np.zeros(n), -root * stated.b])
+        below, above = np.concatenate([stated.lower, -free]), np.concatenate([stated.upper, free])
+    problem = LCP(*_with_penalty(stated, M, q), **_bounds_with_penalty(stated, below, above))
     problem.origin = LeastSquaresOrigin(stated, form)
     return problem
+
+
+def kinks(problem: BoundedLeastSquares) -> IntVector:
+    """Return the columns with a penalty and room on both sides of 0, where that is no linear term."""
+    return np.flatnonzero((problem.l1 > 0.0) & (problem.lower < 0.0) & (problem.upper > 0.0))
+
+
+def _with_penalty(problem: BoundedLeastSquares, M: Any, q: FloatVector) -> tuple[Any, FloatVector]:
+    """Return M and q with what the penalty adds: a linear term, or a row and a column for each kink."""
+    columns, n = kinks(problem), problem.shape[1]
+    linear = np.where(problem.upper <= 0.0, -problem.l1, problem.l1)
+    linear[columns] = 0.0
+    q = q.copy()
+    q[:n] += linear
+    if not columns.size:
+        return M, q
+    k = columns.size
+    beside = sp.csr_array((np.ones(k), (columns, np.arange(k))), shape=(q.size, k))
+    M = sp.block_array([[sp.csr_array(M), beside], [-beside.T, None]], format="csr")
+    return M, np.concatenate([q, np.zeros(k)])
+
+
+def _bounds_with_penalty(problem: BoundedLeastSquares, below: FloatVector, above: FloatVector) -> dict[str, Any]:
+    l1 = problem.l1[kinks(problem)]
+    return {"lower": np.concatenate([below, -l1]), "upper": np.concatenate([above, l1])}
 
 
 def _has_squares(rows: sp.csr_array) -> bool:

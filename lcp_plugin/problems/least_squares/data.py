@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -29,12 +30,15 @@ COPIED_UP_TO = 10**6  # places of A
 ALONE = Communicator()
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
+LARGEST_PENALTY = 1e300  # in units: such a column is 0
 LARGEST_UNIT = 500  # exponent of a unit, so that squares of units are in range
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
 
 class BoundedLeastSquares:
-    """Minimise ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² over lower ≤ x ≤ upper.
+    """Minimise ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² + Σ l1_j |x_j| over lower ≤ x ≤ upper.
+
+    With l1 > 0 and ``lower=-inf`` it is the lasso, with a ridge beside it the elastic net.
 
     Parameters
     ----------
@@ -47,11 +51,20 @@ class BoundedLeastSquares:
         ≥ 0; None means 1.
     ridge : float
         ≥ 0.
+    l1 : number or array, shape (n,)
+        ≥ 0; 0 leaves a column, as that of an intercept, without a penalty. From ‖AᵀWb‖∞ on the answer is the point of
+        the bounds nearest to 0.
 
     Raises
     ------
     InvalidProblem, InvalidOption
         Where the data do not state such a problem.
+
+    Examples
+    --------
+    >>> from lcp_plugin import solve
+    >>> solve(BoundedLeastSquares([[1, 0], [0, 1]], [3, -0.5], lower=-np.inf, l1=1.0)).x
+    array([2., 0.])
 
     Attributes
     ----------
@@ -63,14 +76,19 @@ class BoundedLeastSquares:
 
     def __init__(
         self, A: Any, b: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,
-        weights: ArrayLike | None = None, ridge: float = 0.0,
+        weights: ArrayLike | None = None, ridge: float = 0.0, l1: ArrayLike = 0.0,
     ) -> None:
         self.A, self.has_entries = _checked(A)
         self.is_sparse = self.has_entries and not isinstance(self.A, np.ndarray)
         self.is_dense = self.has_entries and not self.is_sparse
         m, n = self.shape = self.A.shape
         self._transpose = self.A.T if self.has_entries else self.A.H
-        self.b = checked_vector(b, "b", m)
+        try:
+            self.b = checked_vector(b, "b", m)
+        except InvalidProblem as error:
+            if m == n or np.shape(b) != (n,):
+                raise
+            raise InvalidProblem(f"{error}, and A has {m} rows and {n} columns; did you mean A.T?") from error
         self.lower, self.upper = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
         check_order(self.lower, self.upper)
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
@@ -80,10 +98,12 @@ class BoundedLeastSquares:
         if not is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
+        self.l1 = read_only(np.zeros(n)) if is_number(l1) and l1 == 0.0 else _checked_penalty(l1, n)
 
     def __repr__(self) -> str:
         kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
-        return f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind})"
+        penalty = ", l1" if self.l1.any() else ""
+        return f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind}{penalty})"
 
     @property
     def is_cheap_to_copy(self) -> bool:
@@ -118,7 +138,7 @@ class BoundedLeastSquares:
         """Return what is minimised, at x with its residual A x − b."""
         with np.errstate(over="ignore", invalid="ignore"):
             penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0  # of an x too large to be squared
-            return float(0.5 * (self.weighted(residual) @ residual + penalty))
+            return float(0.5 * (self.weighted(residual) @ residual + penalty) + self.l1 @ np.abs(x))
 
     def _blocks(self) -> Iterator[tuple[FloatVector, FloatVector]]:
         """Yield the rows of a dense A, some at a time, in the order in which kernels read, and their √weights."""
@@ -174,7 +194,9 @@ class BoundedLeastSquares:
 
 
 class UnitLeastSquares:
-    """The same problem with columns of about unit length and b of about unit size: min ½‖A x − b‖² + ½ Σ ridge x².
+    """The same problem with columns of about unit length and b of about unit size.
+
+    That is min ½‖A x − b‖² + ½ Σ ridge x² + Σ l1 |x|, the last of which is linear in an orthant: min … + linearᵀx.
 
     Parameters
     ----------
@@ -182,7 +204,11 @@ class UnitLeastSquares:
 
     Attributes
     ----------
-    lower, upper, ridge : ndarray, shape (n,)
+    lower, upper, ridge, l1, linear : ndarray, shape (n,)
+    has_kink : ndarray of bool, shape (n,)
+        Which columns have a penalty and room on both sides of 0.
+    whole : UnitLeastSquares
+        What this is an orthant of, or itself.
     b : ndarray, shape (m,)
     columns : ndarray, shape (n,)
         What the columns of A were divided by.
@@ -200,7 +226,22 @@ class UnitLeastSquares:
         self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
         self.b = self._root * problem.b / self.size
         self.ridge = problem.ridge / self.columns / self.columns
+        self.l1 = np.minimum(problem.l1 / self.columns / self.size, LARGEST_PENALTY)
+        self.linear = np.where(self.upper <= 0.0, -self.l1, self.l1)
+        self.has_kink = (self.l1 > 0.0) & (self.lower < 0.0) & (self.upper > 0.0)
+        self.whole = self
         self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
+
+    def orthant(self, x: FloatVector, slope: FloatVector) -> UnitLeastSquares:
+        """Return the same with each column on the side of 0 where x is, or where the slope of A x − b leads from 0."""
+        if not self.has_kink.any():
+            return self
+        falls = self.has_kink & ((x < 0.0) | ((x == 0.0) & (slope > 0.0)))
+        part = copy(self)
+        part.lower = np.where(self.has_kink & ~falls, 0.0, self.lower)
+        part.upper = np.where(falls, 0.0, self.upper)
+        part.linear = np.where(falls, -self.l1, self.linear)
+        return part
 
     @cached_property
     def inverse_columns(self) -> FloatVector:
@@ -211,9 +252,18 @@ class UnitLeastSquares:
         """Return x in these units."""
         return x * (self.columns / self.size)
 
+    @property
+    def caller_bounds(self) -> tuple[FloatVector, FloatVector]:
+        """The bounds of this orthant in the caller's units."""
+        lower, upper = self.problem.lower, self.problem.upper
+        if self.whole is self and not self.has_kink.any():
+            return lower, upper
+        kink = self.has_kink
+        return np.where(kink & (self.lower == 0.0), 0.0, lower), np.where(kink & (self.upper == 0.0), 0.0, upper)
+
     def to_caller(self, x: FloatVector) -> FloatVector:
         """Return x in the caller's units, at a bound where it is at one here."""
-        lower, upper = self.problem.lower, self.problem.upper
+        lower, upper = self.caller_bounds
         there = np.clip(x * (self.size / self.columns), lower, upper)
         return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, there))
 
@@ -251,6 +301,15 @@ class UnitLeastSquares:
         scaled = self.problem.A[rows].copy()
         scaled.data = scaled.data * np.repeat(self._root[rows], np.diff(scaled.indptr)) / self.columns[scaled.indices]
         return scaled
+
+
+def _checked_penalty(l1: ArrayLike, n: int) -> FloatVector:
+    penalty = checked_bound(l1, "l1", n)
+    is_one = (penalty >= 0.0) & (penalty < np.inf)
+    if not is_one.all():
+        j = int(np.argmin(is_one))
+        raise InvalidProblem(f"l1 must be finite and ≥ 0, but l1[{j}] = {penalty[j]}; 0 leaves a column out")
+    return penalty
 
 
 def _checked(A: Any) -> tuple[Any, bool]:

@@ -31,7 +31,7 @@ constrained optimization*, SIAM J. Optim. 17 (2006), doi:10.1137/050635225.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from itertools import islice
 from typing import Any
 
@@ -56,8 +56,33 @@ STEPS = 100
 REFINED = 0.5  # what a correction on the same face has to leave at the most to be followed by another
 REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
 SUFFICIENT = 1e-4  # share of the fall that the gradient promises
+LEFT_BEHIND = 0.1  # of the pull out of an orthant: a smaller residual in it is not worth a step
 SETTLED = 2  # steps in a row that leave the face as it is
 Steps = Generator[FacePoint, None, FacePoint]
+
+
+def through_orthants(take: Callable[[FacePoint], Iterator[FacePoint]]) -> Callable[[FacePoint], Iterator[FacePoint]]:
+    """Return the steps that take those in an orthant, then in that where columns at 0 are pulled to, until none is.
+
+    In an orthant Σ l1 |x| is linear. Cost falls from one to the next: none comes back once it is solved.
+    """
+
+    def steps(start: FacePoint) -> Iterator[FacePoint]:
+        point = start
+        while True:
+            orthant = start.problem.whole.orthant(point.x, point.slope)
+            for point in take(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each begins where one ended
+                yield point
+                if point.pull_across > point.noise and LEFT_BEHIND * point.pull_across > _largest(point):
+                    break
+            if not point.pull_across > max(point.noise, _largest(point)):
+                return
+
+    return steps
+
+
+def _largest(point: FacePoint) -> float:
+    return float(np.abs(point.natural_residual).max(initial=0.0))
 
 
 def block_pivot_steps(start: FacePoint, faces: Faces) -> Iterator[FacePoint]:
@@ -171,7 +196,7 @@ def active_set_steps(start: FacePoint, faces: Faces) -> Iterator[FacePoint]:
         yield point
         free = point.is_free
         if length >= 1.0:  # the face is solved
-            noise, before, size = point.noise, size, float(np.abs(point.natural_residual).max(initial=0.0))
+            noise, before, size = point.noise, size, _largest(point)
             pulled = np.abs(point.pull) > noise
             if not pulled.any() and not 0.0 < size <= REFINED * before:
                 return

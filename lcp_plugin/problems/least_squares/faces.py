@@ -49,8 +49,10 @@ class FacePoint:
 
     Attributes
     ----------
-    gradient : ndarray, shape (n,)
+    slope : ndarray, shape (n,)
         Aᵀ(A x − b) + ridge x.
+    gradient : ndarray, shape (n,)
+        That and what the penalty l1 adds in the problem's orthant.
     dual : ndarray, shape (m,), or None
         What stands for A x − b in the caller's units where rounding of x leaves that too little, if somebody has it.
     """
@@ -61,12 +63,14 @@ class FacePoint:
     ) -> None:
         self.problem, self.x, self.dual = problem, x, dual
         self.residual = problem.product(x) - problem.b if residual is None else residual
-        self.gradient = problem.transposed(self.residual) + problem.ridge * x
+        self.slope = problem.transposed(self.residual) + problem.ridge * x
+        self.gradient = self.slope + problem.linear
 
     @cached_property
     def cost(self) -> float:
         """What is minimised."""
-        return float(0.5 * (self.residual @ self.residual + (self.problem.ridge * self.x) @ self.x))
+        quadratic = self.residual @ self.residual + (self.problem.ridge * self.x) @ self.x
+        return float(0.5 * quadratic + self.problem.l1 @ np.abs(self.x))
 
     @cached_property
     def is_free(self) -> BoolVector:
@@ -91,13 +95,26 @@ class FacePoint:
         """What is left of x less mid(lower, upper, x − gradient): 0 exactly at the minimum."""
         return clipped(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
 
+    @cached_property
+    def pull_across(self) -> float:
+        """How hard a column at 0 is pulled to the side of it that is not in the problem's orthant, 0 where none is."""
+        problem = self.problem
+        at_kink = problem.has_kink & (self.x == 0.0)
+        across = np.where(problem.upper == 0.0, -self.slope, self.slope) - problem.l1
+        return float(np.max(across, initial=0.0, where=at_kink))
+
+    @property
+    def size_of_residual(self) -> float:
+        """The largest natural residual, beyond the orthant as well."""
+        return max(float(np.abs(self.natural_residual).max(initial=0.0)), self.pull_across)
+
     def steepness(self, reference: tuple[float, float]) -> float:
         """Return the larger natural residual, in the caller's units and in these, beside the reference of each."""
         from .sums import largest_residuals
 
-        unit, gradient = self.problem, self.gradient
+        unit, slope = self.problem.whole, self.slope
         scaled, plain, _ = largest_residuals(
-            gradient, gradient, self.x, unit.lower, unit.upper, unit.inverse_columns, False
+            slope, slope, self.x, unit.lower, unit.upper, unit.l1, unit.inverse_columns, False
         )
         sizes = plain * unit.size, scaled * unit.size
         return max(size / least if least > 0.0 else np.inf if size else 0.0

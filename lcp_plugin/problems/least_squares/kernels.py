@@ -2,7 +2,8 @@
 
 A problem is solved by an active set that changes by one column at a time, as Lawson and Hanson do, between two
 bounds as Stark and Parker do. The columns are kept as rows of `work`, of about unit length, with reflections applied
-so that the free ones form a triangle; right-hand sides are kept with them. No square of A is formed.
+so that the free ones form a triangle; right-hand sides are kept with them. No square of A is formed. A column with a
+penalty l1 |x| is on one side of 0 at a time, where that is linear; at 0 it may enter on either side.
 
 References
 ----------
@@ -41,18 +42,18 @@ DEPENDENT = 64.0 * EPSILON  # of its length, left of a column beside the free on
 
 
 @partial(interpreted_while_small, longest=LONGEST_IN_ORDER)
-def solve_small(A, b, weights, ridge, lower, upper, most, tolerance):  # type: ignore[no-untyped-def]
+def solve_small(A, b, weights, ridge, l1, lower, upper, most, tolerance):  # type: ignore[no-untyped-def]
     """Return (x, A x − b, how optimal, faces solved) for the minimum; A by rows.
 
     How optimal is as in `problems.least_squares.certificate`, 1 at the most, for three y: the residual; that made
     orthogonal to the free columns; or that without the rows in which it is rounding.
     """
     m, n = A.shape
-    x, residual, y, of_rows, of_columns = np.empty(n), np.empty(m), np.empty(m), np.empty((7, m)), np.empty((9, n))
+    x, residual, y, of_rows, of_columns = np.empty(n), np.empty(m), np.empty(m), np.empty((7, m)), np.empty((14, n))
     work, sets = np.empty((n + 2, m + n if ridge > 0.0 else m)), np.empty((3, n), np.int64)
     root, units = of_rows[4], of_columns[4]
     _find_units(A, weights, ridge, root, units, of_columns)
-    rounds = _minimum(A, b, root, ridge, lower, upper, units, most, x, work, of_columns, sets)
+    rounds = _minimum(A, b, root, ridge, l1, lower, upper, units, most, x, work, of_columns, sets)
     nothing, optimality = x[:0], 1.0
     slip, right = of_rows[5], of_rows[6]
     part_of_rows(A, x, nothing, of_rows[:4])
@@ -68,12 +69,14 @@ def solve_small(A, b, weights, ridge, lower, upper, most, tolerance):  # type: i
         part_of_radii(sums, m, radius)
         part_of_ridge(sums[0], radius, ridge, x)
         gap, cost, _ = part_of_gap(
-            residual, slip, y, sums[0], radius, x, lower, upper, root, units, ridge, nothing, -1.0
+            residual, slip, y, sums[0], radius, x, lower, upper, l1, root, units, ridge, nothing, -1.0
         )
         optimality = 0.0 if gap == 0.0 else min(gap / cost, 1.0) if cost > 0.0 and gap < np.inf else 1.0
         if attempt == 2 or optimality <= tolerance:
             break
         if attempt == 0:
+            for j in range(n):
+                sums[0, j] += math.copysign(l1[j], x[j])  # of the free columns, which are not at 0
             _orthogonalise(A, y, sums[0], units, work, sets, of_columns[6])
         for i in range(m if attempt == 1 else 0):
             y[i] = residual[i] if abs(residual[i]) > slip[i] else 0.0
@@ -120,11 +123,12 @@ def _find_units(A, weights, ridge, root, units, room):  # type: ignore[no-untype
 
 @compiled_part
 def _minimum(  # type: ignore[no-untyped-def]
-    A, b, root, ridge, lower, upper, units, most, x, work, room, sets
+    A, b, root, ridge, l1, lower, upper, units, most, x, work, room, sets
 ):
     """Write x, each column free or exactly at its bound; return the faces solved."""
     m, n = A.shape
     rows, right, low, high = work.shape[1], work[n], room[6], room[7]
+    penalty, least, greatest = room[9], room[12], room[13]
     size = 0.0
     for i in range(m):
         size = max(size, abs(root[i] * b[i]))
@@ -143,30 +147,45 @@ def _minimum(  # type: ignore[no-untyped-def]
     for j in range(n):
         low[j], high[j] = lower[j] * (units[j] / size), upper[j] * (units[j] / size)
         x[j] = min(max(x[j] * (units[j] / size), low[j]), high[j])
+        least[j], greatest[j], penalty[j] = low[j], high[j], l1[j] / units[j] / size
         if ridge > 0.0:
             work[j, m + j] = math.sqrt(ridge) / units[j]
-    rounds = _exchange(work, right, low, high, x, most, work[n + 1], room[8], sets)
+    rounds = _exchange(work, right, low, high, x, most, work[n + 1], room[8:], sets)
     for j in range(n):
         there = min(max(x[j] * (size / units[j]), lower[j]), upper[j])
-        x[j] = lower[j] if x[j] <= low[j] else upper[j] if x[j] >= high[j] else there
+        x[j] = lower[j] if x[j] <= least[j] else upper[j] if x[j] >= greatest[j] else there
     return rounds
 
 
 @compiled_part
-def _exchange(work, right, low, high, x, most, mirror, z, sets):  # type: ignore[no-untyped-def]
-    """Move x to the minimum, a column at a time; return the faces solved, −1 − those where that takes too many."""
+def _exchange(work, right, low, high, x, most, mirror, room, sets):  # type: ignore[no-untyped-def]
+    """Move x to the minimum, a column at a time; return the faces solved, −1 − those where that takes too many.
+
+    The rooms are for what is solved for on a face, the penalties, the slopes ±penalty of the sides on which columns
+    are, what they are as right-hand sides of the triangle, and the bounds, of which low and high are those of a side.
+    """
     n = x.size
+    z, penalty, linear, turned, least, greatest = room
+    has_penalty = False
     free, is_free, is_rejected = sets[0], sets[1], sets[2]
     count = rounds = 0
     noise = PULL * (1.0 + math.sqrt(_dot(right, right, 0)))
     for j in range(n):
         is_free[j] = is_rejected[j] = 0
+        has_penalty |= penalty[j] > 0.0
+        linear[j] = -penalty[j] if high[j] <= 0.0 else penalty[j]
         if x[j] != 0.0:
             _add(right, work[j], -x[j], 0)
     while rounds < most:
-        j = _hardest_pulled(work, right, low, high, x, is_free, is_rejected, count, noise)
+        leaning = turned[: count * has_penalty]
+        j, falls = _hardest_pulled(
+            work, right, x, is_free, is_rejected, count, noise, penalty, linear, leaning, least, greatest
+        )
         if j < 0:
             return rounds
+        if penalty[j] > 0.0 and x[j] == 0.0:
+            linear[j] = -penalty[j] if falls else penalty[j]
+            low[j], high[j] = (least[j], 0.0) if falls else (0.0, greatest[j])
         if not _enter(work, right, x, is_free, j, count, mirror):
             is_rejected[j] = 1
             continue
@@ -174,7 +193,12 @@ def _exchange(work, right, low, high, x, most, mirror, z, sets):  # type: ignore
         count += 1
         while count > 0:
             rounds += 1
-            hit, share = _triangle_solved(work, right, low, high, x, free, count, z)
+            for p in range(count if has_penalty else 0):
+                column, turned[p] = work[free[p]], linear[free[p]]
+                for q in range(p):
+                    turned[p] -= column[q] * turned[q]
+                turned[p] /= column[p]
+            hit, share = _triangle_solved(work, right, low, high, x, free, count, z, turned[: count * has_penalty])
             for p in range(count):
                 i = free[p]
                 x[i] = z[p] if hit < 0 else min(max(x[i] + share * (z[p] - x[i]), low[i]), high[i])
@@ -194,15 +218,24 @@ def _exchange(work, right, low, high, x, most, mirror, z, sets):  # type: ignore
 
 
 @compiled_into_others
-def _hardest_pulled(work, right, low, high, x, is_free, is_rejected, first, noise):  # type: ignore[no-untyped-def]
-    """Return the column at a bound that the residual pulls inwards hardest, −1 where none is pulled."""
-    best, largest = -1, noise
+def _hardest_pulled(  # type: ignore[no-untyped-def]
+    work, right, x, is_free, is_rejected, first, noise, penalty, linear, turned, low, high
+):
+    """Return the column at a bound, or 0, that is pulled away from there hardest, and if downwards; −1 for none."""
+    best, hardest, falls = -1, noise, False
     for j in range(x.size):
         if not (is_free[j] or is_rejected[j]) and low[j] < high[j]:
             pull = _dot(work[j], right, first)
-            if (pull > largest and x[j] < high[j]) or (-pull > largest and x[j] > low[j]):
-                best, largest = j, abs(pull)
-    return best
+            up = down = linear[j]
+            for p in range(turned.size):
+                pull += work[j, p] * turned[p]
+            if x[j] == 0.0:
+                up, down = penalty[j], -penalty[j]
+            if pull - up > hardest and x[j] < high[j]:
+                best, hardest, falls = j, pull - up, False
+            if down - pull > hardest and x[j] > low[j]:
+                best, hardest, falls = j, down - pull, True
+    return best, falls
 
 
 @compiled_into_others
@@ -247,10 +280,10 @@ def _leave(work, right, x, free, p, count):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _triangle_solved(work, right, low, high, x, free, count, z):  # type: ignore[no-untyped-def]
+def _triangle_solved(work, right, low, high, x, free, count, z, turned):  # type: ignore[no-untyped-def]
     """Write the minimum on the face to z; return the first column that leaves its bounds on the way, and the share."""
     for p in range(count):
-        z[p] = right[p]
+        z[p] = right[p] - turned[p] if turned.size else right[p]
     hit, share = -1, 1.0
     for p in range(count - 1, -1, -1):
         column = work[free[p]]

@@ -1,6 +1,7 @@
 r"""Active sets whose faces are solved to the last digit of each row: for rows of very different size, or little cost.
 
-On the free columns F the minimum and its dual point y satisfy A x − y = b, A_FᵀWy = 0, and both are kept: y_i of a row
+On the free columns F the minimum and its dual point y satisfy A x − y = b, A_FᵀWy = 0 (−linear_F where a penalty l1 is
+linear in this orthant), and both are kept: y_i of a row
 that is 10⁶ times larger than others is 10¹² times smaller than what rounding of x leaves of (A x − b)_i. (x, y) are
 refined by residuals with compensated sums, x in two doubles, and an orthogonal factor of √W A_F whose rounding is
 small in each row: rows are pivots as well as columns (Powell and Reid), and an entry that is no more than rounding of
@@ -43,7 +44,7 @@ def refined_steps(start: FacePoint) -> Iterator[FacePoint]:
     yield start
     face = RefinedFaces(start)
     problem, x = start.problem.problem, start.problem.to_caller(start.x)
-    lower, upper = problem.lower, problem.upper
+    lower, upper = start.problem.caller_bounds
     is_free, rejected = (lower < x) & (x < upper), np.zeros(x.size, np.bool_)
     entering, pull = -1, 0.0
     for _ in range(ROUNDS * x.size + 10):
@@ -108,6 +109,7 @@ class RefinedFaces:
         self.A = np.vstack([A, np.eye(n)[: ridge.size]])
         self.b, self.weights = np.concatenate([problem.b, 0.0 * ridge]), np.concatenate([weights, ridge])
         self.root, self.units = np.sqrt(self.weights), problem.column_units
+        self.linear = np.copysign(problem.l1, point.problem.linear)
         self.scaled = self.root[:, None] * self.A / self.units
         rows = sp.csr_array(self.A)
         self._residual_rows = sp.csr_array(sp.hstack([rows, rows, -sp.eye_array(rows.shape[0])]))
@@ -128,9 +130,10 @@ class RefinedFaces:
         return np.sort(free[factor.columns[: factor.rank]])
 
     def slope(self, y: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return AᵀWy and the sums of the sizes of its terms."""
+        """Return AᵀWy + linear and the sums of the sizes of their terms."""
         weighted = self.weights * y
-        return compensated_product(self._columns, weighted)[0], np.abs(self.A).T @ np.abs(weighted)
+        sums = compensated_product(self._columns, weighted, self.linear)[0]
+        return sums, np.abs(self.A).T @ np.abs(weighted) + np.abs(self.linear)
 
     def minimum(self, x: FloatVector, free: IntVector) -> tuple[FloatVector, FloatVector]:
         """Return the minimum over these columns, which are independent, the others as in x, and its dual point."""

@@ -22,7 +22,7 @@ from ...core.solving.run import Run
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
-from .face_steps import active_set_steps, block_pivot_steps, interior_steps, projected_steps
+from .face_steps import active_set_steps, block_pivot_steps, interior_steps, projected_steps, through_orthants
 from .faces import FacePoint, Faces
 from .refined_steps import refined_steps
 
@@ -65,8 +65,8 @@ def point_nearer(problem: BoundedLeastSquares, x: FloatVector, steps: int) -> Fl
     """Return a point nearer to the answer than x, which about as many steps led to."""
     unit = problem.unit
     start = FacePoint(unit, np.clip(unit.from_caller(x), unit.lower, unit.upper))
-    points = islice(projected_steps(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP))
-    return unit.to_caller(min(points, key=lambda point: float(np.abs(point.natural_residual).max(initial=0.0))).x)
+    points = islice(through_orthants(projected_steps)(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP))
+    return unit.to_caller(min(points, key=lambda point: point.size_of_residual).x)
 
 
 @dataclass(slots=True)
@@ -86,14 +86,15 @@ class Steps(Algorithm):
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a point."""
-        points = self.take(FacePoint(problem, z0))
+        points = through_orthants(self.take)(FacePoint(problem, z0))
         return (PointStep(point.x, point=point, is_settling=point.dual is not None) for point in points)
 
     def finish(self, problem: Any, z: FloatVector) -> FloatVector:
         """Go on to the end of the active sets where there is a factor: a small gradient may leave much of the cost."""
         if self.faces is None:
             return z
-        *_, refined = islice(active_set_steps(FacePoint(problem, z), self.faces), ROUNDS)
+        rounds = through_orthants(lambda start: active_set_steps(start, cast(Faces, self.faces)))
+        *_, refined = islice(rounds(FacePoint(problem, z)), ROUNDS)
         return refined.x
 
 

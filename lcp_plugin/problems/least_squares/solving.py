@@ -28,13 +28,14 @@ def bounded_least_squares(
     x0: ArrayLike | None = None,
     weights: ArrayLike | None = None,
     ridge: float = 0.0,
+    l1: ArrayLike = 0.0,
     tolerance: float = 1e-8,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
 ) -> LeastSquaresResult:
-    """Return the x that minimises ½ Σ weights (A x − b)² + ½ ridge ‖x‖² over lower ≤ x ≤ upper.
+    """Return the x that minimises ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x| over lower ≤ x ≤ upper.
 
-    With the default bounds it is nonnegative least squares (NNLS).
+    With the default bounds it is nonnegative least squares (NNLS); with ``lower=-np.inf`` and an l1 the lasso.
 
     Parameters
     ----------
@@ -51,6 +52,8 @@ def bounded_least_squares(
         ≥ 0, one a row: 0 leaves it out.
     ridge : float
         ≥ 0.
+    l1 : number or array, shape (n,)
+        ≥ 0: of a lasso without bounds say ``lower=-np.inf`` as well. An x_j that the penalty holds is exactly 0.
     tolerance : float
         SOLVED means that cost is above the least by at most this times cost, rounding of the data aside: see
         `optimality` of :class:`LeastSquaresResult`, where a LinearOperator is spoken of, too.
@@ -77,7 +80,9 @@ def bounded_least_squares(
     are refined to the last digit of each row, for at most 10⁶ places of A. Factors are for dense A of up to 3000
     columns, and for sparse A where AᵀA is about as sparse. Large A come to them after projected gradient and conjugate
     gradient steps, about a product with A and one with Aᵀ each, that have cost about as much. Where no factor can be
-    had, and for a LinearOperator, the steps go on; an ill-conditioned problem may end STALLED there.
+    had, and for a LinearOperator, the steps go on; an ill-conditioned problem may end STALLED there. With an l1 each
+    column is on one side of 0 at a time, where its penalty is linear: n unknowns as without one. One that is pulled
+    through 0 changes the side.
 
     Examples
     --------
@@ -85,7 +90,7 @@ def bounded_least_squares(
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    problem = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge)
+    problem = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge, l1=l1)
     return solve_least_squares(
         problem, x0=x0, tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds
     )
@@ -119,7 +124,7 @@ def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clo
     weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights
     A = problem.A if problem.is_dense else read_only(problem.A.toarray())
     x, residual, optimality, faces = solve_small(
-        A, problem.b, weights, problem.ridge, problem.lower, problem.upper, most, settings.tolerance
+        A, problem.b, weights, problem.ridge, problem.l1, problem.lower, problem.upper, most, settings.tolerance
     )
     is_solved = faces >= 0 and optimality <= settings.tolerance
     status = Status.SOLVED if is_solved else Status.STALLED
@@ -135,7 +140,7 @@ class LeastSquaresResult(Answer):
     x : ndarray, shape (n,)
         Within the bounds, exactly at a bound where `active_mask` says so.
     cost : float
-        ½ Σ weights (A x − b)² + ½ ridge ‖x‖².
+        ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x|.
     fun : ndarray, shape (m,)
         The residual A x − b, without weights.
     optimality : float

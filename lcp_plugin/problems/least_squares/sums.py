@@ -62,17 +62,20 @@ def _has_term(row, v, slip):  # type: ignore[no-untyped-def]
     return has_some
 
 
-def _largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  # type: ignore[no-untyped-def]
-    """Return ‖mid(x − upper, x − lower, g)‖∞, that in units of the columns, and if all are at most twice the radius.
+def _largest_residuals(gradient, radius, x, lower, upper, l1, units, is_enclosed):  # type: ignore[no-untyped-def]
+    """Return ‖x − mid(lower, upper, prox(x − g))‖∞, that in units of columns, and if all are at most twice the radius.
 
-    They are those of any g within the radius of the gradient, rounded upwards, where that encloses it.
+    prox moves by l1 towards 0, but not beyond. They are those of any g within the radius of the gradient, rounded
+    upwards, where that encloses it.
     """
     plain = scaled = 0.0
     is_at_floor = True
     for j in range(x.size):
         below, above = x[j] - upper[j], x[j] - lower[j]
-        one = abs(min(max(gradient[j], below), above))
-        two = abs(min(max(gradient[j] / units[j], below * units[j]), above * units[j]))
+        left, right = gradient[j] - l1[j], gradient[j] + l1[j]
+        one = abs(min(max(min(max(x[j], left), right), below), above))
+        moved = min(max(x[j] * units[j], left / units[j]), right / units[j])
+        two = abs(min(max(moved, below * units[j]), above * units[j]))
         off = (radius[j] if is_enclosed else 0.0) + (np.nan if math.isnan(gradient[j]) else 0.0)
         of_plain, of_scaled = OUTWARD * (one + off), OUTWARD * (two + off / units[j])
         plain = max(plain, of_plain) if of_plain < np.inf else np.inf  # what is not a number is no proof either
@@ -82,11 +85,11 @@ def _largest_residuals(gradient, radius, x, lower, upper, units, is_enclosed):  
 
 
 def _gap_beside_cost(  # type: ignore[no-untyped-def]
-    residual, slip, y, slope, radius, x, lower, upper, root, units, ridge, convexity, rounding
+    residual, slip, y, slope, radius, x, lower, upper, l1, root, units, ridge, convexity, rounding
 ):
     """Return the bound of `problems.least_squares.certificate` of a cost less the least, and the cost of y.
 
-    In units, returned.
+    In units, returned. l1 Σ|x| slants by ±l1 on the two sides of 0.
 
     Residual and slope are known up to slip and radius: those are added where `rounding` is 1, excused where it is −1.
     Without a convexity, shape (n,) or (0,), it is the ridge.
@@ -95,27 +98,42 @@ def _gap_beside_cost(  # type: ignore[no-untyped-def]
     for i in range(y.size):
         size = max(size, root[i] * abs(y[i]), root[i] * abs(residual[i] - y[i]))
     for j in range(x.size):
-        size = max(size, math.sqrt(ridge) * abs(x[j]))
+        size = max(size, math.sqrt(ridge) * abs(x[j]), math.sqrt(l1[j]) * math.sqrt(abs(x[j])))
     size = power_above(size)
     gap = cost = 0.0
     for i in range(y.size):
         off, part = max(abs(residual[i] - y[i]) + rounding * slip[i], 0.0) * root[i] / size, root[i] * y[i] / size
         gap, cost = gap + 0.5 * off * off, cost + 0.5 * part * part
     for j in range(x.size):
-        part, unit = math.sqrt(ridge) * x[j] / size, units[j] * size
-        cost += 0.5 * part * part
+        part, unit, share = math.sqrt(ridge) * x[j] / size, units[j] * size, units[j] / size
+        cost += 0.5 * part * part + (l1[j] / unit) * (abs(x[j]) * share)
         curved = (convexity[j] if convexity.size > 0 else ridge) / units[j] / units[j]
-        steepest, linear = (abs(slope[j]) + rounding * radius[j]) / unit, 0.0
-        for slant, room in ((slope[j], x[j] - lower[j]), (-slope[j], upper[j] - x[j])):
-            steep = (slant + rounding * radius[j]) / unit
-            if steep > 0.0 and room > 0.0:
-                linear += steep * (room * (units[j] / size)) + TINY
+        s, off = slope[j], rounding * radius[j]
+        if l1[j] == 0.0:
+            linear = _fall(s, x[j] - lower[j], off, unit, share) + _fall(-s, upper[j] - x[j], off, unit, share)
+            least = abs(s)
+        else:
+            linear = 0.0
+            for sign in (1.0, -1.0):  # the two sides of 0
+                slant, at = s + sign * l1[j], max(sign * x[j], 0.0)
+                near, far = (lower[j], upper[j]) if sign > 0.0 else (-upper[j], -lower[j])
+                linear += _fall(sign * slant, at - max(near, 0.0), off, unit, share)
+                linear += _fall(-sign * slant, max(far, 0.0) - at, off, unit, share)
+            least = abs(s + math.copysign(l1[j], x[j])) if x[j] != 0.0 else max(abs(s) - l1[j], 0.0)
+        steepest = (least + off) / unit
         if linear > 0.0 and curved > 0.0:
             linear = min(linear, steepest * steepest / (2.0 * curved) + TINY)
         gap += linear
     for j in range(x.size):
         gap += 0.0 * (slope[j] + radius[j])  # NaN where one is not finite
     return (OUTWARD * OUTWARD * gap if gap < np.inf else np.inf), cost, size
+
+
+@compiled_into_others
+def _fall(slant, room, off, unit, share):  # type: ignore[no-untyped-def]
+    """Return by how much the cost falls at the most over the room, in units, at a slant known up to `off`."""
+    steep = (slant + off) / unit
+    return steep * (room * share) + TINY if steep > 0.0 and room > 0.0 else 0.0
 
 
 @compiled_into_others

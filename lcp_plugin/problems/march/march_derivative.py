@@ -220,7 +220,10 @@ class MarchDerivative:
 
     @cached_property
     def degenerate(self) -> NDArray[np.intp]:
-        """Pairs of a step and a row at a bound with w = 0, as far as rounding can tell; shape (count, 2)."""
+        """Pairs of a step and a row at a bound with w = 0, as far as rounding can tell; shape (count, 2).
+
+        Rows that only give z, as boundary values written as rows of the identity, are none without a bound.
+        """
         found = [np.empty((0, 2), np.intp)]
         for part in self._parts():
             for k in range(len(part)):

@@ -22,7 +22,7 @@ from ...core.algorithms import Algorithm
 from ...core.lcp import LCP
 from ...core.policy.choice import Auto, Policy
 from ...core.policy.stages import Choice, Stage
-from ...methods.newton.condensed import Condensed, condensing_pays
+from ...methods.newton.condensed import Condensed, condensing_passes
 
 ASKING_STEPS = 2  # one from anywhere, one from nearby
 ASKED_EVERY = 16  # steps: tens of sweeps, where an answer takes a hundred passes
@@ -111,7 +111,7 @@ class StepPolicy(Policy):
             return asks
         if before.algorithm is not None:
             return replace(before, steps=steps, algorithm=algorithm, because=AS_BEFORE)
-        if before.may_condense and condensing_pays(problem, left * sum(stage.work for stage in self._stages)):
+        if before.may_condense and condensing_passes(problem) <= left * sum(stage.work for stage in self._stages):
             why = "few rows have a bound: the others are eliminated, once for all steps"
             return replace(asks, algorithm=Condensed(), work=math.inf, because=why)
         if steps < ASKING_STEPS or before.left >= MOST_LEFT or algorithm.name not in ITERATIVE:

@@ -141,7 +141,7 @@ def solve_nonlinear(
         try:
             if check_jacobian and problem.jacobian is not None:
                 require_true_jacobian(first)
-            return replace(run.judged(start, run.drive(start, Choice(newton))), begun=begun)
+            return replace(run.judged(start, run.drive(start, Choice(newton, TANGENTS))), begun=begun)
         except KeyboardInterrupt:
             return replace(run.judged(start, Status.INTERRUPTED), begun=begun)
 
@@ -210,6 +210,7 @@ class NonlinearJudge(Judge):
 
 
 UNLIKELY_ROUNDING = 1e-6  # relative to 1 + |F|
+TANGENTS = "each iteration replaces F by its tangent at x and solves the linear problem that this gives"
 
 
 def _proved(certificate: Any) -> BoundOrReason:

@@ -50,8 +50,8 @@ def certify(
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
         and of a result or a cvxpy problem what its status says.
     tolerance : float
-        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (1 + |f(x)|), and
-        neither is x proved to be farther than 10 · tolerance (1 + ‖x‖∞) from every optimal one, nor are multipliers
+        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), and
+        neither is x proved to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one, nor are multipliers
         that came with it wrong by more than 10 · tolerance beside the terms of their conditions: sign, gradient, and 0
         where x leaves room. Of "infeasible": that every x violates a constraint by more than this, so that no x can be
         proved to be optimal.
@@ -74,12 +74,13 @@ def certify(
     Notes
     -----
     Refuted is: x that is proved to violate a constraint by more than the tolerance; a feasible point with an objective
-    lower by more than tolerance (1 + |f|), or for ever; a lower bound above f(x) by as much; x that is proved to be
-    farther than 10 · tolerance (1 + ‖x‖∞) from every optimal one; "infeasible" beside a feasible point; "unbounded"
+    lower by more than tolerance (u + |f|), or for ever; a lower bound above f(x) by as much; x that is proved to be
+    farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one; "infeasible" beside a feasible point; "unbounded"
     beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a direction of
     descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives bounds where the
     constraints bound x. Constraints that contradict by less than the tolerance may be
-    met to it: neither is such an x refuted nor "infeasible" proved.
+    met to it: neither is such an x refuted nor "infeasible" proved. u is a power of two that most coefficients of the
+    objective are near, v is 1 where nothing shows another unit of x: no verdict depends on the unit of the objective.
 
     An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have
     answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for more.

@@ -25,7 +25,7 @@ from .reductions import FoldedRows, Substitution, fold_simple_rows, substitute_d
 from .small_programs import ROWS_UP_TO, UP_TO, SmallAnswers, SmallPrograms, may_be_small, work_of_search
 
 ACTIVE_SET = "dual active set"
-AT_ONCE = "small: all steps in one compiled call"
+AT_ONCE = "begins at the minimum without constraints and takes in those that are violated, one by one, until none is"
 BOXED_UP_TO, BOXED = 160, 1.5  # unknowns and their bounds; where few rows hold x, the path from far outside is long
 FOLDED_FROM = 5e5  # multiplications by rows that may be bounds: to look for these takes as long
 SUBSTITUTED_FROM = 5e5  # multiplications: to put in what equations define takes as long

@@ -164,7 +164,9 @@ class Attempt(NamedTuple):
     because: str
 
 
-def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iterator[Attempt]:
+def attempts(
+    program: QuadraticProgram, *, needs_diagonal: bool = False, first: Attempt | None = None
+) -> Iterator[Attempt]:
     """Yield the forms in which a convex program is worth solving, the most promising first.
 
     Parameters
@@ -172,6 +174,8 @@ def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iter
     program : QuadraticProgram
     needs_diagonal : bool
         Whether the method cannot run on the zeros of the form "kkt": then the dual form where P allows it.
+    first : Attempt, optional
+        The most promising one, where it is known.
 
     Examples
     --------
@@ -179,14 +183,17 @@ def attempts(program: QuadraticProgram, *, needs_diagonal: bool = False) -> Iter
     >>> [attempt.because for attempt in attempts(program)]
     ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
     """
-    cheap = substitute_definitions(program) if needs_diagonal else cheap_definitions(program)
-    problem = optimality_conditions(program, "auto", cheap)
-    if problem.origin.form == "kkt" and needs_diagonal:
-        with suppress(UnsuitableMatrix):
-            problem = optimality_conditions(program, "dual", cheap)
-    form = f"the {problem.origin.form} form"
-    yield Attempt(problem, form if cheap is None else f"{form}, defined variables put in")
-    if cheap is not None or problem.origin.form == "dual":
+    if first is None:
+        cheap = substitute_definitions(program) if needs_diagonal else cheap_definitions(program)
+        problem = optimality_conditions(program, "auto", cheap)
+        if problem.origin.form == "kkt" and needs_diagonal:
+            with suppress(UnsuitableMatrix):
+                problem = optimality_conditions(program, "dual", cheap)
+        form = f"the {problem.origin.form} form"
+        first = Attempt(problem, form if cheap is None else f"{form}, defined variables put in")
+    yield first
+    origin = first.problem.origin
+    if origin.substitution is not None or origin.form == "dual":
         yield Attempt(optimality_conditions(program, "kkt"), "the KKT form of the program as it stands")
     elif (substitution := substitute_definitions(program)) is not None:
         yield Attempt(optimality_conditions(program, "auto", substitution), "defined variables put in")

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ...core.checks import FloatVector
 from ...core.communicator import ALONE
-from ...core.deadline import Clock
+from ...core.deadline import Clock, is_over
 from ...core.solving.result import StageRecord
 from ...methods.interior.interior_point import InteriorPoint, points
 from .compiled_call import REACHED, ProgramResult
-from .conversion import attempts
+from .conversion import Attempt, attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .program import QuadraticProgram
-from .qp_certificates import LARGEST
 from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
 
-BECAUSE = "the KKT form: multipliers have no diagonal entry to sweep with"
+BECAUSE = "solves the optimality (KKT) conditions by steps that keep strictly inside the inequalities"
 AGAIN = "the active set of an earlier answer"
 
 
@@ -53,37 +53,65 @@ class InteriorAnswer:
         return ProgramResult.of(self._origin, self._z, stage, self.seconds, tolerance, algorithm)
 
 
+class Begun:
+    """What is made of a program before there is a run, which goes on from there.
+
+    Attributes
+    ----------
+    z : ndarray or None
+        The best point of the first form that interior points have led to.
+    steps : int
+    work : float
+        What they took, in passes over M.
+    """
+
+    def __init__(self, program: QuadraticProgram) -> None:
+        self.program, self.steps, self.work = program, 0, 0.0
+        self.z: FloatVector | None = None
+
+    @cached_property
+    def first(self) -> Attempt:
+        """The form that comes first."""
+        refuse_nonconvex(self.program)
+        return next(attempts(self.program))
+
+    @property
+    def record(self) -> StageRecord | None:
+        """The stage of a run that interior points were; None where they have not come to an end."""
+        is_made = "first" in self.__dict__ and InteriorPoint.name in self.first.problem.origin.attempted
+        return StageRecord(InteriorPoint.name, BECAUSE, self.steps, self.work) if is_made else None
+
+
 def solved_by_interior_points(
-    program: QuadraticProgram, tolerance: float, *, refutes: bool = True
+    begun: Begun, tolerance: float, *, refutes: bool = True
 ) -> InteriorAnswer | QPInfeasibility | QPUnboundedness | None:
     """Return the answer by interior points; None where another form comes first, or where they find none.
 
-    After a first attempt without one, a proof that there is none is looked for, and returned; of large programs by a
-    run, to which they are left.
+    After a first attempt without one, a proof that there is none is looked for, and returned. At the end the program's
+    own criterion is enough, whatever was asked of its complementarity problem.
     """
-    clock = Clock(ALONE)
-    refuse_nonconvex(program)
-    problem = next(attempts(program)).problem
-    origin, goal = problem.origin, program_goal(tolerance)
+    clock, program, problem = Clock(ALONE), begun.program, begun.first.problem
+    origin, goal, best = problem.origin, program_goal(tolerance), None
     if origin.form != "kkt":
         return None
     for z, steps, work, is_at_end in points(problem, tolerance):
         solution = origin.recover(z)
         found = InteriorAnswer(solution, steps, clock.read(), origin, z, work)
-        if solution.is_stationary(goal) and found.is_enough(tolerance):
-            return found
-        if is_at_end and refutes:
-            proof = program.refutation(goal)
-            if proof is not None or sum(program.matrices.sizes) > LARGEST:
-                return proof
-    return None
+        begun.z, begun.steps, begun.work = z, steps, work
+        if solution.is_stationary(goal):
+            if found.is_enough(tolerance):
+                return found
+            best = found
+        if is_at_end and refutes and (proof := program.refutation(goal)) is not None:
+            return proof
+    if best is None and not is_over():
+        origin.note_attempt(InteriorPoint.name)
+    return best
 
 
-def solved_again(program: QuadraticProgram, guess: FloatVector, tolerance: float) -> InteriorAnswer | None:
+def solved_again(begun: Begun, guess: FloatVector, tolerance: float) -> InteriorAnswer | None:
     """Return the answer that the active set of an earlier one gives; None where that is not right."""
-    clock = Clock(ALONE)
-    refuse_nonconvex(program)
-    problem = next(attempts(program)).problem
+    clock, problem = Clock(ALONE), begun.first.problem
     if guess.size != problem.n:
         return None
     origin, z = problem.origin, InteriorPoint().finish(problem, guess)

@@ -55,19 +55,27 @@ class OwnUnits(NamedTuple):
     @classmethod
     def of(cls, program: QuadraticProgram) -> OwnUnits:
         """Return those of a program."""
-        matrices, n = program.matrices, program.n
-        diagonal = program.P.diagonal()
         exponents = _fitted(program)
-        if exponents is None:
-            size, least = objective_sizes(program.c, diagonal).tolist()
-            return cls(matrices.row_sizes, np.ones(n), size, least, True)
-        if np.ptp(exponents) <= ALIKE:  # one unit for all: a grid whose neighbours had others would be none
+        if exponents is not None and np.ptp(exponents) <= ALIKE:
+            # One unit for all: a grid whose neighbours had others would be none.
             exponents = np.full_like(exponents, (exponents.max() + exponents.min()) // 2)
-        unknown = np.ldexp(1.0, exponents)
-        rows = matrices.rows
+        return cls.of_unknowns(program, None if exponents is None else np.ldexp(1.0, exponents))
+
+    @classmethod
+    def of_unknowns(cls, program: QuadraticProgram, unknown: FloatVector | None) -> OwnUnits:
+        """Return those of a program whose unknowns are measured in these; None: as the user has them."""
+        diagonal, rows = program.P.diagonal(), program.matrices.rows
+        if unknown is None:
+            size, least = objective_sizes(program.c, diagonal).tolist()
+            return cls(program.matrices.row_sizes, np.ones(program.n), size, least, True)
         of_rows = or_one(largest_in_rows(rows, np.abs(rows.data) * unknown[rows.indices]))
         size, least = objective_sizes(program.c * unknown, diagonal * unknown * unknown).tolist()
         return cls(np.concatenate([of_rows, unknown, unknown]), unknown, size, least, False)
+
+    def of_rows(self, left: Any) -> OwnUnits:
+        """Return those of the same program with these of its rows, the others put into its bounds."""
+        n = self.unknown.size
+        return self._replace(coefficient=np.concatenate([self.coefficient[left], self.coefficient[-2 * n :]]))
 
 
 def objective_sizes(c: Any, diagonal: Any) -> Any:
@@ -81,7 +89,7 @@ def objective_sizes(c: Any, diagonal: Any) -> Any:
     >>> objective_sizes(np.array([[3e6, 2e3, 0.0], [0.0, 1e-9, 1e-25]]), np.zeros(3)).tolist()
     [[32768.0, 1024.0], [9.313225746154785e-10, 9.313225746154785e-10]]
     """
-    (middle, least), (of_P, least_of_P) = _exponents(c), _exponents(diagonal)
+    (middle, of_P), (least, least_of_P) = _exponents(np.stack(np.broadcast_arrays(c, diagonal)))
     exponents = np.stack([np.maximum(middle, of_P), np.where(least > -np.inf, least, least_of_P)], axis=-1)
     return np.ldexp(1.0, np.where(np.isfinite(exponents), exponents, 0.0).astype(np.int64))
 
@@ -126,16 +134,19 @@ def size_of_unknowns(
     largest = np.where(used & (place != 1), sizes, 0.0).max(axis=-1, initial=0.0)
     used &= np.where(used, sizes, 0.0) >= ROUNDING + largest[..., np.newaxis]
     sizes = np.where(used, sizes, 0.0)
-    is_violated = np.concatenate([limits < 0.0, np.zeros(c.shape, bool), lower > 0.0, upper < 0.0], axis=-1)
-    is_violated[..., : is_equality.size] |= is_equality
-    kinds = [used & is_violated, *(used & (place == kind) for kind in (1, 0, 2))]
-    means = [np.where(kind, sizes, 0.0).sum(axis=-1) / np.maximum(kind.sum(axis=-1), 1) for kind in kinds]
-    data, minima, rows, bounds = (np.where(kind.any(axis=-1), mean, np.inf)
-                                  for kind, mean in zip(kinds, means, strict=True))
+    kinds = np.zeros((4, *used.shape), bool)
+    kinds[0, ..., : limits.shape[-1]] = (limits < 0.0) | is_equality
+    kinds[0, ..., -2 * n : -n], kinds[0, ..., -n:] = lower > 0.0, upper < 0.0
+    for kind, of_kind in enumerate((1, 0, 2), 1):
+        kinds[kind] = place == of_kind
+    kinds &= used
+    counts = kinds.sum(axis=-1)
+    means = np.where(kinds, sizes, 0.0).sum(axis=-1) / np.maximum(counts, 1)
+    data, minima, rows, bounds = np.where(counts > 0, means, np.inf)
     permitted = np.where(rows < np.inf, rows, bounds)
     chosen = np.where(data < np.inf, 0, np.where(minima <= permitted, 1, np.where(rows < np.inf, 2, 3)))
-    say = np.take_along_axis(np.stack(kinds), chosen[np.newaxis, ..., np.newaxis], axis=0)[0]
-    size = np.take_along_axis(np.stack(means), chosen[np.newaxis], axis=0)[0]
+    say = np.take_along_axis(kinds, chosen[np.newaxis, ..., np.newaxis], axis=0)[0]
+    size = np.take_along_axis(means, chosen[np.newaxis], axis=0)[0]
     return size, say
 
 

@@ -34,6 +34,7 @@ from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .rescaled import Rescaled
 
 SYMMETRIC_TO = 1e-12
+SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # the convention of file formats, which may hold 9.999999999999999e19
 
 
@@ -187,6 +188,17 @@ class QuadraticProgram:
         is_dominant = bool((d >= 0.0).all()) and bool((abs(self.P) @ np.ones(self.n) <= 2.0 * d).all())  # Gershgorin
         return is_dominant or self.is_convex is True
 
+    @cached_property
+    def falls_nowhere(self) -> bool:
+        """Whether a look at P and the bounds shows that there is no direction of endless descent.
+
+        Along one, unknowns with two bounds stay, and P is singular in the others: not where its rows, in these
+        unknowns, are strictly dominant (Gershgorin).
+        """
+        is_open = np.isinf(self.lower) | np.isinf(self.upper)
+        sums = abs(self.P) @ is_open.astype(np.float64)
+        return bool((SURELY * self.P.diagonal() > sums)[is_open].all())
+
     @property
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
@@ -206,14 +218,25 @@ class QuadraticProgram:
         """The proof that was found last, by whatever looked for one."""
         return self.__dict__.get("_proof")
 
-    def refutation(self, tolerance: float = 1e-6) -> QPInfeasibility | QPUnboundedness | None:
+    @cached_property
+    def proof_of_descent(self) -> QPUnboundedness | None:
+        """A proof that the objective falls for ever, whatever else contradicts; looked for once."""
+        own = self.rescaled
+        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.program.proof_of_descent)
+        return found if isinstance(found, QPUnboundedness) else None
+
+    def refutation(
+        self, tolerance: float = 1e-6, *, is_met: bool = False
+    ) -> QPInfeasibility | QPUnboundedness | None:
         """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none.
 
         A proof of unboundedness that verifies exactly is stronger than an answer within a tolerance: it counts where it
         excludes all answers within a thousandth of it. Constraints that contradict by less than the tolerance are
-        those of rounded data: they count as consistent.
+        those of rounded data: they count as consistent. Where an x meets all constraints to the tolerance (`is_met`),
+        they do not contradict by more: only a direction of endless descent is looked for.
         """
-        proof = self.proof_of_no_minimum
+        is_known = "_proof" in self.__dict__
+        proof = self.proof_of_no_minimum if is_known or not is_met else self.proof_of_descent
         return proof if proof is not None and proof.excludes(tolerance) else None
 
     @cached_property

@@ -162,6 +162,11 @@ class ProgramMatrices:
         """The function right ↦ P⁻¹ right where P is proven positive definite."""
         return positive_definite_solver(self.P)
 
+    @property
+    def is_definite(self) -> bool:
+        """Whether P is proven positive definite; a factorisation where its diagonal is positive."""
+        return bool((self.P.diagonal() > 0.0).all()) and self.solver is not None
+
     @cached_property
     def condition(self) -> float:
         """An estimate of the condition number of P at unit diagonal, which has a solver."""

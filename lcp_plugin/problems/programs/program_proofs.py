@@ -29,6 +29,7 @@ from .program import QuadraticProgram
 from .qp_certificates import proof_of_no_minimum
 from .qp_proofs import QPInfeasibility, QPUnboundedness
 from .qp_solution import QPSolution
+from .sharp_distances import sharp_distance
 from .solving import program_runs
 
 OWN_TOLERANCE = 1e-12  # residuals of a program that multipliers are sharp at, and of its complementarity problem
@@ -122,7 +123,7 @@ class ProgramProofs:
         self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float, tolerance: float = ALMOST
     ) -> float:
         """Return the lower bound by some multipliers, repaired where they prove less than the value to a tolerance."""
-        enough = value - tolerance * (1.0 + abs(value))
+        enough = value - tolerance * (self.program.units.objective + abs(value))
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
     def upper(self, *near: FloatVector, exactly: bool = True) -> list[FeasiblePoint]:
@@ -148,6 +149,18 @@ class ProgramProofs:
     def _inside(self) -> list[FeasiblePoint]:
         inside = self.points.inside
         return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
+
+    def sharpened(
+        self, distance: float, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
+    ) -> float:
+        """Return a bound of ‖x − x*‖₂ by residuals, of our own solution where there is one, or else the distance."""
+        own = self.__dict__.get("own_solution")
+        for near in [x] if own is None else [own.x, x]:
+            blur = float(norm_above(np.abs((x - near)[columns])))
+            left = sharp_distance(self.program, self.bounds.curvature, near, points, lower, columns)
+            if (found := OUTWARD**2 * (blur + left)) < distance:
+                return found
+        return distance
 
     @cached_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -192,7 +205,8 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given[0], given[1], value[0], tolerance)
             complaint = multiplier_error(self.program, x, given, tolerance)
-        found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance)
+        unit = self.program.units.objective
+        found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, unit)
         if self.is_small or not found.is_proved() or found.may_have_bought():
             lower = max(lower, self.own_lower)
             points = found.points or self.upper(x, exactly=not violation[0] > tolerance)  # or it is refuted anyway
@@ -216,6 +230,8 @@ class Proved:
         Of the optimal value; −∞ where there is none.
     points : list of FeasiblePoint
     tolerance : float
+    unit : float
+        Of the objective: errors of values are measured beside that and the value.
     """
 
     value: tuple[float, float]
@@ -223,6 +239,7 @@ class Proved:
     lower: float
     points: list[FeasiblePoint] = field(repr=False)
     tolerance: float
+    unit: float
 
     @property
     def upper(self) -> float:
@@ -237,7 +254,7 @@ class Proved:
     def refutation(self) -> str:
         """Return what refutes the answer, or nothing."""
         below, above = self.value
-        allowed = self.tolerance * (1.0 + max(abs(below), abs(above))) * OUTWARD
+        allowed = self.tolerance * (self.unit + max(abs(below), abs(above))) * OUTWARD
         if self.violation[0] > self.tolerance:
             return f"a constraint is violated by {self.violation[0]:.3g}"
         if self.upper < below - allowed:
@@ -248,7 +265,7 @@ class Proved:
 
     def is_proved(self) -> bool:
         """Return whether the answer is optimal to the tolerance, by its value."""
-        size = 1.0 + max(self.value[0], -self.value[1], 0.0)
+        size = self.unit + max(self.value[0], -self.value[1], 0.0)
         return self.violation[1] <= self.tolerance and self.gap <= self.tolerance * size / OUTWARD
 
     def may_have_bought(self) -> bool:
@@ -256,18 +273,21 @@ class Proved:
 
         Then a bound by multipliers that came with x may be as far below the optimal value as f(x) is.
         """
-        return self.violation[1] > 0.0 and self.upper > self.value[1] + self.tolerance * (1.0 + abs(self.value[0]))
+        allowed = self.tolerance * (self.unit + abs(self.value[0]))
+        return self.violation[1] > 0.0 and self.upper > self.value[1] + allowed
 
     def certification(
         self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
     ) -> Certification:
         """Return the verdict and its numbers; distances in some of the columns."""
         near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
+        near = proofs.sharpened(near, x, self.points, self.lower, columns)
         refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
-        refuted = refuted or self._error_of_x(x, far_in_columns, "x")
+        size = float(np.maximum(proofs.program.units.unknown, np.abs(x)).max(initial=0.0))
+        refuted = refuted or self._error_of_x(size, far_in_columns, "x")
         verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
         reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
-        complaint = self._error_of_x(x, far, "x, with the variables that cvxpy added,") or complaint
+        complaint = self._error_of_x(size, far, "x, with the variables that cvxpy added,") or complaint
         if verdict == "proved" and complaint:
             verdict, reason = "unproved", complaint
         if is_proved and verdict != "proved":
@@ -283,9 +303,9 @@ class Proved:
         is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
         return f"the program is {proof}" if is_endless else ""
 
-    def _error_of_x(self, x: FloatVector, far: float, what: str) -> str:
-        """Return what proves that x is not optimal although its value may be, or nothing."""
-        is_far = far > LOOSE * self.tolerance * (1.0 + float(np.abs(x).max(initial=0.0)))
+    def _error_of_x(self, size: float, far: float, what: str) -> str:
+        """Return what proves that an x of that size is not optimal although its value may be, or nothing."""
+        is_far = far > LOOSE * self.tolerance * size
         return f"{what} is proved to be at least {far:.3g} from every optimal one" if is_far else ""
 
     def _reason(self, evidence: str, is_proved: bool) -> str:

@@ -39,7 +39,7 @@ NARROW, MET = 1e-7, 1e-8  # a room that may be none, and what is then left of a 
 
 
 def proof_of_no_minimum(
-    program: QuadraticProgram, *, exactly: bool = False
+    program: QuadraticProgram, *, exactly: bool = False, is_met: bool = False
 ) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that the convex program is infeasible or unbounded, or None where none was found.
 
@@ -51,6 +51,8 @@ def proof_of_no_minimum(
     exactly : bool
         Look for a proof of all x, however large the program is; by default one within a radius does where there are
         more than 10 000 nonzeros.
+    is_met : bool
+        An x is known that violates no constraint by much: only a direction of endless descent is looked for.
 
     Notes
     -----
@@ -71,25 +73,28 @@ def proof_of_no_minimum(
     unbounded: the objective falls for ever along a direction from a feasible point (checked exactly)
     """
     rows = fold_simple_rows(program)
-    row = contradictory_row(rows.folded)
+    row = None if is_met else contradictory_row(rows.folded)
     found: QPInfeasibility | QPUnboundedness | None = row
     if row is None or row.margin < DECISIVE:
-        other = _by_programs(rows.folded, exactly)
+        other = _by_programs(rows.folded, exactly, is_met)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
     if found is None or rows.folded is program:
         return found
     unfolded = _unfolded(rows, found)
     # A bound that a row gives is rounded, the row is not.
-    return unfolded if unfolded.verify() else _by_programs(program, exactly)
+    return unfolded if unfolded.verify() else _by_programs(program, exactly, is_met)
 
 
-def _by_programs(program: QuadraticProgram, exactly: bool) -> QPInfeasibility | QPUnboundedness | None:
+def _by_programs(
+    program: QuadraticProgram, exactly: bool, is_met: bool
+) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that linear programs find."""
     entries = sum(program.matrices.entries)
     if program.n + program.constraints.rows > LARGEST or entries > MOST_NONZEROS:
         return None
     exactly = exactly or entries <= MANY_NONZEROS
-    return prove_infeasible(program, exactly=exactly) or prove_unbounded(program, exactly=exactly)
+    contradiction = None if is_met else prove_infeasible(program, exactly=exactly)
+    return contradiction or prove_unbounded(program, exactly=exactly)
 
 
 def _unfolded(
@@ -147,6 +152,8 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
 
     Such a direction contradicts the conditions P x + c + Gᵀy + Aᵀv = 0, y ≥ 0, with the signs that bounds permit.
     """
+    if program.matrices.is_definite:
+        return None
     P = sp.csr_array(program.P)
     farkas = FarkasProgram(stationarity(program, P[_independent_rows(P)]))
     answer = farkas.solve()

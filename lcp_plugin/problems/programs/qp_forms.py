@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
 MOST_ALONG_A_LINE, NARROW = 2, 8  # variables of a constraint in a chain or a ring; rows that one in order reaches
+FULL_SHARE = 0.25  # of the entries of C, from which on its products are those of a dense matrix
 ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 CANCELS = 100.0  # times the gradient: terms that may be small, as they cancel
 CANCELS_MUCH = 1e3  # the same, where the residuals are small as it is: the search takes as long as the run
@@ -58,6 +59,7 @@ class QPOrigin:
     is_of_convex_program: ClassVar[bool] = True
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
     _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
+    _attempted: list[str] = field(default_factory=list, init=False, repr=False)
 
     @property
     def program(self) -> QuadraticProgram:
@@ -101,7 +103,7 @@ class QPOrigin:
         goal = program_goal(tolerance)
         if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
             return False
-        return solution.is_sure(goal) or self.program.refutation(goal) is None
+        return solution.is_sure(goal) or self.program.refutation(goal, is_met=True) is None
 
     def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers y, or of smaller ones that are as good."""
@@ -154,6 +156,15 @@ class QPOrigin:
     def ended_by(self) -> QPInfeasibility | QPUnboundedness | None:
         """The proof that has ended a run, if one has."""
         return self._proofs[0] if self._proofs else None
+
+    def note_attempt(self, name: str) -> None:
+        """Take note of an algorithm that has ended without an answer before there is a run, which starts there."""
+        self._attempted.append(name)
+
+    @property
+    def attempted(self) -> tuple[str, ...]:
+        """The algorithms that have ended without an answer before there is a run, which starts where they ended."""
+        return tuple(self._attempted)
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""
@@ -260,19 +271,20 @@ class DualForm(QPOrigin):
         return -self._solve(self.rows.program.c + C.T @ z), z[: self.rows.left.size].copy()
 
     def _delassus(self) -> Any:
-        """Return C P⁻¹Cᵀ, exactly symmetric: sparse where it is sparse."""
+        """Return C P⁻¹Cᵀ, exactly symmetric: sparse where it is sparse; of a full C by BLAS."""
         C, d = self._constraints
-        P = self.rows.program.P
+        P, is_full = self.rows.program.P, C.nnz > FULL_SHARE * C.shape[0] * C.shape[1]
+        rows: Any = C.toarray() if is_full else C
         if is_diagonal(P):
-            half = C @ sp.diags_array(1.0 / np.sqrt(P.diagonal()))
+            half = rows * (1.0 / np.sqrt(P.diagonal())) if is_full else C @ sp.diags_array(1.0 / np.sqrt(P.diagonal()))
             return _kept_as_suits(half @ half.T)
         width = max(1, ENTRIES_AT_ONCE // max(self.rows.program.n, 1))
         parts = []
         for start in range(0, d.size, width):
             # A column of P⁻¹Cᵀ is exactly zero on the blocks of P that the constraint does not touch.
-            columns = self._solve(C[start : start + width].T.toarray())
-            parts.append(sp.csc_array(C @ columns))
-        M = sp.hstack(parts, format="csr") if parts else sp.csr_array((0, 0))
+            columns = rows @ self._solve(C[start : start + width].T.toarray())
+            parts.append(columns if is_full else sp.csc_array(columns))
+        M: Any = np.zeros((0, 0)) if not parts else np.hstack(parts) if is_full else sp.hstack(parts, format="csr")
         return _kept_as_suits((M + M.T) * 0.5)
 
     @cached_property
@@ -315,8 +327,10 @@ def _bound_rows(program: QuadraticProgram) -> list[Indices]:
     return [first + np.flatnonzero(kind) for first, kind in ((rows + n, is_fixed), (rows, below), (rows + n, above))]
 
 
-def _kept_as_suits(M: sp.csr_array) -> Any:
-    """Return a small, full matrix as an ndarray."""
+def _kept_as_suits(M: Any) -> Any:
+    """Return a small, full matrix as an ndarray, another as a CSR array."""
+    if not sp.issparse(M):
+        return M if is_kept_dense(M.shape[0], int(np.count_nonzero(M))) else sp.csr_array(M)
     return M.toarray() if is_kept_dense(M.shape[0], M.nnz) else M
 
 

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
     from .qp_proofs import QPInfeasibility, QPUnboundedness
 
+MEANINGS = {  # in units of the data, but the last
+    "primal_residual": "by how much x violates a constraint",
+    "dual_residual": "what is left of the gradient of the Lagrangian",
+    "complementarity": "largest product of a multiplier and the room left at its limit",
+    "row_residual": "worst of all these, relative to the terms of its own row",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
@@ -174,8 +181,11 @@ class QPSolution:
         return bool(self._errors.meet(float(tolerance)))
 
     def is_sure(self, tolerance: float = 1e-6) -> bool:
-        """Return whether x is stationary, the gradient to a thousandth of the tolerance: no proof is looked for."""
-        return self._errors.are_sure(tolerance)
+        """Return whether x is stationary, and no exact proof of unboundedness may beat it: none is looked for.
+
+        The gradient is 0 to a thousandth of the tolerance, or the program falls nowhere for ever.
+        """
+        return self._errors.are_sure(tolerance) or (self.is_stationary(tolerance) and self.program.falls_nowhere)
 
     @property
     def duality_gap(self) -> float:
@@ -213,9 +223,9 @@ class QPSolution:
 
     def __str__(self) -> str:
         lines = [f"{'objective':<16} {self.objective:.9g}"]
-        for name in ("primal_residual", "dual_residual", "complementarity", "row_residual"):
+        for name, meaning in MEANINGS.items():
             if not np.isnan(value := getattr(self, name)):
-                lines.append(f"{name.replace('_', ' '):<16} {value:.3e}")
+                lines.append(f"{name.replace('_', ' '):<16} {value:.3e}  {meaning}")
         if np.isnan(self.multipliers).any():
             lines.append("no multipliers: a proof came instead")
         return "\n".join(lines)

@@ -18,6 +18,7 @@ from ...methods.presolve import like
 from ...systems.definiteness import is_diagonal
 from ...systems.symmetry import is_its_mirror
 from .criterion import CONSTRAINTS
+from .own_units import OwnUnits
 from .predicted_work import worth_putting_in
 from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 OWN = -1  # the variable's own bound, not a row's
+EVERY = slice(None)
 
 
 def put_in(matrix: Any, offset: FloatVector, columns: Indices) -> tuple[sp.csr_array, FloatVector]:
@@ -182,9 +184,9 @@ def substitute_definitions(program: QuadraticProgram, *, saves_work: bool = Fals
     gradient = program.P @ shift + program.c
     c = gradient[found.kept]
     c[found.columns] += found.D.T @ gradient[found.defined]
-    reduced = program.with_matrices(
+    reduced = _in_units_of(program, program.with_matrices(
         found.reduced, c, program.h, program.b[found.kept_rows], program.lower[found.kept], program.upper[found.kept]
-    )
+    ), found.kept)
     return Substitution(program, reduced, found, offset)
 
 
@@ -300,11 +302,24 @@ def _folded(program: QuadraticProgram) -> FoldedRows:
     stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & is_empty | (right == np.inf))
     stays[rows[~contradicts[columns]]] = False
     left = np.flatnonzero(stays)
-    folded = program if left.size == right.size else program.with_matrices(
-        matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
-        right[left[left >= program.h.size]], lower, upper,
-    )
+    folded = program
+    if left.size < right.size:
+        folded = program.with_matrices(
+            matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
+            right[left[left >= program.h.size]], lower, upper,
+        )
+        folded.__dict__["units"] = program.units.of_rows(left)  # what a row says does not depend on where it stands
     return FoldedRows(program, folded, left, lower_row, upper_row, coefficient)
+
+
+def _in_units_of(
+    program: QuadraticProgram, smaller: QuadraticProgram, kept: Indices | slice = EVERY
+) -> QuadraticProgram:
+    """Return the smaller program, the unknowns that are kept in the units that they have in the whole one."""
+    units = program.units
+    unknown = None if units.are_the_users else units.unknown[kept]
+    smaller.__dict__["units"] = OwnUnits.of_unknowns(smaller, unknown)
+    return smaller
 
 
 def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:

@@ -76,7 +76,7 @@ class Rescaled:
         return QPSolution.of_rows(self.given, found.x * self.of_x, found.multipliers * self.of_multipliers)
 
     def proof(self, found: QPInfeasibility | QPUnboundedness | None) -> QPInfeasibility | QPUnboundedness | None:
-        """Return the same proof of the given program; None where a radius is too small in its units."""
+        """Return the same proof of the given program; where a radius is too small in its units, the one in its own."""
         if found is None:
             return None
         if isinstance(found, QPUnboundedness):
@@ -86,7 +86,7 @@ class Rescaled:
             )
         else:
             proof = replace(found, program=self.given, multipliers=_times(found.multipliers, 1.0 / self.of_rows))
-        return proof if proof.verify() else None
+        return proof if proof.verify() else found
 
 
 def _times(vector: tuple[Fraction, ...], scales: FloatVector) -> tuple[Fraction, ...]:

@@ -19,7 +19,7 @@ from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, Unsu
 from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.driver import asked_of_solve, solve
-from ...core.solving.result import Result, Sample, StageRecord
+from ...core.solving.result import Result, Sample, StageRecord, told_stages
 from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
@@ -27,7 +27,7 @@ from .compiled_call import ACTIVE_SET, CompiledAnswer, ProgramResult, settled_at
 from .conversion import attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
-from .interior_call import InteriorAnswer, solved_again, solved_by_interior_points
+from .interior_call import Begun, InteriorAnswer, solved_again, solved_by_interior_points
 from .program import QuadraticProgram
 from .qp_forms import KKTForm, QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
@@ -170,6 +170,10 @@ class QuadraticProgramResult(Answer):
         """Return the residuals, or what proves that there are none."""
         return str(self.solution) if self.proof is None else str(self.proof)
 
+    def _course(self) -> list[str]:
+        is_made_when_looked_at = self.is_compiled and not self.is_solved  # by another run
+        return [*super()._course(), *([] if is_made_when_looked_at else told_stages(self.stages))]
+
 
 def judged_program(
     program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
@@ -205,11 +209,11 @@ def judged_program(
         return _in_own_units(program.rescaled, algorithm, tolerance, options)
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
-    goal, refutes = program_goal(tolerance), options.get("refute", True)
-    found = _at_once(program, tolerance, guess, options) if is_one_call else None
+    goal, refutes, begun = program_goal(tolerance), options.get("refute", True), Begun(program)
+    found = _at_once(begun, tolerance, guess, options) if is_one_call else None
     by = found.name if isinstance(found, (CompiledAnswer, InteriorAnswer)) else _finder(found)
     if isinstance(found, (CompiledAnswer, InteriorAnswer)) and refutes and not found.solution.is_sure(goal):
-        found = program.refutation(goal) or found
+        found = program.refutation(goal, is_met=True) or found
     if isinstance(found, (CompiledAnswer, InteriorAnswer)):
         return QuadraticProgramResult(
             Status.SOLVED, found.solution, goal, f"auto: {found.name}", found.steps, found.seconds,
@@ -219,10 +223,10 @@ def judged_program(
         return _refuted(program, found, by, tolerance, clock.read())
     # What is asked between the stages of a run, and after it, knows of the limit by this.
     with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
-        result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
+        result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options, begun)
     is_optimal = solution.is_stationary(goal)
     if proof is None and refutes and not ended_by_caller(result, options) and not solution.is_sure(goal):
-        proof = program.refutation(goal)
+        proof = program.refutation(goal, is_met=is_optimal)
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
     if options.get("verbose") and status is not result.status:
         say(f"{status.name}: {ADVICE.get(status, status.value) if proof is None else proof}")
@@ -310,20 +314,20 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 
 
 def _at_once(
-    program: QuadraticProgram, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
+    begun: Begun, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
 ) -> CompiledAnswer | InteriorAnswer | QPInfeasibility | QPUnboundedness | None:
     """Return the answer by the active set of a guess, one compiled call or interior points, a proof or None."""
     refutes = options.get("refute", True)
     try:
-        if guess is not None and (again := solved_again(program, guess, tolerance)) is not None:
+        if guess is not None and (again := solved_again(begun, guess, tolerance)) is not None:
             return again
-        if (at_once := settled_at_once(program, tolerance)) is not None or "max_iterations" in options:
+        if (at_once := settled_at_once(begun.program, tolerance)) is not None or "max_iterations" in options:
             return at_once
         if (limit := options.get("max_seconds", math.inf)) == math.inf:
-            return solved_by_interior_points(program, tolerance, refutes=refutes)
+            return solved_by_interior_points(begun, tolerance, refutes=refutes)
         clock, found = Clock(ALONE), None
         with suppress(OutOfTimeError), time_limit(min(SHARE * limit, seconds_left()), is_enforced=True):
-            found = solved_by_interior_points(program, tolerance, refutes=refutes)
+            found = solved_by_interior_points(begun, tolerance, refutes=refutes)
         options["max_seconds"] = max(limit - clock.read(), SHORTEST)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
@@ -332,7 +336,8 @@ def _at_once(
 
 
 def _by_forms(
-    program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
+    program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any],
+    begun: Begun | None = None,
 ) -> tuple[Result, QPSolution, QPInfeasibility | QPUnboundedness | None]:
     """Return the run and the answer of the best of some complementarity problems, and the proof that ended them."""
     refuse_nonconvex(program)
@@ -344,7 +349,7 @@ def _by_forms(
 
     runs = list(program_runs(
         program, algorithm, (tolerance,), (goal, goal), guess=guess,
-        refutation=refutation if options.get("refute", True) else None, **options,
+        refutation=refutation if options.get("refute", True) else None, begun=begun, **options,
     ))
     best = min(runs, key=lambda run: run.solution.error)
     return replace(best.result, stages=_stages(runs, best)), best.solution, proofs[-1] if proofs else None
@@ -353,12 +358,12 @@ def _by_forms(
 def program_runs(
     program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, ...], goals: tuple[float, float], *,
     guess: FloatVector | None = None, refutation: Callable[[], Any] | None = None, callback: Any = None,
-    **options: Any,
+    begun: Begun | None = None, **options: Any,
 ) -> Iterator[ProgramRun]:
     """Yield runs on the forms of a program until one is stationary to the first goal, or something ends them all.
 
     Each form is solved at the first tolerance, and at a second, if there is one, where that leaves more than the second
-    goal.
+    goal. What has begun already is not made again.
     """
     has_run, refusal = False, None
     labels = set[str]()
@@ -372,7 +377,11 @@ def program_runs(
         origin.end_by(proof)
         return True
 
-    for attempt in attempts(program, needs_diagonal=getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL):
+    needs_diagonal = getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL
+    first = None if begun is None or needs_diagonal else begun.first
+    if begun is not None and begun.z is not None:
+        guess = begun.z
+    for attempt in attempts(program, needs_diagonal=needs_diagonal, first=first):
         for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):
             start = {"z0": guess} if guess is not None and guess.size == attempt.problem.n else {}
             if (left := seconds_left()) < math.inf:
@@ -386,6 +395,8 @@ def program_runs(
             except (UnsuitableMatrix, UnsuitableProblem) as error:
                 refusal = refusal or error
                 break
+            if attempt is first and begun is not None and (record := begun.record) is not None:
+                result = _after(record, result)
             solution, has_run, guess = attempt.problem.origin.recover(result), True, result.z
             yield ProgramRun(result, solution, because)
             options.pop("z0", None)
@@ -398,6 +409,16 @@ def program_runs(
             return
     if not has_run:
         raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal
+
+
+def _after(record: StageRecord, result: Result) -> Result:
+    """Return the result of a run that began after this stage, which it only has noted."""
+    stages = [stage for stage in result.stages if stage.name != record.name or stage.iterations]
+    remark = result.stages[-1].remark if result.stages and not stages else ""
+    return replace(
+        result, stages=(record._replace(remark=remark), *stages), iterations=result.iterations + record.iterations,
+        work=result.work + record.work,
+    )
 
 
 def _stages(runs: list[ProgramRun], best: ProgramRun) -> tuple[StageRecord, ...]:

@@ -165,7 +165,10 @@ class Derivative:
 
     @property
     def degenerate(self) -> NDArray[np.intp]:
-        """The rows that are at a bound and have w = 0, as far as rounding of the data can tell."""
+        """The rows that are at a bound and have w = 0, as far as rounding of the data can tell.
+
+        Rows that only give z, as boundary values written as rows of the identity, are none without a bound.
+        """
         return np.flatnonzero(self._rows.degenerate)
 
     @cached_property

@@ -116,6 +116,8 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
     own, rows = curvature(P), sp.csr_array(A)
     if own.indefinite or (own.weights > 0.0).all() or not rows.nnz or is_over():
         return own
+    if np.count_nonzero(np.diff(sp.csr_array(P).indptr)) + rows.shape[0] < own.weights.size:  # ranks add to less than n
+        return own
     square = sp.csr_array(rows.T @ rows)
     bent, held = (float(np.max(matrix.diagonal(), initial=0.0)) for matrix in (sp.csr_array(P), square))
     if held == 0.0 or bent / held == np.inf:  # the squares underflow

@@ -97,7 +97,7 @@ def warn_where_known_to_be_uncovered(problem: LCP, policy: Policy, *, stacklevel
     warned.add(held)
     remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
     warnings.warn(
-        f"{policy.name} on this matrix: {guarantee.verdict} ({guarantee.theorem}){remedy}",
+        f"nothing proves that {policy.name} converges on this matrix ({guarantee.theorem}){remedy}",
         ConvergenceWarning, stacklevel=stacklevel + 1,
     )
 

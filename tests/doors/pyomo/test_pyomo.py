@@ -382,6 +382,12 @@ def nonconvex(m: Any) -> None:
     m.o = pe.Objective(expr=-(m.x**2))
 
 
+def bilinear(m: Any) -> None:
+    m.y = pe.Var()
+    m.e = pe.Constraint(expr=m.x + m.y <= 2)
+    m.o = pe.Objective(expr=m.x * m.y - m.x)
+
+
 def two_objectives(m: Any) -> None:
     m.o, m.p = pe.Objective(expr=m.x), pe.Objective(expr=-m.x)
 
@@ -398,10 +404,10 @@ def test_an_abstract_model_is_told_apart() -> None:
 
 REFUSED = {
     integers: "the variable x is integer, and integers are taken beside complementarities only; give it a continuous",
-    too_few_rows: "the model has 1 unknowns without a complementarity (y) and 0 equations",
+    too_few_rows: "the model has 0 equations and 1 unknown without a complementarity (y)",
     objective_beside: "SCIP knows no atan",
     absolute_value: "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
-    one_bound: "c has 1 finite bounds on its two sides together, and needs two",
+    one_bound: "c has 1 finite bound on its two sides together, and needs two",
     three_bounds: "c has 3 finite bounds on its two sides together, and needs two",
     bound_that_varies: "a bound of c is y, which varies; state the difference",
     strict: "a side of c is strict, 0  <  x; write <= or >=",
@@ -411,6 +417,7 @@ REFUSED = {
     derivative: "DerivativeVar is not taken, and the model has slope; discretise it, TransformationFactory(",
     no_variable: "no active constraint, objective or complementarity has a free variable",
     nonconvex: "convex",
+    bilinear: "convex: the smallest eigenvalue of P is -1",
     two_objectives: "the model has 2 active objectives; deactivate all but one",
 }
 
@@ -423,6 +430,7 @@ def test_what_is_not_taken_is_refused_by_name(build: Callable[[Any], None]) -> N
     with pytest.raises(LCPError) as caught:
         SOLVER.solve(m)
     assert REFUSED[build] in str(caught.value)
+    assert "LCP(" not in str(caught.value)  # which would leave out what the model says beside its objective
     assert campaign.picture(m) == before
 
 

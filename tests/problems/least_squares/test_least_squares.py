@@ -575,7 +575,8 @@ def test_what_is_not_a_number_proves_nothing(place: str, value: float) -> None:
         vectors = {"gradient": np.zeros(3), "radius": np.zeros(3)}
         vectors[place][j] = value
         for upper in (1.0, 2.0, INF):
-            found = largest_residuals(*vectors.values(), np.ones(3), np.zeros(3), np.full(3, upper), np.ones(3), True)
+            bounds = np.zeros(3), np.full(3, upper)
+            found = largest_residuals(*vectors.values(), np.ones(3), *bounds, np.zeros(3), np.ones(3), True)
             assert not found[0] < 0.5
             assert not found[1] < 0.5
 

@@ -141,9 +141,9 @@ def test_a_value_that_no_feasible_point_has_is_refuted() -> None:
     """A violation within the tolerance that buys much more than the tolerance in the objective."""
     program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
     said = certify(program, [1.0 + 9e-7], tolerance=1e-6)
-    assert said.verdict == "proved"  # relative to 1 + |f|
-    steep = QuadraticProgram([[1.0, 0.0], [0.0, 1.0]], [-1e4, 1e4], G=[[1.0, -1.0]], h=[0.0])
-    said = certify(steep, [9e-7, 0.0], tolerance=1e-6)
+    assert said.verdict == "proved"  # relative to the objective's unit + |f|
+    steep = QuadraticProgram([[1e4, 0.0], [0.0, 1e4]], [-1e4, 1e4], G=[[1e-3, -1e-3]], h=[0.0])
+    said = certify(steep, [9e-4, 0.0], tolerance=1e-6)
     assert said.verdict == "refuted"
     assert "no feasible x is below" in said.reason
 
@@ -405,6 +405,42 @@ def test_distances_are_those_of_the_worst_optimum() -> None:
         assert far <= 3.0 <= ends[1] <= near
     assert distances(proofs, np.ones(2), [], 0.0, slice(None)) == (INF, 0.0, 0.0)
     assert not Curvature(np.array([1.0, -1e-9])).is_semidefinite
+
+
+@pytest.mark.parametrize("kind", ["definite", "definite, equations"])
+@pytest.mark.parametrize("moved", [0.0, 1e-13, 1e-11, 1e-7])
+def test_a_distance_is_in_proportion_to_the_error_of_x(kind: str, moved: float) -> None:
+    """It holds in fractions; where active rows are independent it is at most some ten times ‖x − x*‖, and rounding."""
+    independent = 0
+    for seed in range(14):
+        rng = np.random.default_rng([seed, 58])
+        case = CAMPAIGN.case(kind, rng, 7)
+        x = case.x + moved * rng.normal(size=case.x.size)
+        said = certify(case.program, x)
+        assert not CAMPAIGN.faults(case, x, said), said
+        rows = case.program.constraints
+        active = rows.matrix[np.isfinite(rows.limit) & (rows.is_equality | (rows.excess(case.x) >= 0.0))]
+        if np.linalg.matrix_rank(active.toarray()) == active.shape[0]:
+            independent += 1
+            assert said.distance is not None
+            assert said.distance <= 1e-12 + 30.0 * moved * np.sqrt(x.size)
+    assert independent >= 4
+
+
+def test_a_distance_by_residuals_knows_units_and_dependent_rows() -> None:
+    """Unknowns of different size; a row stated twice is worth no factor and leaves the bound by the value."""
+    rng = np.random.default_rng(4)
+    units, x = 10.0 ** rng.integers(-4, 5, 8), rng.integers(1, 5, 8).astype(float)
+    P, G = np.diag(1.0 / units), np.ones((1, 8))
+    lower = np.where(np.arange(8) < 3, x, -INF)
+    c = -(P @ x + G[0]) + np.where(np.arange(8) < 3, 1.0, 0.0)  # a multiplier of 1 for the row and for each bound
+    program = QuadraticProgram(P, c, G, G @ x, lower=lower)
+    said = certify(program, x)
+    assert said.distance is not None
+    assert said.distance <= 1e-8
+    twice = certify(QuadraticProgram(P, c, np.vstack([G, G]), np.append(G @ x, G @ x), lower=lower), x)
+    assert twice.distance is not None
+    assert said.distance < twice.distance
 
 
 def test_what_bends_down_and_what_is_missed_is_taken_off() -> None:
@@ -903,3 +939,31 @@ def test_bounds_of_variables_hide_no_entry(attributes: dict[str, Any]) -> None:
     assert found.distance < 1e-4
     x.save_value(x.value + np.array([1e-3, -1e-3, 0.0]))
     assert certify(problem).verdict != "proved"
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    *[st.integers(-40, 40)] * 2, st.integers(-20, 20),
+    st.sampled_from(["right", "with multipliers", "off", "a sign", "beside room", "a gradient"]),
+)
+def test_verdicts_do_not_depend_on_units(objective: int, row: int, unknowns: int, answer: str) -> None:
+    """The objective, a row, and all unknowns times powers of two: the same verdict, of x and of its multipliers."""
+    P, c = np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([-6.0, -4.0])
+    G, h = np.array([[1.0, 1.0], [1.0, -2.0]]), np.array([2.0, 8.0])
+    x, y = np.array([2.0, 0.0]), np.array([2.0, 0.0])
+    lower, below = np.array([-np.inf, 0.0]), np.array([0.0, 0.0])  # and the bound is met without a multiplier
+    assert (P @ x + c + y @ G == below).all()
+    x = x - np.array([0.05 * (answer == "off"), 0.0])
+    y = {"a sign": -y, "beside room": np.array([2.0, 0.5]), "a gradient": 0.9 * y}.get(answer, y)
+    s, r, u = np.ldexp(1.0, [objective, row, unknowns])
+    of_rows = np.array([r, 1.0])
+    scaled = QuadraticProgram(s * u * u * P, s * u * c, u * of_rows[:, None] * G, of_rows * h, lower=lower / u)
+    multipliers = None if answer in ("right", "off") else (s * y / of_rows, [], s * u * below, np.zeros(2))
+    given_units = QuadraticProgram(P, c, G, h, lower=lower)
+    expected = certify(given_units, x, None if multipliers is None else (y, [], below, below))
+    found = certify(scaled, x / u, multipliers)
+    verdicts = {"right": "proved", "with multipliers": "proved", "off": "refuted"}
+    assert expected.verdict == verdicts.get(answer, "unproved")
+    assert found.verdict == expected.verdict
+    if found.lower is not None and expected.lower is not None:
+        assert found.lower == pytest.approx(s * expected.lower, rel=1e-6)

@@ -476,6 +476,21 @@ REFUSED = {
     "P not finite": (InvalidProblem, r"P\[1, 1\] = nan", lambda: QuadraticProgram([[1, 0], [0, np.nan]], [1, 2])),
     "c not a vector": (InvalidProblem, r"c must be a vector.*shape \(1, 2\)", lambda: QuadraticProgram(EYE, [[1, 2]])),
     "c infinite": (InvalidProblem, r"c\[1\] = inf", lambda: QuadraticProgram(EYE, [1, np.inf])),
+    "G transposed": (
+        InvalidProblem, r"got shape \(4, 3\); did you mean G.T\?",
+        lambda: QuadraticProgram(np.eye(4), [1, 2, 3, 4], np.ones((4, 3)), [1, 2, 3]),
+    ),
+    "A transposed, sparse": (
+        InvalidProblem, r"got shape \(2, 3\); did you mean A.T\?",
+        lambda: LCP.from_qp(EYE, [1, 2], A=sp.csr_array(np.ones((2, 3))), b=[1, 2, 3]),
+    ),
+    "ranges transposed": (
+        InvalidProblem, r"did you mean A.T\?",
+        lambda: QuadraticProgram.from_ranges(EYE, [1, 2], np.ones((2, 3)), np.zeros(3), np.ones(3)),
+    ),
+    "G too wide": (
+        InvalidProblem, r"got shape \(3, 4\)$", lambda: QuadraticProgram(EYE, [1, 2], np.ones((3, 4)), [1, 2, 3])
+    ),
     "G a vector": (InvalidProblem, r"as \[\[…\]\]", lambda: QuadraticProgram(EYE, [1, 2], [1, 2], [1])),
     "P too large": (InvalidProblem, r"shape \(2, 2\), got shape \(3, 3\)", lambda: QuadraticProgram(np.eye(3), [1, 2])),
     "not convex": (

@@ -29,9 +29,10 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.deadline import time_limit
+from lcp_plugin.methods.interior import interior_point
 from lcp_plugin.methods.interior.interior_point import InteriorPoint
 from lcp_plugin.modeling.registration import build
-from lcp_plugin.problems.programs import interior_call, solving
+from lcp_plugin.problems.programs import interior_call, qp_certificates, solving
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.problems.programs.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
 from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
@@ -204,6 +205,56 @@ def test_rows_that_contradict_by_rounding_refute_nothing(monkeypatch: pytest.Mon
     result = solve(program)
     assert result.is_solved
     assert result.x == pytest.approx([1.0, 3.0], abs=1e-6)
+
+
+def test_a_run_goes_on_from_what_was_attempted_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interior points that have ended without an answer are not made again: the run begins where they ended."""
+    program = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, -3.0], [[-1.0, -1.0]], [-1.0], upper=[1.0, 3.0])
+    ended = np.array([0.5, 3.0, 0.25])
+    monkeypatch.setattr(solving, "settled_at_once", lambda *_: None)
+    monkeypatch.setattr(interior_call, "points", lambda *_: iter([(ended, 7, 3.0, True)]))
+    monkeypatch.setattr(interior_point.Search, "interior", lambda *_: pytest.fail("made again"))
+    starts, given = [], solving.solve
+
+    def noted(*args: Any, **wishes: Any) -> Any:
+        starts.append(wishes["z0"])
+        return given(*args, **wishes)
+
+    monkeypatch.setattr(solving, "solve", noted)
+    result = solve(program)
+    assert result.is_solved
+    assert result.x == pytest.approx([1.0, 3.0], abs=1e-6)
+    assert starts == [pytest.approx(ended)]
+    assert [stage.name for stage in result.stages].count("interior_point") == 1
+    assert result.stages[0].iterations == 7
+    assert result.iterations == sum(stage.iterations for stage in result.stages)
+
+
+def test_at_a_small_tolerance_a_program_ends_where_its_own_criterion_holds() -> None:
+    """Rows rounded to ten digits: no z of the complementarity problem has a residual of 1e-12, and none is looked for.
+
+    Pivots, Newton steps and a search looked for one, 26 s for the .3 s of the interior points that had the answer.
+    """
+    program, _ = CAMPAIGN.case("redundant, rounded", 57902, 1, 100)
+    result = solve(program, tolerance=1e-12)
+    assert result.is_solved
+    assert result.algorithm == "auto: interior_point"
+    assert result.solution.is_stationary(1e-9)
+
+
+def test_no_contradiction_is_looked_for_beside_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An x that meets all constraints refutes every contradiction, and a definite P falls along no direction."""
+    program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, -1.0]], [-1.0])
+    monkeypatch.setattr(qp_certificates, "linear_program", lambda *_, **__: pytest.fail("a linear program"))
+    monkeypatch.setattr(qp_certificates, "FarkasProgram", lambda *_: pytest.fail("a linear program"))
+    assert program.refutation(is_met=True) is None
+    semidefinite = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, 1.0], lower=[-np.inf, 0.0])
+    monkeypatch.undo()
+    assert semidefinite.refutation(is_met=True) is None
+    unbounded = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, -1.0], lower=[-np.inf, 0.0]).refutation(is_met=True)
+    assert unbounded is not None
+    assert unbounded.verify()
+    assert unbounded.status is Status.UNBOUNDED
 
 
 def test_a_factor_that_magnifies_errors_is_not_used() -> None:

@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from campaigns import programs_in_units
+import scipy.sparse as sp
+from campaigns import convex_programs, programs_in_units
 
 from lcp_plugin import QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
 from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.reductions import fold_simple_rows, substitute_definitions
 from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
 
 NAMES = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
@@ -31,6 +33,17 @@ def test_what_falls_for_ever_is_unbounded_in_any_unit(c: list[float], rows: dict
     assert result.proof is not None
     assert result.proof.is_exact
     assert result.proof.verify()
+
+
+def test_what_is_infeasible_in_its_own_units_has_a_proof() -> None:
+    """A proof within a radius that unknowns in mixed units would make too small is the one in the program's own."""
+    program, _ = convex_programs.case("infeasible, graded", 57001, 2, 2000)
+    assert program.rescaled is not None
+    result = solve(program)
+    assert result.status is Status.INFEASIBLE
+    assert result.proof is not None
+    assert result.proof.verify()
+    assert result.solution.status == "infeasible"
 
 
 def test_a_small_slope_is_followed_to_its_bound() -> None:
@@ -113,3 +126,34 @@ def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
     bad, lines = programs_in_units.one(5, False, case)
     assert not bad
     assert len(lines) == len(programs_in_units.WHAT)
+
+
+def test_smaller_programs_keep_the_units_of_unknowns() -> None:
+    """An unknown is measured in one unit before and after rows become bounds and definitions are put in."""
+    units = np.ldexp(1.0, [0, 20, -20, 0])
+    rows = np.array([[1.0, 2.0, 3.0, 0.0], [3.0, 1.0, -2.0, 0.0], [1.0, 1.0, 1.0, -1.0]]) / units
+    program = QuadraticProgram(
+        np.diag([0.0, 0.0, 0.0, 1.0]), np.ones(4), G=sp.csr_array(np.eye(1, 4)), h=[3.0], A=sp.csr_array(rows),
+        b=[1.0, 2.0, 1.0],
+    )
+    folded, put_in = fold_simple_rows(program).folded, substitute_definitions(program)
+    assert not program.units.are_the_users
+    assert folded is not program
+    assert folded.units.unknown.tolist() == program.units.unknown.tolist()
+    assert put_in is not None
+    assert put_in.reduced.units.unknown.tolist() == program.units.unknown[put_in.definitions.kept].tolist()
+
+
+@pytest.mark.parametrize(("diagonal", "lower", "upper", "expected"), [
+    ([1.0, 2.0], -np.inf, np.inf, True),
+    ([1.0, 0.0], -np.inf, np.inf, False),
+    ([1.0, 0.0], [-np.inf, 0.0], np.inf, False),
+    ([1.0, 0.0], [-np.inf, 0.0], [np.inf, 1.0], True),
+])
+def test_what_falls_nowhere_needs_no_proof(diagonal: list[float], lower: Any, upper: Any, expected: bool) -> None:
+    """Where P curves all unknowns without two bounds, an answer within the tolerance is sure; elsewhere it is not."""
+    program = QuadraticProgram(np.diag(diagonal), [0.0, 0.0], lower=lower, upper=upper)
+    nearly = QPSolution(program, np.array([1e-7, 0.0]), np.zeros(0), np.zeros(0), np.zeros(2), np.zeros(2))
+    assert nearly.is_stationary()
+    assert program.falls_nowhere is expected
+    assert nearly.is_sure() is expected

@@ -19,7 +19,7 @@ SMALLEST = 1e-300
 LARGEST_CENTRING = 1e3
 SHARP = 0.01  # share of the infeasibility that a linear system may leave
 ENOUGH = 0.01  # of the infeasibility: an error that a solve of a direction may leave
-LOOKS = (1, 3, 6)  # steps after the last change of the active set: then somebody solves for it
+LOOKS = (1, 3, 6)  # steps with a small gap after the last change of the active set: then somebody solves for it
 
 # Rows of `vectors`, each of n numbers: the problem (bounds 0 where there are none, and whether there are, 0 or 1), the
 # point (a distance of 1 and a multiplier of 0 where there is no bound), residuals, what a solve is asked and answers,

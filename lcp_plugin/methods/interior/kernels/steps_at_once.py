@@ -6,8 +6,6 @@ how much is regularised, in :mod:`lcp_plugin.methods.interior.newton_matrix`, wh
 
 from __future__ import annotations
 
-import numpy as np
-
 from ....core.kernels.compilation import compiled, compiled_in_place
 from ....systems.refinement import REFINEMENTS, STABLE, USEFUL
 from ..newton_matrix import LARGEST_REGULARISATION, REGULARISATION, SMALLEST, SMALLEST_REGULARISATION, WORSE
@@ -27,9 +25,9 @@ def steps(  # type: ignore[no-untyped-def]
 ):
     """Make so many steps, or fewer: until the active set has settled and the gap is small, or one fails.
 
-    Changed are vectors, facts, state, `factor` (L, D), `spare`, shape (5, n), and `is_active`, shape (n,). `pattern` is
+    Changed are vectors, facts, state, `factor` (L, D), `spare`, shape (4, n), and `is_active`, shape (n,). `pattern` is
     that of a Symbolic, M = (indptr, indices, data) of a CSR array, `own` its diagonal, `entries` those of S M. Return
-    how many steps were made, and before how many the active set has changed last.
+    how many steps were made, and before how many the active set has changed last, or the gap was not small.
     """
     order, starts, below = pattern[0], pattern[1], pattern[2]
     indptr, indices, data = M
@@ -43,9 +41,13 @@ def steps(  # type: ignore[no-untyped-def]
             vectors[step.LEFT, i] = total
         if not step.begin(vectors, facts):
             return made, settled
-        if not _factorised(state, pattern, entries, own, signs, indptr, indices, data, values, pivots, spare, diagonal):
+        phase = step.advance(vectors, facts, step.BEGUN)
+        if not _factorised(
+            state, pattern, entries, own, signs, indptr, indices, data, values, pivots, spare, diagonal,
+            vectors[step.RIGHT], vectors[step.FOUND],
+        ):
             return made, settled
-        enough, phase = step.ENOUGH * facts[step.INFEASIBILITY], step.advance(vectors, facts, step.BEGUN)
+        enough, phase = step.ENOUGH * facts[step.INFEASIBILITY], step.advance(vectors, facts, phase)
         while phase != step.DONE:
             error, size, passes = solve(
                 order, starts, below, values, pivots, signs, indptr, indices, data, diagonal, vectors[step.RIGHT],
@@ -66,17 +68,24 @@ def steps(  # type: ignore[no-untyped-def]
             now = vectors[step.BELOW, i] < vectors[step.W_LOWER, i] or vectors[step.ABOVE, i] < vectors[step.W_UPPER, i]
             if now != is_active[i]:
                 is_active[i], settled = now, 0
-        if facts[step.GAP] <= small_gap and settled in step.LOOKS:
+        if facts[step.GAP] > small_gap:
+            settled = 0
+        elif settled in step.LOOKS:
             return made + 1, settled
     return most, settled
 
 
 @compiled_in_place
-def _factorised(state, pattern, entries, own, signs, indptr, indices, data, values, pivots, spare, diagonal):  # type: ignore[no-untyped-def]
-    """Factorise M + diag(diagonal), regularised as little as gives a useful factor; return whether there is one."""
+def _factorised(  # type: ignore[no-untyped-def]
+    state, pattern, entries, own, signs, indptr, indices, data, values, pivots, spare, diagonal, right, x
+):
+    """Factorise M + diag(diagonal), regularised as little as gives a useful factor; return whether there is one.
+
+    It is useful where the predictor x comes out of it: that only says where to aim, and is not refined.
+    """
     order, starts, below = pattern[0], pattern[1], pattern[2]
     row_starts, columns, above_starts, above, at = pattern[3], pattern[4], pattern[5], pattern[6], pattern[7]
-    shifted, x, ones = spare[3], spare[4], np.ones(own.size)
+    shifted = spare[3]
     state[MISSED] = state[SHARE] = 0.0
     if state[IS_EASY] > 0.0:
         state[NOW] = max(state[LEAST], 0.01 * state[NOW])
@@ -89,14 +98,14 @@ def _factorised(state, pattern, entries, own, signs, indptr, indices, data, valu
         if factorise(
             order, starts, below, row_starts, columns, above_starts, above, at, entries, values, pivots, spare[0]
         ):
-            error, _, passes = solve(
-                order, starts, below, values, pivots, signs, indptr, indices, data, shifted, ones, x, spare, 0, 0.0
+            error, size, passes = solve(
+                order, starts, below, values, pivots, signs, indptr, indices, data, shifted, right, x, spare, 0, 0.0
             )
             state[SOLVES] += passes
             largest = 0.0
             for i in range(own.size):
                 largest = max(largest, abs(x[i]))
-            is_useful = error <= max(USEFUL, STABLE * largest)
+            is_useful = error <= max(USEFUL * size, STABLE * largest)
         if not is_useful:
             state[MAY_SHARPEN] = state[IS_EASY] = 0.0
             state[NOW] *= 100.0

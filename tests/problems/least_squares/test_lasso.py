@@ -1,0 +1,187 @@
+"""Least squares with an l1 penalty: planted answers, exact optimality conditions, proved gaps, ways in and out."""
+
+from __future__ import annotations
+
+import pickle
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse.linalg import aslinearoperator
+
+from lcp_plugin import BoundedLeastSquares, QuadraticProgram, bounded_least_squares, load_problem, solve, solve_batch
+from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin.problems.least_squares.certificate import duality_gap
+from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
+
+INF = np.inf
+
+
+def planted(
+    m: int, n: int, seed: int, ridge: float = 0.0, spread: int = 4
+) -> tuple[np.ndarray, np.ndarray, dict[str, Any], np.ndarray]:
+    """Whole numbers A, b, penalties, weights and bounds, and an answer x, chosen first with its residual y.
+
+    Each column is free, at 0 with room to spare or without, at 0 because of a bound, or at a bound beside 0; its
+    penalty is what the slope s = AᵀWy + ridge x then needs.
+    """
+    rng = np.random.default_rng(seed)
+    A, y = rng.integers(-spread, spread + 1, (m, n)).astype(float), rng.integers(-spread, spread + 1, m).astype(float)
+    weights = rng.integers(1, 4, m).astype(float)
+    place = rng.choice(["free", "held", "degenerate", "one side", "upper", "lower"], n)
+    x = np.where(np.isin(place, ["free", "upper", "lower"]), rng.integers(1, 5, n).astype(float), 0.0)
+    slope = A.T @ (weights * y)
+    A, slope = np.where(slope > 0.0, -A, A), -np.abs(slope)  # every column wants to rise; turned below where x < 0
+    l1 = np.abs(slope + ridge * x)
+    small = np.isin(place, ["free", "upper", "lower"]) & (slope + ridge * x > 0.0)  # too large for its slope
+    x[small], place[small] = 0.0, "held"
+    l1 = np.where(place == "held", np.abs(slope) + rng.integers(1, 3, n), np.abs(slope + ridge * x))
+    at_bound = np.isin(place, ["upper", "lower"])
+    l1[at_bound] = np.floor(0.5 * l1[at_bound])
+    upper = np.where(place == "upper", x, INF)
+    lower = np.where(place == "one side", 0.0, -INF)
+    turned = place == "lower"  # −x is at its lower bound
+    A, x = np.where(turned, -A, A), np.where(turned, -x, x)
+    lower[turned] = x[turned]
+    return A, A @ x - y, dict(lower=lower, upper=upper, weights=weights, ridge=ridge, l1=l1), x
+
+
+def exact_cost(A: Any, b: Any, x: Any, *, weights: Any, ridge: float, l1: Any, **bounds: Any) -> Fraction:
+    A, b, x, weights, l1 = (list(map(Fraction, v)) if np.ndim(v) == 1 else [list(map(Fraction, row)) for row in v]
+                            for v in (A, b, x, weights, l1))  # fmt: skip
+    off = [sum((a * z for a, z in zip(row, x, strict=True)), -beta) for row, beta in zip(A, b, strict=True)]
+    squares = sum(w * r * r for w, r in zip(weights, off, strict=True)) + Fraction(ridge) * sum(z * z for z in x)
+    return squares / 2 + sum(a * abs(z) for a, z in zip(l1, x, strict=True))
+
+
+def exact_misfit(A: Any, b: Any, x: Any, *, lower: Any, upper: Any, weights: Any, ridge: float, l1: Any) -> float:
+    """‖x − mid(lower, upper, prox(x − g))‖∞ ÷ ‖AᵀWb‖∞ in rational arithmetic."""
+    rows, right, at = [list(map(Fraction, row)) for row in A], list(map(Fraction, b)), list(map(Fraction, x))
+    off = [Fraction(w) * sum((a * z for a, z in zip(row, at, strict=True)), -beta)
+           for w, row, beta in zip(weights, rows, right, strict=True)]  # fmt: skip
+    worst = Fraction(0)
+    for j, z in enumerate(at):
+        g = sum((row[j] * r for row, r in zip(rows, off, strict=True)), Fraction(ridge) * z)
+        t, a = z - g, Fraction(l1[j])
+        moved = max(t - a, Fraction(0)) if t > 0 else min(t + a, Fraction(0))
+        moved = max(moved, Fraction(lower[j])) if lower[j] > -INF else moved
+        moved = min(moved, Fraction(upper[j])) if upper[j] < INF else moved
+        worst = max(worst, abs(z - moved))
+    return float(worst) / float(np.abs(A.T @ (weights * b)).max())
+
+
+@given(st.integers(2, 9), st.integers(1, 9), st.integers(0, 10**6), st.sampled_from([0.0, 1.0]))
+def test_planted_lassos_are_solved_exactly(m: int, n: int, seed: int, ridge: float) -> None:
+    """Penalties per unknown, bounds, weights, a ridge: SOLVED, optimal in rational arithmetic, the planted cost."""
+    A, b, rest, x = planted(m, n, seed, ridge)
+    result = bounded_least_squares(A, b, **rest).require_solved()
+    assert (rest["lower"] <= result.x).all()
+    assert (result.x <= rest["upper"]).all()
+    best = float(exact_cost(A, b, x, **rest))
+    assert abs(float(exact_cost(A, b, result.x, **rest)) - best) <= 1e-8 * best
+    assert abs(result.cost - best) <= 1e-8 * best
+    if np.abs(A.T @ (rest["weights"] * b)).any():
+        assert exact_misfit(A, b, result.x, **rest) <= 1e-7
+
+
+@given(st.integers(2, 7), st.integers(1, 7), st.integers(0, 10**6), st.sampled_from([0.0, 1.0]), st.floats(0.0, 2.0))
+def test_the_gap_of_a_lasso_bounds_what_an_x_costs_too_much(
+    m: int, n: int, seed: int, ridge: float, share: float
+) -> None:
+    """Of any x, the answer as well, f(x) − min f ≤ gap, in rational arithmetic."""
+    A, b, rest, x = planted(m, n, seed, ridge)
+    at = np.clip(x + share * np.random.default_rng(seed).standard_normal(n), rest["lower"], rest["upper"])
+    problem = BoundedLeastSquares(A, b, **rest)
+    for point in (at, x):
+        excess = exact_cost(A, b, point, **rest) - exact_cost(A, b, x, **rest)
+        assert excess <= Fraction(duality_gap(problem, point))
+
+
+@pytest.mark.parametrize("form", [np.asarray, sp.csr_array, aslinearoperator])
+@pytest.mark.parametrize("bounds", [{}, {"upper": 0.2}, {"lower": 0.0}])
+def test_large_lassos_are_solved_without_doubling(form: Any, bounds: dict[str, Any]) -> None:
+    """Dense, sparse, an operator, 400 columns: what the optimality conditions ask for; columns at 0 are exactly so."""
+    rng = np.random.default_rng(5)
+    A = rng.standard_normal((250, 400)) * (rng.random((250, 400)) < 0.3)
+    b = A[:, :10] @ rng.standard_normal(10) + 0.1 * rng.standard_normal(250)
+    l1, bounds = 0.05 * np.abs(A.T @ b).max(), {"lower": -INF, "upper": INF, **bounds}
+    result = bounded_least_squares(form(A), b, l1=l1, **bounds).require_solved()
+    rest = {"weights": np.ones(250), "ridge": 0.0, "l1": np.full(400, l1)}
+    whole = {name: np.broadcast_to(bound, 400) for name, bound in bounds.items()}
+    slope = A.T @ (A @ result.x - b)
+    moved = np.clip(np.sign(result.x - slope) * np.maximum(np.abs(result.x - slope) - l1, 0.0), *whole.values())
+    assert np.abs(result.x - moved).max() <= 1e-7 * np.abs(A.T @ b).max()
+    assert 5 <= np.count_nonzero(result.x) <= 100
+    assert result.gap <= 1e-8 * result.cost
+    assert abs(float(exact_cost(A[:2], b[:2], result.x, **{**rest, "weights": np.ones(2)})) - 0.5 * (
+        np.sum((A[:2] @ result.x - b[:2]) ** 2)) - l1 * np.abs(result.x).sum()) <= 1e-9
+
+
+def test_a_convex_solver_agrees() -> None:
+    """An elastic net with bounds, weights and an unpenalised column: Clarabel's answer through cvxpy."""
+    rng = np.random.default_rng(8)
+    A, b, weights = rng.standard_normal((60, 30)), 3.0 * rng.standard_normal(60), rng.random(60) + 0.1
+    lower, upper = np.where(np.arange(30) % 3, -INF, -0.1), np.where(np.arange(30) % 4, INF, 0.3)
+    l1 = np.where(np.arange(30) == 1, 0.0, 5.0 * rng.random(30))
+    result = bounded_least_squares(A, b, lower, upper, weights=weights, ridge=0.7, l1=l1).require_solved()
+    x = cp.Variable(30)
+    fit = 0.5 * cp.sum_squares(cp.multiply(np.sqrt(weights), A @ x - b)) + 0.35 * cp.sum_squares(x)
+    held = [x[np.isfinite(lower)] >= lower[np.isfinite(lower)], x[np.isfinite(upper)] <= upper[np.isfinite(upper)]]
+    best = cp.Problem(cp.Minimize(fit + l1 @ cp.abs(x)), held).solve(solver="CLARABEL")
+    assert abs(result.cost - best) <= 1e-6 * best
+    np.testing.assert_allclose(result.x, x.value, atol=1e-4)
+    assert result.gap <= 1e-8 * result.cost
+
+
+def test_a_penalty_that_is_large_enough_leaves_nothing() -> None:
+    """From ‖AᵀWb‖∞ on x is 0, below it is not; a penalty on one side of 0 is a linear term."""
+    A, b = np.array([[1.0, 2.0], [0.5, -1.0], [1.0, 0.0]]), np.array([1.0, -3.0, 0.5])
+    largest = np.abs(A.T @ b).max()
+    for l1, is_empty in ((largest, True), (1e305, True), (0.99 * largest, False)):
+        result = bounded_least_squares(A, b, -INF, l1=l1).require_solved()
+        assert (not result.x.any()) == is_empty
+    nonnegative = solve(BoundedLeastSquares(A, b, l1=0.7)).require_solved()
+    program = solve(QuadraticProgram(A.T @ A, 0.7 - A.T @ b, lower=0.0))
+    np.testing.assert_allclose(nonnegative.x, program.x, atol=1e-8)
+
+
+@pytest.mark.parametrize("form", ["normal", "mixed"])
+def test_the_lcp_of_a_lasso_has_its_answer(form: str) -> None:
+    """Subgradients behind x where there is room on both sides of 0, a linear term elsewhere."""
+    A, b, rest, _ = planted(7, 5, 3)
+    problem = lcp_from_least_squares(A, b, form=form, **rest)
+    solution = problem.origin.recover(solve(problem).require_solved())
+    best = bounded_least_squares(A, b, **rest).cost
+    assert abs(solution.cost - best) <= 1e-6 * best
+
+
+def test_a_lasso_goes_in_and_out_as_other_least_squares_do(tmp_path: Path) -> None:
+    """A batch, pickle, a file of arrays, repr, explain: the same answer as from solve, bit for bit."""
+    A, b, rest, _ = planted(6, 5, 1)
+    problem = BoundedLeastSquares(A, b, **rest)
+    x = solve(problem).x
+    np.testing.assert_array_equal(solve_batch([problem, problem])[1].x, x)
+    np.testing.assert_array_equal(solve(pickle.loads(pickle.dumps(problem))).x, x)
+    np.savez(tmp_path / "lasso.npz", A=A, b=b, **rest)
+    np.testing.assert_array_equal(solve(load_problem(tmp_path / "lasso.npz")).x, x)
+    assert repr(problem) == "BoundedLeastSquares(6 rows, 5 columns, dense, l1)"
+    assert "cost" in solve(problem).explain()
+
+
+def test_a_transposed_matrix_is_told() -> None:
+    """A b that has a number a column of A, not a row: did you mean A.T?"""
+    with pytest.raises(InvalidProblem, match=r"got shape \(2,\), and A has 3 rows .*; did you mean A.T\?"):
+        BoundedLeastSquares(np.ones((3, 2)), [1.0, 2.0])
+
+
+@pytest.mark.parametrize("l1", [-1.0, INF, np.nan, [1.0, 2.0, 3.0], [0.0, -2.0], "much"])
+def test_what_is_no_penalty_is_refused(l1: Any) -> None:
+    """A negative or infinite one, NaN, another length, a word: in words that name l1."""
+    with pytest.raises(InvalidProblem, match="l1"):
+        BoundedLeastSquares(np.eye(2), [1.0, 2.0], l1=l1)

@@ -46,8 +46,12 @@ LONGEST = 1e20  # seconds
 SHARE = 0.25  # of the gap that is asked for
 FAR, INSIDE = 1e6, 1e-3  # a box for what falls for ever, and what is near it, relatively
 FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
+FAILED = "SCIP:"  # what its errors begin with
+LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better
+GROWTH = 1.5  # of the nodes between two points that are asked for
 
 Watcher = Callable[[float, float, int], bool]
+Improver = Callable[[FloatVector | None], FloatVector | None]
 
 
 class Found(NamedTuple):
@@ -82,7 +86,7 @@ def minimize_or_none() -> Callable[..., Found] | None:
 
 def minimize(
     problem: EquilibriumProgram, *, tolerance: float = 1e-6, max_nodes: float = math.inf,
-    start: FloatVector | None = None, ends: Watcher | None = None,
+    start: FloatVector | None = None, ends: Watcher | None = None, improves: Improver | None = None,
 ) -> Found:
     """Return the least objective over all solutions of an equilibrium program, as SCIP finds it.
 
@@ -96,6 +100,9 @@ def minimize(
         A solution to begin with.
     ends : callable, optional
         Gets value, bound and nodes after each node; ends the search by something true. What it raises is passed on.
+    improves : callable, optional
+        Gets now and then the point of a node's relaxation, None where there is none; returns a solution that is better
+        than those before, or None.
 
     Raises
     ------
@@ -108,18 +115,20 @@ def minimize(
     -----
     The limit of the run around it holds, and Ctrl-C ends it with the status "userinterrupt".
     """
-    model = _Model(problem)
-    found = model.solved(tolerance, max_nodes, start, ends)
-    if found.status.startswith("SCIP:"):  # at its own feasibility tolerance its linear programs may do better
+    for feasible in (FEASIBLE, LESS_FEASIBLE):
         model = _Model(problem)
-        found = model.solved(tolerance, max_nodes, start, ends, 1e-6)
+        found = model.solved(tolerance, max_nodes, start, ends, improves, feasible)
+        if not found.status.startswith(FAILED):
+            break
     is_unbounded = found.status == "unbounded"
     if not is_unbounded and (found.x is None or not model.fell):
         return found
     if found.status in ENDS:  # of the children that were cut off it may know nothing
         return found._replace(bound=-math.inf)
-    within = _Model(problem, FAR).solved(tolerance, max_nodes - found.nodes, found.x, ends)
+    within = _Model(problem, FAR).solved(tolerance, max_nodes - found.nodes, found.x, ends, improves, FEASIBLE)
     within = within._replace(nodes=within.nodes + found.nodes)
+    if within.status.startswith(FAILED) and not is_unbounded:
+        return within._replace(x=found.x, value=found.value)
     is_far = within.x is None or np.abs(within.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
     is_deep = within.value <= -LARGEST * (1.0 - INSIDE)
     return within._replace(status="unbounded", bound=-math.inf) if is_unbounded or is_far or is_deep else within
@@ -160,7 +169,7 @@ class _Model:
 
     def solved(
         self, tolerance: float, max_nodes: float, start: FloatVector | None, ends: Watcher | None,
-        feasible: float = FEASIBLE,
+        improves: Improver | None, feasible: float,
     ) -> Found:
         """Return what SCIP finds."""
         if self._excludes:
@@ -173,9 +182,9 @@ class _Model:
             "heuristics/multistart/freq": -1,  # takes 10 s where bounds are missing
         })
         if start is not None:
-            self._begin_with(start)
+            model.addSol(self._solution(start), free=True)
         silence = _Silence()
-        watcher = None if ends is None else self._watched_by(ends, silence)
+        watcher = self._watched_by(ends, improves, silence)
         try:
             with silence:
                 model.optimize()
@@ -183,7 +192,7 @@ class _Model:
             raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
             return Found(str(error), None, math.inf, -math.inf, 0)
-        if watcher is not None and watcher.error is not None:
+        if watcher.error is not None:
             raise watcher.error
         status, x, value = model.getStatus(), None, math.inf
         if model.getNSols():
@@ -345,22 +354,27 @@ class _Model:
 
     # --- the run ---
 
-    def _begin_with(self, x: FloatVector) -> None:
-        solution = self.model.createSol()
+    def _solution(self, x: FloatVector) -> Any:
+        solution = self.model.createOrigSol()
         for variable, value in zip(self.x, x.tolist(), strict=True):
             self.model.setSolVal(solution, variable, value)
         for variable, function in self.added:
             self.model.setSolVal(solution, variable, function(x))
-        self.model.addSol(solution, free=True)
+        return solution
 
-    def _watched_by(self, ends: Watcher, silence: _Silence) -> Any:
-        event = self.scip.SCIP_EVENTTYPE  # type: ignore[attr-defined]
+    def _relaxed(self) -> FloatVector | None:
+        """Return the point of the present node's relaxation, None where it has none."""
+        if self.model.getLPSolstat() != self.scip.SCIP_LPSOLSTAT.OPTIMAL:  # type: ignore[attr-defined]
+            return None
+        x = np.array([self.model.getSolVal(None, one) for one in self.x])
+        return x if (np.abs(x) < LARGEST).all() else None
 
-        class Handler(self.scip.Eventhdlr):  # type: ignore[misc, name-defined]
-            """Asks after each node whether the search ends."""
+    def _watched_by(self, ends: Watcher | None, improves: Improver | None, silence: _Silence) -> _Watched:
+        """Let SCIP ask after each node whether the search ends, and now and then for a better point."""
+        scip, own, watched = self.scip, self, _Watched(self.model, silence)
+        event = scip.SCIP_EVENTTYPE
 
-            error: BaseException | None = None
-
+        class Nodes(scip.Eventhdlr):  # type: ignore[misc, name-defined]
             def eventinit(self) -> None:
                 self.model.catchEvent(event.NODESOLVED, self)
 
@@ -368,24 +382,50 @@ class _Model:
                 self.model.dropEvent(event.NODESOLVED, self)
 
             def eventexec(self, _: Any) -> None:
-                model = self.model
-                if self.error is not None:
-                    return
-                try:
-                    value, bound = model.getPrimalbound(), model.getDualbound()
-                    value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one
-                                    for one in (value, bound))
-                    with silence.lifted():
-                        is_ended = ends(value, bound, int(model.getNTotalNodes()))
-                    if is_ended:
-                        model.interruptSolve()
-                except BaseException as error:  # SCIP, written in C, would swallow it
-                    self.error = error
-                    model.interruptSolve()
+                if ends is not None and watched.call(ends, *watched.reached()):
+                    self.model.interruptSolve()
 
-        handler = Handler()
-        self.model.includeEventhdlr(handler, "lcp_plugin", "asks whether the search ends")
-        return handler
+        class Points(scip.Heur):  # type: ignore[misc, name-defined]  # an event is no place to add solutions
+            next_nodes = 2.0
+
+            def heurexec(self, *_: Any) -> dict[str, Any]:
+                nodes, better = watched.reached()[2], None
+                if improves is not None and nodes >= self.next_nodes:
+                    self.next_nodes = GROWTH * nodes
+                    better = watched.call(improves, own._relaxed())
+                is_found = better is not None and self.model.trySol(own._solution(better))
+                return {"result": scip.SCIP_RESULT.FOUNDSOL if is_found else scip.SCIP_RESULT.DIDNOTFIND}
+
+        self.model.includeEventhdlr(Nodes(), "lcp_plugin", "asks whether the search ends")
+        after = scip.SCIP_HEURTIMING.AFTERLPNODE
+        self.model.includeHeur(Points(), "lcp_plugin", "asks for a better point", "l", timingmask=after)
+        return watched
+
+
+class _Watched:
+    """Calls of ours from within a model's run, whose C code would swallow what they raise."""
+
+    def __init__(self, model: Any, silence: _Silence) -> None:
+        self.model, self.silence = model, silence
+        self.error: BaseException | None = None
+
+    def reached(self) -> tuple[float, float, int]:
+        """Return value, bound and nodes."""
+        value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one
+                        for one in (self.model.getPrimalbound(), self.model.getDualbound()))
+        return value, bound, int(self.model.getNTotalNodes())
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a function returns, None where it raises, which ends the run, or did before."""
+        if self.error is not None:
+            return None
+        try:
+            with self.silence.lifted():
+                return function(*arguments)
+        except BaseException as error:
+            self.error = error
+            self.model.interruptSolve()
+            return None
 
 
 class _Silence:

@@ -3,8 +3,8 @@
 The relaxation with all cases open comes first: its bound, or its refutation, is proved. SCIP's point gives the cases
 of a piece, which is solved again here. Our own nodes follow where a proof is asked for, or SCIP is not here, or what
 it says, that there is no solution or no least one, waits for a proof: a node leaves some cases of each pair open, its
-children take one case each of the pair that its relaxation violates most, or by experience moves the bound most. The
-search dives: of the children it goes on with the lower bound, and when a dive ends, with the lowest bound of all.
+children take one case each of the pair that its relaxation violates most. The search dives: of the children it goes
+on with the lower bound, and when a dive ends, with the lowest bound of all.
 
 References
 ----------
@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections import defaultdict
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,15 +30,14 @@ from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ...core.registry import ask_or_none
 from ...core.settings import Status
 from ..programs.qp_proofs import QPUnboundedness
-from .cuts import Strengthened, strengthened
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .incumbents import LocalSearch
+from .lower_level import tightened
 from .relaxations import Node, Relaxations
 from .result import CONTRADICTED, EquilibriumResult, Outside
 
 MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
 SHARE = 0.5  # of the tolerance: how near the best value a node's bound has to be to close it
-LEAST_GAIN = 1e-9
 OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
 GROWTH = 1.5  # of the nodes from one line of the log to the next
 MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
@@ -151,12 +150,11 @@ class BranchAndBound:
         self._outside_value = math.inf  # of a point that is not confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._is_infeasible = self._is_stuck = False
-        self._gains: dict[tuple[int, int], list[float]] = defaultdict(list)
-        self._begin(Strengthened(problem, problem))
+        self._begin(problem)
 
-    def _begin(self, stronger: Strengthened) -> None:
+    def _begin(self, problem: EquilibriumProgram) -> None:
         """Begin with an empty tree."""
-        self.strengthened, self.problem = stronger, stronger.problem
+        self.problem = problem
         self.relaxations = Relaxations(self.problem, self.tolerance)
         self.tree: list[Node] = []
         self._open: list[tuple[float, int, Node]] = []
@@ -197,14 +195,13 @@ class BranchAndBound:
             return None
         if x0 is not None:
             self.local.from_point(x0)
-        if engine is None:
-            self.local.from_leaders(x0)
+        self.local.from_leaders(x0, most=None if engine is None else 1)
         if is_provable and self._next() is None:
             return None
         if engine is not None:
-            ended = self._ask(engine, ends)
+            ended = self._ask(engine, ends, x0)
             if self.local.best is None and (self.outside is None or self.outside.status != "infeasible"):
-                self.local.from_leaders(x0, stops=True)
+                self.local.from_leaders(x0)
             if ended is not None or not is_provable or (self._is_closed() and not prove):
                 return ended
             if not prove:
@@ -220,7 +217,9 @@ class BranchAndBound:
             self.local.from_point(root.point)
         return self._next() is not None
 
-    def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
+    def _ask(
+        self, engine: Callable[..., Any], ends: Callable[[], bool], x0: FloatVector | None
+    ) -> Status | None:
         """Let a global solver search, and take what it says; return which limit ended it, or None."""
         before, best = self.nodes, self.local.best
 
@@ -228,9 +227,17 @@ class BranchAndBound:
             self.nodes, self._outside_value, self.outside = before + nodes, value, Outside("", bound)
             return ends()
 
+        def improved(x: FloatVector | None) -> FloatVector | None:
+            before = self.local.best
+            self.local.from_leaders(x0, most=1)
+            if x is not None:
+                self.local.from_point(x)
+            best = self.local.best
+            return None if best is before or best is None else best.point
+
         found = engine(
-            self.original, tolerance=self.tolerance, max_nodes=self.max_nodes,
-            start=None if best is None else best.point, ends=watched,
+            self._tighter, tolerance=self.tolerance, max_nodes=self.max_nodes,
+            start=None if best is None else best.point, ends=watched, improves=improved,
         )
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = Outside(found.status, found.bound)
@@ -240,15 +247,18 @@ class BranchAndBound:
             self.outside = Outside(CONTRADICTED, -math.inf)
         return ENDS.get(found.status)
 
+    @cached_property
+    def _tighter(self) -> EquilibriumProgram:
+        return tightened(self.original)
+
     def _is_closed(self) -> bool:
         value = self.local.value
         return value < math.inf and value - self.lower_bound <= self.tolerance * max(1.0, abs(value))
 
     def _search(self, ends: Callable[[], bool]) -> Status | None:
         """Branch until no node is open; return which limit came first, or None."""
-        stronger = strengthened(self.original)
-        if stronger.problem is not self.original:
-            self._begin(stronger)
+        if self._tighter is not self.original:
+            self._begin(self._tighter)
             self._root()
         while self._next() is not None and self.descent is None:
             if (ended := self._limit(ends)) is not None:
@@ -297,8 +307,6 @@ class BranchAndBound:
                 cases = node.cases.copy()
                 cases[pair] = case
                 child = self.relaxations.node(cases, node)
-                if math.isfinite(node.bound) and math.isfinite(child.bound):
-                    self._gains[pair, case].append(child.bound - node.bound)
                 children.append(child)
         children.sort(key=lambda child: child.bound)
         self.tree += children
@@ -324,16 +332,7 @@ class BranchAndBound:
         wrong = np.flatnonzero((case_counts(node.cases) > 1) & is_wrong)
         if not wrong.size:
             return -1
-        scores = np.array([self._score(int(pair)) for pair in wrong])
-        new = np.flatnonzero(np.isnan(scores))
-        if new.size:
-            return int(wrong[new[np.argmax(violations[wrong[new]])]])
-        return int(wrong[np.argmax(scores)])
-
-    def _score(self, pair: int) -> float:
-        """Return the product of what the cases of a pair have gained on average, NaN where that is not known."""
-        means = [float(np.mean(self._gains[pair, case])) for case in CASES if self._gains.get((pair, case))]
-        return math.prod(max(mean, LEAST_GAIN) for mean in means) if len(means) > 1 else math.nan
+        return int(wrong[np.argmax(violations[wrong])])
 
     def _settle(self, piece: Node) -> None:
         """Close a piece that is neither solved to its bound nor refuted: it falls for ever, or nothing is known."""
@@ -366,9 +365,9 @@ class BranchAndBound:
         is_proved = status is Status.SOLVED and bound_by == "proof"
         is_stationary = None if best is None else True if is_proved else self.local.is_stationary()
         return EquilibriumResult(
-            self.strengthened, status, None if best is None else best.point, value, lower, bound_by, is_stationary,
-            self.nodes, self.relaxations.solved + self.local.relaxations.solved, self.clock.read(), self.tolerance,
-            tuple(self.tree), self.descent, self.outside,
+            self.original, self.problem, status, None if best is None else best.point, value, lower, bound_by,
+            is_stationary, self.nodes, self.relaxations.solved + self.local.relaxations.solved, self.clock.read(),
+            self.tolerance, tuple(self.tree), self.descent, self.outside,
         )
 
 

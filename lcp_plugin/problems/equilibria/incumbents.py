@@ -49,6 +49,7 @@ class LocalSearch:
         self.relaxations, self.problem = relaxations, relaxations.problem
         self.best: Node | None = None
         self._known: dict[bytes, Node] = {}
+        self._followed: Iterator[FloatVector] | None = None
 
     @property
     def value(self) -> float:
@@ -89,11 +90,13 @@ class LocalSearch:
         piece = self.descend(nearest, x)
         return piece if piece.value < math.inf else None
 
-    def from_leaders(self, guess: FloatVector | None, *, stops: bool = False) -> None:
-        """Descend from equilibria of the followers, leaders fixed here and there; from one, if that is enough."""
-        for x in followers_solved(self.problem, guess):
+    def from_leaders(self, guess: FloatVector | None, most: int | None = None) -> None:
+        """Descend from equilibria of the followers, leaders fixed here and there; from the next so many of them."""
+        if self._followed is None:
+            self._followed = followers_solved(self.problem, guess)
+        for x in itertools.islice(self._followed, most):
             self.from_point(x)
-            if is_over() or (stops and self.best is not None):
+            if is_over():
                 return
 
     def confirm(self, x: FloatVector, value: float) -> None:
@@ -203,13 +206,15 @@ def followers_solved(problem: EquilibriumProgram, guess: FloatVector | None) -> 
 
 
 def leaders(problem: EquilibriumProgram) -> BoolVector | None:
-    """Return which variables rows and pairs leave open, shape (n,); None where they determine too much.
+    """Return which variables rows and pairs leave open, shape (n,); None where they are no complementarity problem.
 
     Each row and each pair is matched with a variable, those that rather follow first: sides of pairs, then what has the
     fewest bounds; what is left leads.
     """
     program, k = problem.program, problem.pairs
     A, n = sp.coo_array(sp.csr_array(program.A)), program.n
+    if A.shape[0] + k > n or np.unique(problem.first).size < k:
+        return None
     is_paired = np.zeros(n, dtype=bool)
     is_paired[problem.first] = is_paired[problem.second] = True
     bounds = np.isfinite(program.lower).astype(int) + np.isfinite(program.upper)
@@ -223,7 +228,7 @@ def leaders(problem: EquilibriumProgram) -> BoolVector | None:
     graph = sp.csr_array((weight[place % n], (place // n, place % n)), shape=(A.shape[0] + k, n))
     try:
         _, matched = min_weight_full_bipartite_matching(graph)
-    except ValueError:  # more rows and pairs than variables
+    except ValueError:  # some rows and pairs have fewer variables than they are
         return None
     is_leader = np.ones(n, dtype=bool)
     is_leader[matched] = False

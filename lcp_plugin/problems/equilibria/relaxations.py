@@ -160,7 +160,7 @@ class Relaxations:
         lower[whole] = upper[whole] = np.clip(np.rint(near[whole]), np.ceil(lower[whole]), np.floor(upper[whole]))
         if (lower > upper).any():
             return node
-        around = _Around(self.problem, np.clip(near, lower, upper))
+        around, last = _Around(self.problem, np.clip(near, lower, upper)), None
         far = FAR * (1.0 + float(np.abs(around.x).max(initial=0.0)))
         size = float(np.abs(around.slope).max(initial=0.0)) or 1.0
         sigma, penalty = 0.0 if self.problem.is_convex else size * FLATTER**3, 0.0
@@ -182,7 +182,7 @@ class Relaxations:
             moved = float(np.abs(step.x - around.x).max(initial=0.0))
             is_none = moved <= REACHED * float(np.abs(step.x).max(initial=0.0))
             if step.merit(penalty) <= around.merit(penalty) or sigma == 0.0:
-                around, sigma = step, sigma * FLATTER
+                around, last, sigma = step, solution, sigma * FLATTER
                 if is_none or sigma == 0.0:
                     break
             elif is_none or sigma > STEEPEST * size:
@@ -191,6 +191,8 @@ class Relaxations:
                 sigma = max(STEEPER * sigma, size * FLATTER**3)
         if around.is_defined and self.problem.excess(around.x) <= FEASIBLE:
             node.point, node.value = around.x, self.problem.objective(around.x)
+            if last is not None and self.problem.smooth is None:  # rows are the program's, in their order
+                node.dual = around.x, np.concatenate([last.inequality, last.equality])
         return node
 
     def _solution(self, program: QuadraticProgram) -> QPSolution | None:

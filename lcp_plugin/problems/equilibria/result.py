@@ -13,8 +13,8 @@ from ...core.settings import Status
 from ...core.solving.answer import Answer
 from ..programs.program import QuadraticProgram
 from ..programs.qp_proofs import QPInfeasibility, QPUnboundedness
-from .cuts import Strengthened
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
+from .lower_level import tightened
 from .relaxations import FEASIBLE, Node, Relaxations
 
 CONTRADICTED = "contradicted"  # by a better point of ours
@@ -61,8 +61,10 @@ class EquilibriumResult(Answer):
 
     Attributes
     ----------
-    strengthened : Strengthened
-        The problem with its cuts, and what proves these.
+    problem : EquilibriumProgram
+        The problem that was given.
+    searched : EquilibriumProgram
+        The same, or with the bounds that its lower level proves: the tree's.
     status : Status
         SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: the linear constraints are refuted by
         a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls for ever. MAX_ITERATIONS,
@@ -94,7 +96,8 @@ class EquilibriumResult(Answer):
         What SCIP said, where it was asked.
     """
 
-    strengthened: Strengthened = field(repr=False)
+    problem: EquilibriumProgram = field(repr=False)
+    searched: EquilibriumProgram = field(repr=False)
     status: Status
     x: FloatVector | None = field(repr=False)
     value: float
@@ -108,11 +111,6 @@ class EquilibriumResult(Answer):
     tree: tuple[Node, ...] = field(repr=False)
     descent: tuple[Cases, QPUnboundedness] | None = field(default=None, repr=False)
     outside: Outside | None = field(default=None, repr=False)
-
-    @property
-    def problem(self) -> EquilibriumProgram:
-        """The problem that was given."""
-        return self.strengthened.original
 
     @property
     def gap(self) -> float:
@@ -141,9 +139,9 @@ class EquilibriumResult(Answer):
 
         A bound by SCIP is not proved: False.
         """
-        if self.bound_by == "SCIP" or not (self._x_holds() and self.strengthened.verify()):
+        if self.bound_by == "SCIP" or not (self._x_holds() and self._is_equivalent()):
             return False
-        relaxations = Relaxations(self.strengthened.problem, self.tolerance)
+        relaxations = Relaxations(self.searched, self.tolerance)
         if self.status is Status.UNBOUNDED:
             return self._falls(relaxations)
         is_excluded = self.x is None and self.lower_bound == math.inf
@@ -155,6 +153,15 @@ class EquilibriumResult(Answer):
             return is_proved.get(self.status, True)
         return self._tree_covers() and all(
             self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0
+        )
+
+    def _is_equivalent(self) -> bool:
+        """Return whether bounds that were added follow from the problem."""
+        if self.searched is self.problem:
+            return True
+        mine, again = self.searched.program, tightened(self.problem).program
+        return mine.matrices is again.matrices and all(
+            np.array_equal(getattr(mine, name), getattr(again, name)) for name in ("c", "lower", "upper", "h", "b")
         )
 
     def _x_holds(self) -> bool:

@@ -117,11 +117,12 @@ def hard() -> NLContent:
         (hard(), ["max_iterations=2"], 400, "limit of nodes came first: raise it"),
         (hard(), ["max_seconds=1e-9"], 401, "max_seconds came first: raise it; "),
         (best([0.0, 1.0]), ["threads=1", "algorithm=auto", "absolute_tolerance=0", "tolerance=1e-9"], 0, "optimal"),
+        (best([0.0, 1.0], objective_trees=CONCAVE, upper=np.ones(2)), ["prove=1"], 500, "not convex"),
         (best([0.0, 1.0]), ["algorithm=psor"], 500, "takes no algorithm, got 'psor'; leave it out"),
         (best([0.0, 1.0]), ["absolute_tolerance=1"], 500, "takes no absolute_tolerance, got 1.0"),
     ],
     ids=["optimal", "maximum", "unbounded", "infeasible", "no solution", "not convex", "nonlinear", "integer",
-         "unknown", "nodes", "seconds", "harmless options", "algorithm", "absolute tolerance"],
+         "unknown", "nodes", "seconds", "harmless options", "proof", "algorithm", "absolute tolerance"],
 )  # fmt: skip
 def test_an_objective_beside_complementarities_is_answered(
     tmp_path: Path, content: NLContent, words: list[str], code: int, said: str

@@ -21,8 +21,8 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.problems.equilibria import branch_and_bound
-from lcp_plugin.problems.equilibria.cuts import ellipsoid, separating_points, with_points
 from lcp_plugin.problems.equilibria.incumbents import LocalSearch
+from lcp_plugin.problems.equilibria.lower_level import tightened
 
 
 def solved(problem: cp.Problem, **options: Any) -> Any:
@@ -93,7 +93,7 @@ def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair() -> None:
 def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(monkeypatch: pytest.MonkeyPatch) -> None:
     """The status is user_limit, variables keep what they hold, and a bound of (y − x)² + x² + 1 is one."""
     monkeypatch.setattr(LocalSearch, "from_point", lambda self, x, cases=None: None)
-    monkeypatch.setattr(LocalSearch, "from_leaders", lambda self, guess, stops=False: None)
+    monkeypatch.setattr(LocalSearch, "from_leaders", lambda self, guess, most=None: None)
     monkeypatch.setattr(branch_and_bound, "ask_or_none", lambda what, name: None)
     x, y = cp.Variable(value=7.0), cp.Variable(value=-3.0)
     pair = complements(x >= 0, y - x - 1 >= 0)
@@ -106,8 +106,8 @@ def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(monkeypatch
     assert found.lower_bound <= 2.0
 
 
-def test_cuts_of_a_monotone_lower_level_keep_every_solution() -> None:
-    """0 ≤ z ⟂ M z + N x + q ≥ 0 with M ⪰ 0 keeps z in an ellipsoid, and its cuts every solution."""
+def test_bounds_from_a_monotone_lower_level_keep_every_solution() -> None:
+    """0 ≤ z ⟂ M z + N x + q ≥ 0 with M ≻ 0 keeps z in an ellipsoid, whose bounds are near; verify() sees others."""
     rng = np.random.default_rng(5)
     k = 12
     half, turned, N = rng.standard_normal((k, k)), rng.standard_normal((k, k)), rng.standard_normal((k, 2))
@@ -117,15 +117,17 @@ def test_cuts_of_a_monotone_lower_level_keep_every_solution() -> None:
         lower=np.append([-1, -1], np.zeros(k)), upper=np.append([1, 1], np.full(k, np.inf)),
     )
     problem = EquilibriumProgram.of_rows(program, np.arange(2, k + 2), np.hstack([N, M]), q)
-    within = ellipsoid(problem)
-    points = separating_points(problem, within)
-    cut = with_points(problem, within, points).program
+    most = tightened(problem).program.upper[2 : k + 2]
     for x in rng.uniform(-1, 1, (30, 2)):
-        z = solve(LCP(M, N @ x + q)).z
-        v = np.concatenate([x, z, M @ z + N @ x + q])
-        assert (cut.G @ v <= cut.h + 1e-9 * (1 + np.abs(v).max())).all()
+        assert (solve(LCP(M, N @ x + q)).z <= most).all()
+    S, r = 0.5 * (M + M.T), np.abs(N).sum(axis=1) - q
+    inverse = np.linalg.inv(S)  # z = S⁻¹r/2 + what is as far as it can be in the direction of one entry
+    largest = 0.5 * (inverse @ r + np.sqrt(float(r @ inverse @ r) * np.diag(inverse)))
+    np.testing.assert_allclose(most, largest, rtol=1e-6)
     result = minimize_over_solutions(problem, prove=True)
     assert (result.status, result.verify()) == (Status.SOLVED, True)
-    moved = tuple(0.5 * point for point in result.strengthened.points)
-    assert moved
-    assert not replace(result, strengthened=replace(result.strengthened, points=moved)).verify()
+    assert result.searched is not problem
+    upper = np.array(result.searched.program.upper)
+    upper[2] *= 0.5
+    moved = replace(result.searched, program=result.searched.program.with_vectors(upper=upper))
+    assert not replace(result, searched=moved).verify()

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+from typing import Any
+
 import cvxpy as cp
 import numpy as np
+import pyscipopt
 import pytest
 from network import network
 
@@ -82,3 +88,102 @@ def test_what_cannot_be_is_said() -> None:
     assert "SCIP, in floating point, finds no solution" in never.solver_stats.extra_stats.advice
     falls = EquilibriumProgram(QuadraticProgram(None, [-1, 0], lower=0), [0], [1])
     assert minimize_over_solutions(falls).status is Status.UNBOUNDED
+
+
+def markets(count: int = 8) -> EquilibriumProgram:
+    """A leader's output in each of some markets that leak into the next: price × quantity, which SCIP searches long."""
+    rng, own = np.random.default_rng(8), np.arange(count)
+    P, A = np.zeros((3 * count, 3 * count)), np.zeros((count, 3 * count))
+    P[own, own], P[own, own + count], P[own + count, own] = 2.0, 1.0, 1.0
+    A[own, own], A[own, own + count], A[own, own + 2 * count], A[own, (own + 1) % count] = 1.0, 2.0, -1.0, 0.5
+    c = np.concatenate([-rng.uniform(20, 40, count), np.zeros(2 * count)])
+    upper = np.concatenate([np.full(count, 40.0), np.full(2 * count, np.inf)])
+    program = QuadraticProgram(P, c, A=A, b=rng.uniform(18, 30, count), lower=0.0, upper=upper)
+    return EquilibriumProgram(program, own + count, own + 2 * count)
+
+
+def test_half_a_second_and_ctrl_c_end_scip_with_a_point() -> None:
+    """The limit is heard inside SCIP, so is Ctrl-C; both leave an equilibrium, a bound and words."""
+    problem = markets()
+    result = minimize_over_solutions(problem, max_seconds=0.5)
+    assert (result.status, result.x is None) == (Status.MAX_SECONDS, False)
+    assert "max_seconds came first: raise it" in result.advice
+    before, runs = signal.getsignal(signal.SIGINT), []
+
+    def stop(search: Any) -> bool:
+        if search.nodes == 1 and not runs:
+            runs.append(threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)))
+            runs[0].start()
+        return False
+
+    result = minimize_over_solutions(problem, callback=stop)
+    assert (result.status, result.x is None, result.bound_by) == (Status.INTERRUPTED, False, "SCIP")
+    assert result.problem.excess(result.x) <= 1e-7
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_what_a_callback_raises_inside_scip_reaches_the_caller() -> None:
+    """SCIP, written in C, swallows it; the run around it does not."""
+
+    def fails(search: Any) -> bool:
+        raise ZeroDivisionError("mine")
+
+    with pytest.raises(ZeroDivisionError, match="mine"):
+        minimize_over_solutions(markets(), callback=fails)
+
+
+def test_an_error_of_scip_s_own_is_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its linear programs fail: the point of the followers stays, and what to do is said."""
+
+    class Failing(pyscipopt.Model):
+        def optimize(self) -> None:
+            raise Exception("SCIP: error in LP solver!")
+
+    monkeypatch.setattr(pyscipopt, "Model", Failing)
+    result = minimize_over_solutions(markets(2))
+    assert (result.status, result.bound_by, result.x is None) == (Status.STALLED, None, False)
+    assert "SCIP ended without an answer, with the words 'SCIP: error in LP solver!'" in result.advice
+
+
+def test_what_falls_for_ever_without_being_convex_is_said() -> None:
+    """Income x² + x y with 0 ≤ y ⟂ 2 + y − p ≥ 0, p = 10 − x − y, x not bounded: no value is called optimal."""
+    x, y, price = cp.Variable(nonneg=True), cp.Variable(), cp.Variable()
+    rows = [complements(y >= 0, 2 + y - price >= 0), price == 10 - x - y]
+    problem = cp.Problem(cp.Maximize(cp.multiply(x, y) + cp.multiply(x, x)), rows)
+    problem.solve(method="LCP")
+    result = problem.solver_stats.extra_stats
+    assert (problem.status, result.status) == (cp.settings.USER_LIMIT, Status.STALLED)
+    assert "the objective falls for ever, and nothing proves it: bound the variables" in result.advice
+    bounded = cp.Problem(problem.objective, [*rows, x <= 4])  # what is advised
+    assert bounded.solve(method="LCP") == pytest.approx(24.0, abs=1e-5)
+
+
+def test_an_absolute_value_is_written_as_a_pair() -> None:
+    """The refusal says how, and that is taken: |x − 3| − x is largest at x = 0."""
+    x, y, kink = cp.Variable(bounds=[0, 10]), cp.Variable(), cp.Variable()
+    rows = [complements(y >= 0, 2 * y + x - 8 >= 0)]
+    with pytest.raises(UnsupportedModel, match=r"complements\(s >= 0, x \+ s >= 0\).*x \+ 2 s = \|x\|"):
+        cp.Problem(cp.Maximize(cp.abs(x - 3) - x), rows).solve(method="LCP")
+    followed = cp.Problem(cp.Maximize(x - 3 + 2 * kink - x), [*rows, complements(kink >= 0, x - 3 + kink >= 0)])
+    assert followed.solve(method="LCP") == pytest.approx(3.0, abs=1e-6)
+
+
+def test_without_scip_what_is_no_complementarity_problem_is_solved_too(without_scip: None) -> None:
+    """More rows than unknowns, and one unknown in two pairs: no followers to solve for fixed leaders, no traceback."""
+    over = QuadraticProgram(None, [1, 0], A=[[1, 0], [0, 1]], b=[1, 0], lower=0)
+    twice = QuadraticProgram(None, [1, 0, 0], A=[[1, -1, 0]], b=[1], lower=0)
+    for program, second in ((over, [1]), (twice, [1, 2])):
+        result = minimize_over_solutions(EquilibriumProgram(program, [0] * len(second), second))
+        assert (result.status, result.value, result.bound_by) == (Status.SOLVED, pytest.approx(1.0), "proof")
+
+
+def test_missing_bounds_are_named_where_the_bound_barely_moves(without_scip: None) -> None:
+    """Sides of pairs without an upper bound are named, and rows that limit them give a bound."""
+    M, q = [[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0]  # 0 ≤ y₀ ⟂ 1 + y₁, 0 ≤ y₁ ⟂ 1 + y₀: y = 0
+    results = [
+        minimize_over_solutions(EquilibriumProgram.of_rows(program, [0, 1], M, q), max_nodes=0)
+        for program in (QuadraticProgram(None, [-1, -1], lower=0),
+                        QuadraticProgram(None, [-1, -1], np.eye(2), [9, 9], lower=0))
+    ]
+    assert (results[0].value, results[0].lower_bound, results[1].lower_bound) == (0.0, -np.inf, pytest.approx(-18.0))
+    assert "x[0], x[1] have no upper bound; give them one" in results[0].advice

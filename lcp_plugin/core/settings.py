@@ -23,7 +23,7 @@ TARGETS = ("residual", "error")
 class Status(Enum):
     """Why a run ended, the value of each member in words; `advice` of a result says besides what to do."""
 
-    SOLVED = "within the tolerance, as proved on your data"
+    SOLVED = "the residual is within the tolerance, rounding included, as proved on your data"
     PRECISION_LIMIT = (
         "the residual is above the tolerance, but no larger than rounding in double precision explains; "
         "a smaller one cannot be measured: accept z, or rescale the data"
@@ -33,8 +33,8 @@ class Status(Enum):
     STALLED = "the residual has stopped falling, or falls too slowly to arrive within max_iterations"
     DIVERGED = "the iteration left every reasonable range"
     INFEASIBLE = (
-        "no z within the bounds gives w the signs it needs, by more than the tolerance; result.proof proves "
-        "it: check the data"
+        "no z within its bounds gives w = M z + q the signs it needs, even with errors as large as the tolerance; "
+        "result.proof proves it: check the data"
     )
     NO_SOLUTION = (
         "the linear constraints can be met, complementarity cannot: every case was excluded exactly, by more than the "

@@ -59,7 +59,8 @@ def _stiffness(result: Result) -> str:
     bound = _bound(result)
     if bound is None:
         return f"{stiff} of z, and nothing about M allows a bound of it"
-    further = '; tolerance_on="error" asks for less' if bound.relative > result.tolerance else ""
+    is_large = bound.relative > result.tolerance
+    further = '; with tolerance_on="error" the run goes on until it is within the tolerance' if is_large else ""
     how = "proved to be" if bound.kind == "rigorous" else "estimated to be"
     return (f"{stiff} of z: here it is {how} at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
             f"largest |z_i|{further}")
@@ -91,7 +92,8 @@ def _nearness_to_singular(result: Result) -> str:
     if system.is_singular and (same := system.determined_slack) is not None:
         shared = int((~system.determined).sum())
         return (f"z is one of several answers: w = M z + q is the same for all of them in {int(same.sum())} of "
-                f"{same.size} rows, and {shared} entries of z are not determined, as how contacts share a load")
+                f"{same.size} rows, and {shared} entries of z are not determined: in contact problems, how contacts share "
+                "a load")
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     wrong = ": z may be wrong in every digit" if error > size else ""
     return (f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
@@ -101,4 +103,4 @@ def _nearness_to_singular(result: Result) -> str:
 
 def _advised(result: Result) -> str:
     """Return the advice to ask for a bound, where it was not asked for in vain."""
-    return "" if result.no_error_bound else "; error_bound=True bounds it where M allows it"
+    return "" if result.no_error_bound else "; error_bound=True computes a bound of it, where M allows one"

@@ -245,9 +245,9 @@ def test_a_start_that_is_the_answer_is_said(size: int, algorithm: str) -> None:
 def test_the_residual_is_told_beside_a_point(problem: LCP, point: str) -> None:
     """The point that explain() names has the relative residual 1; where that point is the answer none is named."""
     result = solve(problem)
-    assert f"relative residual {result.residual:.3e} ({point} has 1), asked for" in result.explain()
+    assert f"relative residual {result.residual:.3e} (that of {point} is 1), asked for" in result.explain()
     assert Certificate.of(problem, problem.nearest_to_zero).relative_residual == pytest.approx(1.0)
-    assert "has 1" not in solve(LCP([[1.0]], [1.0])).explain()
+    assert "is 1)" not in solve(LCP([[1.0]], [1.0])).explain()
 
 
 STAGE_LINES = {

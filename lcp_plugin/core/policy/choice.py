@@ -206,7 +206,7 @@ class Auto(Policy):
             if rival is None or not left.loses_to(rival, passes := predicted[rival]):
                 return None
             if passes < math.inf and rival.name != DIRECT and not self._seems_unheld(problem, by_rows=True):
-                return Choice(rival, f"{left}; this one is expected to take as long as {passes:.0f} sweeps")
+                return Choice(rival, f"{left}; {rival.name} is expected to take the time of {passes:.0f} sweeps")
         self._direct = self._turns(problem)
         first = None if self._direct is None else self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")

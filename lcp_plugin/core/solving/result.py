@@ -248,7 +248,7 @@ class Result(Answer):
             return ""
         if not 0.0 < self.certificate.references[0].max(initial=0.0) < math.inf:
             return ""
-        return f"{'the point of the bounds nearest to 0' if problem.nearest_to_zero.any() else 'z = 0'} has 1"
+        return f"that of {'the point of the bounds nearest to 0' if problem.nearest_to_zero.any() else 'z = 0'} is 1"
 
     @property
     def _or_absolute(self) -> str:

@@ -172,7 +172,7 @@ class NonlinearJudge(Judge):
     """Measures by F; see :class:`Judge`."""
 
     words = {  # noqa: RUF012 - read only
-        Status.SOLVED: "within the tolerance, as measured on F",
+        Status.SOLVED: "the residual is within the tolerance, as measured on F",
         Status.PRECISION_LIMIT: (
             "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at "
             "points nearby: accept z, or scale F"

@@ -123,20 +123,20 @@ def size_of_unknowns(
     -------
     array, shape (…), and array of bool, shape (…, m + 3 n)
     """
-    n, lead = c.shape[-1], c.shape[:-1]
+    m, n, lead = limits.shape[-1], c.shape[-1], c.shape[:-1]
     values = np.concatenate([limits, c, lower, upper], axis=-1)
     beside = np.concatenate([np.broadcast_to(of, (*lead, of.shape[-1])) for of in (of_rows, of_hessian)], axis=-1)
     mantissa, exponent = np.frexp(values)
     sizes = exponent - 1.0
     sizes[..., : beside.shape[-1]] -= beside
     used = (mantissa != 0.0) & np.isfinite(values) & np.isfinite(sizes)
-    place = np.repeat([0, 1, 2], [limits.shape[-1], n, 2 * n])
+    place = np.repeat([0, 1, 2], [m, n, 2 * n])
     largest = np.where(used & (place != 1), sizes, 0.0).max(axis=-1, initial=0.0)
     used &= np.where(used, sizes, 0.0) >= ROUNDING + largest[..., np.newaxis]
     sizes = np.where(used, sizes, 0.0)
     kinds = np.zeros((4, *used.shape), bool)
-    kinds[0, ..., : limits.shape[-1]] = (limits < 0.0) | is_equality
-    kinds[0, ..., -2 * n : -n], kinds[0, ..., -n:] = lower > 0.0, upper < 0.0
+    kinds[0, ..., :m] = (limits < 0.0) | is_equality
+    kinds[0, ..., m + n : m + 2 * n], kinds[0, ..., m + 2 * n :] = lower > 0.0, upper < 0.0
     for kind, of_kind in enumerate((1, 0, 2), 1):
         kinds[kind] = place == of_kind
     kinds &= used

@@ -92,8 +92,8 @@ def _nearness_to_singular(result: Result) -> str:
     if system.is_singular and (same := system.determined_slack) is not None:
         shared = int((~system.determined).sum())
         return (f"z is one of several answers: w = M z + q is the same for all of them in {int(same.sum())} of "
-                f"{same.size} rows, and {shared} entries of z are not determined: in contact problems, how contacts share "
-                "a load")
+                f"{same.size} rows, and {shared} entries of z are not determined: in contact problems, how contacts "
+                "share a load")
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     wrong = ": z may be wrong in every digit" if error > size else ""
     return (f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "

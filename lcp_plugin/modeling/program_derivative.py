@@ -106,8 +106,9 @@ class ProgramDerivative:
         found = [(self._variables[variable.id].taken(z), leaf_value(variable)) for variable in problem.variables()]
         found += [(entries.taken(z), constraint.dual_value) for constraint, entries in self._duals]
         residual = self._residual(z)
-        error = np.abs(residual @ point - (self._conditions.M @ z + self._conditions.q))
-        is_same = (error <= ROUNDING * (abs(residual) @ np.abs(point))).all()
+        M, q = self._conditions.M, self._conditions.q
+        error, terms = np.abs(residual @ point - (M @ z + q)), abs(M) @ np.abs(z) + np.abs(q)
+        is_same = (error <= ROUNDING * (abs(residual) @ np.abs(point) + terms)).all()
         goal = SAME * self._answer.goal  # cvxpy projects values on the attributes of their variables
         if not is_same or not all(_agree(own, dense(theirs), goal) for own, theirs in found):
             raise UnsupportedModel(

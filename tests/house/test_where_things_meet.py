@@ -305,7 +305,7 @@ def files_of(sample: Sample, folder: Path) -> list[Path]:
         paths.append(folder / "p.npz")
     elif sample.kind == "BoundedLeastSquares":
         np.savez(folder / "p.npz", A=sample.problem.A, b=sample.problem.b, lower=sample.problem.lower,
-                 upper=sample.problem.upper)  # fmt: skip
+                 upper=sample.problem.upper, l1=sample.problem.l1)  # fmt: skip
         paths.append(folder / "p.npz")
     return paths
 

@@ -146,7 +146,7 @@ def test_verbose_prints_the_run_and_speaks_through_the_logger_of_cvxpy(
     assert header.startswith("LCP(n=1, ")
     assert end.startswith("SOLVED: ")
     ComplementarityProblem([complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(verbose=True)
-    assert "\njosephy_newton\n" in capsys.readouterr().out
+    assert "\njosephy_newton: each iteration replaces F by its tangent" in capsys.readouterr().out
     program = cp.Problem(cp.Minimize(cp.square(x - 1)))
     program.solve(method="LCP")
     program.solve(solver=QPSolver)
@@ -296,7 +296,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "lonely inequality": (lambda x: [pair_of(x), x <= 3], "stands alone"),
     "twice": (lambda x: [pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)], "no other pair"),
     "two equalities": (lambda x: [complements(x == 0, 2 * x == 1)], "two equalities"),
-    "unpaired variable": (lambda x: [complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)], "1 unknowns without"),
+    "unpaired variable": (lambda x: [complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)], "1 unknown without"),
     "too many equations": (lambda x: [pair_of(x), cp.sum(x) == 1], "as many equations"),
     "integer": (lambda x: [pair_of(cp.Variable(3, integer=True))], "integer"),
     "boolean": (lambda x: [pair_of(cp.Variable(3, boolean=True))], "boolean"),

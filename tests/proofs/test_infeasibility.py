@@ -151,7 +151,7 @@ def test_a_wrong_vector_does_not_verify() -> None:
 def test_tiny_and_limited_problems_end_well() -> None:
     """An empty problem is feasible; without effort nothing is refuted unless a row speaks for itself."""
     assert find_infeasibility(LCP(np.zeros((0, 0)), [])) is None
-    assert find_infeasibility(LCP([[1, -1], [-1, 1]], [-1, -1]), effort_limit=0) is None
+    assert find_infeasibility(LCP([[-2, 1], [1, -2]], [-1, -1]), effort_limit=0) is None
     assert find_infeasibility(LCP([[0]], [-1]), effort_limit=0) is not None
 
 

@@ -225,9 +225,7 @@ class Run:
         if reason is Status.INTERRUPTED and (ended_by := getattr(self.judge.problem.origin, "ended_by", None)):
             status, proof = ended_by.status, ended_by
             words = {**words, status: f"the program is {proof}"}
-        is_over_at_once = status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None and (
-            self.problem.communicator.everywhere(np.array_equal(self.incumbent.z, start))
-        )
+        is_over_at_once = status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None
         if is_over_at_once:
             stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
         if isinstance(self.judge.asked, LCP):

@@ -80,6 +80,23 @@ def test_a_weak_spring_is_no_rounding() -> None:
     assert "nothing holds" not in solve(structure.problem).explain()
 
 
+@pytest.mark.parametrize(("n", "stiff", "weak"), [(300, 30, 10), (300, 30, 22), (300, 20, 22), (1500, 20, 18)])
+def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n: int, stiff: int, weak: int) -> None:
+    """A stiff chain, at its end a spring of 1 and one of 2^-weak to the ground: a minimum at 2^weak, never no solution.
+
+    The unknowns are in units in which the rows alone do not show that something holds the chain.
+    """
+    spring = np.append(np.full(n - 2, 2.0**stiff), 1.0)
+    d = np.append(spring, 2.0**-weak) + np.append(0.0, spring)
+    unit = sp.diags_array(np.ldexp(1.0, np.arange(n) % 4))
+    K = sp.csr_array(unit @ sp.diags_array([-spring, d, -spring], offsets=[-1, 0, 1]) @ unit)
+    x = (2.0**weak + np.append(np.ones(n - 1), 0.0)) / unit.diagonal()
+    structure = Structure(K, -(K @ x), np.full(n, -np.inf))  # without any rounding: x is the minimum
+    for result in (solve(structure.problem), solve(structure.program)):
+        assert not result.is_refuted
+        assert "nothing holds" not in result.explain()
+
+
 @settings(max_examples=15)
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=6).map(lambda sizes: [2, *sizes]), st.integers(0, 99))
 def test_each_part_of_a_graph_gives_one_direction(sizes: list[int], seed: int) -> None:

@@ -190,6 +190,9 @@ def _fitted(program: QuadraticProgram) -> Any:
     is_used = say | (np.arange(column.size) < column.size - 2 * n)
     exponents = fitted_columns(sp.csr_array(sp.hstack([matrix, column[:, np.newaxis]], format="csr"))[is_used])
     unknown = exponents[:-1] - exponents[-1]
+    is_alone = (np.bincount(matrix.indices, minlength=n) == 2) & ~say[-2 * n :].reshape(2, n).any(axis=0)
+    if 0 < np.count_nonzero(is_alone) < n:  # in no row, nor in P: no unit but that of the others
+        unknown[is_alone] = np.floor(unknown[~is_alone].mean())
     if is_relative:
         unknown += np.int64(np.floor(size)) - np.int64(np.floor(unknown.mean()))
     unknown = np.clip(unknown, -MOST, MOST)

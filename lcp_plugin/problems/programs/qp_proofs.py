@@ -15,7 +15,7 @@ from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.settings import Status
 from ...proofs.exact.rational import ZERO, Vector, common_denominator, products, rounded_down
-from ...proofs.no_solution.free_motion import is_at_rest, moved_unknowns
+from ...proofs.no_solution.free_motion import is_at_rest, moved_unknowns, size_of_motion
 from ...proofs.no_solution.linear_constraints import Contradiction, exact_dot, within
 from .constraints import Constraints, stationarity
 from .criterion import SURE, constraint_tolerance
@@ -125,11 +125,14 @@ class QPUnboundedness:
     def _holds(self) -> bool:
         return self._found.holds(*self._sizes)
 
-    @property
+    @cached_property
     def _sizes(self) -> tuple[float, int, float]:
         """The size of multipliers, how many unknowns come before them, and that of x where P hardly resists d."""
         program = self.program
-        return program.dual_size, program.n, program.size_along if self.is_free_motion else program.dual_size
+        if not self.is_free_motion:
+            return program.dual_size, program.n, program.dual_size
+        along = max(program.size_along, size_of_motion(program.P, program.c, self.direction))
+        return program.dual_size, program.n, along
 
     @cached_property
     def is_free_motion(self) -> bool:

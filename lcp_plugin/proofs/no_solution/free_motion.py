@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import EPSILON, LARGEST
 
 NEGLIGIBLE = 1e-11  # of c: what is left of its part along the directions is rounding
 TOUCHING = 1e-9  # of the largest movement: an unknown at a bound that moves so little stays there
@@ -114,6 +114,26 @@ def moved_unknowns(d: Any) -> str:
     if len(moving) > NAMED:
         return f"unknowns {named}, … ({len(moving)} of {len(d)})"
     return f"unknown{'s' * (len(moving) != 1)} {named}"
+
+
+def size_of_motion(P: Any, c: FloatVector, direction: Any) -> float:
+    """Return how far the load c moves anything along a direction d if the softest part that d moves carries all of it.
+
+    max |d_j| · Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves: beside stiff parts a weak
+    spring of a soft one looks like rounding, and x is as far out as the soft one lets it be.
+
+    Examples
+    --------
+    >>> springs = np.array([[4.0, -4.0, 0.0], [-4.0, 5.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> size_of_motion(springs, np.array([6.0, 0.0, 0.0]), [1, 1, 1])
+    1.5
+    """
+    d = np.abs(np.array([float(value) for value in direction]))
+    diagonal = P.diagonal()
+    rows = np.flatnonzero((d > TOUCHING * d.max(initial=0.0)) & (diagonal > 0.0))
+    with np.errstate(all="ignore"):  # what overflows is far
+        stiffness = np.square((abs(P) @ d)[rows] / np.sqrt(diagonal[rows])).min(initial=np.inf)
+        return float(np.nan_to_num(d.max(initial=0.0) * (np.abs(c) @ d / stiffness), nan=LARGEST, posinf=LARGEST))
 
 
 def is_at_rest(P: Any, direction: Any) -> bool:

@@ -157,3 +157,12 @@ def test_what_falls_nowhere_needs_no_proof(diagonal: list[float], lower: Any, up
     assert nearly.is_stationary()
     assert program.falls_nowhere is expected
     assert nearly.is_sure() is expected
+
+
+@pytest.mark.parametrize("exponent", [-40, -35, 35, 40])
+@pytest.mark.parametrize("curvature", [0.0, 2.0])
+def test_an_unknown_in_no_row_has_the_unit_of_the_others(exponent: int, curvature: float) -> None:
+    """One unknown in a row or in P, one that only falls: UNBOUNDED, whatever unit both of them are in."""
+    s = 2.0**exponent
+    program = QuadraticProgram(np.diag([curvature * s * s, 0.0]), [-s, -s], G=[[s, 0.0]], h=[1.0], lower=[0.0, 0.0])
+    assert solve(program).status is Status.UNBOUNDED

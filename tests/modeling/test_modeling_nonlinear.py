@@ -734,7 +734,8 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "parameter without value": (lambda: with_parameter(None), "no value"),
     "nonlinear variable side": (lambda: complements(box(cp.exp(X), 0, 1), X), "must be a variable"),
     "two expressions of too many variables": (
-        lambda: complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3), "1 equation, 1 of them from pairs of two expressions and 2 unknowns"
+        lambda: complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3),
+        "1 equation, 1 of them from pairs of two expressions and 2 unknowns",
     ),
     "two expressions, bounded": (
         lambda: complements(cp.exp(P) >= 1, cp.exp(P) + P >= 4), "has bounds that the rest.*variable of a pair"

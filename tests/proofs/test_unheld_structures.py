@@ -134,6 +134,16 @@ def test_neither_the_unit_of_loads_nor_that_of_lengths_matters(unit: float) -> N
         assert solve(program).status is Status.UNBOUNDED
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_units_of_unknowns_do_not_matter(seed: int) -> None:
+    """A free chain whose rows add up to rounding only, each unknown in a unit of its own: UNBOUNDED."""
+    spring, rng = 0.1 * np.arange(1.0, 50.0), np.random.default_rng(seed)
+    unit = sp.diags_array(np.ldexp(1.0, rng.integers(-10, 11, 50)))
+    d = np.append(spring, 0.0) + np.append(0.0, spring)
+    K = sp.csr_array(unit @ sp.diags_array([-spring, d, -spring], offsets=[-1, 0, 1]) @ unit)
+    assert solve(QuadraticProgram(K, -unit.diagonal())).status is Status.UNBOUNDED
+
+
 def test_rows_that_hold_the_structure_are_seen() -> None:
     """G x ≤ h or A x = b in the way of the only motion: SOLVED; in the way of none: UNBOUNDED."""
     K, q, lower = chain(28, 1.0)

@@ -15,7 +15,7 @@ from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.settings import Status
 from ...proofs.exact.rational import ZERO, Vector, common_denominator, products, rounded_down
-from ...proofs.no_solution.free_motion import is_at_rest, moved_unknowns, size_of_motion
+from ...proofs.no_solution.free_motion import is_at_rest, is_far_out, moved_unknowns
 from ...proofs.no_solution.linear_constraints import Contradiction, exact_dot, within
 from .constraints import Constraints, stationarity
 from .criterion import SURE, constraint_tolerance
@@ -123,16 +123,16 @@ class QPUnboundedness:
 
     @cached_property
     def _holds(self) -> bool:
-        return self._found.holds(*self._sizes)
+        is_held = self.is_free_motion and not is_far_out(
+            self.program.P, self.program.c, self.direction, self._found.left
+        )
+        return not is_held and self._found.holds(*self._sizes)
 
-    @cached_property
+    @property
     def _sizes(self) -> tuple[float, int, float]:
         """The size of multipliers, how many unknowns come before them, and that of x where P hardly resists d."""
         program = self.program
-        if not self.is_free_motion:
-            return program.dual_size, program.n, program.dual_size
-        along = max(program.size_along, size_of_motion(program.P, program.c, self.direction))
-        return program.dual_size, program.n, along
+        return program.dual_size, program.n, program.size_along if self.is_free_motion else program.dual_size
 
     @cached_property
     def is_free_motion(self) -> bool:

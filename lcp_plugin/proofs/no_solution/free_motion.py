@@ -13,7 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
-from ...core.kernels.floats import EPSILON, LARGEST
+from ...core.kernels.floats import EPSILON
+from .linear_constraints import WIDE
 
 NEGLIGIBLE = 1e-11  # of c: what is left of its part along the directions is rounding
 TOUCHING = 1e-9  # of the largest movement: an unknown at a bound that moves so little stays there
@@ -116,24 +117,33 @@ def moved_unknowns(d: Any) -> str:
     return f"unknown{'s' * (len(moving) != 1)} {named}"
 
 
-def size_of_motion(P: Any, c: FloatVector, direction: Any) -> float:
-    """Return how far the load c moves anything along a direction d if the softest part that d moves carries all of it.
+def is_far_out(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
+    """Return whether a load c has to move what P hardly resists much farther than the softest part that d moves.
 
-    max |d_j| · Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves: beside stiff parts a weak
-    spring of a soft one looks like rounding, and x is as far out as the soft one lets it be.
+    t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
+    under all of the load; P d stops x = s d at an s ≥ |cᵀd| / Σ_j |d_j left_j|. In any units: stiff parts hide no weak
+    spring of a soft one.
+
+    Parameters
+    ----------
+    P, c, direction
+    left : mapping of int to number
+        P d where it is not 0.
 
     Examples
     --------
     >>> springs = np.array([[4.0, -4.0, 0.0], [-4.0, 5.0, -1.0], [0.0, -1.0, 1.0]])
-    >>> size_of_motion(springs, np.array([6.0, 0.0, 0.0]), [1, 1, 1])
-    1.5
+    >>> load = np.array([6.0, 0.0, 0.0])
+    >>> is_far_out(springs, load, [1, 1, 1], {2: 1e-10}), is_far_out(springs, load, [1, 1, 1], {2: 1e-7})
+    (True, False)
     """
-    d = np.abs(np.array([float(value) for value in direction]))
-    diagonal = P.diagonal()
-    rows = np.flatnonzero((d > TOUCHING * d.max(initial=0.0)) & (diagonal > 0.0))
-    with np.errstate(all="ignore"):  # what overflows is far
-        stiffness = np.square((abs(P) @ d)[rows] / np.sqrt(diagonal[rows])).min(initial=np.inf)
-        return float(np.nan_to_num(d.max(initial=0.0) * (np.abs(c) @ d / stiffness), nan=LARGEST, posinf=LARGEST))
+    d = np.array([float(value) for value in direction])
+    sizes, diagonal = np.abs(d), P.diagonal()
+    rows = np.flatnonzero((sizes > TOUCHING * sizes.max(initial=0.0)) & (diagonal > 0.0))
+    with np.errstate(all="ignore"):  # what overflows is not
+        stiffness = np.square((abs(P) @ sizes)[rows] / np.sqrt(diagonal[rows])).min(initial=np.inf)
+        resisted = sum(abs(float(value)) * sizes[j] for j, value in left.items() if j < d.size)
+        return bool(resisted * 2.0 * WIDE * (np.abs(c) @ sizes) <= abs(c @ d) * stiffness)
 
 
 def is_at_rest(P: Any, direction: Any) -> bool:

@@ -24,7 +24,7 @@ from ...core.matrix.structure import IntVector, parts
 from ...core.settings import Status
 from ...systems.symmetry import is_nearly_symmetric
 from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
-from .free_motion import is_at_rest, moved_unknowns, size_of_motion
+from .free_motion import is_at_rest, is_far_out, moved_unknowns
 from .linear_constraints import Contradiction, within
 
 SAFE_RANGE = (1e-290, 1e290)
@@ -343,9 +343,10 @@ class Infeasibility(Refutation):
         with np.errstate(all="ignore"):
             sizes = np.abs(np.concatenate([problem.q / problem.residual_scale, problem.lower, problem.upper]))
         # What is 0 but for rounding of its largest terms has data alone to be beside.
-        least, first = 1.0, 0
-        if self.is_free_motion:
-            least, first = size_of_motion(problem.matrix.array, problem.q, self.y), problem.n
+        least, first = (0.0, problem.n) if self.is_free_motion else (1.0, 0)
+        if self.is_free_motion and not is_far_out(problem.matrix.array, problem.q, self.y, self._found.left):
+            yield None
+            return
         yield Choices(problem, {}).closing(self._found, float(sizes[np.isfinite(sizes)].max(initial=least)), first)
 
     def how_small(self, tolerance: float, absolute_tolerance: float, residual: float) -> str:

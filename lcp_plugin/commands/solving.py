@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import typer
@@ -127,19 +128,21 @@ def _checked_rows(text: str | None) -> Any:
     for part in text.split(","):
         try:
             first, *rest = map(int, part.split(":"))
-        except ValueError:
+            rows += range(first, *rest) if rest else [first]
+            found = np.array(rows, dtype=np.intp)
+        except (ValueError, TypeError, OverflowError, MemoryError):
             raise InvalidOption(f"--rows wants numbers and ranges, as 0:40,45, or a .npy file; got {text!r}") from None
-        rows += range(first, *rest) if rest else [first]
-    return np.array(rows, dtype=np.intp)
+    return found
 
 
 def _array_in(path: Path) -> Any:
     """Return the array in a .npy file."""
     try:
-        return np.load(path, allow_pickle=False)
+        with path.open("rb") as file:
+            return np.load(file, allow_pickle=False)
     except OSError as error:
         raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from None
-    except (ValueError, EOFError):
+    except (ValueError, EOFError, BadZipFile):
         raise UnreadableFile(f"{path} holds no array; write it with numpy.save, as a .npy file") from None
 
 

@@ -164,8 +164,8 @@ class _Model:
 
     @property
     def fell(self) -> bool:
-        """Whether the first relaxation had no least objective."""
-        return bool(self.model.getNTotalNodes() > 1 and self.model.getDualboundRoot() <= -LARGEST)
+        """Whether the first relaxation had no least objective; its bound is ∞ where a point came first."""
+        return bool(self.model.getNTotalNodes() > 1 and abs(self.model.getDualboundRoot()) >= LARGEST)
 
     def solved(
         self, tolerance: float, max_nodes: float, start: FloatVector | None, ends: Watcher | None,

@@ -18,6 +18,8 @@ from the_command import lcp_plugin
 
 from lcp_plugin import LCP
 from lcp_plugin.commands.cli import app
+from lcp_plugin.commands.solving import Picture
+from lcp_plugin.core.errors import LCPError
 from lcp_plugin.doors.files.program_files import ARRAYS, MPS, NL
 from lcp_plugin.doors.nl import write_nl
 
@@ -325,3 +327,12 @@ def test_each_example_in_a_help_page_is_a_command() -> None:
         for words in map(str.split, lines):
             assert words[0] == name
             assert {word for word in words if word.startswith("-")} <= known, words
+
+
+@pytest.mark.parametrize("rows", ["0:4:0", "0:1:2:3", "9" * 20, "broken.npy"])
+def test_rows_that_are_none_are_refused_in_words(rows: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step of 0, four numbers, a number too large, and a broken archive."""
+    monkeypatch.chdir(tmp_path)
+    Path("broken.npy").write_bytes(b"PK\x03\x04" + bytes(99))
+    with pytest.raises(LCPError, match=r"--rows wants|holds no array"):
+        Picture.asked(Path("p.png"), None, rows, None)

@@ -486,3 +486,14 @@ def test_every_way_in_agrees_with_an_enumeration_of_all_cases() -> None:
         known = least(problem)
         for name in ways_of(problem):
             assert complaints(WAYS[name](problem), *known) == [], (case, name)
+
+
+def test_a_point_does_not_hide_that_the_objective_falls_for_ever() -> None:
+    """SCIP calls the bound of its first relaxation ∞ rather than −∞ there, and a point of value −13.5 optimal."""
+    M, N = np.array([[6, 1, 1], [1, 3, -5], [1, -5, 18]]), np.array([[2, 0], [1, 2], [-2, 2]])
+    lower, upper = [0, 0, -1, 0, -np.inf, 0, 0, 0], [np.inf, 3, *[np.inf] * 6]
+    A, ray = np.hstack([-M, np.eye(3), -N]), np.array([0.0, 0, 10, 190, 40, 0, 90, 0])
+    program = QuadraticProgram(None, [2, -2, 3, -3, 2, 1, 0, 0], A=A, b=[0, -1, 0], lower=lower, upper=upper)
+    assert not (A @ ray).any()
+    assert program.c @ ray < 0.0
+    assert minimize_over_solutions(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5])).status is Status.UNBOUNDED

@@ -245,13 +245,12 @@ def planted_program(rng: np.random.Generator) -> PlantedProgram:
 
 
 def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
-    """The margins that y and x̄ prove, from the definition of the units, in fractions."""
+    """The margins that y and x̄ prove in the program's own units, in fractions."""
     m = program.h.size
     C = np.vstack([np.asarray(program.G), np.asarray(program.A)])
     right = np.concatenate([program.h, program.b])
-    largest = np.abs(C).max(axis=1)
-    largest[largest == 0.0] = 1.0
-    units = [Fraction(float(v)) for v in largest * (1.0 + np.abs(right / largest))]
+    every = [Fraction(float(v)) for v in program.constraints.unit]  # of rows, of lower and of upper bounds
+    units, of_lower, of_upper = np.split(every, [right.size, right.size + program.n])
     high = Fraction(0)
     for i, (row, limit) in enumerate(zip(C.tolist(), right.tolist(), strict=True)):
         miss = sum((Fraction(a) * Fraction(v) for a, v in zip(row, x.tolist(), strict=True)), -Fraction(limit))
@@ -266,7 +265,7 @@ def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
             if np.isinf(bound):
                 return Margin(0.0, float(high))
             value -= left * Fraction(bound)
-            weight += abs(left) * Fraction(1.0 + abs(bound))
+            weight += abs(left) * (of_lower if left > 0 else of_upper)[j]
     low = max(-value, Fraction(0)) / weight if weight else Fraction(0)
     return Margin(float(low), float(high))
 

@@ -125,7 +125,7 @@ def minimize(
         return found
     if found.status in ENDS:  # of the children that were cut off it may know nothing
         return found._replace(bound=-math.inf)
-    within = _Model(problem, FAR).solved(tolerance, max_nodes - found.nodes, found.x, ends, improves, FEASIBLE)
+    within = _Model(problem, FAR).solved(tolerance, max(max_nodes - found.nodes, 0), found.x, ends, improves, FEASIBLE)
     within = within._replace(nodes=within.nodes + found.nodes)
     if within.status.startswith(FAILED) and not is_unbounded:
         return within._replace(x=found.x, value=found.value)

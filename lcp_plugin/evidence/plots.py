@@ -114,7 +114,9 @@ def _checked_numbers(rows: Any, n: int) -> Any:
         return np.flatnonzero(given)
     need = f"rows must be whole numbers from 0 to {n - 1}, or {n} truth values"
     if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
-        raise InvalidOption(f"{need}, got {rows!r}")
+        raise InvalidOption(f"{need}, got {given.dtype} numbers of shape {given.shape}")
+    if not given.size:
+        raise InvalidOption(f"{need}, got none")
     if (outside := given[(given < 0) | (given >= n)]).size:
         raise InvalidOption(f"{need}, got {outside[0]}")
     return given
@@ -125,9 +127,9 @@ def _checked_points(over: Any, chosen: Any, n: int) -> FloatVector:
         return np.asarray(chosen, dtype=float)
     need = f"over must hold real coordinates of the {n} rows, or of the {chosen.size} drawn, shape (n,) or (n, 2)"
     try:
-        points = np.asarray(over, dtype=float)
+        points = np.asarray(over).astype(float, casting="same_kind")
     except (TypeError, ValueError):
-        raise InvalidOption(f"{need}, got {over!r}") from None
+        raise InvalidOption(f"{need}, got {type(over).__name__} of {np.asarray(over).dtype}") from None
     is_shaped = points.ndim == 1 or (points.ndim == 2 and points.shape[1] == 2)
     if not is_shaped or len(points) not in (n, chosen.size) or not np.isfinite(points).all():
         raise InvalidOption(f"{need}, got shape {points.shape}; they must be finite")

@@ -115,12 +115,12 @@ def _of_filled(P: Any, diagonal: FloatVector) -> FloatVector | None:
     factor = None if unit is None else factorised(unit, shift)
     if factor is None:
         return None
-    count = min(n, MOST)
     if factor.superlu is None:  # whose pivots nobody sees
+        count = min(n, MOST)
         x = factor.solve(np.random.default_rng(0).standard_normal(n))
         if x @ (unit @ x) > LOOSE * n * shift * (x @ x):
             return None
-    if factor.superlu is not None:
+    else:
         small = int(np.count_nonzero(factor.superlu.U.diagonal() <= LOOSE * n * shift))
         if not 0 < small <= MOST:
             return None

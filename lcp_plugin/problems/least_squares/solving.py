@@ -228,6 +228,7 @@ class LeastSquaresResult(Answer):
 
 
 ADVICE = {
+    Status.SOLVED: "optimality is within the tolerance; result.gap bounds by how much the cost exceeds the least one",
     Status.PRECISION_LIMIT: (
         "the gradient is no larger than rounding in double precision explains, but no lower bound of the cost was "
         "found near it, as for a large sparse A that fits b exactly; accept x, which result.gap bounds"

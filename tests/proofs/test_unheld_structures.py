@@ -1,7 +1,9 @@
 """Structures that nothing holds against their load: named by a factor, proved, said in words; held ones are solved."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -195,3 +197,15 @@ def test_a_prepared_problem_and_one_that_asks_for_no_proof() -> None:
     assert solve(problem).status is Status.INFEASIBLE
     assert solve(structure.problem, refute=False).status is Status.STALLED
     assert not solve(structure.program, refute=False).is_refuted
+
+
+@pytest.mark.parametrize("stored", [np.asarray, sp.csr_array], ids=["dense", "sparse"])
+def test_a_spring_of_a_millionth_of_a_millionth_holds(stored: Callable[[Any], Any]) -> None:
+    """200 unknowns in a chain on a spring of 2⁻⁴⁰ have their minimum at 2⁴⁰: it is found, and no motion is free."""
+    n = 200
+    P = np.diag(np.full(n, 2.0)) - np.eye(n, k=1) - np.eye(n, k=-1)
+    P[0, 0], P[-1, -1] = 1.0, 1.0 + 2.0**-40
+    x = 2.0**40 + np.arange(n) % 3
+    result = solve(QuadraticProgram(stored(P), -(P @ x)))
+    assert result.status is Status.SOLVED
+    assert np.abs(result.x - x).max() <= 1e-9 * x.max()

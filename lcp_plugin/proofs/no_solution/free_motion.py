@@ -19,7 +19,8 @@ from .linear_constraints import WIDE
 NEGLIGIBLE = 1e-11  # of c: what is left of its part along the directions is rounding
 TOUCHING = 1e-9  # of the largest movement: an unknown at a bound that moves so little stays there
 BITS = (4, 16)  # behind the point of directions that are tried first: ones and zeros, fractions
-MEAN_ROUNDING = 8.0 * EPSILON  # of the terms of P d, on average over its rows: more is data, as a weak spring is
+# Of the terms of P d, on average over its rows; of √(p_ii p_jj) |d_j| in each row: more is data, as a weak spring is.
+MEAN_ROUNDING, ROW_ROUNDING = 8.0 * EPSILON, 256.0 * EPSILON
 NAMED, NAMED_FROM = 4, 1e-6  # unknowns, and of the largest movement
 
 
@@ -151,4 +152,7 @@ def is_at_rest(P: Any, direction: Any) -> bool:
     d = np.array([float(value) for value in direction])
     moving = np.flatnonzero(d)
     P = sp.csr_array(P)
-    return bool(P[moving].count_nonzero()) and _left(P, d) <= MEAN_ROUNDING
+    if not P[moving].count_nonzero() or _left(P, d) > MEAN_ROUNDING:
+        return False
+    pattern, root = sp.csr_array((np.ones(P.nnz), P.indices, P.indptr), shape=P.shape), np.sqrt(np.abs(P.diagonal()))
+    return bool((np.abs(P @ d) <= ROW_ROUNDING * root * (pattern @ (root * np.abs(d)))).all())

@@ -55,6 +55,7 @@ def falling_directions(
     >>> list(falling_directions(springs, line, np.array([3.0, -1.0]), ~anywhere, anywhere))
     []
     """
+    from scipy.linalg import LinAlgError, LinAlgWarning
     from scipy.optimize import nnls
 
     slope = -(null_space.T @ c)
@@ -71,7 +72,7 @@ def falling_directions(
     if normals.shape[0]:
         try:
             slope = slope - normals.T @ nnls(normals.T, slope)[0]
-        except RuntimeError:  # it takes more steps than it allows itself
+        except (RuntimeError, LinAlgError, LinAlgWarning):  # too many steps; before scipy 1.15, dependent columns
             return
     d = null_space @ slope
     largest = float(np.abs(d).max())

@@ -230,12 +230,13 @@ def judged_program(
     may_ask = is_auto and refutes and sp.issparse(program.P) and (
         program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None
     )
-    if may_ask and (unheld := _unheld(program, goal)) is not None:
-        if options.get("verbose"):
-            say(f"{unheld.status.name}: the program is {unheld}")
-        return _refuted(program, unheld, BY_FACTOR, tolerance, clock.read())
-    # What is asked between the stages of a run, and after it, knows of the limit by this.
+    # What is asked before a run, between its stages, and after it knows of the limit by this.
     with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
+        unheld = _unheld(program, goal) if may_ask else None
+        if unheld is not None:
+            if options.get("verbose"):
+                say(f"{unheld.status.name}: the program is {unheld}")
+            return _refuted(program, unheld, BY_FACTOR, tolerance, clock.read())
         result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options, begun)
     is_optimal = solution.is_stationary(goal)
     if proof is None and refutes and not ended_by_caller(result, options) and not solution.is_sure(goal):

@@ -36,8 +36,9 @@ from .model import Model, ModelBatch, contradiction, solve_for
 from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver
-from .user_terms import METHODS
+from .stated_terms import why_not
 
+METHODS = ("LCP", "lcp")
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
 
 
@@ -286,7 +287,16 @@ def _best(
 
 def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
     """Solve a quadratic program."""
-    value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
+    try:
+        value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
+    except SolverError as error:
+        if not (reasons := why_not(problem)):
+            raise
+        raise SolverError(
+            'method="LCP" takes programs with a convex quadratic objective and linear constraints, and what can be '
+            f"written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL or "
+            "cp.HIGHS"
+        ) from error
     set_answering(problem, None)
     return value
 

@@ -19,7 +19,6 @@ from cvxpy.reductions.solution import Solution
 from ..core.errors import UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.result import Result
-from ..problems.nonlinear.data import NonlinearProblem
 from ._compat import (
     CVXPY_STATUS,
     answer_derivatives,
@@ -338,11 +337,9 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
         if constraint.id not in own:  # the inequality inside a pair, which cvxpy does not know
             constraint.save_dual_value(None if status == settings.INFEASIBLE else value)
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
-    if isinstance(model.problem, NonlinearProblem) and status != settings.INFEASIBLE:
-        what = contradiction(model.sources, model.problem, result.z, result.w)
-        if what is not None:
-            problem._clear_solution()
-            raise SolverError(f"the problem contradicts its own answer: {what}; write the expression in another way")
+    if status != settings.INFEASIBLE and (what := contradiction(model, result.z, result.w)) is not None:
+        problem._clear_solution()
+        raise SolverError(f"the problem contradicts its own answer: {what}; write the expression in another way")
     if status in settings.INACCURATE:
         warnings.warn(
             f"the solution may be inaccurate ({result.status.name}): {result.advice}", UserWarning, stacklevel=4

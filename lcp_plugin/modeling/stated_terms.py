@@ -38,17 +38,9 @@ class StatedTerms(NamedTuple):
 
     @classmethod
     def of(cls, problem: Any) -> StatedTerms:
-        """Return those at the present values of variables and parameters.
-
-        cvxpy's own ``value`` asks every node of an expression for all parameters below it, each time anew. Here each
-        node is computed once.
-        """
+        """Return those at the present values of variables and parameters."""
         roots = [problem.objective.args[0], *map(expression_of, problem.constraints)]
-        values: dict[int, Any] = {}
-        for root in roots:
-            for node in postorder(root, values):
-                if id(node) not in values:
-                    values[id(node)] = _value(node, [values[id(argument)] for argument in node.args])
+        values = values_below(roots)
         signs = [sense_of(problem)] + [-1.0 if isinstance(c, NonNeg) else 1.0 for c in problem.constraints]
         goal, *slacks = (sign * dense_value(values[id(root)]) for sign, root in zip(signs, roots, strict=True))
         return cls(float(goal.ravel()[0]), slacks, partial(_size, roots, values))
@@ -57,6 +49,20 @@ class StatedTerms(NamedTuple):
         """Return by how much each constraint is violated; NaN where it is not a number."""
         pairs = zip(problem.constraints, self.slacks, strict=True)
         return [float(np.max(violation_of(constraint, slack), initial=0.0)) for constraint, slack in pairs]
+
+
+def values_below(roots: list[Any]) -> dict[int, Any]:
+    """Return the values of all nodes of expressions, by their ids, at the present values of variables and parameters.
+
+    cvxpy's own ``value`` asks every node for all parameters below it, each time anew, and calls itself from node to
+    node, however deep they are. Here each is computed once.
+    """
+    values: dict[int, Any] = {}
+    for root in roots:
+        for node in postorder(root, values):
+            if id(node) not in values:
+                values[id(node)] = _value(node, [values[id(argument)] for argument in node.args])
+    return values
 
 
 def _value(node: Any, arguments: list[Any]) -> Any:

@@ -115,8 +115,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
     def _answer(self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any) -> SolverAnswer:
         options = {**SOLVE_OPTIONS, **solver_opts}
-        before: _Compiled | None = cache.get(self.name())
-        compiled = _Compiled.of(data, before)
+        before: _Solved | None = cache.get(self.name())
+        compiled = _Solved.of(data, before)
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
         found = judged_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
@@ -178,39 +178,23 @@ class SolverAnswer:
         return Claim(value, limit, float(left.sum()), float(np.abs(y) @ left))
 
 
-class _Compiled(NamedTuple):
-    """What cvxpy made of a problem: its matrices, column by column, as a program; and an answer, if there is one."""
+class _Solved(NamedTuple):
+    """The program of a problem's last solve, and an answer, if there is one."""
 
-    columns: tuple[Any, ...]
     program: QuadraticProgram
     z: FloatVector | None = None
 
     @classmethod
-    def of(cls, data: Any, before: _Compiled | None) -> _Compiled:
-        """Return cvxpy's problem data as a program, which shares its matrices with an earlier one where they are equal.
+    def of(cls, data: Any, before: _Solved | None) -> _Solved:
+        """Return cvxpy's problem data as a program; the matrices of an earlier one where no parameter moved them.
 
         A parameter changes vectors as a rule, and matrices are what takes time.
         """
-        if before is None or not before.has_matrices_of(data):
-            program = quadratic_program(data)
-            is_own = data.get(MATRICES) is program.matrices
-            return cls(() if is_own else tuple(part.copy() for part in _columns(data)), program)
+        if before is None or data.get(MATRICES) is not before.program.matrices:
+            return cls(quadratic_program(data))
         _require_plain(data)
         program = before.program.with_vectors(data[settings.Q], data[settings.G], data[settings.B])
         return before._replace(program=program)
-
-    def has_matrices_of(self, data: Any) -> bool:
-        """Return whether the matrices are those of this problem data, too."""
-        if data.get(MATRICES) is self.program.matrices:
-            return True
-        columns = _columns(data)
-        return len(columns) == len(self.columns) and all(map(np.array_equal, columns, self.columns))
-
-
-def _columns(data: Any) -> tuple[Any, ...]:
-    """Return the arrays of the matrices."""
-    given = (data[key] for key in MATRIX_KEYS)
-    return tuple(part for one in given if one is not None for part in (one.data, one.indices, one.indptr))
 
 
 def quadratic_program(data: Any) -> QuadraticProgram:

@@ -96,7 +96,6 @@ def with_jumps(rng: np.random.Generator) -> LCP:
     return gallery.build("random_h_plus", n=3000).problem
 
 
-@pytest.mark.needs("direct")
 @pytest.mark.parametrize("make", [without_diagonal, with_jumps])
 def test_where_steps_teach_nothing_a_march_costs_no_more(make: Callable[..., LCP]) -> None:
     """Where the free set jumps at every step, all steps together take at most a tenth more work than solves do."""
@@ -147,7 +146,6 @@ def test_a_march_that_has_condensed_goes_through_pickle() -> None:
     assert [step.status for step in again] == [Status.SOLVED] * len(done)
 
 
-@pytest.mark.needs("direct")
 def test_what_cannot_be_condensed_is_left_to_auto() -> None:
     """Where the block of the rows without bounds is singular, auto takes the step, and nobody condenses again."""
     problem = LCP([[0.0, 1.0], [-1.0, 2.0]], [-1.0, 3.0], lower=[-np.inf, 0.0])

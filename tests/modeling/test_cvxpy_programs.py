@@ -236,6 +236,18 @@ def test_a_re_solve_is_judged_as_a_first_solve_is(planted: str, monkeypatch: pyt
     assert problem.status is None
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_violation_shows_in_any_unit(unit: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit that the program lost is missed by the answer, however small the numbers are."""
+    x, original = cp.Variable(), qp_solver.quadratic_program
+    problem = cp.Problem(cp.Minimize(cp.abs(x - 3 * unit)), [x <= unit])
+    assert problem.solve(solver=QPSolver) == pytest.approx(2 * unit, rel=1e-6)
+    tampered = cp.Problem(problem.objective, problem.constraints)
+    monkeypatch.setattr(qp_solver, "quadratic_program", lambda data: without_single_rows(original(data)))
+    with pytest.raises(SolverError, match="is violated by"):
+        tampered.solve(solver=QPSolver)
+
+
 def test_the_problem_s_terms_have_the_values_that_cvxpy_gives_them() -> None:
     """At the values of the variables the objective and slacks are cvxpy's own: shared, constant, scalar, sparse."""
     rng = np.random.default_rng(6)

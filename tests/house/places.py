@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
-MIDDLES = ("min", "max", "minimum", "maximum", "clip", "fmin", "fmax", "_clamp", "clamp", "mid")
+MIDDLES = ("min", "max", "minimum", "maximum", "clip", "fmin", "fmax", "_clamp", "_clamped", "clamp", "mid")
 BOUND = re.compile(r"(?i)\b(lower|upper|high|low|bounds)\b")
 TOLERANCE = re.compile(r"\b(tolerance|goal)\b")
 MEASURED = re.compile(r"residual|size|largest|value|optimality|errors?\b|gap|small|ends|relative|least|reached")
@@ -99,7 +99,7 @@ def has_residual(function: ast.AST) -> bool:
             if re.search(r"(min\(max\(|clip\()", text) and re.search(r"- [^,]+, [^,]*lower", text):
                 return True
     text = ast.unparse(function)
-    return "np.maximum(step, block" in text  # by steps, in one array
+    return "np.maximum(step, block" in text or "above if above < step" in text  # by steps
 
 
 def says_solved(function: ast.AST) -> bool:
@@ -107,10 +107,10 @@ def says_solved(function: ast.AST) -> bool:
     for node in ast.walk(function):
         if isinstance(node, (ast.Return, ast.Assign, ast.AugAssign, ast.If)):
             part = node.test if isinstance(node, ast.If) else node.value
-            for one in ast.walk(part) if part is not None else ():
-                if isinstance(one, ast.Compare) and isinstance(one.ops[-1], (ast.LtE, ast.Gt)):
-                    if TOLERANCE.search(ast.unparse(one.comparators[-1])) and MEASURED.search(ast.unparse(one.left)):
-                        return True
+            tests = [one for one in ast.walk(part) if isinstance(one, ast.Compare)] if part is not None else []
+            if any(isinstance(one.ops[-1], (ast.LtE, ast.Gt)) and TOLERANCE.search(ast.unparse(one.comparators[-1]))
+                   and MEASURED.search(ast.unparse(one.left)) for one in tests):
+                return True
     return False
 
 

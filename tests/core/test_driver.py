@@ -382,7 +382,7 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
 @pytest.mark.parametrize(
     ("place", "options"),
     [
-        ("methods.small.fused.fused", {}),
+        ("core.solving.driver.fused", {}),
         ("core.solving.driver.Run.__init__", {}),
         ("core.solving.driver.CommonUnits.of", {}),
         ("proofs.guarantees.warn_where_known_to_be_uncovered", {}),

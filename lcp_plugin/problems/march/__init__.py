@@ -21,10 +21,9 @@ from ...core.matrix.structure import parts
 from ...core.matrix.units import units_of
 from ...core.policy.choice import Policy
 from ...core.settings import OF_SOLVE, Settings, Status
-from ...core.solving.driver import asked_of_solve, solve
+from ...core.solving.driver import asked_of_solve, fused_result, solve
 from ...core.solving.result import Result
 from ...methods.banded import Banded
-from ...methods.small.fused import fused_result
 from ..many.answers import AnswerSequence, Results
 from .marching import Lesson, StepPolicy
 

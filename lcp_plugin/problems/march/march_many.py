@@ -17,10 +17,9 @@ from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kinds import refusal
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_threads
-from ...core.solving.driver import asked_of_solve
+from ...core.solving.driver import asked_of_solve, fused_result
 from ...core.solving.result import Result
 from ...methods.banded import Banded
-from ...methods.small.fused import fused_result
 from ...systems.factors import bands
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch

@@ -236,7 +236,9 @@ def march(
     asked_of_solve(algorithm, wishes)  # what is wrong is refused before the first step
     limit = Settings(max_seconds=max_seconds).max_seconds
     state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
-    return _marched(problem, rows, algorithm, int(keep_every), wishes, offsets, z0=state, limit=limit)
+    done = begun(problem, offsets, rows, state, int(keep_every), algorithm, wishes)
+    take_steps(done, len(offsets), algorithm, wishes, limit=limit)
+    return done
 
 
 def carry_remark(problem: LCP, carry: sp.csr_array) -> str:
@@ -266,23 +268,39 @@ def carry_remark(problem: LCP, carry: sp.csr_array) -> str:
     )
 
 
-def _marched(
-    problem: LCP, carry: sp.csr_array, algorithm: str | Algorithm, keep_every: int, wishes: dict[str, Any],
-    forcing: FloatVector, *, z0: FloatVector, begin: Algorithm | None = None, limit: float = np.inf, first: int = 0,
-    total: int | None = None,
+def begun(
+    problem: LCP, forcing: FloatVector, carry: sp.csr_array, z0: FloatVector, keep_every: int,
+    algorithm: str | Algorithm, wishes: dict[str, Any],
 ) -> March:
-    """Return the march from the state z0, beginning with that algorithm, within so many seconds.
-
-    Its steps are those from number `first` on, of so many in all, for which what is dear may pay as well.
-    """
-    (policy, settings), clock = asked_of_solve(algorithm, wishes), Clock(problem.communicator)
-    is_unobserved, state = settings.is_unobserved and wishes.get("callback") is None, z0
+    """Return a march before its first step."""
     quiet = {name: wish for name, wish in wishes.items() if name not in ("callback", "verbose")}
-    done = March(
-        problem, forcing, carry, z0, keep_every, partial(_marched, problem, carry, algorithm, 1, quiet)
-    )
-    total = len(forcing) if total is None else total
-    while len(done) < len(forcing) and done.all_solved:
+    return March(problem, forcing, carry, z0, keep_every, partial(_part, problem, carry, algorithm, quiet))
+
+
+def _part(
+    problem: LCP, carry: sp.csr_array, algorithm: str | Algorithm, wishes: dict[str, Any], forcing: FloatVector, *,
+    z0: FloatVector, **where: Any,
+) -> March:
+    """Return the march along a part of the forcing, with every answer."""
+    done = begun(problem, forcing, carry, z0, 1, algorithm, wishes)
+    take_steps(done, len(forcing), algorithm, wishes, **where)
+    return done
+
+
+def take_steps(
+    done: March, end: int, algorithm: str | Algorithm, wishes: dict[str, Any], *, limit: float = np.inf,
+    begin: Algorithm | None = None, first: int = 0, total: int | None = None,
+) -> None:
+    """Take the steps up to that number, after those that a march has, within so many seconds.
+
+    The march is that from step number `first` on, beginning with `begin`, of one with so many steps in all, for which
+    what is dear may pay as well.
+    """
+    (policy, settings), clock = asked_of_solve(algorithm, wishes), Clock(done.problem.communicator)
+    problem, forcing, carry = done.problem, done.forcing[:end], done.carry
+    is_unobserved, total = settings.is_unobserved and wishes.get("callback") is None, total or len(done.forcing)
+    state, begin = done._kept[len(done) - 1] if len(done) else (done.z0, begin)
+    while len(done) < end and done.all_solved:
         before = len(done)
         try:
             if is_unobserved and clock.read() < limit:
@@ -307,8 +325,7 @@ def _marched(
             if not done:
                 raise
             done.all_solved = False
-    done.seconds = clock.read()
-    return done
+    done.seconds += clock.read()
 
 
 def _fused(

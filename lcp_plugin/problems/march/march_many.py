@@ -23,7 +23,7 @@ from ...methods.banded import Banded
 from ...systems.factors import bands
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
-from . import BLOCK, March, _marched, checked_forcing, has_common_units, march
+from . import BLOCK, March, begun, checked_forcing, has_common_units, march, take_steps
 
 SIDE_BY_SIDE = 16  # as the compiled loop has room for
 
@@ -87,32 +87,25 @@ def march_many(
         **({"forcing": len(offsets)} if len(offsets) != 1 else {}),
         **{name: len(given) for name, given in rows.items() if len(given) != 1},
     })
-    others, wishes = wishes, {**wishes, "algorithm": algorithm}
     marches: list[March] = []
     for j in range(count):
         own = {name: given[min(j, len(given) - 1)] for name, given in rows.items()}
         start = own.pop("z0", None)
         of_march = problem.with_q(problem.q, **own) if own else problem
         if not marches:  # what all share is checked once
-            begun = march(of_march, offsets[0][:0], carry, z0=start, keep_every=keep_every, **wishes)
+            one = march(of_march, offsets[0][:0], carry, z0=start, algorithm=algorithm, keep_every=keep_every, **wishes)
         else:
             state = of_march.nearest_to_zero if start is None else checked_vector(start, "z0", n)
-            begun = _marched(of_march, begun.carry, algorithm, begun.keep_every, others, begun.forcing[:0], z0=state)
-        begun.forcing = offsets[min(j, len(offsets) - 1)]
-        marches.append(begun)
-    steps = _Steps(marches, wishes, limit, clock)
+            one = begun(of_march, one.forcing, one.carry, state, one.keep_every, algorithm, wishes)
+        one.forcing = offsets[min(j, len(offsets) - 1)]
+        marches.append(one)
+    steps = _Steps(marches, algorithm, wishes, limit, clock)
     try:
         if marches and steps.are_together:
             steps.take_together(checked_threads(threads))
         else:
-            for j, one in enumerate(marches):
-                try:
-                    marches[j] = march(one.problem, one.forcing, one.carry, z0=one.z0, keep_every=keep_every,
-                                       max_seconds=steps.seconds_left, **wishes)
-                except InvalidProblem as error:
-                    one.error, one.all_solved = error, False
-                if steps.is_interrupted(marches[j]):
-                    raise KeyboardInterrupt
+            for one in marches:
+                steps.take_alone(one, len(one.forcing))
     except KeyboardInterrupt:
         for one in marches:
             one.all_solved = one.all_solved and len(one) == len(one.forcing)
@@ -122,10 +115,11 @@ def march_many(
 class _Steps:
     """The steps of marches with one M: side by side in a compiled loop, or those of one after the other."""
 
-    def __init__(self, marches: list[March], wishes: dict[str, Any], limit: float, clock: Clock) -> None:
-        self.marches, self.wishes, self.limit, self.clock = marches, wishes, limit, clock
-        others = {name: wish for name, wish in wishes.items() if name != "algorithm"}
-        self.policy, self.settings = asked_of_solve(wishes["algorithm"], others)
+    def __init__(
+        self, marches: list[March], algorithm: str | Algorithm, wishes: dict[str, Any], limit: float, clock: Clock
+    ) -> None:
+        self.marches, self.algorithm, self.wishes, self.limit, self.clock = marches, algorithm, wishes, limit, clock
+        self.policy, self.settings = asked_of_solve(algorithm, wishes)
 
     @property
     def are_together(self) -> bool:
@@ -197,29 +191,16 @@ class _Steps:
                 before, z = found.before[j].copy(), read_only(found.last[j].copy())
                 one._take(z, partial(result_of, one, j, last, before, z), step=first + last)
 
-    @property
-    def seconds_left(self) -> float | None:
-        """The seconds that all may still take, None for any number."""
-        return None if self.limit == np.inf else max(self.limit - self.clock.read(), 0.0)
-
-    def is_interrupted(self, one: March) -> bool:
-        """Return whether Ctrl-C has ended a march, which has kept that for itself."""
-        ended = one[-1].status if one else Status.SOLVED
-        return len(one) < len(one.forcing) and one.error is None and ended in (Status.SOLVED, Status.INTERRUPTED)
-
     def take_alone(self, one: March, end: int) -> None:
         """Take the steps up to that number of one march, after those that it has; at most one that is not solved."""
         try:
-            rest = march(one.problem, one.forcing[len(one) : end], one.carry, z0=_state(one),
-                         max_seconds=self.seconds_left, **self.wishes)
+            left = max(self.limit - self.clock.read(), 0.0)
+            take_steps(one, end, self.algorithm, self.wishes, limit=left)
         except InvalidProblem as error:
             one.error, one.all_solved = error, False
-            return
-        for k in range(len(rest)):
-            one._take(rest.z[k], partial(rest.at, k), rest._kept[k][1])
-        one.error, one.all_solved, one.seconds = rest.error, rest.all_solved, one.seconds + rest.seconds
-        if self.is_interrupted(rest):
-            raise KeyboardInterrupt
+        ended = one[-1].status if one else Status.SOLVED
+        if len(one) < end and one.error is None and ended in (Status.SOLVED, Status.INTERRUPTED):
+            raise KeyboardInterrupt  # a march has kept it for itself
 
 
 def _forcing_of(group: list[March], first: int, end: int) -> FloatVector:

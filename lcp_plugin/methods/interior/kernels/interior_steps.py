@@ -34,8 +34,8 @@ AIM_LOWER, AIM_UPPER, SECOND_LOWER, SECOND_UPPER = 16, 17, 18, 19
 TRIAL, CHOSEN, SHIFTED = 20, 25, 30
 ROWS = 31
 
-# Entries of `facts`: of a step; then how many were made, since how many the active set has not changed while the gap was
-# at most SMALL_GAP, and that gap.
+# Entries of `facts`: of a step; how many were made, since how many the active set is the same and the gap small, and
+# what gap is small.
 PAIRS, GAP, TARGET, LENGTH, INFEASIBILITY, CORRECTIONS, LEFT_TO_CORRECT, IS_PROGRAM, IS_SECOND_TRY = range(9)
 MADE, SETTLED, SMALL_GAP = 9, 10, 11
 FACTS = 12

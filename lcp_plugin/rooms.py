@@ -64,7 +64,6 @@ OFFERS = {
         "once more": "methods.direct:Retries",
         "feasibility": "methods.search.stages:FeasibilityCheck",
     },
-    "run": {"fused": "methods.small.fused:fused"},
     "judge": {"error": "proofs.bounds.error_judge:ErrorJudge"},
     "remark": {
         "classes": "proofs.verdicts.report:classes_in_words",

@@ -22,9 +22,7 @@ import os
 import signal
 import subprocess
 import sys
-import traceback
 from collections import defaultdict
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -93,51 +91,3 @@ def sample(rows: list[pytest.Item]) -> list[pytest.Item]:
         chosen.append(row)
         missing -= values[row]
     return chosen
-
-
-LEFT_OUT: list[str] = []
-TAKEN_OUT = os.environ.get("LCP_PLUGIN_TAKEN_OUT", "")  # the room that tests/take_out.py has removed
-NOT_HERE = ("No module named 'lcp_plugin.", "this installation of lcp_plugin does")
-
-
-@pytest.hookimpl(hookwrapper=True)
-def pytest_make_collect_report(collector: pytest.Collector) -> object:
-    """Leave out files of tests that import a room which was taken out."""
-    report = (yield).get_result()
-    if TAKEN_OUT and report.failed and any(words in str(report.longrepr) for words in NOT_HERE):
-        report.outcome, report.longrepr, report.result = "passed", None, []
-        LEFT_OUT.append(collector.nodeid)
-
-
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip a test whose claim needs another room, by what auto does there, where that was taken out."""
-    if TAKEN_OUT:
-        from picture import FOLDERS
-
-        missing = [room for mark in item.iter_markers("needs") for room in mark.args if not FOLDERS[room].exists()]
-        if missing:
-            pytest.skip(f"needs {', '.join(missing)}")
-
-
-def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Say which files of tests were left out with a room."""
-    if LEFT_OUT:
-        terminalreporter.write_line(f"left out {len(LEFT_OUT)} files that import more than is left")
-
-
-def is_of_the_core(error: BaseException) -> bool:
-    """Whether a module that is not here was imported by the core itself, which must need no room."""
-    frames = [frame.filename for frame in traceback.extract_tb(error.__traceback__) if "/lcp_plugin/" in frame.filename]
-    return isinstance(error, ImportError) and bool(frames) and "/lcp_plugin/core/" in frames[-1]
-
-
-@pytest.hookimpl(hookwrapper=True)
-def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> object:
-    """Skip a test that asks for a room which was taken out, and is told so."""
-    report = (yield).get_result()
-    if TAKEN_OUT and report.failed and call.excinfo is not None:
-        error: BaseException | None = call.excinfo.value
-        while error is not None:
-            if any(words in str(error) for words in NOT_HERE) and not is_of_the_core(error):
-                report.outcome, report.longrepr = "skipped", (str(item.path), 0, f"needs more than is left: {error}")
-            error = error.__cause__ or error.__context__

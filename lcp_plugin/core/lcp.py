@@ -73,7 +73,7 @@ class LCP:
         self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
         self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual
 
-    @property
+    @cached_property
     def n(self) -> int:
         """The number of unknowns."""
         return self.matrix.n
@@ -93,7 +93,7 @@ class LCP:
         """The end of the rows that are here."""
         return self.first + self.own
 
-    @property
+    @cached_property
     def communicator(self) -> Communicator:
         """Who has the other rows."""
         return self.matrix.communicator
@@ -103,22 +103,22 @@ class LCP:
         """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
         return self.matrix.array
 
-    @property
+    @cached_property
     def csr(self) -> sp.csr_array:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
         return self.matrix.csr
 
-    @property
+    @cached_property
     def is_dense(self) -> bool:
         """True where M is kept as an ndarray."""
         return self.matrix.is_dense
 
-    @property
+    @cached_property
     def is_distributed(self) -> bool:
         """True where the rows are spread over the ranks of an MPI job."""
         return not self.matrix.communicator.is_alone
 
-    @property
+    @cached_property
     def nonzeros(self) -> int:
         """Number of nonzero entries of M."""
         return self.matrix.nonzeros
@@ -133,7 +133,7 @@ class LCP:
         """The diagonal of M, shape (n,)."""
         return self.matrix.diagonal
 
-    @property
+    @cached_property
     def residual_scale(self) -> FloatVector:
         """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.matrix.Matrix.residual_scale`."""
         return self.matrix.residual_scale
@@ -404,6 +404,7 @@ class LCP:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("nearest_to_zero", "_facts")}
+        computed = {name for name, value in vars(LCP).items() if isinstance(value, cached_property)}
+        return {name: value for name, value in self.__dict__.items() if name not in computed}
 
     __setstate__ = restored

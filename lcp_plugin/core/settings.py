@@ -118,11 +118,6 @@ class Settings:
         """True where nobody wants more of the way than that it ends within the tolerance on the residual."""
         return not (self.is_on_error or self.record or self.error_bound or self.verbose)
 
-    def accept(self, certificate: Any) -> bool:
-        """Return whether a certificate shows the residual that is asked for, and every row right in its own terms."""
-        is_small = bool(certificate.relative_above(self.least_reference) <= self.goal)
-        return is_small and certificate.is_right_row_by_row(self.goal, self.least_reference)
-
     @property
     def is_on_error(self) -> bool:
         """True where SOLVED asks for a proven bound of the error."""

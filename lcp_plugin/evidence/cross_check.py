@@ -252,7 +252,7 @@ def _judged(
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
     """Return whether the status holds for the certificate measured here."""
     if result.is_solved:
-        return Settings(tolerance=result.tolerance, absolute_tolerance=result.absolute_tolerance).accept(ours)
+        return ours.meets(Settings(tolerance=result.tolerance, absolute_tolerance=result.absolute_tolerance))
     return ours.is_at_rounding_level
 
 

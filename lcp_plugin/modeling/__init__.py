@@ -97,10 +97,10 @@ included; then ``method="LCP"`` is known too.
 >>> problem.status, problem.solver_stats.extra_stats.status.name
 ('optimal', 'SOLVED')
 
-Their status is judged by the program's own residuals, and then on the problem as you stated it, before cvxpy rewrote
-it: its objective and constraints at the values found, its Lagrangian at a few other points, the proof of infeasible and
-unbounded, without which neither is said. A contradiction is a ``SolverError`` that says what differs. Bounds that cvxpy
-derives for its own variables are not used. All this is in units of the program's data, never relative to x: row i's
+Their status is judged by the program's own residuals; then the objective and the constraints that you stated are
+measured at the values found. A contradiction is a ``SolverError`` that says what differs. Infeasible and unbounded are
+not said without a proof; cvxpy is believed that the program is the problem. Bounds that cvxpy derives for its own
+variables are not used. All this is in units of the program's data, never relative to x: row i's
 violation counts beside max_j |a_ij| + |b_i|, and a program is refuted only where every x violates some row by more than
 what is called optimal (1e-7 by default).
 

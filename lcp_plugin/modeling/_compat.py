@@ -8,8 +8,8 @@ the problem has is one of ours: any later solve gives it another, and cvxpy answ
 from __future__ import annotations
 
 import weakref
-from collections.abc import Container
-from functools import wraps
+from collections.abc import Callable, Container
+from functools import partial, wraps
 from importlib import import_module
 from typing import Any
 
@@ -267,26 +267,32 @@ def refuse_without_derivatives() -> None:
         )
 
 
+def stand_before(name: str, method: Callable[..., Any]) -> None:
+    """Call ``method(own, problem, …)`` in the place of a method of cp.Problem; once, however often this is called.
+
+    A solver never sees the problem that its user stated: ``unpack_results`` does, where the answer is measured on it.
+    What leads from there to gradients, ``backward`` and ``derivative``, knows no other solver than cvxpy's own.
+    """
+    own = getattr(cp.Problem, name, None)
+    if own is not None and not hasattr(own, "is_lcp_plugin_s"):
+        stated = wraps(own)(lambda problem, *args, **kwargs: method(own, problem, *args, **kwargs))
+        stated.is_lcp_plugin_s = True  # type: ignore[attr-defined]
+        setattr(cp.Problem, name, stated)
+
+
 def answer_derivatives() -> None:
-    """Wrap cvxpy's methods; once, however often this is called."""
+    """Let our solutions answer for their derivatives."""
     for name in DERIVATIVES:
-        own = getattr(cp.Problem, name, None)
-        if own is not None and not hasattr(own, "asks_lcp_plugin"):
-            setattr(cp.Problem, name, _asking(name, own))
+        stand_before(name, partial(_asking, name))
 
 
-def _asking(name: str, own: Any) -> Any:
-    @wraps(own)
-    def method(self: Any, *args: Any, **kwargs: Any) -> Any:
-        solution, answering = _answering.get(self, (None, None))
-        if solution is None or solution is not self.solution:
-            return own(self, *args, **kwargs)
-        if answering is None:
-            raise UnsupportedModel(
-                f'{name} needs a solve with requires_grad=True, and the last one was without; write '
-                'problem.solve(method="LCP", requires_grad=True)'
-            )
-        return getattr(answering, name)(self)
-
-    method.asks_lcp_plugin = True  # type: ignore[attr-defined]
-    return method
+def _asking(name: str, own: Any, problem: Any, *args: Any, **kwargs: Any) -> Any:
+    solution, answering = _answering.get(problem, (None, None))
+    if solution is None or solution is not problem.solution:
+        return own(problem, *args, **kwargs)
+    if answering is None:
+        raise UnsupportedModel(
+            f'{name} needs a solve with requires_grad=True, and the last one was without; write '
+            'problem.solve(method="LCP", requires_grad=True)'
+        )
+    return getattr(answering, name)(problem)

@@ -29,8 +29,7 @@ from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.program_proofs import Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
 from .qp_solver import ProgramEntries, QPSolver, quadratic_program
-from .stated_terms import StatedTerms, Terms, dense_value, nearest, sense_of
-from .user_terms import INEQUALITIES, values_of, violation_of, why_not
+from .stated_terms import INEQUALITIES, StatedTerms, attribute_error, dense_value, sense_of, why_not
 
 CLAIMED = {
     settings.INFEASIBLE: "infeasible", settings.INFEASIBLE_INACCURATE: "infeasible",
@@ -98,14 +97,15 @@ def _neither(proofs: ProgramProofs, tolerance: float) -> Certification:
 def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tolerance: float) -> Certification:
     """Return what is proved about the values of the variables."""
     with np.errstate(all="ignore"):
-        terms = StatedTerms(problem).at(values_of(problem))
+        terms = StatedTerms.of(problem)
         value = terms.goal - reduced.offset
         rounding = EVALUATED * (terms.size(0) + abs(reduced.offset))
-        missed = [_missed(constraint, terms, k) for k, constraint in enumerate(problem.constraints)]
-    missed += [(miss, miss) for miss in map(_attribute_error, problem.variables())]
+        found = np.nan_to_num(terms.violated(problem), nan=np.inf)
+        missed = [(high and high - EVALUATED * terms.size(k), high) for k, high in enumerate(found.tolist(), 1)]
+    missed += [(miss, miss) for miss in map(attribute_error, problem.variables())]
     violation = (max((low for low, _ in missed), default=0.0), max((high for _, high in missed), default=0.0))
     x = reduced.values(problem, proofs)
-    found = Proved(
+    proved = Proved(
         (value - rounding, value + rounding), violation, proofs.own_lower, proofs.upper(*([] if x is None else [x])),
         tolerance, reduced.program.units.objective,
     )
@@ -113,22 +113,11 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
     if x is None:  # nothing can be said of an x that the program does not show
         own = proofs.own_solution
         blind = np.zeros(reduced.program.n) if own is None else own.x
-        return replace(found.certification(proofs, blind, complaint, np.zeros(0, np.intp)), distance=None)
-    said = found.certification(proofs, x, complaint, reduced.columns)
+        return replace(proved.certification(proofs, blind, complaint, np.zeros(0, np.intp)), distance=None)
+    said = proved.certification(proofs, x, complaint, reduced.columns)
     if said.distance is None:
         return said
     return replace(said, distance=math.nextafter(said.distance * math.sqrt(reduced.most_copies), math.inf))
-
-
-def _missed(constraint: Any, terms: Terms, k: int) -> tuple[float, float]:
-    """Return by how much constraint k is violated, less what rounding may be, and as it is."""
-    violation = float(np.nan_to_num(violation_of(constraint, terms.slacks[k]), nan=np.inf).max(initial=0.0))
-    return (violation - EVALUATED * terms.size(k + 1), violation) if violation else (0.0, 0.0)
-
-
-def _attribute_error(variable: Any) -> float:
-    entries = dense_value(leaf_value(variable))
-    return float(np.abs(nearest(variable, entries) - entries).max(initial=0.0))
 
 
 def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance: float) -> str:

@@ -19,8 +19,9 @@ from ..problems.batches.batch_run import BatchResult
 from ..problems.nonlinear.data import NonlinearProblem
 from ._compat import dense, name_of
 from .equations import Elimination
+from .stated_terms import dense_value, values_below
 
-DISAGREEMENT = 1e-9  # of 1 + |F|
+DISAGREEMENT = 1e-9  # of the terms of a row
 ROUNDINGS = 100.0
 
 
@@ -210,30 +211,38 @@ def solve_for(
     return ModelBatch(solve_batch([model.lcp("solve_batch") for model in models], **options), models)
 
 
-def contradiction(sources: Sources, problem: NonlinearProblem, z: FloatVector, w: FloatVector) -> str | None:
-    """Return what the expressions themselves, evaluated by cvxpy, say against w = F(z), or None.
+def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
+    """Return what the expressions themselves, evaluated by cvxpy, say against w, or None.
 
     Parameters
     ----------
-    sources : Sources
-        Expressions whose variables have the values of z.
-    problem : NonlinearProblem
-        What was made of them; its enclosure says how much F may be off by rounding, nothing without one.
+    model : Model
+        Whose variables have the values of z; the enclosure of a nonlinear one says how much rounding may change F.
     z, w : array, shape (n,)
     """
+    sources, elimination, problem = model.sources, model.elimination, model.problem
     with np.errstate(all="ignore"):
-        values = [np.ravel(dense(expression.value), order="F") for expression in sources.functions]
+        found = values_below(sources.functions)
+        values = [np.ravel(dense_value(found[id(expression)]), order="F") for expression in sources.functions]
+    unknowns = elimination.expand(z)
     for k, columns in sources.slacks.items():
-        values[k] = values[k] - z[columns]
-    theirs = sources.signs * np.concatenate(values)[sources.places]
-    lower, upper = (0.0, 0.0) if problem.enclosure is None else problem.enclosure.interval_F(z, z)
-    allowed = DISAGREEMENT * (1.0 + np.abs(w)) + ROUNDINGS * (upper - lower)
-    wrong = np.flatnonzero(np.isfinite(w) & ~(np.abs(theirs - w) <= allowed))
+        values[k] = values[k] - unknowns[columns]
+    theirs = np.concatenate([*values, np.zeros(0)])
+    expected, width, terms = np.zeros((3, theirs.size))
+    left = np.delete(np.arange(theirs.size), sources.matrices[0].shape[0] + elimination.rows)[sources.places]
+    expected[left] = sources.signs * w
+    if isinstance(problem, LCP):
+        terms = np.concatenate([abs(matrix) @ np.abs(unknowns) for matrix in sources.matrices])
+    elif problem.enclosure is not None:
+        lower, upper = problem.enclosure.interval_F(z, z)
+        width[left] = upper - lower
+    allowed = DISAGREEMENT * (terms + np.abs(theirs) + np.abs(expected)) + ROUNDINGS * width
+    wrong = np.flatnonzero(np.isfinite(expected) & ~(np.abs(theirs - expected) <= allowed))
     if not wrong.size:
         return None
-    owner = np.searchsorted(np.cumsum([value.size for value in values]), sources.places[wrong[0]], side="right")
+    owner = np.searchsorted(np.cumsum([value.size for value in values]), wrong[0], side="right")
     less = " less its slack" if owner in sources.slacks else ""
     return (
         f"{name_of(sources.functions[owner])}{less} is {theirs[wrong[0]]:.9g} in one entry at the values of its "
-        f"variables, and {w[wrong[0]]:.9g} was computed"
+        f"variables, and {expected[wrong[0]]:.9g} was computed"
     )

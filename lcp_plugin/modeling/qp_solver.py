@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector, checked_vector
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from ..problems.programs.qp_solution import QPSolution
 from ..problems.programs.solving import judged_program
-from ._compat import CVXPY_STATUS, statistics
+from ._compat import CVXPY_STATUS, stand_before, statistics
 from .compiled_program import CompiledProgram
-from .stated_terms import dense_value
-from .user_terms import FAR, FAR_NUMBERS, UserAnswer, accompany
+from .stated_terms import Claim, dense_value, measure
 
 MATRICES = "lcp_plugin.matrices"  # the key of P, F and A, checked, in the program's data
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 BEGUN = "begun from the last answer; warm_start=False begins anew"
+MATRIX_KEYS = (settings.P, settings.F, settings.A)
+ORDINARY = (1e-100, 1e100)  # numbers whose products are doubles
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
 
 
@@ -40,8 +40,8 @@ _compiled: WeakKeyDictionary[Any, CompiledProgram | None] = WeakKeyDictionary()
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     """Solves convex quadratic programs, linear ones included, through their linear complementarity problem.
 
-    The status is judged by the program's own residuals, then once more on the problem as it was stated; infeasible
-    and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.proof``.
+    The status is judged by the program's own residuals, then values are measured on the problem as it was stated;
+    infeasible and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.proof``.
 
     Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``,
@@ -104,18 +104,19 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
                 return self._answer(data, warm_start, verbose, solver_opts, cache)
         except InvalidProblem as error:
-            numbers = data[FAR_NUMBERS]() if FAR_NUMBERS in data else []
-            if not numbers:
+            parts = [data[key].data for key in MATRIX_KEYS if data[key] is not None]
+            sizes = np.abs(np.concatenate(parts))
+            if not ((sizes > ORDINARY[1]) | ((sizes > 0.0) & (sizes < ORDINARY[0]))).any():
                 raise
             raise UnsupportedModel(
-                f"some numbers are too far from 1 to be multiplied in double precision: {'; '.join(numbers)}; write it "
-                "in other units"
+                "some coefficients of the program that cvxpy made are too far from 1 to be multiplied in double "
+                f"precision, {sizes[sizes > 0.0].min():.3g} to {sizes.max():.3g}; write the problem in other units"
             ) from error
 
     def _answer(self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any) -> SolverAnswer:
         options = {**SOLVE_OPTIONS, **solver_opts}
-        before: _Compiled | None = cache.get(self.name())
-        compiled = _Compiled.of(data, before)
+        before: _Solved | None = cache.get(self.name())
+        compiled = _Solved.of(data, before)
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
         found = judged_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
@@ -157,81 +158,50 @@ class SolverAnswer:
     status: str
     goal: float
 
-    def claim(self, unpacked: Solution, invert: Callable[[SolverAnswer], Solution]) -> UserAnswer | None:
-        """Return what is claimed, in the user's variables and constraints; None where nothing is.
+    def claim(self, value: float) -> Claim | None:
+        """Return what is claimed of the values that the user's variables have; None where nothing is.
 
         Parameters
         ----------
-        unpacked : cvxpy Solution
-            What cvxpy made of this answer.
-        invert : callable
-            The way back to the user's variables.
+        value : float
+            Of the user's objective, as cvxpy makes it of this answer.
         """
-        proof, program = self.result.proof, self.solution.program
-        rows = program.constraints
-
-        def inverted(x: FloatVector, y: FloatVector) -> Solution:
-            solution = QPSolution(program, x, *rows.split(y))
-            return invert(SolverAnswer(self.result, solution, settings.OPTIMAL, self.goal))
-
-        if isinstance(proof, QPInfeasibility):
-            y = numbers(proof.multipliers)
-            y /= np.abs(y).max(initial=0.0)
-            value = -float(y[y != 0.0] @ rows.limit[y != 0.0])
-            y[rows.rows :] = 0.0  # cvxpy knows no multipliers of bounds
-            return UserAnswer(unpacked, self.goal, (inverted(np.zeros(program.n), y), value))
-        if isinstance(proof, QPUnboundedness):
-            point, direction = numbers(proof.point), numbers(proof.direction)
-            step = FAR * (1.0 + np.abs(point).max()) / np.abs(direction).max()
-            ray = (inverted(point + k * step * direction, np.zeros(rows.limit.size)) for k in range(3))
-            return UserAnswer(unpacked, SAME * self.goal, points=tuple(ray))
         if self.status not in (settings.OPTIMAL, settings.OPTIMAL_INACCURATE):
-            return None  # a limit came first: the values are the best so far, and nobody claims anything
-        errors = (self.goal, self.solution.residual, self.solution.row_residual)
+            return None  # none or, where a limit came first, the best so far, of which nobody claims anything
+        solution, rows = self.solution, self.solution.program.constraints
+        errors = (self.goal, solution.residual, solution.row_residual)
         limit = SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors)))
-        return UserAnswer(unpacked, limit)
+        left = np.where(np.isfinite(rows.limit), rows.matrix @ solution.x - rows.limit, 0.0)
+        left = SAME * np.where(rows.is_equality, np.abs(left), np.maximum(left, 0.0))
+        left = np.minimum(left, limit * rows.unit)  # more is no answer to the program either
+        y = np.concatenate([solution.inequality, solution.equality, solution.lower, solution.upper])
+        return Claim(value, limit, float(left.sum()), float(np.abs(y) @ left))
 
 
-class _Compiled(NamedTuple):
-    """What cvxpy made of a problem: its matrices, column by column, as a program; and an answer, if there is one."""
+class _Solved(NamedTuple):
+    """The program of a problem's last solve, and an answer, if there is one."""
 
-    columns: tuple[Any, ...]
     program: QuadraticProgram
     z: FloatVector | None = None
 
     @classmethod
-    def of(cls, data: Any, before: _Compiled | None) -> _Compiled:
-        """Return cvxpy's problem data as a program, which shares its matrices with an earlier one where they are equal.
+    def of(cls, data: Any, before: _Solved | None) -> _Solved:
+        """Return cvxpy's problem data as a program; the matrices of an earlier one where no parameter moved them.
 
         A parameter changes vectors as a rule, and matrices are what takes time.
         """
-        if before is None or not before.has_matrices_of(data):
-            program = quadratic_program(data)
-            is_own = data.get(MATRICES) is program.matrices
-            return cls(() if is_own else tuple(part.copy() for part in _columns(data)), program)
+        if before is None or data.get(MATRICES) is not before.program.matrices:
+            return cls(quadratic_program(data))
         _require_plain(data)
         program = before.program.with_vectors(data[settings.Q], data[settings.G], data[settings.B])
         return before._replace(program=program)
-
-    def has_matrices_of(self, data: Any) -> bool:
-        """Return whether the matrices are those of this problem data, too."""
-        if data.get(MATRICES) is self.program.matrices:
-            return True
-        columns = _columns(data)
-        return len(columns) == len(self.columns) and all(map(np.array_equal, columns, self.columns))
-
-
-def _columns(data: Any) -> tuple[Any, ...]:
-    """Return the arrays of the matrices."""
-    given = (data[key] for key in (settings.P, settings.F, settings.A))
-    return tuple(part for one in given if one is not None for part in (one.data, one.indices, one.indptr))
 
 
 def quadratic_program(data: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
     _require_plain(data)
     n, matrices = int(data["n_var"]), data.get(MATRICES)
-    P, F, A = (data[key] for key in (settings.P, settings.F, settings.A))
+    P, F, A = (data[key] for key in MATRIX_KEYS)
     if matrices is not None and P is matrices.P and F is matrices.G and A is matrices.A:
         free, (c, b) = np.full(n, np.inf), (checked_vector(data[key], key, None) for key in (settings.Q, settings.B))
         h = checked_vector(data[settings.G], settings.G, None, allow_plus_infinity=True)
@@ -338,4 +308,13 @@ def _entries_of(variable: Any, columns: dict[int, int], chain: Any, inverse: Any
 
 
 QPSolver = _LCPQuadraticSolver()
-accompany(_LCPQuadraticSolver)
+
+
+def _measured(own: Callable[..., Any], problem: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
+    """Unpack as cvxpy does, and measure what is ours on the user's own expressions."""
+    own(problem, solution, chain, inverse_data)
+    if isinstance(solution, SolverAnswer) and (claim := solution.claim(problem.solution.opt_val)) is not None:
+        measure(problem, claim)
+
+
+stand_before("unpack_results", _measured)

@@ -1,13 +1,13 @@
 """From cvxpy expressions to rows over their variables, or over their parameters where the variables are held.
 
 Node by node along the expression tree, by the rules of :mod:`atom_rules`. No variable is touched, nothing is
-canonicalised, and parameters count as constants, disciplined or not. What was read of affine parts is compared with
-cvxpy's own value at one point.
+canonicalised, and parameters count as constants, disciplined or not. Answers are compared with cvxpy's own values of
+the expressions (:func:`lcp_plugin.modeling.model.contradiction`).
 """
 
 from __future__ import annotations
 
-from collections import ChainMap, Counter
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -17,7 +17,6 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy.expressions.expression import Expression
 
-from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
 from . import _compat as atoms
 from ._compat import name_of, postorder
@@ -27,8 +26,6 @@ from .expressions.rows import Compiler, Rows, as_matrix
 
 Values = dict[int, Any]
 
-CHECK_SEED = 20
-CHECK_TOLERANCE = 1e-11
 #: They tie entries to each other or to a set, so that the columns would not be free.
 FORBIDDEN_ATTRIBUTES = ("symmetric", "diag", "PSD", "NSD", "hermitian", "sparsity", "complex", "imag")
 INTEGERS = ("boolean", "integer")
@@ -91,10 +88,7 @@ class Reader:
         self._found: list[tuple[Any, Any]] = []  # what will be known, too
         self._kept: list[Any] = []  # nodes, whose ids stay theirs while they are kept
         self._moving: set[int] = set()  # into which a parameter, or a function, enters
-        #: Where what was read is compared: the values of sources, of functions and of constants.
-        self._generator, self._point = np.random.default_rng(CHECK_SEED), dict[int, FloatVector]()
-        self._at_point: Values = {}
-        self._checked: list[tuple[Any, Rows]] = []
+        self._taken: set[int] = set()  # constants that were looked at
 
     def rows(self, expression: Any) -> Rows:
         """Return the rows of an expression: Σ blocks[variable.id] · variable + offset, and results of functions.
@@ -115,11 +109,15 @@ class Reader:
             rows = Rows.of(result).spread(root.shape)
             rows = replace(rows, blocks={key: as_matrix(block, rows.size) for key, block in rows.blocks.items()})
             if self._held is None:
+                entries = [as_matrix(block, rows.size).data for block in rows.blocks.values()]
+                if not all(map(_all_finite, (rows.offset, *entries))):
+                    raise UnsupportedModel(
+                        f"{name_of(root)} is not finite, multiplied out: its data overflow, or are divided by 0; write "
+                        "it in other units"
+                    )
                 self._remember(root, rows)
-                for node, own in [*self._checked, (root, rows)]:
-                    self._check(node, own)
                 self._known.update((id(node), found) for node, found in self._found)
-                self._found, self._checked = [], []
+                self._found = []
         return rows
 
     def _result(self, node: Any, arguments: list[Any]) -> Any:
@@ -143,18 +141,11 @@ class Reader:
             result = result if result.is_source else self.compiler.emit(SAME, result)
             self._kept.append(node)
             self._moving.add(key)
-            self._known[key], self._at_point[key] = result, result.array(self._values_of(result))
-            parts = zip(node.args, arguments, strict=True)
-            self._checked += [(part, own) for part, own in parts if isinstance(own, Rows) and not self._is_plain(part)]
+            self._known[key] = result
         if key in self._moving:
             for part, own in zip(node.args, arguments, strict=True):
                 self._remember(part, own)
         return result
-
-    def _is_plain(self, node: Any) -> bool:
-        """Return whether a node is a source, or entries of one, which need no check: a tenth of the time."""
-        node = node.args[0] if isinstance(node, atoms.SELECTION) else node
-        return isinstance(node, cp.Variable) or id(node) in self._at_point
 
     def _remember(self, node: Any, result: Any) -> None:
         """Keep for later readers what no parameter enters, where it has all its entries."""
@@ -194,69 +185,16 @@ class Reader:
         return value
 
     def _take_constant(self, node: Any, value: Any) -> None:
-        """Keep a constant for the check, and refuse one that is no finite real number."""
-        if id(node) in self._at_point:
+        """Refuse a constant that is no finite real number."""
+        if id(node) in self._taken or id(node) in self._known:
             return
-        self._at_point[id(node)] = value
-        if id(node) in self._known:
-            return
+        self._taken.add(id(node))
         if np.iscomplexobj(value):
             raise UnsupportedModel(f"{name_of(node)} is complex; write its real and imaginary parts as two expressions")
         entries = value.data if sp.issparse(value) else value
         if not _all_finite(entries):
             wrong = np.ravel(entries)[~np.isfinite(np.ravel(entries))][0]
             raise UnsupportedModel(f"constants must be finite, but {name_of(node)} holds {wrong}; repair that entry")
-
-    def _values_of(self, rows: Rows) -> FloatVector:
-        """Return the values of rows at the point."""
-        for key, block in rows.blocks.items():
-            if key not in self._point:
-                size = rows.size if isinstance(block, float) else block.shape[1]
-                self._point[key] = self._generator.random(size) + 0.5
-        return rows.at(self._point)
-
-    def _evaluated(self, root: Any, sizes: list[float] | None = None) -> FloatVector:
-        """Return what cvxpy makes of an expression at the point; `sizes` gets the largest number of each value."""
-
-        def value(node: Any, values: list[Any]) -> Any:
-            if isinstance(node, cp.Variable):
-                own = Rows({node.id: 1.0}, np.zeros(node.size), node.shape)
-                return own.array(self._values_of(own))
-            values = [own.array(self._values_of(own)) if isinstance(own, Rows) else own for own in values]
-            result = atoms.dense_numeric(node, values)
-            if sizes is not None:
-                sizes.append(float(np.abs(result).max(initial=0.0)))
-            return result
-
-        found = folded(root, value, ChainMap(self._at_point, self._known))
-        found = found.array(self._values_of(found)) if isinstance(found, Rows) else found
-        return np.ravel(atoms.dense(found), order="F")
-
-    def _check(self, root: Any, rows: Rows) -> None:
-        """Raise where the rows are not the expression's value at a point, up to rounding."""
-        if not _all_finite(rows.offset):
-            raise UnsupportedModel(f"{name_of(root)} is not finite at zero: its data overflow; scale the data down")
-        rows, actual = rows.full(), self._evaluated(root)
-        error = np.abs(self._values_of(rows) - actual)
-        doubtful = np.flatnonzero(~(error <= CHECK_TOLERANCE * np.abs(actual)))
-        if not doubtful.size:
-            return
-        # Cancellation inside a row, then inside the expression: only now worth the second look.
-        sizes = [0.0]
-        self._evaluated(root, sizes)
-        size = np.abs(rows.offset) + max(sizes)
-        size += sum(abs(as_matrix(block, rows.size)) @ self._point[key] for key, block in rows.blocks.items())
-        wrong = doubtful[~(error[doubtful] <= CHECK_TOLERANCE * size[doubtful])]
-        if wrong.size and not np.isfinite(error[wrong[0]]):
-            raise UnsupportedModel(
-                f"{name_of(root)} overflows in entry {wrong[0]}, multiplied out or at a point near 1; write it in "
-                "other units"
-            )
-        if wrong.size:
-            raise UnsupportedModel(
-                f"{name_of(root)} differs from its own matrices by {error[wrong[0]]:.1e} in entry {wrong[0]}; "
-                "an atom in it is not what cvxpy evaluates: write the expression with products, sums and indices"
-            )
 
 
 def _hidden_parameters(node: Any) -> list[Any]:

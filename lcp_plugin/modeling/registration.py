@@ -19,7 +19,6 @@ from cvxpy.reductions.solution import Solution
 from ..core.errors import UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.result import Result
-from ..problems.nonlinear.data import NonlinearProblem
 from ._compat import (
     CVXPY_STATUS,
     answer_derivatives,
@@ -36,8 +35,9 @@ from .model import Model, ModelBatch, contradiction, solve_for
 from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver
-from .user_terms import METHODS
+from .stated_terms import why_not
 
+METHODS = ("LCP", "lcp")
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
 
 
@@ -286,7 +286,16 @@ def _best(
 
 def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
     """Solve a quadratic program."""
-    value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
+    try:
+        value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
+    except SolverError as error:
+        if not (reasons := why_not(problem)):
+            raise
+        raise SolverError(
+            'method="LCP" takes programs with a convex quadratic objective and linear constraints, and what can be '
+            f"written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL or "
+            "cp.HIGHS"
+        ) from error
     set_answering(problem, None)
     return value
 
@@ -328,11 +337,9 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
         if constraint.id not in own:  # the inequality inside a pair, which cvxpy does not know
             constraint.save_dual_value(None if status == settings.INFEASIBLE else value)
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
-    if isinstance(model.problem, NonlinearProblem) and status != settings.INFEASIBLE:
-        what = contradiction(model.sources, model.problem, result.z, result.w)
-        if what is not None:
-            problem._clear_solution()
-            raise SolverError(f"the problem contradicts its own answer: {what}; write the expression in another way")
+    if status != settings.INFEASIBLE and (what := contradiction(model, result.z, result.w)) is not None:
+        problem._clear_solution()
+        raise SolverError(f"the problem contradicts its own answer: {what}; write the expression in another way")
     if status in settings.INACCURATE:
         warnings.warn(
             f"the solution may be inaccurate ({result.status.name}): {result.advice}", UserWarning, stacklevel=4

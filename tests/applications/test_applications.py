@@ -52,7 +52,6 @@ def rewriting(full: bool, name: str) -> str:
     return f"to write the table anew, and to say why: python tests/applications {name}{' --full' * full}"
 
 
-@pytest.mark.needs(*ROOMS)
 @pytest.mark.parametrize("name", entries())
 def test_small_applications_cost_no_more_than_the_table_says(name: str) -> None:
     """Status, counted work and error of auto in all units and of the best named methods; none more falsely SOLVED."""
@@ -60,7 +59,6 @@ def test_small_applications_cost_no_more_than_the_table_says(name: str) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.needs(*ROOMS)
 @pytest.mark.parametrize("name", entries())
 def test_large_applications_cost_no_more_than_the_table_says(name: str) -> None:
     """The same of the large sizes."""

@@ -80,7 +80,7 @@ def judged(rng: np.random.Generator, counts: Counter[str], extremes: dict[str, f
     planted = Certificate.of(problem, np.ldexp(z, -c))
     found = []
     extremes["guard"] = max(extremes["guard"], planted.term_residual / 1e-8)
-    if not Settings(tolerance=1e-8).accept(planted) and not planted.is_at_rounding_level:
+    if not planted.meets(Settings(tolerance=1e-8)) and not planted.is_at_rounding_level:
         found.append(f"right refused: {units}")
     try:
         result = solve(problem, method, max_iterations=2000, max_seconds=20.0)

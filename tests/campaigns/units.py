@@ -121,11 +121,11 @@ def judged(kind: Any, seed: int, units: str, extremes: dict[str, float]) -> list
     problem, found = measured(M, q, rows, of_z), []
     wrong = z + 1e-3 * np.eye(z.size)[int(rng.integers(z.size))]
     shown = Certificate.of(problem, wrong * of_z)
-    if Settings(tolerance=1e-6).accept(shown):
+    if shown.meets(Settings(tolerance=1e-6)):
         found.append("an answer as well" if is_answer(M, q, wrong) else "wrong passed")
     right = Certificate.of(problem, z * (1.0 + 1e-10 * rng.uniform(-1.0, 1.0, z.size)) * of_z)
     extremes["guard"] = max(extremes["guard"], right.term_residual / 1e-8)
-    if not Settings(tolerance=1e-8).accept(right):
+    if not right.meets(Settings(tolerance=1e-8)):
         found.append("right refused")
     others = random_units(seed + 10**6, z.size, units)
     again = measured(M, q, *others)

@@ -382,7 +382,7 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
 @pytest.mark.parametrize(
     ("place", "options"),
     [
-        ("methods.small.fused.fused", {}),
+        ("core.solving.driver.fused", {}),
         ("core.solving.driver.Run.__init__", {}),
         ("core.solving.driver.CommonUnits.of", {}),
         ("proofs.guarantees.warn_where_known_to_be_uncovered", {}),
@@ -774,7 +774,6 @@ def test_a_choice_known_to_be_uncovered_is_warned_of_once() -> None:
     assert caught[0].filename == __file__
 
 
-@pytest.mark.needs("search")
 def test_what_cannot_be_divided_knows_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """A linear program inside a run gets the seconds that the caller left it, and no limit where there is none."""
     asked: list[float] = []

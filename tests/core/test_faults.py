@@ -209,6 +209,32 @@ def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
     assert done.stdout.split() == ["6.0", "0.0"], done.stderr
 
 
+KEPT_KERNEL = """
+    import _thread, sys
+    import numpy as np
+    from lcp_plugin.core.kernels.compilation import compiled
+    def added(x): return x.size + x.sum()
+    class Interrupting:
+        def find_spec(self, name, *_):
+            if name == "numba.cpython.unicode": _thread.interrupt_main()
+    sys.meta_path.insert(0, Interrupting())
+    kernel = compiled(added)
+    try:
+        kernel(np.ones(3))
+    except KeyboardInterrupt:
+        pass
+    print(kernel(np.ones(3)), len(kernel.stats.cache_hits))
+"""
+
+
+def test_ctrl_c_while_kept_code_is_loaded_breaks_no_later_call(tmp_path: Path) -> None:
+    """Numba's modules that kept code needs are imported to their end: half of one could not be imported again."""
+    (tmp_path / "kernel.py").write_text(textwrap.dedent(KEPT_KERNEL), encoding="utf-8")
+    code = f"import sys\nsys.path.insert(0, {str(tmp_path)!r})\nimport kernel"
+    found = [in_a_process(code, NUMBA_CACHE_DIR=str(tmp_path / "kept")) for _ in range(2)]
+    assert [done.stdout.split() for done in found] == [["6.0", "0"], ["6.0", "1"]], found[-1].stderr
+
+
 @pytest.mark.sampled(6)
 @pytest.mark.parametrize("seconds", [0.01 + 0.04 * k for k in range(15)])
 @pytest.mark.parametrize("call", ["small", "large", "program", "analyze"])

@@ -69,7 +69,7 @@ def test_the_residual_tells_right_from_wrong_in_any_units(kind: Any, units: str)
         shown = Certificate.of(problem, wrong * of_z).relative_residual
         assert shown > 1e-6 or np.abs(np.minimum(wrong, M @ wrong + q)).max() <= 1e-12, seed
         right = z * (1.0 + 1e-10 * rng.uniform(-1.0, 1.0, z.size))
-        assert Settings(tolerance=1e-8).accept(Certificate.of(problem, right * of_z)), seed
+        assert Certificate.of(problem, right * of_z).meets(Settings(tolerance=1e-8)), seed
 
 
 @pytest.mark.parametrize("kind", KINDS)

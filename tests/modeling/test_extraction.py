@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from lcp_plugin import complements
 from lcp_plugin.core.errors import UnsupportedModel
 from lcp_plugin.modeling.reading import Reader
 
@@ -471,21 +472,24 @@ def test_sparse_data_never_become_dense():
     assert (block.nnz, block.diagonal().sum()) == (n, 3.0 * n)
 
 
-def test_cancellation_is_no_failure_of_the_check():
-    """Large numbers that cancel, inside a row or between terms, pass the check."""
+def test_terms_that_cancel_leave_what_is_small():
+    """Large numbers that cancel, inside a row or between terms, are read as they are."""
     x = cp.Variable(4)
     block = affine_map((1e10 * x + x) - 1e10 * x + 1e-6 * S @ x).blocks[x.id]
     np.testing.assert_allclose(block.toarray(), np.eye(4) + 1e-6 * S, rtol=1e-5)
 
 
-def test_a_wrong_matrix_fails_the_check(monkeypatch):
-    """An atom whose Jacobian disagrees with its value is refused."""
-    x = cp.Variable(4, name="x")
-    F = cp.cumsum(x) + V
+@pytest.mark.parametrize("is_defined", [False, True])
+def test_an_answer_by_a_wrong_matrix_is_none(monkeypatch, is_defined):
+    """An atom whose Jacobian disagrees with its value ends in an error, in a pair and in a definition."""
+    x, y = cp.Variable(4, name="x", nonneg=True), cp.Variable(4)
+    F = cp.cumsum(x) + V - 10
     wrong = sp.csc_array(np.eye(4))
     monkeypatch.setattr(type(cp.cumsum(x)), "_grad", lambda _self, _values: [wrong])
-    with pytest.raises(UnsupportedModel, match=r"cumsum.*differs from its own matrices"):
-        affine_map(F)
+    rules = [complements(x, y), y == F] if is_defined else [complements(x, F)]
+    with pytest.raises(cp.error.SolverError, match="contradicts its own answer"):
+        cp.Problem(cp.Minimize(0), rules).solve(method="LCP")
+    assert x.value is None
 
 
 @pytest.mark.parametrize(
@@ -502,7 +506,7 @@ def test_a_wrong_matrix_fails_the_check(monkeypatch):
         (lambda u: sp.csr_array(np.diag([1.0, np.inf, 1.0, 1.0])) @ u.x, r"constants must be finite.*inf"),
         (lambda u: u.x + 1j, r"complex"),
         (lambda u: 1e200 * (1e200 * u.x + 1), r"overflow"),
-        (lambda u: 1e200 * (1e200 * u.x) + 1, r"overflows in entry 0, multiplied out"),
+        (lambda u: 1e200 * (1e200 * u.x) + 1, r"is not finite, multiplied out: its data overflow"),
         (lambda u: u.x + cp.Variable(4, boolean=True, name="b"), r"variable b has the attribute 'boolean'"),
         (lambda u: u.x + cp.Variable(4, integer=True, name="b"), r"variable b has the attribute 'integer'"),
         (lambda u: u.x + cp.Variable(4, complex=True, name="b"), r"variable b has the attribute 'complex'"),

@@ -260,7 +260,6 @@ def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) 
     assert proof.exact
 
 
-@pytest.mark.needs("direct")
 @pytest.mark.parametrize("name", ["auto", "newton", "interior_point", "lemke"])
 def test_infeasible_is_said_only_beyond_the_tolerance(name: str) -> None:
     """The same contradiction of 5e-7: refuted at a tolerance of 1e-8, solved at 1e-5, by every method."""
@@ -273,7 +272,6 @@ def test_infeasible_is_said_only_beyond_the_tolerance(name: str) -> None:
     assert accepted.residual >= refuted.infeasibility.margin * (1.0 - 1e-12)
 
 
-@pytest.mark.needs("direct")
 def test_a_small_contradiction_is_an_advice() -> None:
     """Infeasible by 1e-12 beside data of size 1 is no status, and the advice has the number; the search finds more."""
     problem = LCP([[0.0, 0.0, 0.0], [2.0, -2.0, -1.0], [0.0, 0.0, 0.0]], [2.0, -2.0, -1e-12])
@@ -289,7 +287,6 @@ def test_a_small_contradiction_is_an_advice() -> None:
     assert 0.0 < result.infeasibility.margin < 1e-8
 
 
-@pytest.mark.needs("direct")
 def test_the_largest_margin_is_looked_for() -> None:
     """A row that contradicts by 1e-14 hides no contradiction of 0.1 in two others."""
     problem = LCP([[1.0, -1.0, -1.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, 0.8, -1e-14])
@@ -299,7 +296,6 @@ def test_the_largest_margin_is_looked_for() -> None:
     assert solve(problem).status is Status.INFEASIBLE
 
 
-@pytest.mark.needs("direct")
 @pytest.mark.parametrize("t", [1e-3, 1e-6, 1e-10])
 def test_cases_have_a_margin_too(t: float) -> None:
     """w₁ = 1 forces z₁ = 0, w₂ = z₁ − t asks for t: every z misses by t/2, which counts beyond the tolerance only."""

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from ..checks import BoolVector, FloatVector, read_only
-from ..kernels.floats import DATA_ROUNDING, TINY
+from ..kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact
 from ..matrix.structure import IntVector, Parts, parts
@@ -111,6 +111,25 @@ def _row_units(problem: LCP) -> RowUnits:
     return RowUnits(row, column, scale, units.matrix)
 
 
+def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
+    """Return whether what was measured is SOLVED: of one problem, or, by arrays of shape (k,), of those of a batch.
+
+    Parameters
+    ----------
+    relative_residual : float or array, shape (k,)
+        The largest of all parts' residuals beside their references, rounded upwards; a NaN is not SOLVED.
+    term_residual : float or array, shape (k,)
+        How wrong the worst row is in its own terms.
+    tolerance : float
+
+    Examples
+    --------
+    >>> within(np.array([1e-9, 1e-9, np.nan]), np.array([0.0, 1e-3, 0.0]), 1e-8)
+    array([ True, False, False])
+    """
+    return (relative_residual <= tolerance) & (term_residual <= tolerance)
+
+
 def residual_scale_of_criterion(problem: LCP) -> FloatVector:
     """Return what w is divided by in the residual that SOLVED speaks of, shape (own,)."""
     units = RowUnits.of(problem)
@@ -167,6 +186,20 @@ def _references(problem: LCP, in_units: bool) -> VectorEnds:
 def least_reference(least: FloatVector, most: FloatVector) -> float:
     """Return the least of references between these ends that is not 0; ∞ where there is none."""
     return float(np.min(np.where(least > 0.0, least, most), initial=np.inf, where=most > 0.0))
+
+
+def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) -> float:
+    """Return the tolerance beside the largest reference that means this one beside the least, all between these ends.
+
+    Parameters
+    ----------
+    least, most : arrays, shape (parts,)
+    tolerance : float
+    """
+    largest = float(most.max(initial=0.0))
+    if not largest > 0.0 or least.size == 1:
+        return tolerance
+    return tolerance * (least_reference(least, most) / largest) * (1.0 - 4.0 * EPSILON)
 
 
 def reference_residual(problem: LCP) -> float:
@@ -273,6 +306,18 @@ class CommonUnits:
             return float(most.max(initial=0.0))
         smallest = -self.problem.communicator.largest(-least_reference(least, most))
         return smallest if smallest < np.inf else 0.0
+
+    @property
+    def is_one_part(self) -> bool:
+        """Whether all rows have one reference."""
+        return parts(self.problem.matrix) is None
+
+    def beside_the_largest(self, tolerance: float) -> float:
+        """Return the tolerance beside the largest of all references that means this one beside the least."""
+        if self.least and self.reference > 0.0:
+            share = self.reference / reference_residual(self.problem)
+            return tolerance * share * (1.0 if self.is_one_part else 1.0 - 4.0 * EPSILON)
+        return tolerance if self.is_one_part else beside_the_largest(*self.references, tolerance)
 
     @cached_property
     def of_caller(self) -> CommonUnits:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,15 @@ from ..lcp import LCP
 from ..matrix.structure import parts
 from ..matrix.units import times_power
 from ..rounding import gamma
-from .criterion import RowUnits, VectorEnds, for_each_row, hold_at_zero, largest_of_parts, references_of_parts
+from .criterion import (
+    RowUnits,
+    VectorEnds,
+    for_each_row,
+    hold_at_zero,
+    largest_of_parts,
+    references_of_parts,
+    within,
+)
 from .own_terms import term_residuals
 from .row_residuals import (
     at_rounding_level,
@@ -30,12 +38,16 @@ from .row_residuals import (
     sharp_residual_ends,
 )
 
+if TYPE_CHECKING:
+    from ..settings import Settings
+
 MEASURED = (
     "w", "worst_index", "relative_residual", "natural_residual", "euclidean_residual", "backward_error",
     "bound_violation", "slack_violation", "complementarity", "relative_complementarity", "scale_spread",
     "is_at_rounding_level", "is_limited_by_rounding",
 )
 GAINED = 1e-2  # of the reference
+SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem that a program was made into, too
 LARGE_PRODUCT, LARGE_BESIDE = 1e-2, 1e4  # of ‖r(z°)‖², and of that times the relative residual: worth a word
 
 
@@ -194,7 +206,8 @@ class Certificate:
     @property
     def term_residual(self) -> float:
         """How wrong the worst row is in its own terms; 0 where the relative residual says as much."""
-        return float(self.term_residuals.max(initial=0.0))
+        is_known = self._units is None and not self.is_linearised
+        return 0.0 if is_known else float(self.term_residuals.max(initial=0.0))
 
     @cached_property
     def term_residuals(self) -> FloatVector:
@@ -203,12 +216,34 @@ class Certificate:
             return np.zeros(self.z.size)
         return term_residuals(self.problem, self.z, self.w)
 
-    def is_right_row_by_row(self, goal: float, least: float) -> bool:
-        """Return whether every row is right in its own terms, or its residual at most goal · least in the unit of z."""
-        if self._units is None:
-            return True
-        wrong = np.flatnonzero(self.term_residuals > goal)
-        return not wrong.size or bool(least and (self._scaled_ends[1][wrong] <= goal * least).all())
+    def term_above(self, small: float) -> float:
+        """Return the term residual without the rows whose own residual is at most `small`, in the unit of z."""
+        if not small or (self._units is None and not self.is_linearised):
+            return self.term_residual
+        return float(self.term_residuals.max(initial=0.0, where=self._scaled_ends[1] > small))
+
+    def meets(self, settings: Settings, answered: BoolVector | None = None) -> bool:
+        """Return whether z is SOLVED as settings ask for it; the `answered` rows, shape (own,), do not count."""
+        goal, least = settings.goal, settings.least_reference
+        return bool(within(self.relative_above(least, answered), self.term_above(goal * least), goal))
+
+    def answers_program(self, settings: Settings) -> bool | None:
+        """Return whether z answers the program that the problem was made from, as that says; None without one."""
+        criterion = self.problem.criterion
+        if criterion is None or settings.is_on_error or settings.absolute_tolerance:
+            return None
+        return criterion.is_answered(self.z, settings.tolerance)
+
+    def ends_a_run(self, settings: Settings, answered: BoolVector | None = None) -> bool:
+        """Return whether z is SOLVED, and no program left without an answer."""
+        return self.meets(settings, answered) and self.answers_program(settings) is not False
+
+    def is_solved(self, settings: Settings) -> bool:
+        """Return whether z is SOLVED; where the problem was made from a program, as that says."""
+        answers = self.answers_program(settings)
+        if answers is None or (answers and settings.tolerance < SMALL):
+            return self.meets(settings)
+        return answers
 
     @property
     def wrong_row(self) -> str:

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from hashlib import sha256
+from importlib import import_module
 from pathlib import Path
 from pickle import PickleError
 from typing import Any, cast
@@ -193,8 +194,8 @@ def compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
             if longest and _may_be_interpreted(dispatcher, arguments, longest, numbers):
                 return partial(_interpret, function)
             with compiling(), _without_collector():  # or loading
-                if not _is_set_up and not _is_kept(dispatcher, arguments):
-                    _set_up(dispatcher.targetctx)
+                if not _is_set_up:
+                    _set_up(dispatcher.targetctx, is_kept=_is_kept(dispatcher, arguments))
                 return compile_for(*arguments)
 
         dispatcher._compile_for_args = of_arguments
@@ -202,15 +203,23 @@ def compiled(function: Any, longest: float = 0.0, numbers: int = FEW) -> Any:
 
 
 LONGEST_IN_ORDER = 64  # terms of a sum in one order for the interpreter and the compiler; of more, in any order
+NEEDED_BY_KEPT_CODE = "numba.np.arrayobj"  # and what this imports
 PATIENCE = 1.0  # seconds that a process interprets before it compiles: about as long as a kernel or two are compiled
 _interpreted = [0.0]
 _is_set_up: list[bool] = []  # numba's tables of what it knows to compile, which its first compilation fills
 
 
-def _set_up(target: Any) -> None:
-    """Let numba fill its tables, once: of two threads that begin to, one would compile by half of them."""
+def _set_up(target: Any, *, is_kept: bool) -> None:
+    """Let numba fill its tables, once: of two threads that begin to, one would compile by half of them.
+
+    Kept code needs some of its modules alone. Ctrl-C may interrupt neither: what a module has entered into the tables
+    by then, it refuses to enter again.
+    """
     with _lock.held():
-        if not _is_set_up:
+        if is_kept:
+            if NEEDED_BY_KEPT_CODE not in sys.modules:
+                to_its_end(partial(import_module, NEEDED_BY_KEPT_CODE))
+        elif not _is_set_up:
             to_its_end(target.refresh)  # before numba takes its lock, which this does as well
             _is_set_up.append(True)
 

@@ -16,15 +16,10 @@ import numpy as np
 from .compilation import compiled_into_others, compiled_part, interpreted_while_small
 from .compiler import float32, float64, lower_builtin, type_callable, types, uintp
 from .floats import EPSILON, TINY, UNIT
+from .rows import clamp
 
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 ROWS_AT_ONCE = 1024
-
-
-@compiled_into_others
-def _clamp(value, lower, upper):  # type: ignore[no-untyped-def]
-    """Return mid(lower, upper, value)."""
-    return min(max(value, lower), upper)
 
 
 def fused(a: Any, b: Any, c: Any) -> Any:
@@ -172,8 +167,8 @@ def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-de
     step, slip_step = _quotient(slack, scale, slip)
     below, slip_below = _difference(z, upper)
     above, slip_above = _difference(z, lower)
-    bottom = _clamp(step - slip_step, below - slip_below, above - slip_above)
-    top = _clamp(step + slip_step, below + slip_below, above + slip_above)
+    bottom = clamp(step - slip_step, below - slip_below, above - slip_above)
+    top = clamp(step + slip_step, below + slip_below, above + slip_above)
     is_finite = (abs(slack) < np.inf) & (slip < np.inf) & (abs(z) < np.inf)
     least = bottom if bottom > -top else -top
     most = top if top > -bottom else -bottom

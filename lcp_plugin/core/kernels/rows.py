@@ -1,11 +1,26 @@
-"""Compiled passes over rows: symmetry, sums over triangles, connected components."""
+"""Compiled passes over rows: symmetry, sums over triangles, connected components; and the residual of one row."""
 
 from __future__ import annotations
 
-from .compilation import compiled
+from .compilation import compiled, compiled_into_others
 from .compiler import uintp
 
 FEW = 8  # entries that are read one after the other
+
+
+@compiled_into_others
+def clamp(value, lower, upper):  # type: ignore[no-untyped-def]
+    """Return mid(lower, upper, value), a NaN kept."""
+    value = lower if lower > value else value
+    return upper if upper < value else value
+
+
+@compiled_into_others
+def residual_of_row(step, z, lower, upper):  # type: ignore[no-untyped-def]
+    """Return r = z − mid(lower, upper, z − step), as mid(z − upper, z − lower, step): a small step is not lost in z."""
+    below, above = z - upper, z - lower
+    step = below if below > step else step
+    return above if above < step else step
 
 
 @compiled

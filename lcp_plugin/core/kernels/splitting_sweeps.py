@@ -19,17 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from .compilation import compiled, compiled_into_others
+from .compilation import compiled
 from .compiler import uintp
+from .rows import clamp, residual_of_row
 
 ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache
-
-
-@compiled_into_others
-def _clamp(value, lower, upper):  # type: ignore[no-untyped-def]
-    """mid(lower, upper, value), a NaN kept."""
-    value = lower if lower > value else value
-    return upper if upper < value else value
 
 
 @compiled
@@ -103,12 +97,11 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         zi = z[i]
         low = rows[i, 1]
         high = rows[i, 2]
-        above, below = zi - low, zi - high
-        r = abs(_clamp(w * rows[i, 3], below, above))
+        r = abs(residual_of_row(w * rows[i, 3], zi, low, high))
         if r > largest or r != r or zi != zi:
             largest = r + zi if zi != zi else r
-        drive = 2.0 * _clamp(w * s, below, above) if projected else w * s
-        value = _clamp((zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change, low, high)
+        drive = 2.0 * residual_of_row(w * s, zi, low, high) if projected else w * s
+        value = clamp((zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change, low, high)
         new[i] = value
         near = value - zi
     return largest
@@ -156,7 +149,7 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
             nearest_weight = data[nearest] * s
             nearest_value = near if j + one == i or i + one == j else z[j]
         zi = z[i]
-        value = _clamp((zi - w * s) - nearest_weight * nearest_value, rows[i, 1], rows[i, 2])
+        value = clamp((zi - w * s) - nearest_weight * nearest_value, rows[i, 1], rows[i, 2])
         z[i] = value
         near = value
         change = abs(value - zi)

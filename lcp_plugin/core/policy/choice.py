@@ -318,6 +318,29 @@ def last_resort(problem: LCP) -> Algorithm:
     return create("lemke" if problem.n <= PIVOTED_UP_TO else "psor", {})
 
 
+PARTS_IN_WORDS = {
+    "newton": "guesses which unknowns are at a bound and solves for the others, until the guess proves right",
+    "lemke": "pivots: brings one unknown at a time to its bound, or away from it",
+}
+
+
+def with_reasons(
+    parts: Sequence[tuple[str, int, float]], algorithm: Algorithm, because: str
+) -> list[tuple[str, str, int, float]]:
+    """Return the parts of an algorithm with why each ran: in words of its own, or, of the first, as it was chosen.
+
+    Parameters
+    ----------
+    parts : sequence of (name, iterations, work)
+    """
+    def reason(k: int, name: str) -> str:
+        if name != algorithm.name and name in PARTS_IN_WORDS:
+            return PARTS_IN_WORDS[name]
+        return "" if k else because
+
+    return [(name, reason(k, name), iterations, work) for k, (name, iterations, work) in enumerate(parts)]
+
+
 def name_of(policy: Policy, stages: Sequence[Any]) -> str:
     """Return what ran: the policy, and the chain of what it chose, as records of stages, where that says more."""
     chain = [stage.name for stage in stages]

@@ -147,19 +147,6 @@ class Stage:
         return math.log(goal / residual) / math.log(rate) if 0.0 < rate < 1.0 and goal > 0.0 else math.inf
 
 
-PARTS_IN_WORDS = {
-    "newton": "guesses which unknowns are at a bound and solves for the others, until the guess proves right",
-    "lemke": "pivots: brings one unknown at a time to its bound, or away from it",
-}
-
-
-def reason_of_part(part: str, algorithm: Algorithm, because: str, *, is_first: bool) -> str:
-    """Return why a part of an algorithm ran: in words of its own, or, of the first, as the algorithm was chosen."""
-    if part != algorithm.name and part in PARTS_IN_WORDS:
-        return PARTS_IN_WORDS[part]
-    return because if is_first else ""
-
-
 class CheckSchedule:
     """When to measure the residual of an in-place method: at geometric intervals, and when it looks small enough."""
 

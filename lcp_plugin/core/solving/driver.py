@@ -7,18 +7,21 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..algorithms import Algorithm
+from ..algorithms import Algorithm, FusedSolve
 from ..certificates.criterion import CommonUnits
-from ..checks import checked_start
+from ..certificates.residuals import Certificate
+from ..checks import FloatVector, checked_start
 from ..deadline import Clock
 from ..errors import InvalidOption
 from ..kernels.threads import threads_for
 from ..kinds import LINEAR_COMPLEMENTARITY_PROBLEM, solve_any
 from ..lcp import LCP
-from ..policy.choice import Policy, policy_for
+from ..policy.choice import Policy, name_of, policy_for, with_reasons
+from ..policy.stages import Choice
 from ..registry import ask_or_none
 from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
-from .result import Result
+from .advice import NOTHING_TO_DO
+from .result import Result, StageRecord
 from .run import Callback, Run
 
 if TYPE_CHECKING:
@@ -182,8 +185,7 @@ def solve(
                     warn(problem, policy, stacklevel=2)
                 units = CommonUnits.of(problem, settings.least_reference)
                 start, first = units.inward(start), policy.first(units.problem)
-                at_once = ask_or_none("run", "fused") if callback is None else None
-                if at_once and (result := at_once(units, policy, first, settings, start, clock)) is not None:
+                if callback is None and (result := fused(units, policy, first, settings, start, clock)) is not None:
                     return result
                 run = Run(units, policy, settings, callback, clock)
                 return run.judged(start, run.drive(start, first))
@@ -192,6 +194,49 @@ def solve(
                     raise  # the second one: the other ranks have not heard of it
                 run = run or Run(units or CommonUnits(problem, problem), policy, settings, callback, clock)
                 return run.judged(start, Status.INTERRUPTED)
+
+
+def fused(
+    units: CommonUnits, policy: Policy, first: Choice, settings: Settings, start: FloatVector, clock: Clock
+) -> Result | None:
+    """Return the result of the first algorithm's steps taken in one compiled call; None where they have to be driven.
+
+    They are driven where somebody wants to see them, where another residual or the error is to be watched, and where
+    the call does not converge within the tolerance.
+    """
+    algorithm, problem = first.algorithm, units.problem
+    may_fuse = settings.is_unobserved and first.presolved is None
+    if type(algorithm).solve_fused is Algorithm.solve_fused or not may_fuse:
+        return None
+    clock.read()
+    if clock.elapsed >= settings.max_seconds:
+        return None
+    tolerance = units.beside_the_largest(settings.goal)
+    found = algorithm.solve_fused(problem, start, tolerance, settings.max_iterations)
+    if found is None:
+        return None
+    if units.is_one_part and units.is_identity:  # the kernel has enclosed the residual of the whole
+        certificate = Certificate.enclosed(units.stated, found.z, found.residual)
+    else:
+        certificate = Certificate.of(units.stated, units.outward(found.z))
+    is_solved = certificate.ends_a_run(settings)
+    return fused_result(certificate, policy, first, found, settings, clock.read()) if is_solved else None
+
+
+def fused_result(
+    certificate: Certificate, policy: Policy, first: Choice, found: FusedSolve, settings: Settings, seconds: float
+) -> Result:
+    """Return the result of a fused solve that converged at the z of a certificate, after these seconds."""
+    stages = [StageRecord(*part) for part in with_reasons(found.parts, first.algorithm, first.because)]
+    iterations = sum(stage.iterations for stage in stages)
+    if not iterations:  # the first step is the start
+        stages = [stage._replace(because=NOTHING_TO_DO) for stage in stages]
+    return Result(
+        z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
+        tolerance=settings.tolerance, algorithm=name_of(policy, stages),
+        iterations=iterations, work=found.work, absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
+        setup_seconds=0.0, stages=tuple(stages), _asked=policy.chosen,
+    )
 
 
 def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[Policy, Settings]:

@@ -15,22 +15,12 @@ from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
-from ..lcp import LCP
 from ..registry import ask
 from ..settings import PROVEN, Settings, Status
 from .result import BoundOrReason
 
 FAR_OUT = 1e-2
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
-SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem, too
-
-
-def answers_program(problem: LCP, settings: Settings, z: FloatVector) -> bool | None:
-    """Return whether z answers the program that the problem was made from, by its own criteria; None without one."""
-    if problem.criterion is None or settings.is_on_error or settings.absolute_tolerance:
-        return None
-    answers: bool = problem.criterion.is_answered(z, settings.tolerance)
-    return answers
 
 
 class Judge:
@@ -106,8 +96,7 @@ class Judge:
         settings, is_asked_in_vain = self.settings, residual > 0.5 * self._asked_at and iteration < self._ask_again
         if not residual <= settings.goal or is_asked_in_vain:
             return False
-        passes = self.certificate_of(z).is_right_row_by_row(settings.goal, settings.least_reference)
-        passes = passes and answers_program(self.problem, settings, self.units.outward(z)) is not False
+        passes = self.certificate_of(z).ends_a_run(settings, self.units.answered)
         if not passes:
             self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
         return passes
@@ -173,15 +162,11 @@ class Judge:
     def _better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
         """Return the cleaned one unless its residual is larger, or it answers the program no more."""
         is_no_worse = self._relative_in_open_parts(cleaned) <= self._relative_in_open_parts(certificate) < math.inf
-        answers = is_no_worse and answers_program(self.problem, self.settings, cleaned.z) is not False
-        return cleaned if answers else certificate
+        return cleaned if is_no_worse and cleaned.answers_program(self.settings) is not False else certificate
 
     def is_solved_by(self, certificate: Certificate) -> bool:
         """Return whether the certificate shows what was asked for; a program, if there is one, is answered as well."""
-        answers = answers_program(self.problem, self.settings, certificate.z)
-        if answers is None or (answers and self.settings.tolerance < SMALL):
-            return self.settings.accept(certificate)
-        return answers
+        return certificate.is_solved(self.settings)
 
     def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
         """Return the status: what the certificate proves, or else why the run ended."""

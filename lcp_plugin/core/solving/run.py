@@ -18,8 +18,8 @@ from ..checks import FloatVector, read_only
 from ..deadline import NEW_KERNELS, Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
-from ..policy.choice import Policy, name_of
-from ..policy.stages import CheckSchedule, Choice, Progress, Stage, reason_of_part
+from ..policy.choice import Policy, name_of, with_reasons
+from ..policy.stages import CheckSchedule, Choice, Progress, Stage
 from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO, advice_beside_a_wrong_row, advice_of_run, unused_start
 from .judge import Judge, judge_of
@@ -233,8 +233,8 @@ class Run:
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
             if status is not Status.SOLVED:
                 words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
-                is_small = certificate.relative_above(settings.least_reference) <= settings.goal
-                if is_small and not certificate.is_right_row_by_row(settings.goal, settings.least_reference):
+                goal, least = settings.goal, settings.least_reference
+                if certificate.relative_above(least) <= goal < certificate.term_above(goal * least):
                     words = advice_beside_a_wrong_row(words, certificate.wrong_row)
         if not settings.refute:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
@@ -314,8 +314,5 @@ class RunState:
 
 def _records(stage: Stage) -> list[StageRecord]:
     parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
-    records = [
-        StageRecord(part[0], reason_of_part(part[0], stage.algorithm, stage.because, is_first=k == 0), *part[1:])
-        for k, part in enumerate(parts)
-    ]
+    records = [StageRecord(*part) for part in with_reasons(parts, stage.algorithm, stage.because)]
     return [*records[:-1], records[-1]._replace(remark=stage.remark)]

@@ -287,10 +287,10 @@ class ProgramModel(NLModel):
         """Return which row of the file does not hold at x, or that its objective is another; else nothing."""
         content, program, own = self.content, self.problem, np.abs(found.solution.x)
         within = np.clip(values[0], content.row_lower, content.row_upper)
-        size = 1.0 + np.abs(within) + abs(content.linear) @ np.abs(x)
         terms = own @ (0.5 * (abs(program.P) @ own) + np.abs(program.c)) + abs(self.constant)
         objective = self.sign * found.solution.objective + self.constant, float(terms)
-        return contradiction(content, x, values, within, max(found.goal, PROGRAM_GOAL) * size, objective)
+        goal = max(found.goal, PROGRAM_GOAL)
+        return contradiction(content, x, values, within, objective=objective, relative=goal)
 
 
 @dataclass(eq=False, repr=False)
@@ -367,10 +367,9 @@ class EquilibriumModel(NLModel):
         content, values = self.content, evaluated(self.content, x)
         within = np.clip(values[0], content.row_lower, content.row_upper)
         within[self.pairs] = duals[self.pairs]
-        size = 1.0 + np.abs(within) + abs(content.linear) @ np.abs(x)
         objective = float(values[1][0]) if values[1].size else 0.0
         stated = self.sign * value + 0.0
         terms = abs(value) + (float((abs(content.objective_linear) @ np.abs(x))[0]) if values[1].size else 0.0)
-        allowed = PROGRAM_GOAL * size
-        wrong = contradiction(content, x, values, within, allowed, (stated, terms / OBJECTIVE))
+        bound = stated, terms / OBJECTIVE
+        wrong = contradiction(content, x, values, within, objective=bound, relative=PROGRAM_GOAL)
         return objective, wrong

@@ -48,7 +48,7 @@ def evaluated(content: NLContent, x: FloatVector) -> tuple[FloatVector, FloatVec
 
 def contradiction(
     content: NLContent, x: FloatVector, found: tuple[FloatVector, FloatVector], expected: FloatVector,
-    allowed: FloatVector, objective: tuple[float, float] | None = None,
+    allowed: Any = 0.0, objective: tuple[float, float] | None = None, relative: float = 0.0,
 ) -> str:
     """Return which row, or the objective, is something else at x than was computed; nothing where all agree.
 
@@ -60,14 +60,17 @@ def contradiction(
         What `evaluated` says of x.
     expected : ndarray, shape (m,)
         NaN for a row that is not asked.
-    allowed : ndarray, shape (m,)
+    allowed : number or ndarray, shape (m,)
         What a row may differ by, beside the rounding of its linear terms.
     objective : tuple of float, optional
         The first objective, and the sum of the absolute values of its terms.
+    relative : float
+        What a row may differ by beside the sum of its linear terms, as well.
     """
     rows, objectives = found
     size = 1.0 + np.abs(expected) + abs(content.linear) @ np.abs(x)
-    wrong = np.flatnonzero(~np.isnan(expected) & ~(np.abs(rows - expected) <= DISAGREEMENT * size + allowed))
+    allowed = (DISAGREEMENT + relative) * size + allowed
+    wrong = np.flatnonzero(~np.isnan(expected) & ~(np.abs(rows - expected) <= allowed))
     if wrong.size:
         k = int(wrong[0])
         return f"{content.row(k)} is {rows[k]:.9g} at the answer, where {expected[k]:.9g} was computed"

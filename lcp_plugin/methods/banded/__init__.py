@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ...core.algorithms.base import Algorithm, FusedSolve, Step, check_flag
+from ...core.certificates.criterion import within
 from ...core.certificates.row_residuals import ratio_upwards
 from ...core.checks import FloatVector
 from ...core.crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
@@ -171,9 +172,9 @@ class Banded(Algorithm):
         Z.flags.writeable = False  # they are judged
         found: list[FusedSolve | None] = []
         for z, (largest, least), (direct, blocks) in zip(Z, ends.tolist(), rounds.tolist(), strict=True):
-            work = _work(costs, direct, blocks)
+            residual, work = ratio_upwards(largest, least), _work(costs, direct, blocks)
             part = self.name, direct + blocks, work
-            found.append(None if direct < 0 else FusedSolve(z, ratio_upwards(largest, least), work, (part,)))
+            found.append(FusedSolve(z, residual, work, (part,)) if within(residual, 0.0, tolerance) else None)
         return found
 
     def fused_marches(

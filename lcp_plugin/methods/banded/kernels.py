@@ -9,6 +9,7 @@ import numpy as np
 
 from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
 from ...core.kernels.enclosures import residual_ends
+from ...core.kernels.rows import residual_of_row
 from .march_kernels import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
@@ -35,7 +36,7 @@ def _measured(bands, below, q, lower, upper, scale, z, w, target):  # type: igno
     for i in range(n):
         w[i] += q[i]
         step, above, beyond = w[i] / scale[i], z[i] - lower[i], z[i] - upper[i]
-        largest = max(largest, abs(min(max(step, beyond), above)))
+        largest = max(largest, abs(residual_of_row(step, z[i], lower[i], upper[i])))
         is_finite &= (abs(w[i]) < np.inf) & (abs(z[i]) < np.inf)
         target[i] = -1 if above <= step or lower[i] == upper[i] else 1 if beyond >= step else 0
     return largest if is_finite else np.inf
@@ -267,15 +268,16 @@ def run_all(  # type: ignore[no-untyped-def]
     most_rounds, halves : int
         Of each row, and how often half of the wrong rows change before the end.
     rounds : array of int, shape (k, 2)
-        How many there were on the direct way and on the other; −1 where they did not converge.
+        How many there were on the direct way and on the other.
     ends : array, shape (k, 2)
-        An upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞, where they did.
+        An upper bound of ‖r(z)‖∞, ∞ where that is beyond the tolerance, and a lower one of ‖r(z°)‖∞.
     """
     n = Q.shape[1]
     vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
     rows, smallest, largest, room = np.empty((n, bands.shape[0])), np.empty(n), np.empty(n), _room_for_contacts(n)
     for k in range(Q.shape[0]):
-        rounds[k, 0] = rounds[k, 1] = -1
+        rounds[k, 0] = rounds[k, 1] = 0
+        ends[k, 0] = ends[k, 1] = np.inf
     for k in range(Q.shape[0]):
         q, z, direct, blocks = Q[k], Z[k], 0, 0
         if carry_indptr.size > 0 and k > 0:
@@ -296,7 +298,6 @@ def run_all(  # type: ignore[no-untyped-def]
         if least > 0.0 and residual / most <= tolerance:
             residual_ends(indptr, indices, data, 0, z, q, z, lower, upper, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = _largest(largest), least
-            if ends[k, 0] / least < tolerance:
-                rounds[k, 0], rounds[k, 1] = direct, blocks
-        if carry_indptr.size > 0 and rounds[k, 0] < 0:
+        rounds[k, 0], rounds[k, 1] = direct, blocks
+        if carry_indptr.size > 0 and not ends[k, 0] / ends[k, 1] < tolerance:
             return

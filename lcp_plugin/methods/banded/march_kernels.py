@@ -26,6 +26,7 @@ from ...core.kernels.compilation import (
 )
 from ...core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, split_sum, with_term
 from ...core.kernels.floats import TINY, UNIT
+from ...core.kernels.rows import residual_of_row
 
 MARCHES = 16  # in one compiled loop: LLVM takes four registers of four numbers at a time
 ROUNDS = 10  # beyond, the contacts of a march are rather found directly
@@ -110,7 +111,7 @@ def _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, larges
         unit, row = inverse_scale[i], float(i)
         for m in range(marches):
             x = nearest[i, m]
-            r = abs(min(max((of_nearest[i, m] + q[i, m]) * unit, x - upper[i, m]), x - lower[i, m]))
+            r = abs(residual_of_row((of_nearest[i, m] + q[i, m]) * unit, x, lower[i, m], upper[i, m]))
             rows[m] = row if r > largest[m] else rows[m]
             largest[m] = r if r > largest[m] else largest[m]
 

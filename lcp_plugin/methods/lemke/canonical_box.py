@@ -1,4 +1,4 @@
-"""Any dense box or mixed problem as 0 ≤ z ≤ u with u > 0: fixed, free and flipped rows taken out, data equilibrated."""
+"""Any dense box or mixed problem as 0 ≤ z ≤ u with u > 0: fixed, free and flipped rows taken out, in the units of M."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.lcp import LCP
+from ...core.matrix.matrix import Matrix
+from ...core.matrix.structure import IntVector
+from ...core.matrix.units import Exponents, scaled, units_of
 from ...systems.equilibration import power_of_two
 
 FloatMatrix = NDArray[np.float64]
 IndexVector = NDArray[np.intp]
-IntVector = NDArray[np.int32]
 
 WELL_CONDITIONED = 1e8
 SMALLEST_PIVOT = 1e-7
 LARGEST_GROWTH = 1e6
-EQUILIBRATION_ROUNDS = 6
-NO_ENTRY = -(2**24)
-WIDE = 128  # bits between the smallest and the largest entry from which Ruiz's rounds end too early
-FITTING_ROUNDS = 40
 LARGEST_OFFSET = 1000  # exponent up to which the scale of a row may take its q
 
 
@@ -33,7 +31,7 @@ class CanonicalBox:
     Attributes
     ----------
     M : ndarray, shape (k, k)
-        Rows and columns scaled by powers of two to about 1.
+        In the units that M shows, the largest entry of each row about 1.
     q, upper : ndarray, shape (k,)
         max |q_i| is about 1; upper > 0.
     offset : ndarray, shape (n,)
@@ -91,17 +89,17 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows whose block can be
     inverted stably are eliminated; the others become the difference of two nonnegative variables.
     """
-    M = problem.M if isinstance(problem.M, np.ndarray) else problem.csr.toarray()
+    M, row_scale, column_scale = _in_units(problem.matrix)
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     sign = np.where((problem.lower == -np.inf) & ~is_free, -1.0, 1.0)
     base = np.where(is_free, 0.0, np.where(sign > 0.0, problem.lower, problem.upper))
+    row_scale = np.minimum(row_scale, LARGEST_OFFSET - np.frexp(problem.q)[1])
+    M = scaled(M, Exponents(row_scale, column_scale))
     is_void = (problem.q == 0.0) & ~M.any(axis=1)
     if is_void.any():
         # Such a row is always satisfied; minus its column asks z_i for what the other rows need, as a multiplier would.
         M = np.where(is_void[:, None], -M.T, M)
-    row_scale, column_scale = equilibrated(M)
-    row_scale = np.minimum(row_scale, LARGEST_OFFSET - np.frexp(problem.q)[1])
-    M = np.ldexp(M, row_scale[:, None] + column_scale[None, :]) * sign[:, None] * sign
+    M = M * sign[:, None] * sign
     start = np.ldexp(base, -column_scale) * sign
     q = np.ldexp(problem.q, row_scale) * sign + M @ start
     upper = np.where(is_free, np.inf, np.ldexp(problem.upper - problem.lower, -column_scale))
@@ -114,15 +112,23 @@ def canonical_box(problem: LCP) -> CanonicalBox:
 
 def covered_box(problem: LCP, covering: FloatVector) -> tuple[CanonicalBox, FloatVector]:
     """Return a problem with z ≥ 0 in canonical form, row by row as it is, and its covering vector; M is made dense."""
-    M = problem.M if isinstance(problem.M, np.ndarray) else problem.csr.toarray()
-    row_scale, column_scale = equilibrated(M)
+    M, row_scale, column_scale = _in_units(problem.matrix)
     q, r = np.ldexp(problem.q, row_scale), np.ldexp(covering, row_scale)
     size, none = power_of_two(np.abs(q).max(initial=0.0)), np.empty(0, dtype=np.intp)
     box = CanonicalBox(
-        np.ldexp(M, row_scale[:, None] + column_scale), q / size, problem.upper, np.zeros(problem.n),
+        scaled(M, Exponents(row_scale, column_scale)), q / size, problem.upper, np.zeros(problem.n),
         np.arange(problem.n), np.ldexp(1.0, column_scale) * size, none, np.empty((0, problem.n)),
     )
     return box, r / power_of_two(r.max(initial=0.0))
+
+
+def _in_units(matrix: Matrix) -> tuple[FloatMatrix, IntVector, IntVector]:
+    """Return M, dense, and the exponents of its own units, with the largest entry of each row near 1."""
+    units = units_of(matrix)
+    M: FloatMatrix = matrix.array if matrix.is_dense else matrix.csr.toarray()
+    none = np.zeros(matrix.n, np.int64)
+    row, column, rows = (none, none, matrix) if units is None else (units.row, units.column, units.matrix)
+    return M, row + 1 - np.frexp(rows.row_largest)[1], column
 
 
 def _without_free_rows(
@@ -236,49 +242,3 @@ def _largest_pivot(block: FloatMatrix) -> IndexVector | None:
     square = block[np.ix_([j, k], [j, k])]
     determinant = square[0, 0] * square[1, 1] - square[0, 1] * square[1, 0]
     return np.array([j, k]) if abs(determinant) > 1e-3 * float(np.abs(square).max()) ** 2 else None
-
-
-def equilibrated(M: FloatMatrix) -> tuple[IntVector, IntVector]:
-    """Return exponents (r, c), shape (n,) each: 2^(r_i + c_j) m_ij has rows and columns of size about 1 (Ruiz)."""
-    n = M.shape[0]
-    rows, columns = np.zeros(n, dtype=np.int32), np.zeros(n, dtype=np.int32)
-    if n == 0:
-        return rows, columns
-    _, exponents = np.frexp(M)
-    is_entry = M != 0.0
-    if is_entry.any() and np.ptp(exponents[is_entry]) > WIDE:
-        rows, columns = _fitted(np.where(is_entry, exponents, 0), is_entry)
-    exponents = np.where(is_entry, exponents + rows[:, None] + columns[None, :], NO_ENTRY)
-    for _ in range(EQUILIBRATION_ROUNDS):
-        # Half a step on each side keeps a symmetric matrix symmetric.
-        row_size, column_size = exponents.max(axis=1), exponents.max(axis=0)
-        row_step = np.where(row_size > NO_ENTRY // 2, -row_size // 2, 0).astype(np.int32)
-        column_step = np.where(column_size > NO_ENTRY // 2, -column_size // 2, 0).astype(np.int32)
-        if not row_step.any() and not column_step.any():
-            break
-        rows += row_step
-        columns += column_step
-        exponents += row_step[:, None] + column_step[None, :]
-    return rows, columns
-
-
-def _fitted(exponents: IntVector, is_entry: NDArray[np.bool_]) -> tuple[IntVector, IntVector]:
-    """Return (r, c) for which r_i + c_j + the exponent of m_ij is least in the sum of squares over the entries.
-
-    Ruiz's rounds lay half of a large row factor on the columns, and with it on the unit of z; this does not.
-
-    References
-    ----------
-    A. R. Curtis, J. K. Reid, *On the automatic scaling of matrices for Gaussian elimination*, IMA J. Appl. Math. 10
-    (1972), doi:10.1093/imamat/10.1.118.
-    """
-    in_row, in_column = np.maximum(is_entry.sum(axis=1), 1), np.maximum(is_entry.sum(axis=0), 1)
-    of_row, of_column = exponents.sum(axis=1) / in_row, exponents.sum(axis=0) / in_column
-    r, c = -0.5 * of_row, -0.5 * of_column
-    for _ in range(FITTING_ROUNDS):
-        # Both sides at once and by half, so that a symmetric matrix stays so.
-        r, c = (
-            0.5 * (r - of_row - is_entry @ c / in_row),
-            0.5 * (c - of_column - is_entry.T @ r / in_column),
-        )
-    return np.rint(r).astype(np.int32), np.rint(c).astype(np.int32)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
 from ..small.kernels import tableau
-from ..small.kernels.tableau import GOING_ON, HELD, LOST, RETURNED, SOLVED
+from ..small.kernels.tableau import GOING_ON, LOST, NOT_STARTED, RETURNED, SOLVED
 from ..small.kernels.workspace import (
     AT_LOWER,
     AT_UPPER,
@@ -26,6 +26,7 @@ from ..small.kernels.workspace import (
     OTHER,
     PLACE,
     SIDE,
+    START,
     WIDTH,
     shapes,
 )
@@ -37,7 +38,6 @@ FRESH_FOR = 25  # pivots after which the tableau is computed anew, n where that 
 ACCURATE = 1e-12
 FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # what is left of a difference of equals is taken for 0
-NOT_STARTED = -1
 INSIDE = 1e-3  # how far from its bounds a warm start begins, in the unit of an equilibrated problem
 
 
@@ -58,9 +58,9 @@ class Path:
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
         real, whole, room = shapes(n)  # type: ignore[no-untyped-call]
         self.real, self.whole, self.room = np.zeros(real), np.zeros(whole, dtype=np.int64), np.zeros(room)
-        self.held = np.zeros((HELD, n)), np.zeros((HELD, n + 1))  # for the kernel
         self.real[WIDTH, :n] = upper
         self.basis, self.others, self.side = self.whole[BASIC, :n], self.whole[OTHER, :n + 1], self.whole[SIDE, :n]
+        self.start_side = self.whole[START, :n]
         self.values, self.tableau = self.real[KEPT, :n], self.room[:n]
         self.entries = self._told = 0.0  # touched so far, and up to when that was asked last
         self.fresh_for = max(FRESH_FOR, n)
@@ -90,7 +90,7 @@ class Path:
         n = self.n
         basis = np.where(side == BETWEEN, np.arange(n), n + np.arange(n))
         is_started = self.start_at_vertex(w - self.M @ z - self.q, basis, side, 2 * n, -1.0, level=1.0)
-        self.start_side = self.side.copy()
+        self.start_side[:] = self.side
         return is_started
 
     def start_at_vertex(
@@ -100,7 +100,7 @@ class Path:
         self.covering = self.columns[:, self.n] = covering
         self.basis[:], self.side[:] = basis, side
         self.driven, self.value, self.direction = driven, level, direction
-        self.start_side = np.full(self.n, NOT_STARTED)
+        self.start_side[:] = NOT_STARTED
         self.pivots = 0
         return self._renew()
 
@@ -128,8 +128,7 @@ class Path:
 
     def _run(self, limit: int) -> int:
         outcome, driven, value, direction, made = tableau.pivots(
-            self.real, self.whole, self.room, *self.held, self.start_side, self.driven, self.value, self.direction,
-            self.age == 0, limit,
+            self.real, self.whole, self.room, self.n, self.driven, self.value, self.direction, self.age == 0, limit,
         )
         self.driven, self.value, self.direction = int(driven), float(value), float(direction)
         self.pivots += int(made)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+from ...core.kernels.rows import residual_of_row
 
 AT_LOWER, AT_ZERO, AT_UPPER = 0, 1, 2  # the choices of a row
 ROW, PARENT, CHOICE, IS_CLOSED = 0, 1, 2, 3  # columns of the tree
@@ -70,7 +71,7 @@ def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-d
             total += table[i, j] * value[j]
         size = max(size, abs(total))
         total /= unit[i] * scale[i]
-        reference = max(reference, abs(value[i] - min(max(value[i] - total, lower[i]), upper[i])))
+        reference = max(reference, abs(residual_of_row(total, value[i], lower[i], upper[i])))
     allowed = FEASIBLE * size
     tree[0, ROW] = tree[0, PARENT] = tree[0, CHOICE] = -1
     tree[0, IS_CLOSED] = stack[0] = 0

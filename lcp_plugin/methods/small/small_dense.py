@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, without_warnings
+from ...core.certificates.criterion import within
 from ...core.checks import DENSE_ABOVE_DENSITY, FloatVector, read_only
 from ...core.crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO, CONTACTS_UP_TO
 from ...core.lcp import LCP
@@ -167,6 +168,7 @@ def run_phases(
         limits = tolerance, max_iterations - before, begin, stop
         if run_all(*arrays, *phases, *limits, steps, *workspace, *answers.arrays):
             follow_all(*arrays[:4], tolerance, begin, stop, *workspace, *answers.arrays)
+        answers.judge(begin, stop, tolerance)
         if before:
             answers.made[begin:stop] += spent[0]
             answers.work[begin:stop] += spent[1]
@@ -185,7 +187,9 @@ def run_contacts(
         return [(first, end)]
     from .kernels.contact_problems import solve_all_contacts
 
-    if not solve_all_contacts(*arrays, tolerance, first, end, *workspace, *answers.arrays):
+    left = solve_all_contacts(*arrays, tolerance, first, end, *workspace, *answers.arrays)
+    answers.judge(first, end, tolerance)
+    if not left:
         return []
     if n > COMPILED_SPARSE_UP_TO and (n > COMPILED_UP_TO or np.count_nonzero(M[:1]) <= DENSE_ABOVE_DENSITY * n * n):
         return []
@@ -201,11 +205,11 @@ class Answers:
     ----------
     z : array, shape (count, n)
     residual : array, shape (count,)
-        The relative one of z, enclosed.
+        The relative one of z, enclosed; ∞ where that would be beyond the tolerance.
     made, work : arrays, shapes (count, 3) and (count, 4)
         Steps of each phase; passes over M of each phase and of all.
-    has_arrived : array of bool, shape (count,)
-        Where z is within the tolerance.
+    has_converged : array of bool, shape (count,)
+        Where z is SOLVED, once these were judged.
     needs_path : array of bool, shape (count,)
         Where pivots are to be tried.
     """
@@ -218,7 +222,11 @@ class Answers:
     @property
     def arrays(self) -> tuple[Any, ...]:
         """All of them, in the order in which the kernel takes them."""
-        return self.z, self.residual, self.made, self.work, self.has_converged, self.needs_path
+        return self.z, self.residual, self.made, self.work, self.needs_path
+
+    def judge(self, first: int, end: int, tolerance: float) -> None:
+        """Judge the problems first ≤ k < end, each of one part in its own units."""
+        self.has_converged[first:end] = within(self.residual[first:end], 0.0, tolerance)
 
     def solve_fused(self, k: int) -> FusedSolve | None:
         """Return the answer of problem k, None where there is none."""

@@ -85,11 +85,6 @@ class Rows:
         columns, rows = np.divmod(self.places, max(self.shape[0], 1))
         return sp.csc_array((entries, (rows, columns)), shape=self.shape)
 
-    def at(self, sources: Mapping[int, FloatVector]) -> FloatVector:
-        """Return the values of the rows where the sources have these."""
-        return sum((block * sources[key] if isinstance(block, float) else block @ sources[key]
-                    for key, block in self.blocks.items()), start=self.offset)
-
     def taken(self, numbers: Indices, shape: tuple[int, ...] | None = None, places: Indices | None = None) -> Rows:
         """Return the rows with these numbers, −1 for one that is zero, as an array of that shape."""
         shape = numbers.shape if shape is None else shape

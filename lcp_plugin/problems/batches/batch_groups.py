@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.algorithms.base import Phases
-from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.criterion import CommonUnits, beside_the_largest, within
 from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import largest_ratio
 from ...core.checks import BoolVector, read_only
@@ -18,7 +18,6 @@ from ...core.matrix.units import are_in_one_unit
 from ...core.settings import Settings
 from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
 from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
-from ...methods.small.fused import beside_the_largest
 from ...methods.small.small_dense import Answers, run_phases
 from ..many.chunks import in_chunks
 
@@ -110,10 +109,9 @@ def answers_in_common_units(group: Group, phases: Phases, settings: Settings) ->
     answers.z[:] = certificate.z.reshape(count, n)
     largest, least = certificate.residuals_of_parts
     for k in np.flatnonzero(answers.has_converged).tolist():
-        own = slice(ends[k], ends[k + 1])
-        answers.residual[k] = largest_ratio(largest[own], least[own])
-        is_right = not (certificate.term_residuals[k * n : (k + 1) * n] > settings.tolerance).any()
-        answers.has_converged[k] = is_right and answers.residual[k] <= settings.tolerance
+        answers.residual[k] = largest_ratio(largest[ends[k]:ends[k + 1]], least[ends[k]:ends[k + 1]])
+    term_residuals = certificate.term_residuals.reshape(count, n).max(axis=1)
+    answers.has_converged &= within(answers.residual, term_residuals, settings.tolerance)
     return answers
 
 

@@ -18,10 +18,9 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.lcp import LCP
 from ...core.settings import Status
-from ...core.solving.driver import asked_of_solve, solve
+from ...core.solving.driver import asked_of_solve, fused_result, solve
 from ...core.solving.result import Result
 from ...methods.direct import may_be_searched
-from ...methods.small.fused import fused_result
 from ...methods.small.small_dense import Answers, run_phases
 from ..many.answers import AnswerSequence, T
 from ..many.chunks import in_chunks

@@ -1,10 +1,10 @@
 """minimize_over_solutions(): the best of all solutions, by SCIP where it is installed, and by branch and bound.
 
-The relaxation with all cases open comes first: its bound, or its refutation, is proved. SCIP's point gives the cases
-of a piece, which is solved again here. Our own nodes follow where a proof is asked for, or SCIP is not here, or what
-it says, that there is no solution or no least one, waits for a proof: a node leaves some cases of each pair open, its
-children take one case each of the pair that its relaxation violates most. The search dives: of the children it goes
-on with the lower bound, and when a dive ends, with the lowest bound of all.
+A few nodes of our own come first: they close many small problems with a proof, where SCIP may search long, or fail.
+SCIP's point gives the cases of a piece, which is solved again here. More nodes of ours follow where a proof is asked
+for, or SCIP is not here, or what it says, that there is no solution or no least one, waits for a proof: a node leaves
+some cases of each pair open, its children take one case each of the pair that its relaxation violates most. The search
+dives: of the children it goes on with the lower bound, and when a dive ends, with the lowest bound of all.
 
 References
 ----------
@@ -40,6 +40,7 @@ MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
 SHARE = 0.5  # of the tolerance: how near the best value a node's bound has to be to close it
 OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
 GROWTH = 1.5  # of the nodes from one line of the log to the next
+FIRST = 300  # nodes · pairs before SCIP is asked: 9 nodes of 30 pairs close leaders that SCIP searches for 5 s
 MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
 EVERY = 10  # nodes between two local searches
 ENDS = {
@@ -71,7 +72,7 @@ def minimize_over_solutions(
     x0 : array, shape (n,), optional
         Where it is a solution, the result is no worse; its leaders are tried in any case.
     prove : bool
-        Whether the bound has to be proved, also where SCIP is installed; its point comes first.
+        Whether the bound has to be proved, also where SCIP is installed.
 
     Returns
     -------
@@ -198,15 +199,18 @@ class BranchAndBound:
         self.local.from_leaders(x0, most=None if engine is None else 1)
         if is_provable and self._next() is None:
             return None
-        if engine is not None:
-            ended = self._ask(engine, ends, x0)
-            if self.local.best is None and (self.outside is None or self.outside.status != "infeasible"):
-                self.local.from_leaders(x0)
-            if ended is not None or not is_provable or (self._is_closed() and not prove):
+        if is_provable:
+            ended = self._search(ends, math.inf if engine is None else FIRST // max(1, self.problem.pairs))
+            if ended is not None or self.descent is not None or (self._next() is None and not self._is_stuck):
                 return ended
-            if not prove:
-                self.max_nodes = min(self.max_nodes, self.nodes + MOST_UNASKED)
-        return self._search(ends) if is_provable else None
+        if engine is None:
+            return None
+        ended = self._ask(engine, ends, x0)
+        if self.local.best is None and (self.outside is None or self.outside.status != "infeasible"):
+            self.local.from_leaders(x0)
+        if ended is not None or not is_provable or (self._is_closed() and not prove):
+            return ended
+        return self._search(ends, math.inf if prove else MOST_UNASKED)
 
     def _root(self) -> bool:
         """Solve the relaxation with all cases open; return whether anything is left to search."""
@@ -255,12 +259,13 @@ class BranchAndBound:
         value = self.local.value
         return value < math.inf and value - self.lower_bound <= self.tolerance * max(1.0, abs(value))
 
-    def _search(self, ends: Callable[[], bool]) -> Status | None:
-        """Branch until no node is open; return which limit came first, or None."""
-        if self._tighter is not self.original:
+    def _search(self, ends: Callable[[], bool], most: float) -> Status | None:
+        """Branch on so many nodes, or until none is open; return which limit came first, or None."""
+        if self.problem is not self._tighter:
             self._begin(self._tighter)
             self._root()
-        while self._next() is not None and self.descent is None:
+        last = self.nodes + most
+        while self.nodes < last and self.descent is None and self._next() is not None:
             if (ended := self._limit(ends)) is not None:
                 return ended
             self._branch()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -213,15 +213,6 @@ class EquilibriumProgram:
         """The program with all cases open."""
         lower, upper = self.bounds(self.all_cases)
         return self.program.with_vectors(lower=lower, upper=upper)
-
-    def with_inequalities(self, G: sp.csr_array, h: FloatVector) -> EquilibriumProgram:
-        """Return the problem with these rows as well, Gx ≤ h."""
-        program = self.program
-        wider = QuadraticProgram(
-            program.P, program.c, sp.vstack([sp.csr_array(program.G), G], format="csr"), np.append(program.h, h),
-            program.A, program.b, program.lower, program.upper,
-        )
-        return replace(self, program=wider)
 
     @property
     def without_upper_bound(self) -> list[str]:

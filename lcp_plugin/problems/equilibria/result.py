@@ -39,7 +39,8 @@ ADVICE = {
 }
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
 SAID = {
-    "infeasible": "SCIP, in floating point, finds no solution, and nothing proves that there is none: check the data",
+    "infeasible": "SCIP, in floating point, finds no solution, and nothing proves that there is none, which INFEASIBLE "
+                  "would say: check the data",
     "unbounded": "SCIP, in floating point, says that the objective falls for ever, and nothing proves it: bound the "
                  "variables",
     "inforunbd": "SCIP, in floating point, says that there is no solution, or none that is least: bound the variables",
@@ -262,8 +263,9 @@ class EquilibriumResult(Answer):
             return ""
         some, has = ", ".join(names[:MOST_NAMES]), "has" if len(names) == 1 else "have"
         some += ", …" * (len(names) > MOST_NAMES)
-        why = "" if said in FALLS else "the lower bound barely moves: "
-        return f"; {why}{some} {has} no upper bound; give {'it' if len(names) == 1 else 'them'} one"
+        why, it = "" if said in FALLS else "the lower bound barely moves: ", "it" if len(names) == 1 else "them"
+        how = "" if self.problem.names else f", as a row of G x <= h: in `upper` it bounds the pairs of {it}, too"
+        return f"; {why}{some} {has} no upper bound; give {it} one{how}"
 
     def _numbers(self) -> dict[str, float]:
         own = {"lower_bound": self.lower_bound, "gap": self.gap, "programs": self.programs, "tolerance": self.tolerance}

@@ -21,12 +21,11 @@ from ...core.matrix.structure import parts
 from ...core.matrix.units import units_of
 from ...core.policy.choice import Policy
 from ...core.settings import OF_SOLVE, Settings, Status
-from ...core.solving.driver import asked_of_solve, solve
+from ...core.solving.driver import asked_of_solve, fused_result, solve
 from ...core.solving.result import Result
 from ...methods.banded import Banded
-from ...methods.small.fused import fused_result
 from ..many.answers import AnswerSequence, Results
-from .marching import Lesson, StepPolicy
+from .marching import StepPolicy
 
 BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
 
@@ -41,7 +40,8 @@ class March(AnswerSequence[Result]):
     keep_every : int
         How many steps there are from one kept answer to the next. The last one is kept, too.
     again : callable
-        Called with a part of the forcing, a z0, a lesson and how many steps come after it, marches there once more.
+        Called with a part of the forcing, the number of its first step, what that begins with (z0 and an algorithm),
+        marches there once more.
 
     Attributes
     ----------
@@ -65,8 +65,7 @@ class March(AnswerSequence[Result]):
         self.error: LCPError | None = None
         self._again, self._count = again, 0
         self._part: tuple[int, March] | None = None
-        self._kept: dict[int, FloatVector] = {}
-        self._lessons: dict[int, Lesson] = {}  # after the kept steps
+        self._kept: dict[int, tuple[FloatVector, Algorithm | None]] = {}  # answers, and what the next step begins with
         self._results: dict[int, Result | Callable[[], Result]] = {}
 
     @property
@@ -93,10 +92,9 @@ class March(AnswerSequence[Result]):
             return 0, self
         first = k - k % self.keep_every
         if self._part is None or self._part[0] != first:
-            state, lesson = (self._kept[first - 1], self._lessons[first - 1]) if first else (self.z0, Lesson())
+            state, begin = self._kept[first - 1] if first else (self.z0, None)
             forcing = self.forcing[first : min(first + self.keep_every, len(self))]
-            after = len(self.forcing) - first - len(forcing)
-            self._part = first, self._again(forcing, z0=state, lesson=lesson, after=after)
+            self._part = first, self._again(forcing, z0=state, begin=begin, first=first, total=len(self.forcing))
         return self._part
 
     def __len__(self) -> int:
@@ -129,7 +127,8 @@ class March(AnswerSequence[Result]):
         return (k + 1) % self.keep_every == 0
 
     def _take(
-        self, z: FloatVector, result: Result | Callable[[], Result] | None, lesson: Lesson, step: int | None = None
+        self, z: FloatVector, result: Result | Callable[[], Result] | None, begin: Algorithm | None = None,
+        step: int | None = None,
     ) -> None:
         """Take one step more, or all up to that number, of which nothing stays but the answer of the last."""
         last, step = self._count - 1, self._count if step is None else step
@@ -137,9 +136,8 @@ class March(AnswerSequence[Result]):
             self._results.pop(last, None)  # it would keep the vectors of all steps of its block
             if not self.keeps(last):
                 self._kept.pop(last, None)
-                self._lessons.pop(last, None)
             z = read_only(z.copy())
-        self._count, self._kept[step], self._lessons[step] = step + 1, z, lesson
+        self._count, self._kept[step] = step + 1, (z, begin)
         if result is not None:
             self._results[step] = result
 
@@ -154,8 +152,8 @@ class _Answers(Results[FloatVector]):
         kept = self._march._kept.get(k)
         if kept is None:
             first, part = self._march.part(k)
-            return part._kept[k - first]
-        return kept
+            kept = part._kept[k - first]
+        return kept[0]
 
     def __len__(self) -> int:
         return len(self._march)
@@ -204,8 +202,8 @@ def march(
     -----
     Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
     `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` asks anew in the
-    first two steps; the others begin with what finished the step before, as long as that gets no slower. Where few rows
-    have a bound, as in contact, the others are eliminated by one factor, once for all steps, if that pays.
+    first two steps; the others begin with the iteration that ended the step before. Where few rows have a bound, as in
+    contact, the others are eliminated by one factor, once for all steps, if that pays.
 
     A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the carry
     (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only where it
@@ -238,7 +236,7 @@ def march(
     asked_of_solve(algorithm, wishes)  # what is wrong is refused before the first step
     limit = Settings(max_seconds=max_seconds).max_seconds
     state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
-    return _marched(problem, rows, algorithm, int(keep_every), wishes, offsets, z0=state, lesson=Lesson(), limit=limit)
+    return _marched(problem, rows, algorithm, int(keep_every), wishes, offsets, z0=state, limit=limit)
 
 
 def carry_remark(problem: LCP, carry: sp.csr_array) -> str:
@@ -270,11 +268,12 @@ def carry_remark(problem: LCP, carry: sp.csr_array) -> str:
 
 def _marched(
     problem: LCP, carry: sp.csr_array, algorithm: str | Algorithm, keep_every: int, wishes: dict[str, Any],
-    forcing: FloatVector, *, z0: FloatVector, lesson: Lesson, limit: float = np.inf, after: int = 0,
+    forcing: FloatVector, *, z0: FloatVector, begin: Algorithm | None = None, limit: float = np.inf, first: int = 0,
+    total: int | None = None,
 ) -> March:
-    """Return the march from the state z0 with what was learned before it, within so many seconds.
+    """Return the march from the state z0, beginning with that algorithm, within so many seconds.
 
-    `after` steps come after it, for which what is dear may pay as well.
+    Its steps are those from number `first` on, of so many in all, for which what is dear may pay as well.
     """
     (policy, settings), clock = asked_of_solve(algorithm, wishes), Clock(problem.communicator)
     is_unobserved, state = settings.is_unobserved and wishes.get("callback") is None, z0
@@ -282,22 +281,23 @@ def _marched(
     done = March(
         problem, forcing, carry, z0, keep_every, partial(_marched, problem, carry, algorithm, 1, quiet)
     )
+    total = len(forcing) if total is None else total
     while len(done) < len(forcing) and done.all_solved:
         before = len(done)
         try:
             if is_unobserved and clock.read() < limit:
                 for z, result in _fused(problem, policy, settings, forcing[before : before + BLOCK], carry, state):
-                    done._take(z, result, lesson)
+                    done._take(z, result, begin)
             if len(done) == before:
                 with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
                     step = problem.with_q(forcing[before] + carry @ state)
                 left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
-                of_step = StepPolicy(lesson, refutes=settings.refute) if algorithm == "auto" else None
+                of_step = StepPolicy(begin, refutes=settings.refute) if algorithm == "auto" else None
                 found = solve(step, of_step or algorithm, z0=state, **{**wishes, **left})
                 done.all_solved = found.is_solved
                 if of_step is not None and found.is_solved:
-                    lesson = of_step.lesson(problem, after + len(forcing) - before - 1)
-                done._take(found.z, found, lesson)
+                    begin = of_step.following(problem, first + before, total - first - before - 1)
+                done._take(found.z, found, begin)
             state = done.z[-1]
         except InvalidProblem as error:
             if not done:

@@ -17,15 +17,13 @@ from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kinds import refusal
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_threads
-from ...core.solving.driver import asked_of_solve
+from ...core.solving.driver import asked_of_solve, fused_result
 from ...core.solving.result import Result
 from ...methods.banded import Banded
-from ...methods.small.fused import fused_result
 from ...systems.factors import bands
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
 from . import BLOCK, March, _marched, checked_forcing, has_common_units, march
-from .marching import Lesson
 
 SIDE_BY_SIDE = 16  # as the compiled loop has room for
 
@@ -99,8 +97,7 @@ def march_many(
             begun = march(of_march, offsets[0][:0], carry, z0=start, keep_every=keep_every, **wishes)
         else:
             state = of_march.nearest_to_zero if start is None else checked_vector(start, "z0", n)
-            begun = _marched(of_march, begun.carry, algorithm, begun.keep_every, others, begun.forcing[:0], z0=state,
-                             lesson=Lesson())
+            begun = _marched(of_march, begun.carry, algorithm, begun.keep_every, others, begun.forcing[:0], z0=state)
         begun.forcing = offsets[min(j, len(offsets) - 1)]
         marches.append(begun)
     steps = _Steps(marches, wishes, limit, clock)
@@ -194,11 +191,11 @@ class _Steps:
             for k, z in zip(here, found.answers[j], strict=True):
                 if k < last + is_kept_whole:
                     result = partial(result_of, one, j, k, before, z) if is_kept_whole else None
-                    one._take(z, result, Lesson(), first + k)
+                    one._take(z, result, step=first + k)
                     before = z
             if not is_kept_whole and last >= 0:
                 before, z = found.before[j].copy(), read_only(found.last[j].copy())
-                one._take(z, partial(result_of, one, j, last, before, z), Lesson(), first + last)
+                one._take(z, partial(result_of, one, j, last, before, z), step=first + last)
 
     @property
     def seconds_left(self) -> float | None:
@@ -219,7 +216,7 @@ class _Steps:
             one.error, one.all_solved = error, False
             return
         for k in range(len(rest)):
-            one._take(rest.z[k], partial(rest.at, k), rest._lessons[k])
+            one._take(rest.z[k], partial(rest.at, k), rest._kept[k][1])
         one.error, one.all_solved, one.seconds = rest.error, rest.all_solved, one.seconds + rest.seconds
         if self.is_interrupted(rest):
             raise KeyboardInterrupt

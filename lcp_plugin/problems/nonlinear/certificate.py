@@ -33,7 +33,7 @@ from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_
 from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import largest_ratio, residual_ends_of, scaled_residual
-from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.checks import FloatVector, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
@@ -183,13 +183,6 @@ class NonlinearCertificate(Certificate):
         """How wrong each row is in its own terms, shape (n,)."""
         return term_residuals(self.problem, self.z, self.value, is_linear=False)
 
-    def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
-        """Return the relative residual with no part's reference, and no row's terms, taken for less than `least`."""
-        if not least:
-            return self.relative_residual
-        rows = np.fmin(self.term_residuals, np.abs(self._scaled_ends[1]) / least)
-        return max(super().relative_above(least, answered), float(rows.max(initial=0.0)))
-
     @cached_property
     def relative_residual(self) -> float:
         """The largest ‖r_P(x)‖∞ beside the reference of a part, rounded upwards, or term residual of a row."""
@@ -225,7 +218,7 @@ class NonlinearCertificate(Certificate):
         with np.errstate(all="ignore"):
             size = abs(problem.matrix.rows) @ np.abs(x) + np.abs(self.value)
             left = np.zeros(x.size)
-            step = np.clip(x - self.value / scale, problem.lower, problem.upper) - x
+            step = -scaled_residual(problem, x, self.value)
             for k in range(ASKED):
                 near = x + NEARBY / (k + 1) * step
                 left = np.maximum(left, np.abs(self.nonlinear.value(near) - self.value - problem.M @ (near - x)))

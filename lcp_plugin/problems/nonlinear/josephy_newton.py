@@ -24,11 +24,11 @@ from ...core.matrix.structure import parts
 from ...core.policy.choice import Policy, policy_for
 from ...core.policy.stages import Choice, Stage
 from ...core.settings import Settings, Status
+from ...core.solving.driver import fused
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
 from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister, phi_jacobian
-from ...methods.small.fused import fused
 from ...systems.factors import factor_fits, factorise
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations

@@ -55,9 +55,9 @@ def test_random_models_are_read_as_pyomo_evaluates_them_solved_and_left_alone(se
 
 
 @pytest.mark.full
-def test_five_hundred_random_models() -> None:
+def test_two_hundred_random_models() -> None:
     """The same of more of them, by the campaign itself."""
-    assert campaign.main(500, 1) == 0
+    assert campaign.main(200, 1) == 0
 
 
 def model(build: Callable[[Any], None]) -> Any:

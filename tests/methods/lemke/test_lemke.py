@@ -17,7 +17,7 @@ from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.algorithms.base import Step
 from lcp_plugin.core.errors import InvalidOption, UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, connected_parts
-from lcp_plugin.methods.lemke.canonical_box import canonical_box, equilibrated
+from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.methods.lemke.pivoting_path import Path, bimatrix_players, starts
 from lcp_plugin.methods.small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
@@ -322,8 +322,7 @@ def test_same_call_same_answer() -> None:
 def test_pivots_are_bounded() -> None:
     """No path makes more pivots than it may."""
     problem = LCP(murty(30), -np.ones(30))
-    box = canonical_box(problem)
-    path = Path(box.M, box.q, box.upper)
+    path = Path(murty(30), -np.ones(30), np.full(30, INF))  # 2^30 − 1 pivots
     assert path.start_along(np.ones(30))
     assert path.advance(100) == GOING_ON
     assert path.pivots == 100
@@ -346,17 +345,15 @@ def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 # --- the canonical problem ----------------------------------------------------------------------------------
 
-def test_equilibration_keeps_symmetry() -> None:
-    """Powers of two bring rows and columns to about 1 and leave a symmetric matrix symmetric."""
+def test_the_canonical_matrix_is_in_the_units_of_m() -> None:
+    """Where rows and unknowns have units 10^±8, entries of a row are at most 2, and every column has one above 2⁻¹⁰."""
     generator = np.random.default_rng(0)
-    d = 10.0 ** generator.uniform(-8, 8, size=20)
+    row, column = 10.0 ** generator.uniform(-8, 8, size=(2, 20))
     B = generator.standard_normal((20, 20))
-    M = (B @ B.T) * d[:, None] * d
-    rows, columns = equilibrated(M)
-    scaled = np.ldexp(M, rows[:, None] + columns)
-    assert np.array_equal(rows, columns)
-    assert np.all(np.abs(scaled).max(axis=1) <= 2.0)
-    assert np.all(np.abs(scaled).max(axis=1) >= 0.25)
+    M = canonical_box(LCP((B @ B.T) * row[:, None] * column, -row)).M
+    assert np.abs(M).max() <= 2.0
+    assert np.abs(M).max(axis=1).min() >= 0.5
+    assert np.abs(M).max(axis=0).min() >= 2.0**-10
 
 
 @given(st.integers(1, 7), st.integers(0, 2**32 - 1))

@@ -260,7 +260,6 @@ def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
     assert solution.w.tolist() == [0.0, 0.0]
 
 
-@pytest.mark.needs("direct")
 def test_auto_says_that_the_solution_is_beyond_the_doubles() -> None:
     """A run whose search finds a solution that no doubles can hold ends STALLED and says so."""
     result = solve(BEYOND_DOUBLES)

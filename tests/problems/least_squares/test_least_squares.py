@@ -381,7 +381,6 @@ def test_least_squares_as_a_complementarity_problem(shape: tuple[int, int], form
             np.testing.assert_allclose(answer.fun, direct.fun, atol=1e-6)
 
 
-@pytest.mark.needs("direct")
 def test_the_mixed_form_is_as_sparse_and_well_conditioned_as_the_data() -> None:
     """A dense row, which fills AᵀA, and κ = 1e6, whose square no double holds: "mixed" has A's entries and solves."""
     A = sp.csr_array(sp.vstack([sp.eye_array(300), np.ones((1, 300))]))
@@ -394,7 +393,6 @@ def test_the_mixed_form_is_as_sparse_and_well_conditioned_as_the_data() -> None:
     np.testing.assert_allclose(answer.x, x, atol=1e-6)
 
 
-@pytest.mark.needs("direct")
 @pytest.mark.parametrize("size", [1e200, 1e-200])
 def test_squares_that_no_double_holds_are_not_formed(size: float) -> None:
     """Where AᵀA overflows or vanishes the mixed form states the problem, and the normal one is refused."""

@@ -88,7 +88,6 @@ def test_other_vectors_are_checked(name: str, wrong: Any) -> None:
         first.with_vectors(**{name: wrong})
 
 
-@pytest.mark.needs("direct")
 def test_a_pickled_program_says_the_same() -> None:
     """A program that was converted can be pickled with its problem, and is solved as before."""
     problem = lcp_from_qp(case("condition 1e8", 5, 0, 12)[0])

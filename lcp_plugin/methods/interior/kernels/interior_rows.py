@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ....core.kernels.compilation import compiled_part, interpreted_while_small
+from ....core.kernels.rows import residual_of_row
 
 UNEVEN = 10.0  # times as large as the largest entry of another row
 NEGLIGIBLE = -10.0  # log₂ of an entry that beside others of about 1 has no say
@@ -120,7 +121,7 @@ def box_residual(z, w, lower, upper, scale):  # type: ignore[no-untyped-def]
     """
     largest = product = 0.0
     for i in range(z.size):
-        residual = min(max(w[i] / scale[i], z[i] - upper[i]), z[i] - lower[i])
+        residual = residual_of_row(w[i] / scale[i], z[i], lower[i], upper[i])
         if not abs(residual) <= largest:
             largest = abs(residual) if np.isfinite(residual) else np.inf
         if np.isinf(w[i]):

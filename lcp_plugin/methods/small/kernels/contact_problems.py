@@ -9,7 +9,7 @@ import numpy as np
 from ....core.kernels.compilation import compiled, interpreted_while_small
 from .contact_rounds import solve_contacts
 from .friction_pyramids import condense, read_pyramids
-from .small_problems import PATH_UP_TO, ROUND, TOTAL, USUAL, ends, is_kept_dense, judged, look_at, moved, take
+from .small_problems import PATH_UP_TO, ROUND, TOTAL, USUAL, enclosed, ends, is_kept_dense, look_at, moved, take
 from .workspace import FOUND, Z
 
 
@@ -24,18 +24,17 @@ def count_pyramids(M, real, whole):  # type: ignore[no-untyped-def]
 
 @partial(interpreted_while_small, longest=PATH_UP_TO)
 def solve_all_contacts(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, starts, tolerance, first, end, real, whole, room, z, residual, made, work, has_converged,
-    needs_path,
+    M, q, lower, upper, starts, tolerance, first, end, real, whole, room, z, residual, made, work, needs_path,
 ):
     """Solve those problems first ≤ item < end of a batch that are of contacts; return how many are left.
 
-    Arrays as in `small_problems.run_all`. Each takes one step, of all sweeps and rounds, or none; nothing is judged
+    Arrays as in `small_problems.run_all`. Each takes one step, of all sweeps and rounds, or none; nothing is enclosed
     where the tolerance is below 0.
     """
     n, left = M.shape[1], 0
     for item in range(first, end):
         k = item if M.shape[0] > 1 else 0
-        has_converged[item] = needs_path[item] = False
+        residual[item], needs_path[item] = np.inf, False
         for phase in range(3):
             made[item, phase], work[item, phase] = 0, 0.0
         work[item, TOTAL] = 0.0
@@ -56,19 +55,18 @@ def solve_all_contacts(  # type: ignore[no-untyped-def]
             is_cold &= real[FOUND, i] == 0.0
         if tolerance >= 0.0:
             size = moved(M, k, real, FOUND, False)
-            if judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):
-                has_converged[item] = True
+            residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
         work[item, ROUND] = n * n / nonzeros
-        if not has_converged[item]:
+        if not residual[item] <= tolerance:
             condense(M, k, real, whole, room, unknowns, cones)
             work[item, ROUND] += solve_contacts(real, whole, room, n, unknowns, not is_cold) / nonzeros
             made[item, ROUND] = 1
             size = moved(M, k, real, FOUND, False)
-            has_converged[item] = judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
-        if made[item, ROUND] > 0 and tolerance >= 0.0 and not has_converged[item]:
+            residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
+        if made[item, ROUND] > 0 and tolerance >= 0.0 and not residual[item] <= tolerance:
             work[item, ROUND] -= n * n / nonzeros  # who goes on counts the start
         work[item, TOTAL] = work[item, ROUND]
-        left -= has_converged[item]
+        left -= residual[item] <= tolerance
         for i in range(n):
             z[item, i] = real[Z, i]
     return left

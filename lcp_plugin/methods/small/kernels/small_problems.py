@@ -26,6 +26,7 @@ from ....core.kernels.compilation import (
 )
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL
+from ....core.kernels.rows import residual_of_row
 from .small_systems import solve_free
 from .tableau import follow_path
 from .workspace import AT_LOWER, AT_UPPER, BETWEEN, FOUND, KEPT, LOWER, SCALE, SIDE, STATE, UPPER, Q, W, Z
@@ -132,8 +133,7 @@ def moved(M, k, real, point, has_slack):  # type: ignore[no-untyped-def]
     if not is_same:
         slack(M, k, real, Z)
     for i in range(n):
-        above, below = real[Z, i] - real[LOWER, i], real[Z, i] - real[UPPER, i]
-        r = abs(min(max(real[W, i] / real[SCALE, i], below), above))
+        r = abs(residual_of_row(real[W, i] / real[SCALE, i], real[Z, i], real[LOWER, i], real[UPPER, i]))
         largest = r if not r <= largest else largest
     return largest
 
@@ -145,7 +145,7 @@ def _sweep(M, k, real):  # type: ignore[no-untyped-def]
     for i in range(n):
         total = row_times(M, k, i, i, real, KEPT)
         z, lower, upper, scale = real[Z, i], real[LOWER, i], real[UPPER, i], real[SCALE, i]
-        r = min(max(real[W, i] / scale, z - upper), z - lower)
+        r = residual_of_row(real[W, i] / scale, z, lower, upper)
         new = min(max(z - (2.0 * r + total / scale) * pivot, lower), upper)
         real[FOUND, i], real[KEPT, i] = new, new - z
 
@@ -260,32 +260,32 @@ def is_kept_dense(nonzeros, n):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def judged(M, k, real, size, least, most, is_dense, tolerance, residual, item):  # type: ignore[no-untyped-def]
-    """Write the relative residual of Z, enclosed where `size` lets it hope for that; return whether it will do."""
-    residual[item] = size
+def enclosed(M, k, real, size, least, most, is_dense, tolerance):  # type: ignore[no-untyped-def]
+    """Return an upper bound of the relative residual of Z, ∞ where `size` is no such hope; `size` without tolerance."""
+    if tolerance < 0.0:
+        return size
     if not size / most <= tolerance:
-        return False
+        return np.inf
     _, largest = ends(M, k, real, False, is_dense)
-    residual[item] = _ratio_upwards(largest, least)
-    return residual[item] <= tolerance
+    return _ratio_upwards(largest, least)
 
 
 @interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end, steps,
-    real, whole, room, z, residual, made, work, has_converged, needs_path,
+    real, whole, room, z, residual, made, work, needs_path,
 ):
     """Solve the problems first ≤ item < end of a batch; an array with one row in front stands for all of them.
 
-    Written are z, shape (B, n), `residual` (B,), the relative one; `made` (B, 3): steps of each phase, `work` (B, 4):
-    passes of each phase and of all; `has_converged` (B,), and `needs_path` (B,) where pivots are to follow; their
-    number is returned. Where one problem is watched, `steps` says how far a call goes, a tolerance below 0 that nothing
-    is judged, and `residual` is the absolute one. No column of `starts` stands for z°.
+    Written are z, shape (B, n), `residual` (B,), the relative one, enclosed, or ∞; `made` (B, 3): steps of each phase,
+    `work` (B, 4): passes of each phase and of all; and `needs_path` (B,) where pivots are to follow; their number is
+    returned. Where one problem is watched, `steps` says how far a call goes, a tolerance below 0 that nothing is
+    enclosed, and `residual` is the absolute one. No column of `starts` stands for z°.
     """
-    n, is_judged, paths = M.shape[1], tolerance >= 0.0, 0
+    n, is_enclosed, paths = M.shape[1], tolerance >= 0.0, 0
     for item in range(first, end):
         k, least, most, is_dense, count = item if M.shape[0] > 1 else 0, 1.0, 1.0, True, -1
-        has_converged[item] = needs_path[item] = False
+        residual[item], needs_path[item] = np.inf, False
         for phase in range(3):
             made[item, phase], work[item, phase] = 0, 0.0
         work[item, TOTAL] = 0.0
@@ -297,14 +297,14 @@ def run_all(  # type: ignore[no-untyped-def]
             nonzeros, is_usual, may_sweep, is_symmetric = look_at(M, k, real)
             whole[STATE, IS_SYMMETRIC], whole[STATE, NONZEROS], whole[STATE, PHASE] = is_symmetric, nonzeros, UNUSUAL
             is_dense = is_kept_dense(nonzeros, n)
-            if is_usual and is_judged:
+            if is_usual and is_enclosed:
                 least, most = ends(M, k, real, is_zero, is_dense)
             has_start = starts.shape[1] > 0 and most > 0.0
             after = _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n)
             work[item, after] = work[item, TOTAL] = n * n / nonzeros
             if is_usual and most == 0.0:
-                residual[item], has_converged[item] = 0.0, True
-            is_usual &= not is_judged or (least > 0.0 and USUAL[0] < most < USUAL[1])
+                residual[item] = 0.0
+            is_usual &= not is_enclosed or (least > 0.0 and USUAL[0] < most < USUAL[1])
             if is_usual:
                 whole[STATE, PHASE] = BEGINNING
             else:
@@ -323,8 +323,8 @@ def run_all(  # type: ignore[no-untyped-def]
                 work[item, phase] += touched / whole[STATE, NONZEROS]
                 work[item, TOTAL] += touched / whole[STATE, NONZEROS]
             count += 1
-            has_converged[item] = judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
-            if has_converged[item]:
+            residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
+            if residual[item] <= tolerance:
                 break
         for i in range(n):
             z[item, i] = real[Z, i]
@@ -333,7 +333,7 @@ def run_all(  # type: ignore[no-untyped-def]
 
 @partial(interpreted_while_small, longest=PATH_UP_TO)
 def follow_all(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, tolerance, first, end, real, whole, room, z, residual, made, work, has_converged, needs_path
+    M, q, lower, upper, tolerance, first, end, real, whole, room, z, residual, made, work, needs_path
 ):
     """Follow Lemke's path to its end where `needs_path` says so; all the rest as in `run_all`, to which it adds."""
     n = M.shape[1]
@@ -358,6 +358,6 @@ def follow_all(  # type: ignore[no-untyped-def]
         passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
         work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes
         is_dense = is_kept_dense(nonzeros, n)
-        has_converged[item] = judged(M, k, real, size, least, most, is_dense, tolerance, residual, item)
+        residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
         for i in range(n):
             z[item, i] = real[Z, i]

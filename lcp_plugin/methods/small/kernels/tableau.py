@@ -8,14 +8,14 @@ numbered z_i = i, w_i = n + i, t = 2n; arrays as in :mod:`~lcp_plugin.methods.sm
 
 On small problems a path is followed in one call and nothing watched on the way: the caller measures what comes out
 (:func:`follow_path`; free rows are not taken). On others a few pivots are made at a time, and whoever asks for them
-renews the tableau (:func:`pivots`).
+renews the tableau (:func:`pivots`). Rows are divided by their largest entry; the units of unknowns are the caller's.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled, compiled_in_any_order, compiled_into_others, compiled_part
+from ....core.kernels.compilation import compiled, compiled_into_others, compiled_part
 from .workspace import (
     AT_LOWER,
     AT_UPPER,
@@ -26,84 +26,78 @@ from .workspace import (
     DISTANCE,
     FIXED,
     FOUND,
+    HELD,
     HIGH,
     KEPT,
     LOW,
     LOWER,
     OTHER,
-    PIVOT_ROW,
     PLACE,
     ROW_UNIT,
     SIDE,
+    START,
     UNIT,
     UPPER,
     WIDTH,
     Q,
 )
 
-SCALING_ROUNDS = 3
-SMALLEST_PIVOT = 1e-11  # in an equilibrated problem
+SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 TIE = 1e-12
 DOUBTFUL = 1e-9  # of the largest entry in its column: a pivot so small is taken in a new tableau only
-HELD = 8  # pivots whose products are added to a large tableau at once
+ADDED_AT_ONCE_UP_TO = 64  # rows: such a tableau stays in the cache
 OWN_BOUND, NOTHING = -1, -2
+NOT_STARTED = -1  # SIDE of no cell
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 
 @compiled_part
 def follow_path(M, k, real, whole, room, limit):  # type: ignore[no-untyped-def]
-    """Follow w = M z + q + t r from t = ∞ to t = 0; return the pivots made, or −1 where that was not reached.
+    """Follow w = M z + q + t r from the least t with w ≥ 0 to t = 0; return the pivots made, −1 where it breaks off.
 
-    FOUND and SIDE then say where it ended; r is 1 on every row of the equilibrated problem.
+    FOUND and SIDE then say where it ended; r is 1 on every row, each divided by its largest entry.
     """
     n = M.shape[1]
     if not _begin(M, k, real, whole, room):
         return -1
-    row, size = _most_negative(real, whole, n)
-    if row < 0:
-        _end(real, whole, n)
-        return 0
-    driven, value, direction = 2 * n, 0.0, 1.0
-    made, column, step = 0, n, -real[KEPT, row]
-    while made < limit:
-        left, driven, value, direction = _move(real, whole, room, n, driven, value, direction, row, column, step)
-        made += 1
-        if left == 2 * n:
-            _end(real, whole, n)
-            return made
-        if row >= 0:
-            _exchange(real, room, n, row, column)
-        column = whole[PLACE, driven] - n
-        row, step, count = _blocking(real, whole, room, n, column, direction, value, driven, size)
-        if row == NOTHING:
-            return -1
-        if count > 1:
-            row = _first_in_order(whole, room, n, column, direction, count)
-    return -1
+    level, made, outcome = 0.0, 0, SOLVED
+    for i in range(n):
+        whole[START, i] = NOT_STARTED
+        level = max(level, -real[KEPT, i] if whole[SIDE, i] != FIXED else 0.0)
+    if level > 0.0:
+        for i in range(n):
+            real[KEPT, i] += level
+        outcome, _driven, _value, _direction, made = _advance(real, whole, room, n, 2 * n, level, -1.0, True, limit)
+    if outcome != SOLVED:
+        return -1
+    _end(real, whole, n)
+    return made
 
 
 @compiled
-def pivots(  # type: ignore[no-untyped-def]
-    real, whole, room, factors, rows, start_side, driven, value, direction, is_fresh, limit
-):
+def pivots(real, whole, room, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
     """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
-
-    The tableau is what `room` holds plus the products of the columns `factors` with `rows`: those of the last few
-    pivots, which are added at once, so that a large tableau goes through memory once for all of them. What a pivot
-    looks at is brought up to date before.
 
     Parameters
     ----------
     real, whole, room : arrays
-        KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE; the tableau. All but WIDTH are updated.
-    factors, rows : arrays, shape (HELD, n) and (HELD, n + 1)
-        Room to work in.
-    start_side : array of int, shape (n,)
-        SIDE of the cell where the path began, in which it must not end; −1 where it began outside of all.
+        KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE, START; the tableau. All but WIDTH and START are updated.
     is_fresh : bool
         The tableau has just been computed: a first pivot is taken however small it is.
     """
-    n, size = start_side.size, 0.0
+    return _advance(real, whole, room, n, driven, value, direction, is_fresh, limit)
+
+
+@compiled_part
+def _advance(real, whole, room, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
+    """Make these pivots.
+
+    The tableau is the first n rows of `room` plus the products of the columns `factors` with `rows`, which follow it:
+    those of the last few pivots. They are added at once, so that a large tableau goes through memory once for all of
+    them. What a pivot looks at is brought up to date before.
+    """
+    size, most = 0.0, HELD if n > ADDED_AT_ONCE_UP_TO else 1
+    factors, rows = room[n : n + HELD], room[n + HELD : n + 2 * HELD]
     for i in range(n):
         size = max(size, abs(real[KEPT, i]))
     made, held, outcome = 0, 0, GOING_ON
@@ -131,15 +125,19 @@ def pivots(  # type: ignore[no-untyped-def]
         if row >= 0:
             _hold(room, n, factors[held], rows[held], row, column)
             held += 1
-        if held == HELD:
-            _add(room, n, factors, rows)
+        if held == most:
+            if most == HELD:
+                _add(room, n, factors, rows)
+            else:
+                for i in range(n):
+                    _bring_up_to_date(room, n, factors, rows, held, i)
             held = 0
         if left == 2 * n:
             outcome = SOLVED
             break
         entered, is_back = BETWEEN if driven < n else AT_LOWER if direction > 0.0 else AT_UPPER, True
         for i in range(n):
-            is_back &= start_side[i] == (entered if i == driven % n else whole[SIDE, i])
+            is_back &= whole[START, i] == (entered if i == driven % n else whole[SIDE, i])
         outcome = RETURNED if is_back else GOING_ON
     for i in range(n):
         _bring_up_to_date(room, n, factors, rows, held, i)
@@ -211,43 +209,18 @@ def _move(real, whole, room, n, driven, value, direction, row, column, step):  #
 
 
 @compiled_into_others
-def _power(size):  # type: ignore[no-untyped-def]
-    """Return a power of two of about size^(−1/2), 1 for 0."""
-    return 2.0 ** np.floor(-0.5 * np.log2(size) + 0.5) if size > 0.0 else 1.0
-
-
-@compiled_in_any_order
-def _equilibrate(M, k, real):  # type: ignore[no-untyped-def]
-    """Find powers of two that make the rows and columns of M about 1 (Ruiz); both sides at once."""
-    n = M.shape[1]
-    for i in range(n):
-        real[ROW_UNIT, i] = real[UNIT, i] = 1.0
-    for _ in range(SCALING_ROUNDS):
-        for i in range(n):
-            real[DISTANCE, i] = 0.0
-        for i in range(n):
-            largest, own = 0.0, real[ROW_UNIT, i]
-            for j in range(n):
-                size = abs(M[k, i, j]) * own * real[UNIT, j]
-                largest = max(largest, size)
-                real[DISTANCE, j] = max(real[DISTANCE, j], size)
-            real[LOW, i] = _power(largest)
-        for i in range(n):
-            real[ROW_UNIT, i] *= real[LOW, i]
-            real[UNIT, i] *= _power(real[DISTANCE, i])
-
-
-@compiled_into_others
 def _begin(M, k, real, whole, room):  # type: ignore[no-untyped-def]
     """Fill in the tableau of the canonical problem 0 ≤ z ≤ WIDTH, z at 0; return False where a row is free."""
     n = M.shape[1]
-    _equilibrate(M, k, real)
     for i in range(n):
-        lower, upper = real[LOWER, i], real[UPPER, i]
+        lower, upper, largest = real[LOWER, i], real[UPPER, i], 0.0
+        for j in range(n):
+            largest = max(largest, abs(M[k, i, j]))
+        real[UNIT, i], real[ROW_UNIT, i] = 1.0, 2.0 ** np.floor(0.5 - np.log2(largest)) if largest > 0.0 else 1.0
         if lower == -np.inf and upper == np.inf:
             return False
         real[BASE, i] = upper if lower == -np.inf else lower
-        real[WIDTH, i] = (upper - lower) / real[UNIT, i]
+        real[WIDTH, i] = upper - lower
         whole[SIDE, i] = FIXED if lower == upper else AT_LOWER
         if lower == -np.inf:
             real[UNIT, i], real[ROW_UNIT, i] = -real[UNIT, i], -real[ROW_UNIT, i]
@@ -265,35 +238,6 @@ def _begin(M, k, real, whole, room):  # type: ignore[no-untyped-def]
         room[i, n] = 1.0
         real[KEPT, i] = own * total
     return True
-
-
-@compiled_into_others
-def _most_negative(real, whole, n):  # type: ignore[no-untyped-def]
-    """Return the row of the least w_i < 0, −1 where there is none, and the largest |w_i|."""
-    row, size = -1, 0.0
-    for i in range(n):
-        size = max(size, abs(real[KEPT, i]))
-        # Among equals the last is the one that the perturbation q + (ε, ε², …) blocks first.
-        if whole[SIDE, i] != FIXED and real[KEPT, i] < 0.0 and (row < 0 or real[KEPT, i] <= real[KEPT, row]):
-            row = i
-    return row, size
-
-
-@compiled_into_others
-def _exchange(real, room, n, row, column):  # type: ignore[no-untyped-def]
-    """Express the other variable of `column` by the basic one of `row`, and all others by it."""
-    p = room[row, column]
-    for j in range(n + 1):
-        real[PIVOT_ROW, j] = room[row, j] / -p
-    real[PIVOT_ROW, column] = 1.0 / p
-    for i in range(n):
-        factor = room[i, column]
-        if factor != 0.0:
-            room[i, column] = 0.0
-            for j in range(n + 1):
-                room[i, j] += factor * real[PIVOT_ROW, j]
-    for j in range(n + 1):
-        room[row, j] = real[PIVOT_ROW, j]
 
 
 @compiled_into_others

@@ -225,8 +225,7 @@ class DenseEndNewtonMatrix(QuasidefiniteNewtonMatrix):
         blocked = int(symbolic.slot.max(initial=-1)) + 1
         self._block, self._rest = np.empty((blocked, symbolic.last)), np.empty((symbolic.last, symbolic.last))
 
-    def steps(self, *_: Any) -> None:
-        """None: LAPACK has its part in each."""
+    steps = NewtonMatrix.steps  # LAPACK has its part in each
 
     def _eliminate(self) -> bool:
         from .kernels import dense_ends

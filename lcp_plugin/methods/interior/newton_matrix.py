@@ -19,11 +19,7 @@ from ...core.matrix.structure import row_numbers
 from ...systems.factors import Factor, cholesky, dense_lu, sparse_lu, sparse_work
 from ...systems.refinement import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
 
-REGULARISATION = 1e-9  # of the equilibrated matrix, on rows without a barrier term of that size
-SMALLEST_REGULARISATION, LARGEST_REGULARISATION = 1e-15, 1e-4
-SMALLEST = 1e-300
 LARGE = 500  # rows from which on a second correction is cheap beside the factorisation
-WORSE = 100.0  # times as large an error, beside its right-hand side, as before a smaller regularisation
 PIVOTS = (0.0, 0.1, 1.0)  # SuperLU's thresholds, tried in order where a factor turns out useless
 
 
@@ -34,30 +30,47 @@ class NewtonMatrix:
     ----------
     work : float
         Multiplications so far.
-    enough : float
-        An error of a solve that is not refined any further.
-    missed : float
-        The largest error that a solve has left since the last factorisation.
-    share : float
-        The same beside the largest component of its right-hand side.
+    state : ndarray
+        How much is regularised, and what solves have left: as :mod:`.kernels.interior_steps` has it.
     signs : ndarray, shape (n,)
         −1 on the rows whose z is a multiplier of others, else 1.
     """
 
     def __init__(self, n: int, M: Any = None) -> None:
-        self.n, self.M = n, M
+        from .kernels import interior_steps as kernels
+
+        self.n, self.M, self._kernels = n, M, kernels
         self.work = 0.0
         self.signs = read_only(np.ones(self.n))
-        self.regularisation = self._least = REGULARISATION
-        self.missed = self.enough = 0.0
-        self.share, self._share_before = 0.0, np.inf
-        self._may_sharpen = self._is_easy = True
-        self._diagonal = np.zeros(self.n)
+        self.state = np.array([kernels.REGULARISATION, kernels.REGULARISATION, 1.0, 1.0, 0.0, 0.0, np.inf])
+        self._ones = self._diagonal = np.ones(self.n)
 
     @property
     def corrections(self) -> int:
         """How many corrections towards the centre are worth their solves, beside a factorisation."""
         return 2 if self.n >= LARGE else 1
+
+    @property
+    def missed(self) -> float:
+        """The largest error that a solve has left since the last factorisation."""
+        return float(self.state[self._kernels.MISSED])
+
+    def steps(self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, most: int) -> None:
+        """Make so many predictor–corrector steps, or fewer, and answer what they ask for."""
+        kernels, asked = self._kernels, self._kernels.PRODUCT
+        while asked >= 0 and facts[kernels.MADE] < most:
+            error = size = 0.0
+            if asked == kernels.PRODUCT:
+                vectors[kernels.LEFT] = self.product(vectors[kernels.Z])
+            elif asked == kernels.FACTOR:
+                x = self._try(vectors[kernels.SHIFTED], vectors[kernels.RIGHT])
+                vectors[kernels.FOUND], error = (0.0, np.inf) if x is None else (x, 0.0)
+            else:
+                enough = kernels.ENOUGH * float(facts[kernels.INFEASIBILITY])
+                vectors[kernels.FOUND], error, size = self._refined(
+                    vectors[kernels.RIGHT], vectors[kernels.DIAGONAL], enough
+                )
+            asked = kernels.go_on(vectors, facts, self.state, is_active, asked, error, size)
 
     def product(self, z: FloatVector) -> FloatVector:
         """Return M z."""
@@ -65,69 +78,40 @@ class NewtonMatrix:
 
     def factorise(self, diagonal: FloatVector) -> bool:
         """Factorise with this diagonal, shape (n,), ≥ 0; return False where no regularisation helps."""
-        self._diagonal, self.missed, self.share = diagonal, 0.0, 0.0
-        if self._is_easy:
-            self.regularisation = max(self._least, 0.01 * self.regularisation)
-        self._is_easy = True
-        while not self._try(diagonal + self.regularisation):
-            self._may_sharpen = self._is_easy = False
-            self.regularisation *= 100.0
-            self._least = min(self.regularisation, REGULARISATION)
-            if self.regularisation > LARGEST_REGULARISATION:
+        kernels, self._diagonal = self._kernels, diagonal
+        kernels.relax(self.state)
+        while self._try(diagonal + self.state[kernels.NOW], self._ones) is None:
+            if not kernels.regularise(self.state):
                 return False
         return True
 
-    def sharpen(self) -> None:
-        """Regularise less from the next factorisation on, unless that has failed, or made matters worse, before."""
-        if not self._may_sharpen:
-            return
-        self._may_sharpen = self.share <= WORSE * self._share_before
-        self._share_before = self.share
-        if self._may_sharpen:
-            self._least = max(0.01 * self._least, SMALLEST_REGULARISATION)
-        else:
-            self._least = min(100.0 * self._least, REGULARISATION)
-
-    def steps(
-        self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, small_gap: float, most: int, settled: int
-    ) -> tuple[int, int] | None:
-        """Make many steps in one call, where the factor allows it: return what its kernel does, else None."""
-        return None
-
     def solve(self, right: FloatVector) -> FloatVector:
         """Return x with (M + diag(diagonal)) x = right, shape (n,), the regularisation refined away where possible."""
+        return self._refined(right, self._diagonal, 0.0)[0]
+
+    def _refined(self, right: FloatVector, diagonal: FloatVector, enough: float) -> tuple[FloatVector, float, float]:
+        """Return x, refined until the error is enough, its largest error, and the largest component of `right`."""
         x = self._apply(right)
         size = float(np.max(np.abs(right), initial=0.0))
-        left, error = self._left(right, x)
+        left, error = self._left(right, diagonal, x)
         for _ in range(REFINEMENTS):
-            if not max(REFINED * size, min(self.enough, ROUGH * size)) < error < np.inf:
+            if not max(REFINED * size, min(enough, ROUGH * size)) < error < np.inf:
                 break
             better = x + self._apply(left)
-            left, smaller = self._left(right, better)
+            left, smaller = self._left(right, diagonal, better)
             if not smaller < error:
                 break
             x, error = better, smaller
-        self.missed, self.share = max(self.missed, error), max(self.share, error / max(size, SMALLEST))
-        return x
+        return x, error, size
 
-    def _left(self, right: FloatVector, x: FloatVector) -> tuple[FloatVector, float]:
+    def _left(self, right: FloatVector, diagonal: FloatVector, x: FloatVector) -> tuple[FloatVector, float]:
         """Return what x leaves of the right-hand side, and its largest magnitude."""
-        self.work += self._entries
-        left = right - self.M @ x - self._diagonal * x
+        self.work += float(self.M.nnz if sp.issparse(self.M) else self.M.size)
+        left = right - self.M @ x - diagonal * x
         return left, float(np.max(np.abs(left), initial=0.0))
 
-    def is_useful(self, diagonal: FloatVector) -> bool:
-        """Whether a solve leaves a residual of M + diag(diagonal) that refinement can reduce."""
-        x = self._apply(np.ones(self.n))
-        left = float(np.max(np.abs(1.0 - self.M @ x - diagonal * x), initial=0.0))
-        return left <= max(USEFUL, STABLE * float(np.max(np.abs(x), initial=0.0)))
-
-    @property
-    def _entries(self) -> float:
-        return float(self.M.nnz if sp.issparse(self.M) else self.M.size)
-
-    def _try(self, diagonal: FloatVector) -> bool:
-        """Factorise M + diag(diagonal); return whether that succeeded."""
+    def _try(self, shifted: FloatVector, right: FloatVector) -> FloatVector | None:
+        """Factorise M + diag(shifted); return its answer to one right-hand side, None where it is useless."""
         raise NotImplementedError
 
     def _apply(self, right: FloatVector) -> FloatVector:
@@ -149,15 +133,15 @@ class DenseNewtonMatrix(NewtonMatrix):
         self._buffer = np.empty_like(M)
         self._factor: Any = None
 
-    def _try(self, diagonal: FloatVector) -> bool:
+    def _try(self, shifted: FloatVector, right: FloatVector) -> FloatVector | None:
         np.copyto(self._buffer, self.M)
-        self._buffer.flat[:: self.n + 1] += diagonal
+        self._buffer.flat[:: self.n + 1] += shifted
         self._factor = self._factorise(self._buffer, overwrite=True)
         self.work += self.n**3 / self._share
         if self._factor is None and self._factorise not in (cholesky, dense_lu):
             self._factorise, self._share = dense_lu, 3.0  # rounding left a block indefinite, which pivots mend
-            return self._try(diagonal)
-        return self._factor is not None
+            return self._try(shifted, right)
+        return None if self._factor is None else self._apply(right)
 
     def _apply(self, right: FloatVector) -> FloatVector:
         self.work += self._factor.solve_work
@@ -257,9 +241,9 @@ class SparseNewtonMatrix(NewtonMatrix):
         self._rows.sort_indices()
         self._places = np.flatnonzero(row_numbers(self._rows) == self._rows.indices)
 
-    def _try(self, diagonal: FloatVector) -> bool:
+    def _try(self, shifted: FloatVector, right: FloatVector) -> FloatVector | None:
         for pivoting in range(self._pivoting, len(PIVOTS)):
-            self._rows.data[self._places] = self._own_diagonal + diagonal[self._order]
+            self._rows.data[self._places] = self._own_diagonal + shifted[self._order]
             is_first = not self._factor_work
             try:  # CSR of the matrix is CSC of its transpose
                 self._factor = sparse_lu(
@@ -273,10 +257,13 @@ class SparseNewtonMatrix(NewtonMatrix):
                 self._factor_work = sparse_work(self._factor)
                 self._arrange(np.argsort(self._factor.perm_c))
             self.work += self._factor_work
-            if (self._is_trusted and pivoting == len(PIVOTS) - 1) or self.is_useful(diagonal):
+            x = self._apply(right)
+            sizes = [float(np.max(np.abs(values), initial=0.0)) for values in (right, x)]
+            is_useful = self._left(right, shifted, x)[1] <= max(USEFUL * sizes[0], STABLE * sizes[1])
+            if is_useful or (self._is_trusted and pivoting == len(PIVOTS) - 1):
                 self._pivoting = pivoting
-                return True
-        return False
+                return x
+        return None
 
     def _apply(self, right: FloatVector) -> FloatVector:
         self.work += float(self._factor.nnz)

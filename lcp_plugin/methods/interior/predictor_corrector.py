@@ -71,8 +71,8 @@ class PredictorCorrector:
         The mean product of a distance and its multiplier.
     infeasibility : float
         The largest |M z + q − w_lower + w_upper| before the last step.
-    changes, settled : int
-        Rows that came to a bound or left one with the last step; steps since there was any, or the gap was not small.
+    changes : int
+        Rows that came to a bound or left one when it was advanced last.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class PredictorCorrector:
         facts[kernels.IS_PROGRAM] = float((matrix.signs < 0.0).any())
         facts[kernels.INFEASIBILITY] = np.inf
         self.z = vectors[kernels.Z]
-        self.changes, self.settled, self._was_active = 0, 0, np.zeros(q.size, dtype=bool)
+        self.changes, self._is_active = 0, np.zeros(q.size, dtype=bool)
 
     @property
     def length(self) -> float:
@@ -172,7 +172,7 @@ class PredictorCorrector:
         np.minimum(parts[:2], half, out=parts[:2])
         self.z[:] = np.where(has[0], lower + parts[0], np.where(has[1], upper - parts[1], z))
         facts[kernels.GAP] = np.vdot(parts[:2], parts[2:]) / max(facts[kernels.PAIRS], 1.0)
-        self._was_active[:], self.settled = self.is_active(), 0
+        self._is_active[:], facts[kernels.SETTLED] = self.active(1.0)[0], 0.0
 
     def _shift_roles(self, parts: FloatVector, has: BoolVector, z: FloatVector) -> None:
         """Apply Mehrotra's shifts, one to what is primal in a program, one to what is dual.
@@ -198,50 +198,25 @@ class PredictorCorrector:
             partner[apart] = mean / role[apart]
         parts[:] = np.where(is_dual, sides[[2, 3, 0, 1]], sides)
 
-    def advance(self, most: int, small_gap: float) -> int:
+    def advance(self, most: int, small_gap: float = 0.0) -> int:
         """Make so many steps, or fewer, and return how many; 0 where nothing can be factorised or is finite any more.
 
         Fewer where the gap is small and the active set may have settled.
         """
-        at_once = self.matrix.steps(self._vectors, self._facts, self._was_active, small_gap, most, self.settled)
-        if at_once is not None:
-            self.changes, (made, self.settled) = 0, at_once
-            return made
-        for made in range(most):
-            if not self.step():
-                return made
-            present = self.is_active()
-            self.changes, self._was_active = int(np.count_nonzero(present != self._was_active)), present
-            self.settled = 0 if self.changes or self.gap > small_gap else self.settled + 1
-            if self.has_settled:
-                return made + 1
-        return most
+        facts, kernels, before = self._facts, self._kernels, self._is_active.copy()
+        facts[kernels.MADE], facts[kernels.SMALL_GAP] = 0.0, small_gap
+        self.matrix.steps(self._vectors, facts, self._is_active, most)
+        self.changes = int(np.count_nonzero(before != self._is_active))
+        return int(facts[kernels.MADE])
 
     @property
     def has_settled(self) -> bool:
         """Whether the active set may have, and was not looked at since."""
-        return self.settled in self._kernels.LOOKS
-
-    def step(self) -> bool:
-        """Make one predictor–corrector step; return False where nothing can be factorised or is finite any more."""
-        vectors, facts, kernels, matrix = self._vectors, self._facts, self._kernels, self.matrix
-        vectors[kernels.LEFT] = matrix.product(self.z)
-        if not kernels.begin(vectors, facts) or not matrix.factorise(vectors[kernels.DIAGONAL]):
-            return False
-        matrix.enough = kernels.ENOUGH * self.infeasibility
-        phase = kernels.advance(vectors, facts, kernels.BEGUN)
-        while phase != kernels.DONE:
-            vectors[kernels.FOUND] = matrix.solve(vectors[kernels.RIGHT])
-            phase = kernels.advance(vectors, facts, phase)
-        matrix.enough = 0.0
-        if facts[kernels.IS_PROGRAM] and matrix.missed > kernels.SHARP * self.infeasibility:
-            matrix.sharpen()
-        return bool(kernels.move(vectors, facts))
+        return float(self._facts[self._kernels.SETTLED]) in self._kernels.LOOKS
 
     def is_active(self) -> BoolVector:
         """Return the rows with a distance to a bound that is less than its multiplier."""
-        distances, multipliers = self._vectors[self._kernels.BELOW : self._kernels.LEFT].reshape(2, 2, -1)
-        return np.asarray((distances < multipliers).any(axis=0))
+        return self._is_active.copy()
 
     def active(self, threshold: float) -> tuple[BoolVector, FloatVector]:
         """Return the rows whose distance to a bound is less than threshold × its multiplier, and that bound, else 0."""

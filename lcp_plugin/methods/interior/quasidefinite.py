@@ -18,8 +18,8 @@ from ...core.crossovers import SPARSE_OPERATIONS
 from ...core.deadline import require_seconds
 from ...systems.factors import require_time_for_factor
 from ...systems.graph import compressed_rows
-from ...systems.refinement import REFINEMENTS, STABLE, USEFUL
-from .newton_matrix import SMALLEST, NewtonMatrix
+from ...systems.refinement import REFINEMENTS
+from .newton_matrix import NewtonMatrix
 
 DEAR = (8.0, 30.0)  # times the work of a solve: factorisations that are worth one correction, or two
 AT_ONCE_UP_TO = 1e8  # operations a factor, .1 s: beyond, somebody may want to look between two steps
@@ -115,17 +115,18 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         self._own_diagonal, self._entries_of = M.diagonal(), compressed_rows(M)
         self._signed = np.repeat(signs, np.diff(M.indptr)) * M.data
         self._values, self._pivots = np.empty(self.symbolic.entries), np.empty(self.n)
-        self._ones, self._spare = np.ones(self.n), np.empty((4, self.n))
+        self._spare = np.empty((3, self.n))
         self._system = *self.symbolic.pattern[:3], self._values, self._pivots, self.signs, *self._entries_of
 
-    def _try(self, diagonal: FloatVector) -> bool:
-        self.work += self.symbolic.work
-        np.multiply(self.signs, self._own_diagonal + diagonal, out=self._pivots)
+    def _try(self, shifted: FloatVector, right: FloatVector) -> FloatVector | None:
+        from .kernels import symmetric_factors
+
+        self.work += self.symbolic.work + self.symbolic.solve_work + self.M.nnz
+        np.multiply(self.signs, self._own_diagonal + shifted, out=self._pivots)
         require_seconds(self.symbolic.work / SPARSE_OPERATIONS)
-        if not self._eliminate():
-            return False
-        x, error, _ = self._solved(self._ones, diagonal, 0)
-        return error <= max(USEFUL, STABLE * float(np.abs(x).max()))
+        x = np.empty(self.n)
+        is_useful = self._eliminate() and symmetric_factors.is_useful(*self._system, shifted, right, x, self._spare)
+        return x if is_useful else None
 
     def _eliminate(self) -> bool:
         """Fill L and D; return whether no pivot was 0."""
@@ -134,27 +135,17 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         arrays = *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
         return bool(symmetric_factors.factorise(*arrays))
 
-    def steps(
-        self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, small_gap: float, most: int, settled: int
-    ) -> tuple[int, int] | None:
-        """Make steps as :mod:`lcp_plugin.methods.interior.kernels.steps_at_once` does; None where each takes long."""
-        if self.symbolic.work > AT_ONCE_UP_TO:
-            return None
-        from .kernels import steps_at_once as kernels
+    def steps(self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, most: int) -> None:
+        """Make steps in one compiled call; one where each takes long."""
+        from .kernels import steps_at_once
 
-        state = np.array([
-            self.regularisation, self._least, self._may_sharpen, self._is_easy, 0.0, self.share, self._share_before,
-            0.0, 0.0,
-        ])
-        made: tuple[int, int] = kernels.steps(
-            vectors, facts, state, self.symbolic.pattern, self._signed, self._own_diagonal, self.signs,
-            self._entries_of, (self._values, self._pivots), self._spare, is_active, small_gap, most, settled,
+        known = self.symbolic
+        require_seconds(known.work / SPARSE_OPERATIONS)
+        factors, solves = steps_at_once.steps(
+            vectors, facts, self.state, is_active, most if known.work <= AT_ONCE_UP_TO else 1, known.pattern,
+            self._signed, self._own_diagonal, self.signs, self._entries_of, (self._values, self._pivots), self._spare,
         )
-        self.regularisation, self._least, self.missed, self.share, self._share_before = state[[0, 1, 4, 5, 6]].tolist()
-        self._may_sharpen, self._is_easy = (state[[2, 3]] > 0.0).tolist()
-        self.work += float(state[kernels.FACTORS]) * self.symbolic.work
-        self.work += float(state[kernels.SOLVES]) * (self.symbolic.solve_work + self._entries)
-        return made
+        self.work += float(factors) * known.work + float(solves) * (known.solve_work + self.M.nnz)
 
     @property
     def corrections(self) -> int:
@@ -162,25 +153,15 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         times = self.symbolic.work / max(self.symbolic.solve_work, 1.0)
         return 2 if times > DEAR[1] else int(times > DEAR[0])
 
-    def solve(self, right: FloatVector) -> FloatVector:
-        """Return what every Newton matrix does, refined in compiled loops."""
-        x, error, size = self._solved(right, self._diagonal, REFINEMENTS)
-        self.missed, self.share = max(self.missed, error), max(self.share, error / max(size, SMALLEST))
-        return x
-
-    def _solved(self, right: FloatVector, diagonal: FloatVector, refinements: int) -> tuple[FloatVector, float, float]:
-        """Return x, the largest error that it leaves, and the largest component of the right-hand side."""
+    def _refined(self, right: FloatVector, diagonal: FloatVector, enough: float) -> tuple[FloatVector, float, float]:
         from .kernels import symmetric_factors
 
         x = np.empty(self.n)
         error, size, passes = symmetric_factors.solve(
-            *self._system, diagonal, right, x, self._spare, refinements, self.enough
+            *self._system, diagonal, right, x, self._spare, REFINEMENTS, enough
         )
-        self.work += passes * (self.symbolic.solve_work + self._entries)
+        self.work += passes * (self.symbolic.solve_work + self.M.nnz)
         return x, error, size
-
-    def _apply(self, right: FloatVector) -> FloatVector:
-        return self._solved(right, self._diagonal, 0)[0]
 
 
 def signs_of(M: Any) -> FloatVector | None:

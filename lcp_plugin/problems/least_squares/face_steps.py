@@ -134,6 +134,7 @@ class NormalMatrix(NewtonMatrix):
         super().__init__(columns.size)
         self._faces, self._columns = faces, columns
         self._solve: Solve = np.copy
+        self.state[:2] = 0.0  # the faces find the shift that a singular AᵀA needs
 
     def product(self, d: FloatVector) -> FloatVector:
         """Return (AᵀA + ridge) d."""
@@ -143,17 +144,13 @@ class NormalMatrix(NewtonMatrix):
         bent = problem.transposed(problem.product(direction)) + problem.ridge * direction
         return np.asarray(bent[self._columns])
 
-    def _try(self, diagonal: FloatVector) -> bool:
-        solve = self._faces.factor(self._columns, diagonal)
+    def _try(self, shifted: FloatVector, right: FloatVector) -> FloatVector | None:
+        solve = self._faces.factor(self._columns, shifted)
         self._solve = solve or self._solve
-        return solve is not None
+        return None if solve is None else solve(right)
 
-    factorise = _try  # the faces find the shift that a singular AᵀA needs
-
-    def _apply(self, right: FloatVector) -> FloatVector:
-        return self._solve(right)
-
-    solve = _apply
+    def _refined(self, right: FloatVector, diagonal: FloatVector, enough: float) -> tuple[FloatVector, float, float]:
+        return self._solve(right), 0.0, 1.0
 
 
 def interior_steps(start: FacePoint, faces: Faces) -> Iterator[FacePoint]:
@@ -167,7 +164,7 @@ def interior_steps(start: FacePoint, faces: Faces) -> Iterator[FacePoint]:
     point.start_near(x[columns], start.gradient[columns])
     first = point.gap
     for _ in range(STEPS):
-        if not point.step():
+        if not point.advance(1):
             break
         active, at = point.active(1.0)
         x = fixed.copy()

@@ -10,7 +10,7 @@ import numpy as np
 
 from ....core.kernels.compilation import compiled
 from ....core.kernels.compiler import uintp
-from ....systems.refinement import REFINED, ROUGH
+from ....systems.refinement import REFINED, ROUGH, STABLE, USEFUL
 
 
 @compiled
@@ -85,3 +85,15 @@ def solve(  # type: ignore[no-untyped-def]
             x[i] = better[i]
         error = smaller
     return error, size, passes
+
+
+@compiled
+def is_useful(order, starts, below, values, pivots, signs, indptr, indices, data, shifted, right, x, spare):  # type: ignore[no-untyped-def]
+    """Fill x with what the factor of S (M + diag(shifted)) answers to `right`; return whether it is of any use."""
+    error, size, _ = solve(
+        order, starts, below, values, pivots, signs, indptr, indices, data, shifted, right, x, spare, 0, 0.0
+    )
+    largest = 0.0
+    for i in range(x.size):
+        largest = max(largest, abs(x[i]))
+    return error <= max(USEFUL * size, STABLE * largest)

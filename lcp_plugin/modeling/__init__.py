@@ -39,7 +39,8 @@ nearby where it can.
   variable has no value, it begins at the point of the bounds nearest to 0, or else to 1.
 - A side that must be a variable, as that of a box, gets one: ``y == cp.exp(x)`` in the list, and ``box(y, 1, 2)``.
 - What leaves a domain, as ``log`` below zero, shortens a step. State the bound that keeps a solution inside.
-- ``abs``, ``maximum``, norms and integers are refused. ``abs(x)`` is x + 2 s with ``complements(s >= 0, x + s >= 0)``.
+- ``abs``, ``maximum``, norms and integers are refused. ``abs(x)`` is x + 2 s with ``complements(s >= 0, x + s >= 0)``,
+  which the search for the best of all solutions writes itself in objectives and rows.
 - An expression that enters all rows, as ``cp.power(cp.sum(x), -1.1)``, makes the Jacobian dense. Give it a variable and
   an equation: ``total == cp.sum(x)``.
 - Write with vectors: thousands of scalar expressions take seconds to read, a vector of them milliseconds.

@@ -35,7 +35,7 @@ from .builder import (
     warn_of_unbounded,
 )
 from .certified_problem import ReducedProblem
-from .constraint import Complements
+from .constraint import Complements, complements
 from .equilibrium_rows import EquilibriumRows
 from .expressions.rows import Indices, as_matrix
 from .reading import Reader
@@ -194,9 +194,25 @@ def _variable(expression: Any, added: list[Any]) -> Any:
     return variable
 
 
+def _without_abs(expression: Any, kinks: list[Complements]) -> Any:
+    """Return the expression with x + 2 s in the place of |x|, 0 ≤ s ⟂ x + s ≥ 0 being added to the pairs."""
+    arguments = [_without_abs(one, kinks) for one in expression.args]
+    if isinstance(expression, cp.abs) and not expression.is_constant():
+        x, s = arguments[0], cp.Variable(expression.shape)
+        s.value = None if x.value is None else np.maximum(-dense(x.value), 0.0)
+        kinks.append(complements(s >= 0, x + s >= 0))
+        return x + 2 * s
+    is_same = all(one is own for one, own in zip(arguments, expression.args, strict=True))
+    return expression if is_same else expression.copy(arguments)
+
+
 def _read(problem: Any, pairs: list[StatedPair], others: list[Any]) -> Statement:
     """Read objective, constraints and sides by our own expressions."""
-    builder = Builder([problem.objective, *problem.constraints], {}, takes_integers=True)
+    kinks: list[Complements] = []
+    goal_read = _without_abs(problem.objective.args[0], kinks)
+    rows = [_without_abs(expression_of(one), kinks) for one in others]
+    pairs = [*pairs, *map(StatedPair, kinks)]
+    builder = Builder([problem.objective, *problem.constraints, *kinks], {}, takes_integers=True)
     columns = [np.arange(one.size) + builder.offsets[one.id] for one in builder.variables]
     integers = []
     for one, own in zip(builder.variables, columns, strict=True):
@@ -208,12 +224,12 @@ def _read(problem: Any, pairs: list[StatedPair], others: list[Any]) -> Statement
         builder.compiler, builder.first, builder.lower, builder.upper,
         np.concatenate([*integers, np.zeros(0, dtype=np.int64)]),
     )
-    for one in others:
+    for one, row in zip(others, rows, strict=True):
         if not isinstance(one, (Equality, Zero, Inequality, NonPos, NonNeg)):
             raise UnsupportedModel(f"the constraint {one} is neither an equation nor an inequality; write it as such")
         low = 0.0 if isinstance(one, (Equality, Zero, NonNeg)) else -np.inf
         high = np.inf if isinstance(one, NonNeg) else 0.0
-        found.constrain(builder.reader.rows(expression_of(one)), low, high)
+        found.constrain(builder.reader.rows(row), low, high)
     sides = []
     for pair in pairs:
         z, w = (builder.reader.rows(side) for side in pair.sides)
@@ -222,7 +238,7 @@ def _read(problem: Any, pairs: list[StatedPair], others: list[Any]) -> Statement
             sides.append((found.named(z), found.named(w)))
         else:
             sides.append(found.pair(z, w, pair.lower, pair.upper))
-    goal = builder.reader.rows(problem.objective.args[0])
+    goal = builder.reader.rows(goal_read)
     places = {one.id: own for one, own in zip(builder.variables, columns, strict=True)}
 
     def values(x: FloatVector) -> dict[int, Any]:

@@ -171,14 +171,17 @@ def test_what_falls_for_ever_without_being_convex_is_said() -> None:
     assert bounded.solve(method="LCP") == pytest.approx(24.0, abs=1e-5)
 
 
-def test_an_absolute_value_is_written_as_a_pair() -> None:
-    """The refusal says how, and that is taken: |x − 3| − x is largest at x = 0."""
-    x, y, kink = cp.Variable(bounds=[0, 10]), cp.Variable(), cp.Variable()
-    rows = [complements(y >= 0, 2 * y + x - 8 >= 0)]
-    with pytest.raises(UnsupportedModel, match=r"complements\(s >= 0, x \+ s >= 0\).*x \+ 2 s = \|x\|"):
-        cp.Problem(cp.Maximize(cp.abs(x - 3) - x), rows).solve(method="LCP")
-    followed = cp.Problem(cp.Maximize(x - 3 + 2 * kink - x), [*rows, complements(kink >= 0, x - 3 + kink >= 0)])
-    assert followed.solve(method="LCP") == pytest.approx(3.0, abs=1e-6)
+def test_an_absolute_value_that_is_not_convex_is_taken_as_a_pair() -> None:
+    """|x − 3| − x is largest at x = 0, proved; |a| + |b| − a b, |a| + b² ≤ 2, where 3 = 2 b + 3 b²; starts count."""
+    x, y, v = cp.Variable(bounds=[0, 10]), cp.Variable(), cp.Variable(2, bounds=[-2, 1])
+    problem = cp.Problem(cp.Maximize(cp.abs(x - 3) - x), [complements(y >= 0, 2 * y + x - 8 >= 0)])
+    for limit in (None, 0):
+        assert problem.solve(method="LCP", max_nodes=limit) == pytest.approx(3.0, abs=1e-6)
+    assert problem.solver_stats.extra_stats.bound_by == "proof"
+    rows = [complements(y >= 0, y - v[0] >= 0), cp.abs(v)[0] + cp.square(v[1]) <= 2]
+    b = (np.sqrt(10.0) - 1.0) / 3.0
+    bent = cp.Problem(cp.Maximize(cp.sum(cp.abs(v)) - cp.multiply(v[0], v[1])), rows)
+    assert bent.solve(method="LCP") == pytest.approx(2.0 + 3.0 * b - b**2 - b**3, abs=1e-5)
 
 
 def test_without_scip_what_is_no_complementarity_problem_is_solved_too(without_scip: None) -> None:

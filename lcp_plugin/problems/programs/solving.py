@@ -84,10 +84,16 @@ class QuadraticProgramResult(Answer):
         Of the whole run, seconds in wall-clock time.
     proof : QPInfeasibility or QPUnboundedness or None
         Of INFEASIBLE or UNBOUNDED.
+    tolerance : float
+        As given to :func:`lcp_plugin.solve`.
     stages : tuple of StageRecord
         What ran, in order.
-    tolerance, history, setup_seconds, begun
-        As of :class:`lcp_plugin.Result`; history is of the complementarity problem.
+    history : tuple of Sample
+        Of the complementarity problem; empty unless asked for with ``record=True``.
+    setup_seconds : float
+        Seconds until the first iterate.
+    begun : str
+        As of :class:`lcp_plugin.Result`.
     """
 
     status: Status

@@ -307,7 +307,7 @@ class LCP:
             Equations A x = b.
         lower, upper : scalar or array, shape (n,)
             Bounds of x; none by default.
-        form : {"auto", "direct", "dual", "kkt"}
+        form : {"auto", "direct", "kkt"}
             Which optimality conditions become the problem.
         """
         program = ask("kind", "QuadraticProgram").type(P, c, G, h, A, b, lower, upper)

@@ -19,7 +19,6 @@ Solver = Callable[[FloatArray], FloatArray]
 
 LARGEST_SHIFT = 1e-6  # a semidefiniteness up to more than this would say nothing
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
-POWER_STEPS = 8  # usually right within a factor of 2
 
 
 def positive_definite_solver(P: Any) -> Solver | None:
@@ -169,27 +168,6 @@ def semidefinite_margin(P: Any) -> float:
     """Return δ of "λ_min(P) ≥ −δ", which :func:`is_semidefinite_to_rounding` says, in the unit of P."""
     diagonal: FloatVector = np.array(P.diagonal())
     return 2.0 * _margin(diagonal.size, diagonal.size) * float(diagonal.max(initial=0.0))
-
-
-def condition_estimate(P: Any, solver: Solver) -> float:
-    """Return a lower estimate of the condition number of P scaled to a unit diagonal, by power iteration.
-
-    Parameters
-    ----------
-    P : ndarray or CSR array, shape (n, n)
-        Positive definite.
-    solver : callable
-        rhs ↦ P⁻¹ rhs.
-    """
-    root: FloatVector = np.sqrt(np.array(P.diagonal()))
-    largest = smallest = 1.0
-    forward = backward = np.random.default_rng(0).standard_normal(root.size)
-    for _ in range(POWER_STEPS):
-        forward = (P @ (forward / root)) / root
-        backward = root * solver(root * backward)
-        largest, smallest = float(np.linalg.norm(forward)), float(np.linalg.norm(backward))
-        forward, backward = forward / max(largest, 1e-300), backward / max(smallest, 1e-300)
-    return largest * smallest
 
 
 def is_diagonal(P: Any) -> bool:

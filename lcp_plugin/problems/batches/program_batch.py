@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ...core.settings import Status
-from ...core.solving.result import Result
 from ..programs.compiled_call import ACTIVE_SET
 from ..programs.criterion import PROGRAM_TOLERANCE, Errors, program_goal
 from ..programs.own_units import units_of_stacks
-from ..programs.program import QuadraticProgram
 from ..programs.qp_solution import QPSolution
 from ..programs.small_programs import MOST_STEPS, SmallAnswers, SmallPrograms, may_be_small
 from ..programs.solving import QuadraticProgramResult, judged_program
@@ -97,14 +95,9 @@ class ProgramBatchRun(BatchLoop):
             solution = QPSolution.of_rows(self.programs[k], self.answers.x[k], multipliers)
             self.results[k] = QuadraticProgramResult(
                 self.status[k], solution, goal, f"auto: {ACTIVE_SET}", int(self.answers.steps[k]), share,
-                partial(_lcp_result, solution.program, self.settings.tolerance),
+                self.settings.tolerance,
             )
         return self.results[k]
-
-
-def _lcp_result(program: QuadraticProgram, tolerance: float) -> Result:
-    """Return the run on the complementarity problem of one program of a batch."""
-    return judged_program(program, tolerance=tolerance).lcp_result
 
 
 class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):

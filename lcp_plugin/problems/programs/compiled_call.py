@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector, read_only
+from ...core.checks import FloatVector
 from ...core.communicator import ALONE
 from ...core.deadline import Clock
-from ...core.settings import Status
-from ...core.solving.result import BoundOrReason, Result, StageRecord
+from ...core.solving.result import StageRecord
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
 from .program import QuadraticProgram
 from .qp_certificates import with_bounds
-from .qp_forms import KKTForm, QPOrigin
+from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility
 from .qp_solution import QPSolution
-from .reductions import FoldedRows, Substitution, fold_simple_rows, substitute_definitions
+from .reductions import Substitution, fold_simple_rows, substitute_definitions
 from .small_programs import ROWS_UP_TO, UP_TO, SmallAnswers, SmallPrograms, may_be_small, work_of_search
 
 ACTIVE_SET = "dual active set"
@@ -33,42 +31,25 @@ MANY = UP_TO**2 * ROWS_UP_TO  # entries: those that are left are not counted yet
 REACHED = 1e-9  # the smallest tolerance that the compiled call is asked for
 
 
-@dataclass(frozen=True, eq=False)
-class CompiledAnswer:
-    """The answer to a small program, judged by the program's own criterion.
+class Found(NamedTuple):
+    """The answer to a program before there is a run, judged by the program's own criterion; by what, and how long.
 
-    Attributes
-    ----------
-    solution : QPSolution
-    steps : int
-    seconds : float
+    Where the program's complementarity problem was solved, `origin` is that problem's.
     """
 
     solution: QPSolution
-    steps: int
+    stage: StageRecord
     seconds: float
-    name = ACTIVE_SET
-    _substitution: Substitution | None
-    _rows: FoldedRows | None
-    _point: tuple[FloatVector, FloatVector]
-
-    def result(self, tolerance: float, algorithm: str = "auto") -> ProgramResult:
-        """Return the same as the result of the complementarity problem of the program."""
-        program = self.solution.program if self._substitution is None else self._substitution.reduced
-        rows, (x, y) = fold_simple_rows(program) if self._rows is None else self._rows, self._point
-        z = np.append(x, y if self._rows is not None else y[rows.left])
-        entries = max(sum(rows.folded.matrices.entries), 1)
-        stage = StageRecord(ACTIVE_SET, AT_ONCE, self.steps, work_of_search(x.size, y.size, self.steps) / entries)
-        return ProgramResult.of(KKTForm(rows, self._substitution), z, stage, self.seconds, tolerance, algorithm)
+    origin: QPOrigin | None = None
 
 
-def solved_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswer | None:
+def solved_at_once(program: QuadraticProgram, tolerance: float) -> Found | None:
     """Return the answer to a small program by one compiled call, None where it finds none."""
     found = settled_at_once(program, tolerance)
-    return found if isinstance(found, CompiledAnswer) else None
+    return found if isinstance(found, Found) else None
 
 
-def settled_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnswer | QPInfeasibility | None:
+def settled_at_once(program: QuadraticProgram, tolerance: float) -> Found | QPInfeasibility | None:
     """Return the answer to a small program by one compiled call, or a proof that there is none; None where it has none.
 
     The proof, that constraints contradict each other, is checked in exact arithmetic, and the program keeps it.
@@ -92,7 +73,7 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnsw
     if not answers.has_converged[0]:
         return None
     x, y, costs = part.whole(answers)
-    point, every = (x, y), np.concatenate([y, np.maximum(costs, 0.0), np.maximum(-costs, 0.0)])
+    every = np.concatenate([y, np.maximum(costs, 0.0), np.maximum(-costs, 0.0)])
     if rows is not None:
         every = rows.unfold(every)
     if substitution is not None:
@@ -102,10 +83,9 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> CompiledAnsw
         solution.__dict__["_errors"] = Errors(*answers.measures[0, :5].tolist())
     if not solution.is_stationary(goal):
         return None
-    found = CompiledAnswer(solution, int(answers.steps[0]), clock.read(), substitution, rows, point)
-    if tolerance < REACHED and not found.result(tolerance).residual <= tolerance:
-        return None  # that is asked of the complementarity problem, too
-    return found
+    steps, entries = int(answers.steps[0]), max(sum(reduced.matrices.entries), 1)
+    work = work_of_search(reduced.n, reduced.constraints.rows, steps) / entries
+    return Found(solution, StageRecord(ACTIVE_SET, AT_ONCE, steps, work), clock.read())
 
 
 def contradiction(program: QuadraticProgram, y: FloatVector, goal: float) -> QPInfeasibility | None:
@@ -192,45 +172,3 @@ class _FreePart:
         costs = P[0] @ x + self.program.c + y @ C[0]
         costs[free] = reduced
         return x, y, costs
-
-
-class ProgramResult(Result):
-    """The result of a program that was solved as it is: its complementarity problem is made once somebody asks for it.
-
-    SOLVED means that the program's own residuals are within the tolerance.
-
-    Attributes
-    ----------
-    origin : QPOrigin
-        Of that problem.
-    z : ndarray, shape (n,)
-    """
-
-    origin: QPOrigin
-
-    @classmethod
-    def of(
-        cls, origin: QPOrigin, z: FloatVector, stage: StageRecord, seconds: float, tolerance: float, algorithm: str
-    ) -> ProgramResult:
-        """Return the result of z, found in one stage."""
-        made = object.__new__(cls)
-        made.__dict__.update(
-            origin=origin, z=read_only(z), status=Status.SOLVED, iterations=stage.iterations, work=stage.work,
-            algorithm=stage.name if algorithm == stage.name else f"{algorithm}: {stage.name}", seconds=seconds,
-            setup_seconds=0.0, tolerance=tolerance, history=(), stages=(stage,),
-            infeasibility=None, tolerance_on="residual", absolute_tolerance=0.0, _asked=algorithm,
-            _bound=BoundOrReason(), _advice={},
-        )
-        return made
-
-    @cached_property
-    def certificate(self) -> Certificate:
-        """The certificate of z in the KKT form of the program."""
-        problem = self.origin.problem()
-        problem.origin = problem.criterion = self.origin
-        return Certificate.of(problem, self.z)
-
-    @cached_property
-    def w(self) -> FloatVector:
-        """The certificate's w."""
-        return self.certificate.w

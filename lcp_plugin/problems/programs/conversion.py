@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,9 +15,10 @@ from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
 from .program import QuadraticProgram, asymmetry_of
-from .qp_forms import FORMS, DualForm
+from .qp_forms import QPOrigin
 from .reductions import Substitution, fold_simple_rows, substitute_definitions
 
+FORMS = ("auto", "direct", "kkt")
 __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
 
@@ -29,21 +29,15 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     ----------
     program : QuadraticProgram
         Convex: UnsupportedModel where P clearly has a negative eigenvalue (to n = 5000, by one factorisation).
-    form : {"auto", "direct", "dual", "kkt"}
+    form : {"auto", "direct", "kkt"}
         Rows with one nonzero become bounds first, empty rows and rows with h = ∞ go; then
 
         - direct, only bounds left: M = P, q = c, the bounds as they are, n rows.
-        - dual, P positive definite (proven by a factorisation): C x ≤ d collects what is left of G, A and all finite
-          bounds; M = C P⁻¹Cᵀ, q = d + C P⁻¹c, equations as free rows. Symmetric positive semidefinite with a positive
-          diagonal, sparse where P⁻¹ is, otherwise dense.
         - kkt, any convex program: M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b), x within its bounds,
           multipliers of G not negative, those of A free. Monotone, sparse, with zeros on its diagonal.
 
         auto: variables that an equation of their own defines, as cvxpy writes r = A x − b, are put in where that is
-        predicted to save work. Then direct where it can be; dual where P is positive definite with a condition number
-        (at unit diagonal) of at most about 1e6, no row contradicts the bounds (which kkt shows at once), and a full M
-        has no more entries than that of kkt; or where P is diagonal and M is the Laplacian of a graph, or that of kkt,
-        of more than 5000 rows, has no factor that fits. Else kkt.
+        predicted to save work. Then direct where it can be, else kkt.
 
     Returns
     -------
@@ -55,8 +49,6 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     ------
     UnsuitableProblem
         form="direct", but rows are left.
-    UnsuitableMatrix
-        form="dual", but P could not be proven positive definite.
     InvalidProblem
         `program` is no QuadraticProgram.
     InvalidOption
@@ -78,8 +70,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
 
     >>> problem = lcp_from_qp(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
     >>> print(problem, problem.origin.form)
-    LCP(n=1, nonzeros=1, bounds 0 ≤ z) dual
-    >>> solution = problem.origin.recover([1.0])
+    LCP(n=3, nonzeros=6, bounds 1 one-sided, 2 free) kkt
+    >>> solution = problem.origin.recover([0.5, 1.5, 1.0])
     >>> solution.x, solution.inequality, solution.is_optimal(1e-12)
     (array([0.5, 1.5]), array([1.]), True)
     """
@@ -88,7 +80,16 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
             f"lcp_from_qp needs a QuadraticProgram, got {type(program).__name__}; write QuadraticProgram(P, c, …)"
         )
     refuse_nonconvex(program)
-    return optimality_conditions(program, form, cheap_definitions(program) if form == "auto" else None)
+    if form not in FORMS:
+        raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
+    cheap = substitute_definitions(program, saves_work=True) if form == "auto" else None
+    problem = optimality_conditions(program, cheap)
+    if form == "direct" and (left := problem.origin.rows.left.size):
+        raise UnsuitableProblem(
+            f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
+            'nonzero (or contradict one another); use form="kkt"'
+        )
+    return problem
 
 
 def lcp_from_lp(
@@ -135,23 +136,9 @@ def lcp_from_lp(
     return lcp_from_qp(QuadraticProgram(sp.csr_array((n, n)), c, G, h, A, b, lower, upper))
 
 
-def cheap_definitions(program: QuadraticProgram) -> Substitution | None:
-    """Return the substitution that is predicted to save work; None where there is none, or the dual is worth more."""
-    substitution = substitute_definitions(program, saves_work=True)
-    return None if substitution is None or DualForm(fold_simple_rows(program)).is_worthwhile() else substitution
-
-
-def optimality_conditions(
-    program: QuadraticProgram, form: str = "auto", substitution: Substitution | None = None
-) -> LCP:
-    """Return what `lcp_from_qp` does, of a program known to be convex, or of what a substitution leaves of it."""
-    if form not in (*FORMS, "auto"):
-        raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, (*FORMS, 'auto'))}")
-    rows = fold_simple_rows(program if substitution is None else substitution.reduced)
-    dual = DualForm(rows, substitution)
-    if form == "auto":
-        form = "direct" if not rows.left.size else "dual" if dual.is_worthwhile() else "kkt"
-    origin = dual if form == "dual" else FORMS[form](rows, substitution)
+def optimality_conditions(program: QuadraticProgram, substitution: Substitution | None = None) -> LCP:
+    """Return the conditions of a program known to be convex, or of what a substitution leaves of it."""
+    origin = QPOrigin(fold_simple_rows(program if substitution is None else substitution.reduced), substitution)
     problem = origin.problem()
     problem.origin = problem.criterion = origin
     return problem
@@ -164,16 +151,12 @@ class Attempt(NamedTuple):
     because: str
 
 
-def attempts(
-    program: QuadraticProgram, *, needs_diagonal: bool = False, first: Attempt | None = None
-) -> Iterator[Attempt]:
-    """Yield the forms in which a convex program is worth solving, the most promising first.
+def attempts(program: QuadraticProgram, first: Attempt | None = None) -> Iterator[Attempt]:
+    """Yield the complementarity problems by which a convex program is worth solving, the most promising first.
 
     Parameters
     ----------
     program : QuadraticProgram
-    needs_diagonal : bool
-        Whether the method cannot run on the zeros of the form "kkt": then the dual form where P allows it.
     first : Attempt, optional
         The most promising one, where it is known.
 
@@ -184,19 +167,15 @@ def attempts(
     ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
     """
     if first is None:
-        cheap = substitute_definitions(program) if needs_diagonal else cheap_definitions(program)
-        problem = optimality_conditions(program, "auto", cheap)
-        if problem.origin.form == "kkt" and needs_diagonal:
-            with suppress(UnsuitableMatrix):
-                problem = optimality_conditions(program, "dual", cheap)
+        cheap = substitute_definitions(program, saves_work=True)
+        problem = optimality_conditions(program, cheap)
         form = f"the {problem.origin.form} form"
         first = Attempt(problem, form if cheap is None else f"{form}, defined variables put in")
     yield first
-    origin = first.problem.origin
-    if origin.substitution is not None or origin.form == "dual":
-        yield Attempt(optimality_conditions(program, "kkt"), "the KKT form of the program as it stands")
+    if first.problem.origin.substitution is not None:
+        yield Attempt(optimality_conditions(program), "the KKT form of the program as it stands")
     elif (substitution := substitute_definitions(program)) is not None:
-        yield Attempt(optimality_conditions(program, "auto", substitution), "defined variables put in")
+        yield Attempt(optimality_conditions(program, substitution), "defined variables put in")
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:

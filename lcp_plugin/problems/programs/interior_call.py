@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 from ...core.checks import FloatVector
@@ -10,47 +9,15 @@ from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over
 from ...core.solving.result import StageRecord
 from ...methods.interior.interior_point import InteriorPoint, points
-from .compiled_call import REACHED, ProgramResult
+from .compiled_call import Found
 from .conversion import Attempt, attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .program import QuadraticProgram
-from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness
-from .qp_solution import QPSolution
 
 BECAUSE = "solves the optimality (KKT) conditions by steps that keep strictly inside the inequalities"
 AGAIN = "the active set of an earlier answer"
-
-
-@dataclass(frozen=True, eq=False)
-class InteriorAnswer:
-    """The answer to a program, judged by its own criterion and by the residual of its complementarity problem.
-
-    Attributes
-    ----------
-    solution : QPSolution
-    steps : int
-    seconds : float
-    """
-
-    solution: QPSolution
-    steps: int
-    seconds: float
-    name = InteriorPoint.name
-    _origin: QPOrigin
-    _z: FloatVector
-    _work: float
-    _because: str = BECAUSE
-
-    def is_enough(self, tolerance: float) -> bool:
-        """Return whether the residual of the complementarity problem is what was asked for, where that is asked."""
-        return tolerance >= REACHED or self.result(tolerance).residual <= tolerance
-
-    def result(self, tolerance: float, algorithm: str = "auto") -> ProgramResult:
-        """Return the same as the result of the complementarity problem of the program."""
-        stage = StageRecord(self.name, self._because, self.steps, self._work)
-        return ProgramResult.of(self._origin, self._z, stage, self.seconds, tolerance, algorithm)
 
 
 class Begun:
@@ -84,32 +51,28 @@ class Begun:
 
 def solved_by_interior_points(
     begun: Begun, tolerance: float, *, refutes: bool = True
-) -> InteriorAnswer | QPInfeasibility | QPUnboundedness | None:
+) -> Found | QPInfeasibility | QPUnboundedness | None:
     """Return the answer by interior points; None where another form comes first, or where they find none.
 
-    After a first attempt without one, a proof that there is none is looked for, and returned. At the end the program's
-    own criterion is enough, whatever was asked of its complementarity problem.
+    After a first attempt without one, a proof that there is none is looked for, and returned.
     """
     clock, program, problem = Clock(ALONE), begun.program, begun.first.problem
-    origin, goal, best = problem.origin, program_goal(tolerance), None
+    origin, goal = problem.origin, program_goal(tolerance)
     if origin.form != "kkt":
         return None
     for z, steps, work, is_at_end in points(problem, tolerance):
         solution = origin.recover(z)
-        found = InteriorAnswer(solution, steps, clock.read(), origin, z, work)
         begun.z, begun.steps, begun.work = z, steps, work
         if solution.is_stationary(goal):
-            if found.is_enough(tolerance):
-                return found
-            best = found
+            return Found(solution, StageRecord(InteriorPoint.name, BECAUSE, steps, work), clock.read(), origin)
         if is_at_end and refutes and (proof := program.refutation(goal)) is not None:
             return proof
-    if best is None and not is_over():
+    if not is_over():
         origin.note_attempt(InteriorPoint.name)
-    return best
+    return None
 
 
-def solved_again(begun: Begun, guess: FloatVector, tolerance: float) -> InteriorAnswer | None:
+def solved_again(begun: Begun, guess: FloatVector, tolerance: float) -> Found | None:
     """Return the answer that the active set of an earlier one gives; None where that is not right."""
     clock, problem = Clock(ALONE), begun.first.problem
     if guess.size != problem.n:
@@ -118,5 +81,4 @@ def solved_again(begun: Begun, guess: FloatVector, tolerance: float) -> Interior
     solution = origin.recover(z)
     if not solution.is_stationary(program_goal(tolerance)):
         return None
-    found = InteriorAnswer(solution, 1, clock.read(), origin, z, 1.0, AGAIN)
-    return found if found.is_enough(tolerance) else None
+    return Found(solution, StageRecord(InteriorPoint.name, AGAIN, 1, 1.0), clock.read(), origin)

@@ -15,7 +15,7 @@ from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, a
 from ...core.communicator import ALONE
 from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
-from ...systems.definiteness import Solver, condition_estimate, is_semidefinite_to_rounding, positive_definite_solver
+from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 from ...systems.null_space import null_space_of
 
 Indices = NDArray[np.intp]
@@ -164,19 +164,9 @@ class ProgramMatrices:
         return null_space_of(self.hessian)
 
     @cached_property
-    def solver(self) -> Solver | None:
-        """The function right ↦ P⁻¹ right where P is proven positive definite."""
-        return positive_definite_solver(self.P)
-
-    @property
     def is_definite(self) -> bool:
         """Whether P is proven positive definite; a factorisation where its diagonal is positive."""
-        return bool((self.P.diagonal() > 0.0).all()) and self.solver is not None
-
-    @cached_property
-    def condition(self) -> float:
-        """An estimate of the condition number of P at unit diagonal, which has a solver."""
-        return np.inf if self.solver is None else condition_estimate(self.P, self.solver)
+        return bool((self.P.diagonal() > 0.0).all()) and positive_definite_solver(self.P) is not None
 
     @cached_property
     def hessian(self) -> Matrix:

@@ -1,22 +1,18 @@
-"""The three shapes in which the optimality conditions of a quadratic program are a complementarity problem."""
+"""The optimality (KKT) conditions of a quadratic program as a complementarity problem, and the way back."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import DENSE_UP_TO_SIZE, BoolVector, FloatVector, checked_answer
-from ...core.errors import UnsuitableMatrix, UnsuitableProblem
+from ...core.checks import BoolVector, FloatVector, checked_answer
 from ...core.lcp import LCP
 from ...proofs.no_solution.farkas import linear_program
-from ...systems.definiteness import is_diagonal
-from ...systems.factors import factor_fits
 from .criterion import PROGRAM_TOLERANCE, program_goal
-from .program_matrices import Indices, as_csr, is_kept_dense, sums_and_terms
+from .program_matrices import as_csr, sums_and_terms
 from .qp_solution import QPSolution
 from .reductions import FoldedRows, Substitution
 
@@ -24,11 +20,7 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
     from .qp_proofs import QPInfeasibility, QPUnboundedness
 
-WELL_CONDITIONED = 1e6  # the dual form loses as many digits of x as this has
 WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
-MOST_ALONG_A_LINE, NARROW = 2, 8  # variables of a constraint in a chain or a ring; rows that one in order reaches
-FULL_SHARE = 0.25  # of the entries of C, from which on its products are those of a dense matrix
-ENTRIES_AT_ONCE = 2**22  # of P⁻¹Cᵀ, whose columns may all be full
 CANCELS = 100.0  # times the gradient: terms that may be small, as they cancel
 CANCELS_MUCH = 1e3  # the same, where the residuals are small as it is: the search takes as long as the run
 ACTIVE = 1e-7  # of the unit of a row
@@ -49,13 +41,15 @@ class QPOrigin:
         The program with its simple rows folded into bounds, ``rows.folded``, whose conditions the problem states.
     substitution : Substitution or None
         What was put in before that.
-    form : str
-        "direct", "dual" or "kkt".
+
+    Notes
+    -----
+    z = (x, λ, ν) with w = (P x + c + Gᵀλ + Aᵀν, h − G x, b − A x), of the rows that are left; where none are, that is
+    the direct form: M = P, q = c, the bounds as they are.
     """
 
     rows: FoldedRows
     substitution: Substitution | None = None
-    form: ClassVar[str]
     is_of_convex_program: ClassVar[bool] = True
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
     _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
@@ -66,9 +60,26 @@ class QPOrigin:
         """The program that was given."""
         return self.rows.program if self.substitution is None else self.substitution.program
 
+    @property
+    def form(self) -> str:
+        """"direct" where bounds are all that is left, else "kkt"."""
+        return "kkt" if self.rows.left.size else "direct"
+
     def problem(self) -> LCP:
-        """Return the complementarity problem of this form."""
-        raise NotImplementedError
+        """Return the problem of n + m + p rows; its symmetric part is P beside zeros."""
+        program, rows = self.rows.folded, self.rows.left.size
+        multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
+        return LCP(
+            program.matrices.kkt if rows else program.matrices.hessian,
+            np.concatenate([program.c, program.constraints.limit[:rows]]),
+            lower=np.concatenate([program.lower, multiplier]), upper=np.append(program.upper, np.full(rows, np.inf)),
+        )
+
+    def stated(self, x: FloatVector, multipliers: FloatVector) -> FloatVector:
+        """Return z of an x and multipliers of all constraints of the program; NaN counts as 0."""
+        if self.substitution is not None:
+            x, multipliers = self.substitution.inward(x, multipliers)
+        return np.append(x, np.nan_to_num(multipliers[self.rows.left]))
 
     def recover(self, answer: Any) -> QPSolution:
         """Return the program's solution that an answer of the complementarity problem stands for.
@@ -168,141 +179,9 @@ class QPOrigin:
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""
-        raise NotImplementedError
-
-
-class DirectForm(QPOrigin):
-    """M = P, q = c, lower ≤ z ≤ upper; z is x, and w balances the bounds."""
-
-    form = "direct"
-
-    def problem(self) -> LCP:
-        """Return the problem of n rows."""
-        program, left = self.rows.folded, self.rows.left.size
-        if left:
-            raise UnsuitableProblem(
-                f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
-                'nonzero (or contradict one another); use form="kkt", or form="dual" where P is positive definite'
-            )
-        return LCP(program.matrices.hessian, program.c, lower=program.lower, upper=program.upper)
-
-    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
-        return checked_answer(answer, self.rows.program.n), np.zeros(0)
-
-
-class KKTForm(QPOrigin):
-    """z = (x, λ, ν) with w = (P x + c + Gᵀλ + Aᵀν, h − G x, b − A x)."""
-
-    form = "kkt"
-
-    def problem(self) -> LCP:
-        """Return the problem of n + m + p rows; its symmetric part is P beside zeros."""
-        program, rows = self.rows.folded, self.rows.left.size
-        multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
-        return LCP(
-            program.matrices.kkt, np.concatenate([program.c, program.constraints.limit[:rows]]),
-            lower=np.concatenate([program.lower, multiplier]), upper=np.append(program.upper, np.full(rows, np.inf)),
-        )
-
-    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         n = self.rows.program.n
         z = checked_answer(answer, n + self.rows.left.size)
         return z[:n], z[n:].copy()
-
-
-class DualForm(QPOrigin):
-    """z holds the multipliers of C x ≤ d, C = [G; A; I_fixed; −I_lower; I_upper]; w = d − C x, x = −P⁻¹(c + Cᵀz)."""
-
-    form = "dual"
-
-    def is_worthwhile(self) -> bool:
-        """Whether it is well conditioned, not clearly insoluble, and easier to solve than the KKT form.
-
-        That is: no more entries even where M is full; or P diagonal and M a graph's Laplacian; or P diagonal, fewer
-        rows, and no factor of the KKT form that fits.
-        """
-        left = self.rows.left.size
-        if not left or not (self.rows.program.P.diagonal() > 0.0).all():
-            return False
-        size = left + sum(part.size for part in _bound_rows(self.rows.folded))
-        if not (self._is_smaller(size) or self._is_laplacian() or self._is_all_that_fits(size)):
-            return False
-        return not self.rows.contradict() and self.rows.program.matrices.condition <= WELL_CONDITIONED
-
-    def _is_smaller(self, size: int) -> bool:
-        of_P, of_rows = self.rows.folded.matrices.entries
-        return size**2 <= of_P + 2 * of_rows
-
-    def _is_laplacian(self) -> bool:
-        """Whether each variable stands in one constraint, or in two with opposite signs: M is an M-matrix then.
-
-        Not so of a ring: its factor does not fill, and on a long one errors are as slow as its number of rows.
-        """
-        stands_in = np.bincount(self.rows.folded.matrices.rows.indices, minlength=1)
-        if stands_in.max() > 2 or not is_diagonal(self.rows.program.P):
-            return False
-        C = sp.csc_array(self._constraints[0])
-        counts, columns = np.diff(C.indptr), np.repeat(np.arange(C.shape[1]), np.diff(C.indptr))
-        signs = np.bincount(columns, np.sign(C.data), minlength=C.shape[1])
-        if not np.all((counts <= 1) | ((counts == 2) & (signs == 0.0))):
-            return False
-        is_along_a_line = np.bincount(C.indices, minlength=C.shape[0]).max(initial=0) <= MOST_ALONG_A_LINE
-        reach = np.diff(C.indices[np.repeat(counts == 2, counts)])[::2]
-        return not is_along_a_line or int(np.abs(reach).max(initial=0)) <= NARROW
-
-    def _is_all_that_fits(self, size: int) -> bool:
-        left, n = self.rows.left.size, self.rows.program.n
-        if size > left + n or not is_diagonal(self.rows.program.P) or left + n <= DENSE_UP_TO_SIZE:
-            return False
-        return not factor_fits(self.rows.folded.matrices.kkt.csr)
-
-    def problem(self) -> LCP:
-        """Return the problem with one row a constraint."""
-        C, d = self._constraints
-        m, free = self.rows.folded.h.size, self.rows.folded.b.size + _bound_rows(self.rows.folded)[0].size
-        lower = np.zeros(d.size)
-        lower[m : m + free] = -np.inf
-        q = d + C @ self._solve(self.rows.program.c)
-        return LCP(self._delassus(), q, lower=lower)
-
-    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
-        C, d = self._constraints
-        z = checked_answer(answer, d.size)
-        return -self._solve(self.rows.program.c + C.T @ z), z[: self.rows.left.size].copy()
-
-    def _delassus(self) -> Any:
-        """Return C P⁻¹Cᵀ, exactly symmetric: sparse where it is sparse; of a full C by BLAS."""
-        C, d = self._constraints
-        P, is_full = self.rows.program.P, C.nnz > FULL_SHARE * C.shape[0] * C.shape[1]
-        rows: Any = C.toarray() if is_full else C
-        if is_diagonal(P):
-            half = rows * (1.0 / np.sqrt(P.diagonal())) if is_full else C @ sp.diags_array(1.0 / np.sqrt(P.diagonal()))
-            return _kept_as_suits(half @ half.T)
-        width = max(1, ENTRIES_AT_ONCE // max(self.rows.program.n, 1))
-        parts = []
-        for start in range(0, d.size, width):
-            # A column of P⁻¹Cᵀ is exactly zero on the blocks of P that the constraint does not touch.
-            columns = rows @ self._solve(C[start : start + width].T.toarray())
-            parts.append(columns if is_full else sp.csc_array(columns))
-        M: Any = np.zeros((0, 0)) if not parts else np.hstack(parts) if is_full else sp.hstack(parts, format="csr")
-        return _kept_as_suits((M + M.T) * 0.5)
-
-    @cached_property
-    def _constraints(self) -> tuple[sp.csr_array, FloatVector]:
-        every = self.rows.folded.constraints
-        listed = np.concatenate([np.arange(self.rows.left.size), *_bound_rows(self.rows.folded)])
-        return every.matrix[listed], every.limit[listed]
-
-    def _solve(self, right: Any) -> Any:
-        solver = self.rows.program.matrices.solver
-        if solver is None:
-            raise UnsuitableMatrix(
-                'form="dual" needs P positive definite, but its factorisation found no proof of that; use form="kkt"'
-            )
-        return solver(right)
-
-
-FORMS: dict[str, type[QPOrigin]] = {"direct": DirectForm, "dual": DualForm, "kkt": KKTForm}
 
 
 def _is_better_left(
@@ -318,20 +197,6 @@ def _is_better_left(
         as_multiplier = size * np.abs(x - bound) / (objective + size * np.maximum(np.abs(x), np.abs(bound)))
         as_residual = size / np.minimum(objective / unknown + terms, program.dual_unit)
         return (program.lower < x) & (x < program.upper) & (as_residual < as_multiplier)
-
-
-def _bound_rows(program: QuadraticProgram) -> list[Indices]:
-    """Return the rows of all constraints that fix a variable, bound one below, and above."""
-    is_fixed, rows, n = program.lower == program.upper, program.constraints.rows, program.n
-    below, above = (np.isfinite(bound) & ~is_fixed for bound in (program.lower, program.upper))
-    return [first + np.flatnonzero(kind) for first, kind in ((rows + n, is_fixed), (rows, below), (rows + n, above))]
-
-
-def _kept_as_suits(M: Any) -> Any:
-    """Return a small, full matrix as an ndarray, another as a CSR array."""
-    if not sp.issparse(M):
-        return M if is_kept_dense(M.shape[0], int(np.count_nonzero(M))) else sp.csr_array(M)
-    return M.toarray() if is_kept_dense(M.shape[0], M.nnz) else M
 
 
 def least_multipliers(

@@ -17,7 +17,6 @@ from ...core.matrix.structure import row_numbers
 from ...methods.presolve import like
 from ...systems.definiteness import is_diagonal
 from ...systems.symmetry import is_its_mirror
-from .criterion import CONSTRAINTS
 from .own_units import OwnUnits
 from .predicted_work import worth_putting_in
 from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
@@ -144,15 +143,23 @@ class Substitution:
         x[found.kept], x[found.defined] = y, found.D @ y[found.columns] + self.offset
         return x
 
+    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return the variables that stay, and the multipliers of all constraints of the smaller program."""
+        return x[self.definitions.kept], np.delete(multipliers, self._gone)
+
+    @property
+    def _gone(self) -> Indices:
+        """The constraints of the program that the smaller one has not."""
+        rows, n, found = self.program.constraints.rows, self.program.n, self.definitions
+        return np.concatenate([self.program.h.size + found.rows, rows + found.defined, rows + n + found.defined])
+
     def restored(self, y: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of all constraints of the program, from those of the smaller one."""
         program, x, found = self.program, self.expanded(y), self.definitions
-        rows, equations = program.constraints.rows, program.h.size + found.rows
-        whole = np.zeros(rows + 2 * program.n)
-        gone = np.concatenate([equations, rows + found.defined, rows + program.n + found.defined])
-        whole[np.delete(np.arange(whole.size), gone)] = multipliers
+        whole = np.zeros(program.constraints.rows + 2 * program.n)
+        whole[np.delete(np.arange(whole.size), self._gone)] = multipliers
         # Each defined column meets its own equation only, whose multiplier is what stationarity leaves to it.
-        whole[equations] = -(program.P @ x + program.c)[found.defined] / found.pivots
+        whole[program.h.size + found.rows] = -(program.P @ x + program.c)[found.defined] / found.pivots
         return x, whole
 
 
@@ -247,12 +254,6 @@ class FoldedRows:
     lower_row: Indices
     upper_row: Indices
     coefficient: FloatVector
-
-    def contradict(self) -> bool:
-        """Return whether x within the bounds misses one of the rows left by more than what is called optimal."""
-        rows = self.folded.constraints.within_bounds
-        with np.errstate(invalid="ignore"):
-            return bool((rows.missing / rows.weights > CONSTRAINTS).any())
 
     def unfold(self, multipliers: Any) -> Any:
         """Return the multipliers of all constraints of the program, from those of the folded one.

@@ -118,7 +118,7 @@ def _bound(
     multipliers, least = np.zeros(k), 1.0
     if k:
         gram = sp.csr_array(rows @ rows.T)
-        if not factor_fits(gram):
+        if not np.isfinite(gram.data).all() or not factor_fits(gram):
             return math.inf
         factor, least = factorise(gram, is_symmetric=True), _least_singular_value(gram, rows.shape[1])
         if factor is None or not least > 0.0:

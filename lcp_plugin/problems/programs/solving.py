@@ -25,14 +25,14 @@ from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
 from ...systems.null_space import null_space_by_rows
-from .compiled_call import ACTIVE_SET, CompiledAnswer, ProgramResult, settled_at_once
+from .compiled_call import ACTIVE_SET, Found, settled_at_once
 from .conversion import attempts
 from .convexity import LARGEST_CHECKED, refuse_nonconvex
 from .criterion import program_goal
-from .interior_call import Begun, InteriorAnswer, solved_again, solved_by_interior_points
+from .interior_call import Begun, solved_again, solved_by_interior_points
 from .program import QuadraticProgram
 from .qp_certificates import prove_unheld
-from .qp_forms import KKTForm, QPOrigin
+from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from .qp_solution import QPSolution
 from .reductions import fold_simple_rows
@@ -46,7 +46,6 @@ SHORTEST = 0.1  # a limit of seconds that no small program reaches
 PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
 BY_FACTOR = "factor of P"  # that meets a pivot of 0
 REFUTED = "it came upon a proof that the program has no minimum"
-ANY_DIAGONAL = ("auto", "interior_point", "newton", "lemke")  # the algorithms that the zeros of a KKT form do not stop
 
 
 class ProgramRun(NamedTuple):
@@ -85,6 +84,14 @@ class QuadraticProgramResult(Answer):
         Of the whole run, seconds in wall-clock time.
     proof : QPInfeasibility or QPUnboundedness or None
         Of INFEASIBLE or UNBOUNDED.
+    tolerance : float
+        As given to :func:`lcp_plugin.solve`.
+    stages : tuple of StageRecord
+        What ran, in order.
+    history : tuple of Sample
+        Of the complementarity problem; empty unless asked for with ``record=True``.
+    setup_seconds : float
+        Seconds until the first iterate.
     begun : str
         As of :class:`lcp_plugin.Result`.
     """
@@ -95,16 +102,31 @@ class QuadraticProgramResult(Answer):
     algorithm: str
     iterations: int
     seconds: float
-    _lcp_result: Result | Callable[[], Result]
+    tolerance: float
+    stages: tuple[StageRecord, ...] = ()
+    history: tuple[Sample, ...] = ()
+    setup_seconds: float = 0.0
     proof: QPInfeasibility | QPUnboundedness | None = None
     begun: str = ""
+    _run: Result | None = None
+    _origin: QPOrigin | None = None
 
     __setstate__ = restored
 
     @cached_property
     def lcp_result(self) -> Result:
-        """The run on the complementarity problem of the program; where none was needed, made when looked at."""
-        return self._lcp_result if isinstance(self._lcp_result, Result) else self._lcp_result()
+        """The run on the complementarity problem of the program; where none was needed, the answer converted."""
+        if self._run is not None:
+            return self._run
+        origin = next(attempts(self.program)).problem.origin if self._origin is None else self._origin
+        problem = origin.problem()
+        problem.origin = problem.criterion = origin
+        certificate = Certificate.of(problem, origin.stated(self.x, self.solution.multipliers))
+        return Result(
+            certificate.z, certificate.w, self.status, certificate, self.algorithm, self.iterations,
+            sum(stage.work for stage in self.stages), self.seconds, self.setup_seconds, self.tolerance,
+            self.history, self.stages, self.proof,
+        )
 
     @property
     def program(self) -> QuadraticProgram:
@@ -129,7 +151,9 @@ class QuadraticProgramResult(Answer):
     @property
     def z(self) -> FloatVector:
         """The answer to the complementarity problem."""
-        return self.lcp_result.z
+        if self._origin is None or "lcp_result" in self.__dict__:
+            return self.lcp_result.z
+        return self._origin.stated(self.x, self.solution.multipliers)
 
     @property
     def w(self) -> FloatVector:
@@ -144,22 +168,7 @@ class QuadraticProgramResult(Answer):
     @property
     def is_compiled(self) -> bool:
         """Whether one compiled call settled the program: no complementarity problem was made of it."""
-        return not isinstance(self._lcp_result, Result)
-
-    @property
-    def setup_seconds(self) -> float:
-        """Seconds until the first iterate."""
-        return 0.0 if self.is_compiled else self.lcp_result.setup_seconds
-
-    @property
-    def stages(self) -> tuple[StageRecord, ...]:
-        """What ran, in order."""
-        return self.lcp_result.stages
-
-    @property
-    def history(self) -> tuple[Sample, ...]:
-        """Of the complementarity problem; empty unless asked for with ``record=True``."""
-        return self.lcp_result.history
+        return self._run is None and self._origin is None
 
     @property
     def advice(self) -> str:
@@ -216,13 +225,13 @@ def judged_program(
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes, begun = program_goal(tolerance), options.get("refute", True), Begun(program)
     found = _at_once(begun, tolerance, guess, options) if is_one_call else None
-    by = found.name if isinstance(found, (CompiledAnswer, InteriorAnswer)) else _finder(found)
-    if isinstance(found, (CompiledAnswer, InteriorAnswer)) and refutes and not found.solution.is_sure(goal):
+    by = found.stage.name if isinstance(found, Found) else _finder(found)
+    if isinstance(found, Found) and refutes and not found.solution.is_sure(goal):
         found = program.refutation(goal, is_met=True) or found
-    if isinstance(found, (CompiledAnswer, InteriorAnswer)):
+    if isinstance(found, Found):
         return QuadraticProgramResult(
-            Status.SOLVED, found.solution, goal, f"auto: {found.name}", found.steps, found.seconds,
-            partial(found.result, tolerance) if isinstance(found, CompiledAnswer) else found.result(tolerance),
+            Status.SOLVED, found.solution, goal, f"auto: {by}", found.stage.iterations, found.seconds, tolerance,
+            (found.stage,), _origin=found.origin,
         )
     if found is not None:
         return _refuted(program, found, by, tolerance, clock.read())
@@ -248,7 +257,8 @@ def judged_program(
         result = replace(result, status=status, infeasibility=proof)
         solution = QPSolution.without_multipliers(program, solution.x)
     return QuadraticProgramResult(
-        status, solution, goal, result.algorithm, result.iterations, clock.read(), result, proof
+        status, solution, goal, result.algorithm, result.iterations, clock.read(), tolerance, result.stages,
+        result.history, result.setup_seconds, proof, _run=result,
     )
 
 
@@ -263,20 +273,7 @@ def _in_own_units(
     solution, proof = own.solution(found.solution), own.proof(found.proof)
     if proof is not None:
         own.given.__dict__["_proof"] = proof
-    return replace(found, solution=solution, proof=proof, _lcp_result=partial(_as_given, own.given, found, solution))
-
-
-def _as_given(program: QuadraticProgram, found: QuadraticProgramResult, solution: QPSolution) -> Result:
-    """Return the run as one on the KKT form of the program as it was given."""
-    run, rows = found.lcp_result, fold_simple_rows(program)
-    z = np.append(solution.x, np.nan_to_num(solution.multipliers[rows.left]))
-    stage = StageRecord(found.algorithm, "in the program's own units", run.iterations, run.work)
-    made = ProgramResult.of(KKTForm(rows), z, stage, run.seconds, run.tolerance, run.algorithm)
-    made.__dict__.update(
-        status=run.status, infeasibility=found.proof, stages=run.stages, history=run.history,
-        setup_seconds=run.setup_seconds, algorithm=run.algorithm, _advice=run._advice,
-    )
-    return made
+    return replace(found, solution=solution, proof=proof, _run=None, _origin=None)
 
 
 def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
@@ -300,20 +297,8 @@ def _refuted(
     x = np.clip(numbers(proof.point) if isinstance(proof, QPUnboundedness) else 0.0, program.lower, program.upper)
     return QuadraticProgramResult(
         proof.status, QPSolution.without_multipliers(program, x), program_goal(tolerance), f"auto: {by}", 0, seconds,
-        partial(_refuted_run, program, proof, by, x, tolerance, seconds), proof,
+        tolerance, (StageRecord(by, REFUTED, 0, 0.0),), proof=proof,
     )
-
-
-def _refuted_run(
-    program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, by: str, x: FloatVector, tolerance: float,
-    seconds: float,
-) -> Result:
-    """Return the result, without a run, of the KKT form of a program that this proof refutes."""
-    rows = fold_simple_rows(program)
-    z = np.append(x, np.zeros(rows.left.size))
-    made = ProgramResult.of(KKTForm(rows), z, StageRecord(by, REFUTED, 0, 0.0), seconds, tolerance, "auto")
-    made.__dict__.update(status=proof.status, infeasibility=proof)
-    return made
 
 
 def _status(
@@ -345,7 +330,7 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 
 def _at_once(
     begun: Begun, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
-) -> CompiledAnswer | InteriorAnswer | QPInfeasibility | QPUnboundedness | None:
+) -> Found | QPInfeasibility | QPUnboundedness | None:
     """Return the answer by the active set of a guess, one compiled call or interior points, a proof or None."""
     refutes = options.get("refute", True)
     try:
@@ -407,11 +392,10 @@ def program_runs(
         origin.end_by(proof)
         return True
 
-    needs_diagonal = getattr(algorithm, "name", algorithm) not in ANY_DIAGONAL
-    first = None if begun is None or needs_diagonal else begun.first
+    first = None if begun is None else begun.first
     if begun is not None and begun.z is not None:
         guess = begun.z
-    for attempt in attempts(program, needs_diagonal=needs_diagonal, first=first):
+    for attempt in attempts(program, first):
         for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):
             start = {"z0": guess} if guess is not None and guess.size == attempt.problem.n else {}
             if (left := seconds_left()) < math.inf:
@@ -438,7 +422,8 @@ def program_runs(
         if has_run and (solution.is_stationary(goals[0]) or (refutation is not None and refutation() is not None)):
             return
     if not has_run:
-        raise UnsupportedModel(f"{refusal}; or leave it out: this program may be merely convex") from refusal
+        what = "the conditions of a program have zeros there for its rows, and where it is merely convex"
+        raise UnsupportedModel(f"{refusal}; or leave it out: {what}") from refusal
 
 
 def _after(record: StageRecord, result: Result) -> Result:

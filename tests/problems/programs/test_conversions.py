@@ -107,19 +107,6 @@ def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
     return solution.inequality, solution.equality, solution.lower, solution.upper
 
 
-@pytest.mark.sampled(4)
-@pytest.mark.parametrize("sparse", [False, True])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_dual_form_solved_and_recovered(seed: int, sparse: bool) -> None:
-    """The dual form, solved by PSOR or PGS, gives back the planted x and all multipliers."""
-    answer = planted(seed, sparse=sparse, singletons=2)
-    problem = lcp_from_qp(answer.program, "dual")
-    result = solve(problem, "psor" if seed % 2 else "pgs", **TIGHT).require_solved()
-    recovered = problem.origin.recover(result)
-    answer.agrees(recovered, 1e-5)
-    assert recovered.is_optimal(1e-8)
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_direct_form_solved_and_recovered(seed: int) -> None:
     """A program with bounds and singleton rows only is the direct problem of n rows, and PSOR solves it."""
@@ -157,10 +144,10 @@ def test_kkt_form_folds_singletons(seed: int) -> None:
 
 
 def test_auto_chooses_the_form() -> None:
-    """Only bounds: direct. P positive definite and no larger: dual. Otherwise: kkt."""
+    """Only bounds, or no rows at all: direct. Otherwise: kkt."""
     assert lcp_from_qp(planted(0, m=0, p=0).program).origin.form == "direct"
-    assert lcp_from_qp(planted(0, bounded=False).program).origin.form == "dual"
-    assert lcp_from_qp(planted(0).program).origin.form == "kkt"  # 2n bounds would be rows of the dual
+    assert lcp_from_qp(QuadraticProgram(np.zeros((0, 0)), [])).origin.form == "direct"
+    assert lcp_from_qp(planted(0).program).origin.form == "kkt"
     assert lcp_from_qp(planted(0, bounded=False, rank=3).program).origin.form == "kkt"
 
 
@@ -187,22 +174,19 @@ def test_multipliers_of_crowded_variables(seed: int) -> None:
     factor = rng.normal(size=(n, n))
     P = factor @ factor.T + np.eye(n)
     program = QuadraticProgram(P, 5 * rng.normal(size=n), G, h, A, b, lower=-1, upper=1)
-    problem = lcp_from_qp(program, "dual")
+    problem = lcp_from_qp(program)
     # The smallest cost may be 1e-3, which errors of multipliers are beside.
-    solution = problem.origin.recover(solve(problem, "psor", **{**TIGHT, "tolerance": 1e-12}).require_solved())
+    solution = problem.origin.recover(solve(problem, tolerance=1e-12).require_solved())
     assert solution.is_optimal(1e-8), solution
 
 
 def test_singleton_equation_fixes_a_variable() -> None:
-    """2 x = 6 becomes x = 3 in every form, and its multiplier has the sign of cvxpy's."""
+    """2 x = 6 becomes x = 3, and its multiplier has the sign of cvxpy's."""
     program = QuadraticProgram(np.eye(2), [1.0, -1.0], [[1.0, 1.0]], [3.5], [[2.0, 0.0]], [6.0], lower=0)
-    for form in ("dual", "kkt"):
-        problem = lcp_from_qp(program, form)
-        z = [0.5, -4.5, 0.0] if form == "dual" else [3.0, 0.5, 0.5]
-        solution = problem.origin.recover(z)
-        np.testing.assert_allclose(solution.x, [3.0, 0.5])
-        np.testing.assert_allclose(solution.equality, [-2.25])
-        assert solution.is_optimal(1e-14)
+    solution = lcp_from_qp(program).origin.recover([3.0, 0.5, 0.5])
+    np.testing.assert_allclose(solution.x, [3.0, 0.5])
+    np.testing.assert_allclose(solution.equality, [-2.25])
+    assert solution.is_optimal(1e-14)
 
 
 @pytest.mark.parametrize(
@@ -215,41 +199,10 @@ def test_contradictions_stay_rows(G: Any, h: Any) -> None:
     assert problem.origin.recover(np.zeros(problem.n)).primal_residual > 0.1
 
 
-@pytest.mark.full
-def test_dual_form_is_sparse_where_p_is_diagonal_or_block() -> None:
-    """Total variation on n points: M is tridiagonal for P = I and 2×2 blocks alike stay sparse."""
-    n = 2000
-    differences = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
-    for P, widest in ((sp.eye_array(n), 3), (sp.kron(sp.eye_array(n // 2), np.array([[2.0, 1], [1, 2]])), 5)):
-        problem = lcp_from_qp(QuadraticProgram(sp.csr_array(P), np.zeros(n), differences, np.ones(n - 1)), "dual")
-        assert np.diff(problem.csr.indptr).max() <= widest
-        assert abs(problem.csr - problem.csr.T).nnz == 0
-
-
-def test_the_dual_form_is_taken_where_it_wins() -> None:
-    """Few constraints on many variables, or a graph's Laplacian: dual; curvature, or many constraints on a few: kkt."""
-    n, rng = 300, np.random.default_rng(0)
-    slope = sp.csr_array(sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n)))
-    curvature = slope[:-1, :-1] @ slope
-    few, many = rng.standard_normal((15, n)), rng.standard_normal((n, 5))
-    for G, form in ((few, "dual"), (slope, "dual"), (abs(slope), "kkt"), (curvature, "kkt"), (many, "kkt")):
-        rows, size = G.shape
-        assert lcp_from_qp(QuadraticProgram(sp.eye_array(size), np.ones(size), G, np.ones(rows))).origin.form == form
-
-
-def test_dual_form_of_nothing() -> None:
-    """A program without constraints has an empty dual problem, whose answer is the free minimum."""
-    problem = lcp_from_qp(QuadraticProgram([[2.0, 1.0], [1.0, 2.0]], [-3.0, -3.0]), "dual")
-    assert problem.n == 0
-    np.testing.assert_allclose(problem.origin.recover(np.zeros(0)).x, [1.0, 1.0])
-    assert lcp_from_qp(QuadraticProgram(np.zeros((0, 0)), [])).n == 0
-
-
 def test_origins_survive_pickling() -> None:
-    """A pickled origin recovers the same solution, also where a factorisation has to be made again."""
-    answer = planted(1)
-    for form in ("dual", "kkt"):
-        problem = lcp_from_qp(answer.program, form)
+    """A pickled origin recovers the same solution, in either form."""
+    for answer in (planted(1), planted(1, m=0, p=0)):
+        problem = lcp_from_qp(answer.program)
         z = np.linspace(0, 1, problem.n)
         copy = pickle.loads(pickle.dumps(problem.origin))
         np.testing.assert_array_equal(copy.recover(z).x, problem.origin.recover(z).x)
@@ -274,8 +227,8 @@ def test_agrees_with_cvxpy(seed: int, solver: str, accuracy: float) -> None:
     constraints = [program.G @ x <= program.h, program.A @ x == program.b, x >= program.lower, x <= program.upper]
     reference = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(program.P)) + program.c @ x), constraints)
     reference.solve(solver=solver, **TIGHTLY[solver])
-    problem = lcp_from_qp(program, "dual")
-    ours = problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved())
+    problem = lcp_from_qp(program)
+    ours = problem.origin.recover(solve(problem, **TIGHT).require_solved())
     assert ours.objective == pytest.approx(reference.value, rel=1e-6, abs=1e-6)
     np.testing.assert_allclose(ours.x, x.value, atol=accuracy)
     for mine, theirs in zip(vars_of(ours), constraints, strict=True):
@@ -518,11 +471,8 @@ REFUSED = {
     "bounds crossed": (InvalidProblem, "lower ≤ upper", lambda: QuadraticProgram(EYE, [1, 2], lower=1, upper=0)),
     "no program": (InvalidProblem, "needs a QuadraticProgram, got tuple", lambda: lcp_from_qp((EYE, [1, 2]))),
     "no LCP": (InvalidProblem, "needs an LCP, got list", lambda: qp_from_lcp([EYE])),
-    "form": (InvalidOption, "did you mean 'dual'", lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2]), "duall")),
+    "form": (InvalidOption, "did you mean 'direct'", lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2]), "dirct")),
     "direct with rows": (UnsuitableProblem, '"direct" needs', lambda: lcp_from_qp(planted(0).program, "direct")),
-    "dual not definite": (
-        UnsuitableMatrix, "positive definite", lambda: lcp_from_qp(planted(0, rank=2).program, "dual")
-    ),
     "recover": (
         InvalidProblem, "z must be a vector of length 2",
         lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2])).origin.recover([1]),

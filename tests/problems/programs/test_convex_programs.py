@@ -390,16 +390,6 @@ def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
     assert lcp_from_qp(program).origin.recover([80.0]).row_residual > 0.1
 
 
-def test_the_dual_form_is_for_good_condition_only() -> None:
-    """Of two programs without bounds, the well conditioned one is dual, the one with κ = 1e8 is kkt."""
-    rng = np.random.default_rng(0)
-    Q = np.linalg.qr(rng.normal(size=(30, 30)))[0]
-    G = rng.normal(size=(5, 30))
-    for decay, form in ((1e-2, "dual"), (1e-8, "kkt")):
-        P = Q * np.geomspace(1.0, decay, 30) @ Q.T
-        assert lcp_from_qp(QuadraticProgram((P + P.T) / 2, np.ones(30), G, np.ones(5))).origin.form == form
-
-
 # --- Residuals row by row ----------------------------------------------------------------------------------------
 
 
@@ -644,15 +634,14 @@ def test_a_rounded_bound_proves_nothing() -> None:
         assert proof is None or (Fraction(right) * 3 < 1 and proof.verify())
 
 
-@pytest.mark.parametrize("form", ["dual", "auto"])
-def test_infeasible_strictly_convex_programs_are_called_so(form: str) -> None:
-    """Whatever form was solved, recover says infeasible, and a proven problem has no multipliers."""
+def test_infeasible_strictly_convex_programs_are_called_so() -> None:
+    """Recover says infeasible, and a proven problem has no multipliers."""
     A = np.abs(np.random.default_rng(1).standard_normal((10, 20)))
-    problem = LCP.from_qp(np.eye(20), np.zeros(20), A, -np.ones(10), lower=0.0, form=form)
+    problem = LCP.from_qp(np.eye(20), np.zeros(20), A, -np.ones(10), lower=0.0)
     result = solve(problem)
     solution = problem.origin.recover(result)
     assert solution.status == "infeasible"
-    assert form == "dual" or problem.origin.form == "kkt"
+    assert problem.origin.form == "kkt"
     single = LCP.from_qp([[1.0]], [0.0], G=[[-1.0], [1.0]], h=[-1.0, 0.0], form="kkt")
     solution = single.origin.recover(solve(single))
     assert np.isnan(solution.inequality).all()

@@ -65,8 +65,7 @@ def test_the_matrix_of_the_conditions_is_shared() -> None:
     for kind in ("strictly convex", "linear", "no bounds"):
         first, _ = case(kind, 3, 0, 12)
         other = first.with_vectors(c=first.c + 1.0)
-        if lcp_from_qp(first).origin.form != "dual":
-            assert lcp_from_qp(first).matrix is lcp_from_qp(other).matrix
+        assert lcp_from_qp(first).matrix is lcp_from_qp(other).matrix
 
 
 def test_rows_that_contradict_their_bounds_come_and_go() -> None:
@@ -203,11 +202,3 @@ def test_long_definitions_stay_and_short_ones_are_put_in() -> None:
     assert found is not None
     assert (found.reduced.n, found.reduced.b.size) == (assets + factors, factors)
     assert judged_program(program).solution.is_optimal()
-
-
-def test_a_graph_keeps_its_laplacian() -> None:
-    """Flows along a path and out of its nodes have a dual that is a Laplacian, which definitions would spoil."""
-    path = sp.diags_array([np.ones(11), -np.ones(11)], offsets=[0, -1], shape=(12, 11))
-    program = QuadraticProgram(np.eye(23), np.ones(23), A=sp.hstack([path, sp.eye_array(12)]), b=np.ones(12))
-    assert substitute_definitions(program, saves_work=True) is not None
-    assert next(attempts(program)).problem.origin.form == "dual"

@@ -211,11 +211,11 @@ def test_numbers_that_overflow_are_named(case: str) -> None:
 
 def test_a_limit_is_never_called_optimal() -> None:
     """A run that ended at a limit is user_limit, however small its residuals beside a huge coefficient."""
-    x = cp.Variable(3)
-    goal = cp.sum_squares(x - np.array([1.0, 2.0, 3.0])) + 0.9 * cp.square(cp.sum(x)) + 5 * x[1] + 1e7 * x[0]
-    problem = cp.Problem(cp.Minimize(goal), [x >= -1])
+    rng, x = np.random.default_rng(0), cp.Variable(30)
+    goal = cp.sum_squares(x - rng.standard_normal(30)) + 1e7 * x[0]
+    problem = cp.Problem(cp.Minimize(goal), [rng.standard_normal((60, 30)) @ x <= 0.1, x >= -1])
     with pytest.warns(UserWarning, match="inaccurate"):
-        problem.solve(solver=QPSolver, max_iterations=1)
+        problem.solve(solver=QPSolver, algorithm="interior_point", max_iterations=1)
     assert problem.status == "user_limit"
 
 

@@ -48,7 +48,7 @@ FAR, INSIDE = 1e6, 1e-3  # a box for what falls for ever, and what is near it, r
 FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
 FAILED = "SCIP:"  # what its errors begin with
 LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better
-GROWTH = 1.5  # of the nodes between two points that are asked for
+FIRST, GROWTH = 64.0, 2.0  # nodes until a better point is asked for, and from one to the next
 
 Watcher = Callable[[float, float, int], bool]
 Improver = Callable[[FloatVector | None], FloatVector | None]
@@ -386,7 +386,7 @@ class _Model:
                     self.model.interruptSolve()
 
         class Points(scip.Heur):  # type: ignore[misc, name-defined]  # an event is no place to add solutions
-            next_nodes = 2.0
+            next_nodes = FIRST
 
             def heurexec(self, *_: Any) -> dict[str, Any]:
                 nodes, better = watched.reached()[2], None

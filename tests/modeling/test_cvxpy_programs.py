@@ -231,6 +231,8 @@ def test_a_re_solve_is_judged_as_a_first_solve_is(planted: str, monkeypatch: pyt
     problem, original = PROBLEMS[status](), QuadraticProgram.with_vectors
     problem.solve(solver=QPSolver)
     monkeypatch.setattr(QuadraticProgram, "with_vectors", lambda *args, **kwargs: tamper(original(*args, **kwargs)))
+    whole = qp_solver.quadratic_program  # which a re-solve begins with again before cvxpy 1.8
+    monkeypatch.setattr(qp_solver, "quadratic_program", lambda data: tamper(whole(data)))
     with pytest.raises(SolverError, match="the problem itself contradicts"):
         problem.solve(solver=QPSolver)
     assert problem.status is None

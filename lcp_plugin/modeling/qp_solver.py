@@ -24,7 +24,7 @@ from ..problems.programs.qp_solution import QPSolution
 from ..problems.programs.solving import judged_program
 from ._compat import CVXPY_STATUS, stand_before, statistics
 from .compiled_program import CompiledProgram
-from .stated_terms import Claim, dense_value, measure
+from .stated_terms import Claim, dense_value, measure, refusal
 
 MATRICES = "lcp_plugin.matrices"  # the key of P, F and A, checked, in the program's data
 SOLVE_OPTIONS = {"tolerance": 1e-9}
@@ -66,6 +66,14 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def name(self) -> str:
         """Return "LCP"."""
         return "LCP"
+
+    def can_solve(self, problem_form: Any) -> bool:
+        """Return whether the problem can become a quadratic program, as cvxpy ≥ 1.9 asks; raise why not."""
+        if super().can_solve(problem_form):
+            return True
+        if (refused := refusal(problem_form._problem)) is not None:
+            raise refused
+        return False
 
     def import_solver(self) -> None:
         """Do nothing: it is here."""

@@ -35,7 +35,7 @@ from .model import Model, ModelBatch, contradiction, solve_for
 from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver
-from .stated_terms import why_not
+from .stated_terms import refusal
 
 METHODS = ("LCP", "lcp")
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
@@ -289,13 +289,9 @@ def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, A
     try:
         value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
     except SolverError as error:
-        if not (reasons := why_not(problem)):
+        if (refused := refusal(problem)) is None:
             raise
-        raise SolverError(
-            'method="LCP" takes programs with a convex quadratic objective and linear constraints, and what can be '
-            f"written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL or "
-            "cp.HIGHS"
-        ) from error
+        raise refused from error
     set_answering(problem, None)
     return value
 

@@ -204,6 +204,17 @@ def why_not(problem: Any) -> list[str]:
     return reasons
 
 
+def refusal(problem: Any) -> SolverError | None:
+    """Return why the problem is no quadratic program, None where its expressions do not tell."""
+    if not (reasons := why_not(problem)):
+        return None
+    return SolverError(
+        'QPSolver and method="LCP" take programs with a convex quadratic objective and linear constraints, and what '
+        f"can be written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
+        "or cp.HIGHS"
+    )
+
+
 def sense_of(problem: Any) -> float:
     """Return 1 where the objective is to be minimised, −1 where it is to be maximised."""
     return -1.0 if isinstance(problem.objective, cp.Maximize) else 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import cvxpy_programs
+from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
 from lcp_plugin import QPSolver, Status, complements
 from lcp_plugin.modeling import qp_solver
@@ -363,6 +365,10 @@ def test_a_refusal_has_its_reason(name: str) -> None:
     problem, reason = refused()[name]
     with pytest.raises(SolverError, match=reason):
         problem.solve(method="LCP")
+    with pytest.raises(SolverError) as raised:
+        problem.solve(solver=QPSolver)
+    if hasattr(QpSolver, "can_solve") and name != "integer":  # before 1.9, and of integers, cvxpy has words of its own
+        assert re.search(reason, str(raised.value))
 
 
 def test_a_direction_that_the_curvature_does_not_see() -> None:

@@ -122,6 +122,10 @@ class March(AnswerSequence[Result]):
     def __repr__(self) -> str:
         return f"March({'; '.join(self._summary())})"
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Take along results instead of what makes them when they are looked at."""
+        return {**self.__dict__, "_results": {k: self.at(k) for k in self._results}}
+
     def keeps(self, k: int) -> bool:
         """Return whether the answer of step k stays when others follow."""
         return (k + 1) % self.keep_every == 0

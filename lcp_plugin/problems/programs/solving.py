@@ -422,8 +422,8 @@ def program_runs(
         if has_run and (solution.is_stationary(goals[0]) or (refutation is not None and refutation() is not None)):
             return
     if not has_run:
-        what = "the conditions of a program have zeros there for its rows, and where it is merely convex"
-        raise UnsupportedModel(f"{refusal}; or leave it out: {what}") from refusal
+        what = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
+        raise UnsupportedModel(f"{refusal} (M is that of {what})") from refusal
 
 
 def _after(record: StageRecord, result: Result) -> Result:

@@ -55,6 +55,10 @@ def test_answers_that_were_not_kept_are_the_same_bits(algorithm: str, keep_every
         assert (sparse[k].iterations, sparse[k].algorithm) == (whole[k].iterations, whole[k].algorithm)
     assert all(map(np.array_equal, sparse.z, whole.z))
     assert len(pickle.loads(pickle.dumps(heated(12, 5, algorithm="psor", keep_every=2))).z[:3]) == 3
+    at_once = heated(12, 5)
+    again = pickle.loads(pickle.dumps(at_once))
+    assert [step.algorithm for step in again] == [step.algorithm for step in at_once] == ["auto: banded"] * 5
+    np.testing.assert_array_equal(again.z[4], at_once.z[4])
 
 
 def test_a_march_that_keeps_little_takes_little_memory() -> None:

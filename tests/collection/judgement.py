@@ -17,8 +17,10 @@ def false_claim(problem: Any, truth: str, result: Any, tolerance: float) -> str:
         return "lie: the exact residual is above the tolerance"
     if status == "SOLVED" and truth != SOLVABLE:
         return "false SOLVED"
-    is_rounding_of_q = result.infeasibility is not None and ExactData(problem).misses_by_rounding_of_q(result.z)
-    if status == "PRECISION_LIMIT" and not (is_rounding_of_q or ExactData(problem).is_at_rounding_level(result.z)):
+    data, is_refuted = ExactData(problem), result.infeasibility is not None
+    if status == "PRECISION_LIMIT" and not (
+        data.is_at_rounding_level(result.z) or (is_refuted and data.misses_by_rounding_of_q(result.z))
+    ):
         return "PRECISION_LIMIT, but rounding does not explain the residual"
     if status == "INFEASIBLE" and truth != INFEASIBLE:
         return "false INFEASIBLE"

@@ -42,7 +42,6 @@ OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0",
 GROWTH = 1.5  # of the nodes from one line of the log to the next
 FIRST = 300  # nodes · pairs before SCIP is asked: 9 nodes of 30 pairs close leaders that SCIP searches for 5 s
 MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
-EVERY = 10  # nodes between two local searches
 ENDS = {
     "timelimit": Status.MAX_SECONDS, "nodelimit": Status.MAX_ITERATIONS, "totalnodelimit": Status.MAX_ITERATIONS,
     "userinterrupt": Status.INTERRUPTED,
@@ -325,8 +324,6 @@ class BranchAndBound:
                 heapq.heappush(self._open, (child.bound, len(self.tree) - k, child))
         if dives:
             self._current = children[0]
-            if self.nodes % EVERY == 0 and children[0].point is not None:
-                self.local.from_point(children[0].point, children[0].cases)
 
     def _pair(self, node: Node) -> int:
         """Return the pair to branch on, −1 where the relaxation's point violates none that is open."""

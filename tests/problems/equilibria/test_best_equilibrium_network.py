@@ -103,7 +103,7 @@ def test_what_cannot_be_is_said() -> None:
     assert minimize_over_solutions(falls).status is Status.UNBOUNDED
 
 
-def markets(count: int = 8) -> EquilibriumProgram:
+def markets(count: int = 20) -> EquilibriumProgram:
     """A leader's output in each of some markets that leak into the next: price × quantity, which SCIP searches long."""
     rng, own = np.random.default_rng(8), np.arange(count)
     P, A = np.zeros((3 * count, 3 * count)), np.zeros((count, 3 * count))

@@ -850,7 +850,7 @@ def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
     """A named method that needs a positive diagonal says so on a linear program, and what to do."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 0, x[0] + x[1] + x[2] >= 1])
-    with pytest.raises(UnsupportedModel, match='psor needs a positive diagonal.*algorithm="auto"'):
+    with pytest.raises(UnsupportedModel, match=r'psor needs a positive diagonal.*algorithm="auto"'):
         problem.solve(solver=QPSolver, algorithm="psor")
 
 

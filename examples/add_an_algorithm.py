@@ -39,8 +39,8 @@ class Extragradient(Algorithm):
     """Each step twice: one to look ahead, one in earnest; `step` in units of 1/‖M‖."""
 
     name: ClassVar[str] = "extragradient"
-    assumption: ClassVar[str] = "monotone M"
-    converges_on: ClassVar[str] = "PSD, symmetric or not, for step < 1"
+    needs: ClassVar[str] = "monotone M"
+    solves: ClassVar[str] = "PSD, symmetric or not, for step < 1"
     cost: ClassVar[str] = "2 products with M"
     reference: ClassVar[str] = "Korpelevich 1976"
     is_monotone: ClassVar[bool] = False  # its residual may rise on the way

@@ -6,7 +6,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.core")``: what every solve needs, and in which order to read it
 - ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
 - ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games, absolute value equations
-- ``help("lcp_plugin.core.policy.choice")``: what algorithm="auto" does
+- ``help("lcp_plugin.auto")``: what algorithm="auto" does
 - ``help("lcp_plugin.methods.direct")``: how it goes on without sweeps
 - ``help("lcp_plugin.core.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.proofs")``: what is proved of a matrix, a method, an error, a problem without solution
@@ -24,139 +24,21 @@ import sys
 from importlib import import_module
 from importlib.abc import FileLoader
 from importlib.machinery import ModuleSpec
+from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
-
-from . import rooms as rooms
+from typing import Any
 
 __version__ = "0.1.0"
 
-if TYPE_CHECKING:
-    from .core.certificates.residuals import Certificate as Certificate
-    from .core.lcp import LCP as LCP
-    from .core.settings import Status as Status
-    from .core.solving.driver import solve as solve
-    from .core.solving.result import Result as Result
-    from .core.solving.result import Sample as Sample
-    from .doors.files.program_files import load_problem as load_problem
-    from .doors.qpsolvers import register_with_qpsolvers as register_with_qpsolvers
-    from .doors.quantecon import lemke as lemke
-    from .evidence.cross_check import CrossCheck as CrossCheck
-    from .evidence.cross_check import cross_validate as cross_validate
-    from .evidence.error_against_time import error_against_time as error_against_time
-    from .evidence.results import Study as Study
-    from .evidence.stability import stability_atlas as stability_atlas
-    from .evidence.study import study as study
-    from .methods.search import all_solutions as all_solutions
-    from .modeling.constraint import box as box
-    from .modeling.constraint import complements as complements
-    from .modeling.qp_solver import QPSolver as QPSolver
-    from .modeling.registration import ComplementarityProblem as ComplementarityProblem
-    from .modeling.registration import is_complementarity_problem as is_complementarity_problem
-    from .modeling.registration import register as register
-    from .problems.batches.batch import prepare as prepare
-    from .problems.batches.batch import solve_batch as solve_batch
-    from .problems.batches.batch import solve_many as solve_many
-    from .problems.batches.batch_run import BatchResult as BatchResult
-    from .problems.batches.program_batch import ProgramBatchResult as ProgramBatchResult
-    from .problems.equilibria.branch_and_bound import minimize_over_solutions as minimize_over_solutions
-    from .problems.equilibria.equilibrium_program import EquilibriumProgram as EquilibriumProgram
-    from .problems.equilibria.result import EquilibriumResult as EquilibriumResult
-    from .problems.least_squares.data import BoundedLeastSquares as BoundedLeastSquares
-    from .problems.least_squares.solving import LeastSquaresResult as LeastSquaresResult
-    from .problems.least_squares.solving import bounded_least_squares as bounded_least_squares
-    from .problems.march import March as March
-    from .problems.march import march as march
-    from .problems.march.march_derivative import MarchDerivative as MarchDerivative
-    from .problems.march.march_derivative import MarchGradient as MarchGradient
-    from .problems.march.march_many import march_many as march_many
-    from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
-    from .problems.nonlinear.solving import solve_nonlinear as solve_nonlinear
-    from .problems.programs.certification import certify as certify
-    from .problems.programs.conversion import QuadraticProgram as QuadraticProgram
-    from .problems.programs.program_proofs import Certification as Certification
-    from .problems.programs.solving import QuadraticProgramResult as QuadraticProgramResult
-    from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
-    from .problems.sensitivity import Derivative as Derivative
-    from .problems.sensitivity import Gradient as Gradient
-    from .problems.sensitivity import derivative as derivative
-    from .problems.sensitivity.batch_derivative import BatchDerivative as BatchDerivative
-    from .problems.sensitivity.batch_derivative import BatchGradient as BatchGradient
-    from .proofs.bounds.error_bounds import ErrorBound as ErrorBound
-    from .proofs.bounds.error_bounds import error_bound as error_bound
-    from .proofs.guarantees import convergence_guarantee as convergence_guarantee
-    from .proofs.guarantees.theorems import Guarantee as Guarantee
-    from .proofs.verdicts import MatrixReport as MatrixReport
-    from .proofs.verdicts import analyze as analyze
 
-_HOME = {
-    "LCP": "core.lcp",
-    "NonlinearProblem": "problems.nonlinear.data",
-    "BoundedLeastSquares": "problems.least_squares.data",
-    "solve_nonlinear": "problems.nonlinear.solving",
-    "Certificate": "core.certificates.residuals",
-    "ErrorBound": "proofs.bounds.error_bounds",
-    "error_bound": "proofs.bounds.error_bounds",
-    "Guarantee": "proofs.guarantees.theorems",
-    "convergence_guarantee": "proofs.guarantees",
-    "MatrixReport": "proofs.verdicts",
-    "analyze": "proofs.verdicts",
-    "Result": "core.solving.result",
-    "Sample": "core.solving.result",
-    "Status": "core.settings",
-    "solve": "core.solving.driver",
-    "certify": "problems.programs.certification",
-    "Certification": "problems.programs.program_proofs",
-    "derivative": "problems.sensitivity",
-    "Derivative": "problems.sensitivity",
-    "Gradient": "problems.sensitivity",
-    "BatchDerivative": "problems.sensitivity.batch_derivative",
-    "BatchGradient": "problems.sensitivity.batch_derivative",
-    "prepare": "problems.batches.batch",
-    "solve_batch": "problems.batches.batch",
-    "BatchResult": "problems.batches.batch_run",
-    "ProgramBatchResult": "problems.batches.program_batch",
-    "QuadraticProgramResult": "problems.programs.solving",
-    "solve_many": "problems.batches.batch",
-    "march": "problems.march",
-    "March": "problems.march",
-    "march_many": "problems.march.march_many",
-    "MarchDerivative": "problems.march.march_derivative",
-    "MarchGradient": "problems.march.march_derivative",
-    "bounded_least_squares": "problems.least_squares.solving",
-    "LeastSquaresResult": "problems.least_squares.solving",
-    "ComplementarityProblem": "modeling.registration",
-    "QPSolver": "modeling.qp_solver",
-    "QuadraticProgram": "problems.programs.conversion",
-    "QuadraticProgramBatch": "problems.programs.stacked_programs",
-    "load_problem": "doors.files.program_files",
-    "EquilibriumProgram": "problems.equilibria.equilibrium_program",
-    "minimize_over_solutions": "problems.equilibria.branch_and_bound",
-    "EquilibriumResult": "problems.equilibria.result",
-    "CrossCheck": "evidence.cross_check",
-    "cross_validate": "evidence.cross_check",
-    "box": "modeling.constraint",
-    "complements": "modeling.constraint",
-    "is_complementarity_problem": "modeling.registration",
-    "register": "modeling.registration",
-    "register_with_qpsolvers": "doors.qpsolvers",
-    "lemke": "doors.quantecon",
-    "error_against_time": "evidence.error_against_time",
-    "stability_atlas": "evidence.stability",
-    "study": "evidence.study",
-    "Study": "evidence.results",
-    "gallery": "gallery",
-    "all_solutions": "methods.search",
-    "strategies": "strategies",
-    **{
-        error: "core.errors"
-        for error in (
-            "ConvergenceWarning", "InvalidOption", "InvalidProblem", "LCPError", "ModelWarning", "NotConverged",
-            "UnknownAlgorithm", "UnreadableFile", "UnsuitableMatrix", "UnsuitableProblem", "UnsupportedModel",
-        )
-    },
-}
+def _homes() -> dict[str, str]:
+    """Return the module of each public name, as ``__init__.pyi`` says, which editors and mypy read."""
+    lines = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8").splitlines()
+    said = [line.split() for line in lines if line.startswith("from ")]  # from .home import name as name
+    return {name: home[1:] or name for _, home, _, name, *_ in said}
 
+
+_HOME = _homes()
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without
 __all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 - the names are strings, from the table
 
@@ -168,8 +50,7 @@ def __getattr__(name: str) -> Any:
     module = import_module(f"{__name__}.{home}")
     if home.startswith("modeling"):
         import_module(f"{__name__}.modeling.registration").register()
-    # A room of that name is the thing itself; otherwise the thing lives in the room.
-    value = module if home.split(".")[-1] == name and not hasattr(module, name) else getattr(module, name)
+    value = module if home == name else getattr(module, name)
     globals()[name] = value
     return value
 

@@ -11,6 +11,6 @@ DIRECT = [name for name, kind in KINDS.items() if not kind.is_monotone]  # end b
 MODULUS = [name for name in SWEEPERS if "omega" in KINDS[name].__dataclass_fields__]
 BOUNDED = [name for name in REGISTRY if name not in MODULUS]  # take upper bounds and free rows
 # Reliable by experience only.
-UNPROVEN = [name for name, kind in KINDS.items() if kind.converges_on.startswith("–")]
+UNPROVEN = [name for name, kind in KINDS.items() if kind.solves.startswith("–")]
 # Monotone is what M is with its rows as they are: no method that needs it can be blind to their scaling.
-NEEDS_MONOTONE = [name for name, kind in KINDS.items() if kind.assumption.startswith("monotone")]
+NEEDS_MONOTONE = [name for name, kind in KINDS.items() if kind.needs.startswith("monotone")]

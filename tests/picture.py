@@ -1,4 +1,4 @@
-"""README's picture of the house: its rooms, where they lie, and the arrows between them."""
+"""README's picture of the package: its subpackages, where they lie, and the arrows between them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "lcp_plugin"
-GROUPS = ("methods", "problems", "doors")  # folders of rooms
+GROUPS = ("methods", "problems", "doors")  # folders of subpackages
 
 
 def _section() -> str:
@@ -15,39 +15,47 @@ def _section() -> str:
 
 
 def _arrows(line: str) -> dict[str, set[str]]:
-    """Return what the rooms of a line may import: "a, b → c, d · e" says that a and b may import c and d."""
+    """Return what the subpackages of a line may import: "a, b → c, d · e" says that a and b may import c and d."""
     found: dict[str, set[str]] = {}
     for part in line.split(" · "):
         rooms, _, targets = part.partition("→")
-        found |= {room: set(re.findall(r"\w+", targets)) for room in re.findall(r"\w+", rooms)}
+        found |= {room: _named(targets) for room in re.findall(r"\w+", rooms)}
     return found
+
+
+def _named(targets: str) -> set[str]:
+    """Return the subpackages of a list; a folder stands for all that lie in it."""
+    names = set(re.findall(r"\w+", targets))
+    for group in names & {*GROUPS}:
+        names |= {one.stem for one in (PACKAGE / group).iterdir() if not one.name.startswith("_")}
+    return names - {*GROUPS}
 
 
 _picture = re.search(r"```text\n(.*?)```", _section(), re.S)
 LINES = _picture[1].splitlines() if _picture else []
 ARROWS = {room: targets for line in LINES for room, targets in _arrows(line).items()}  # beside those to the core
 PLACES = [PACKAGE / group for group in ("", *GROUPS)]
-FOLDERS = {  # or the file of a room that is one
-    room: next((one for one in [*(place / room for place in PLACES), *(place / f"{room}.py" for place in PLACES[1:])]
+FOLDERS = {  # or the file of one that is one
+    room: next((one for one in [*(place / room for place in PLACES), *(place / f"{room}.py" for place in PLACES)]
                 if one.exists()), PACKAGE / room)
     for room in ARROWS
 }  # fmt: skip
 
 
 def explained() -> list[str]:
-    """The rooms that the table below the picture explains."""
-    rows = _section().split("| room | what is in it |")[1].split("\n\n")[0].splitlines()[2:]
+    """The subpackages that the table below the picture explains."""
+    rows = _section().split("| subpackage | what is in it |")[1].split("\n\n")[0].splitlines()[2:]
     return [room for row in rows for room in re.findall(r"`(\w+)`", row.split("|")[1])]
 
 
 def room_of(file: Path) -> str:
-    """The room of a file of the package."""
+    """The subpackage of a file."""
     parts = file.relative_to(PACKAGE).with_suffix("").parts
     return parts[1] if parts[0] in GROUPS and len(parts) > 1 else parts[0]
 
 
 def above(room: str) -> set[str]:
-    """The rooms that need it, by one arrow or several."""
+    """Those that need it, by one arrow or several."""
     found: set[str] = set()
     while more := {other for other, targets in ARROWS.items() if targets & {room, *found}} - found:
         found |= more

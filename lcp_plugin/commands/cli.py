@@ -175,7 +175,7 @@ def certify(
     json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
 ) -> bool:
     """Solve a quadratic program by any solvers, and tell what is proved of their answers."""
-    from ..doors.files.program_files import load_program
+    from ..doors.program_files import load_program
     from ..evidence.convex_solvers import HEAD, JudgedAnswer, judged_answers
     from .solving import OneProcess
 

@@ -19,7 +19,7 @@ from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
-from ..doors.files.program_files import kind_in, load_least_squares, load_program
+from ..doors.program_files import kind_in, load_least_squares, load_program
 from ..problems.programs.program import QuadraticProgram
 from .target import read_target
 from .terminal import LINE, show_search, show_step
@@ -151,7 +151,7 @@ def run(
     picture: Picture, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved, the same on every rank."""
-    from ..core.policy.choice import policy_for
+    from ..auto import policy_for
 
     with here.ending_together():
         Settings(**settings)  # a wrong one is seen before anything is built
@@ -254,7 +254,7 @@ def _value(text: str) -> Any:
 
 def _solve_all(problem: LCP, scene: Any, settings: dict[str, Any]) -> list[Result]:
     """Return the results of all steps of a march, warm-started; of one step otherwise. A failure ends it."""
-    from ..core.solving.driver import solve
+    from ..api import solve
 
     settings["callback"] = show_step
     results = [solve(problem, z0=None if scene is None else scene.start, **settings)]
@@ -339,7 +339,7 @@ def run_model(
     picture: Picture, out: Path | None, *, as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved."""
-    from ..core.policy.choice import policy_for
+    from ..auto import policy_for
 
     for name, is_given, whose in (
         ("--size", size is not None, "a scene"), ("--backend", backend != "serial", "LCPs"),
@@ -385,7 +385,7 @@ def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
 
 def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
     """Return the answer to a program, or to a least squares problem."""
-    from ..core.solving.driver import solve
+    from ..api import solve
 
     problem: Any
     if kind_in(target) is QuadraticProgram:

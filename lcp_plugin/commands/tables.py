@@ -11,10 +11,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ..core.algorithms import REGISTRY, create
+from ..algorithms import REGISTRY, create, from_other_packages
 from ..core.errors import LCPError
 from ..core.lcp import LCP
-from ..doors.packages import from_other_packages
 from ..evidence.contestants import PAPER_MSOR, paper_options
 from ..evidence.exporting import finite_content, save_tables
 from ..evidence.paper_tables import cells, paper_table

@@ -17,9 +17,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..core.algorithms import Algorithm, made
+from ..algorithms import made
+from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption, LCPError, did_you_mean
-from ..core.kinds import refusal
+from ..core.kind import refusal
 from ..core.lcp import LCP
 from ..evidence.contestants import as_scene_of, told
 from ..gallery.scene import Scene
@@ -187,7 +188,7 @@ def own_algorithm(name: str, options: dict[str, Any]) -> tuple[Any, dict[str, An
 
 def lcp_of_file(path: str, way: str) -> LCP:
     """Return the LCP of a file; raise InvalidOption in the words of the table of kinds where it states another."""
-    from ..doors.files.program_files import load_problem
+    from ..doors.program_files import load_problem
 
     problem = load_problem(path)
     if not isinstance(problem, LCP):
@@ -232,19 +233,18 @@ def scene_names(incomplete: str) -> list[str]:
 
 def algorithm_names(incomplete: str) -> list[str]:
     """Return the algorithms that begin so, those of other packages too."""
-    from ..core.algorithms import REGISTRY
-    from ..doors.packages import from_other_packages
+    from ..algorithms import REGISTRY, from_other_packages
 
     return [name for name in ("auto", *REGISTRY, *from_other_packages()) if name.startswith(incomplete)]
 
 
 def print_everything() -> None:
     """Print kinds of problems by the ways that take them, algorithms with needs and sources, scenes with parameters."""
-    from ..core.algorithms import REGISTRY, Algorithm, algorithm_class
-    from ..core.kinds import WAYS
-    from ..core.kinds import kinds as kinds_of_problems
-    from ..doors.packages import from_other_packages
+    from ..algorithms import REGISTRY, algorithm_class, from_other_packages
+    from ..core.algorithm import Algorithm
+    from ..core.kind import WAYS
     from ..gallery import describe
+    from ..kinds import KINDS
     from .terminal import console, table
 
     foreign = from_other_packages()
@@ -254,7 +254,7 @@ def print_everything() -> None:
     sources = {reference: f"[{k}]" for k, reference in enumerate(references, start=1)}
     headings = ("name", "needs", "proved to converge on", "an iteration costs", "source")
     algorithms = [
-        (name, kind.assumption, kind.converges_on, kind.cost, sources.get(kind.reference, kind.reference))
+        (name, kind.needs, kind.solves, kind.cost, sources.get(kind.reference, kind.reference))
         for name, kind in kinds.items()
     ]
     scenes = [
@@ -262,8 +262,8 @@ def print_everything() -> None:
         for name, summary, parameters in describe()
     ]
     terminal = console(160)
-    ways = [(way, *("✓" if way in kind.ways else "–" for kind in kinds_of_problems())) for way in WAYS]
-    words = ("", *(kind.word for kind in kinds_of_problems()))
+    ways = [(way, *("✓" if way in kind.ways else "–" for kind in KINDS)) for way in WAYS]
+    words = ("", *(kind.word for kind in KINDS))
     terminal.print(table("Kinds of problems, and what takes each", words, ways, pad_edge=False))
     terminal.print()
     terminal.print(table("Algorithms", headings, algorithms, pad_edge=False))

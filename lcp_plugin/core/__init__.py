@@ -6,12 +6,12 @@ Read it in this order:
 2. ``matrix`` and ``lcp``: M with its facts, each computed once; the problem. ``rounding`` and ``communicator`` are what
    they stand on: margins of rounding, and who holds the other rows (here: nobody).
 3. ``certificates``: the residual of z, rounding included, in which units, and what it is compared with: the criterion.
-4. ``algorithms`` and ``splittings``: what an algorithm is, and the sweeps of the paper and their relatives, with their
+4. ``algorithm`` and ``splittings``: what an algorithm is, and the sweeps of the paper and their relatives, with their
    loops in ``kernels``.
 5. ``solving``: ``driver`` begins a run, ``run`` drives it, ``judge`` says when it is done, ``result`` what is given
    back.
-6. ``policy``: what ``auto`` does next. ``registry`` and ``kinds``: what the rooms offer that are here. ``deadline``:
-   the clock of a run. ``crossovers``: up to where each way is the cheaper one.
+6. ``policy``: what chooses the algorithms of a run; :mod:`lcp_plugin.auto` is the one behind ``auto``. ``kind``: a kind
+   of problem, and what takes it. ``deadline``: the clock of a run. ``crossovers``: up to where each way is the cheaper.
 
 To be looked up: ``written``, reprs that can be pasted.
 """

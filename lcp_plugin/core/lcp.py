@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from os import PathLike
-from typing import Any, Protocol, cast
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from .checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from .communicator import Communicator
 from .deadline import Lock
+from .kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind
 from .matrix.matrix import Matrix
-from .registry import ask
 from .written import described_lcp, written_lcp
 
 
@@ -63,6 +63,8 @@ class LCP:
     >>> problem.slack([2.5, 0])
     array([0. , 3.5])
     """
+
+    problem_kind: ClassVar[Kind] = LINEAR_COMPLEMENTARITY_PROBLEM
 
     def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
@@ -244,9 +246,11 @@ class LCP:
         InvalidProblem
             On every rank, where any part is damaged or the parts do not fit together.
         """
-        matrix = ask("ranks", "matrix")(comm, rows, first_row)
+        from ..ranks.on_ranks import matrix_of_rows, require_same_numbers
+
+        matrix = matrix_of_rows(comm, rows, first_row)
         problem: LCP = matrix.communicator.together(lambda: LCP(matrix, q, lower=lower, upper=upper))
-        ask("ranks", "require_same_numbers")(matrix.communicator, lower=lower, upper=upper)
+        require_same_numbers(matrix.communicator, lower=lower, upper=upper)
         return problem
 
     @classmethod
@@ -263,7 +267,9 @@ class LCP:
         InvalidProblem
             Where the ranks give different problems.
         """
-        return cls.from_rows(comm, *ask("ranks", "equal_part")(comm, problem))
+        from ..ranks.on_ranks import equal_part
+
+        return cls.from_rows(comm, *equal_part(comm, problem))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
@@ -281,7 +287,11 @@ class LCP:
         UnreadableFile
             Where it cannot be written, or looks like a file of another kind, as a.mat does.
         """
-        ask(*(("ranks", "save") if self.is_distributed else ("file format", "save")))(self, path)
+        if self.is_distributed:
+            from ..ranks.on_ranks import save
+        else:
+            from ..doors.files.files import save
+        save(self, path)
 
     @classmethod
     def from_qp(
@@ -310,8 +320,10 @@ class LCP:
         form : {"auto", "direct", "kkt"}
             Which optimality conditions become the problem.
         """
-        program = ask("kind", "QuadraticProgram").type(P, c, G, h, A, b, lower, upper)
-        return cast(LCP, ask("conversion", "from_qp")(program, form))
+        from ..problems.programs.conversion import lcp_from_qp
+        from ..problems.programs.program import QuadraticProgram
+
+        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper), form)
 
     @classmethod
     def from_game(cls, A: Any, B: Any = None) -> LCP:
@@ -323,7 +335,9 @@ class LCP:
             Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
             ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
         """
-        return cast(LCP, ask("conversion", "from_game")(A, B))
+        from ..problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
+
+        return lcp_from_bimatrix_game(A, B)
 
     @classmethod
     def from_contacts(
@@ -349,12 +363,15 @@ class LCP:
         time_step : float, optional
             In s, beside `gaps`: a contact may close by gap / time step.
         """
-        convert = ask("conversion", "from_contacts")
-        return cast(LCP, convert(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step))
+        from ..problems.contact import lcp_from_contacts
+
+        return lcp_from_contacts(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step)
 
     def to_qp(self) -> Any:
         """Return a quadratic program that this problem is; see ``problems.programs.conversion.qp_from_lcp``."""
-        return ask("conversion", "to_qp")(self)
+        from ..problems.programs.conversion import qp_from_lcp
+
+        return qp_from_lcp(self)
 
     @classmethod
     def from_cvxpy(cls, problem: Any) -> LCP:
@@ -365,11 +382,15 @@ class LCP:
         problem : cvxpy.Problem
             Of :func:`lcp_plugin.complements` and equalities.
         """
-        return cast(LCP, ask("conversion", "from_cvxpy")(problem))
+        from ..modeling.registration import lcp_stated_by
+
+        return lcp_stated_by(problem)
 
     def to_cvxpy(self) -> Any:
         """Return a ``ComplementarityProblem`` in one variable that states this problem."""
-        return ask("conversion", "to_cvxpy")(self)
+        from ..modeling.registration import stated_in_cvxpy
+
+        return stated_in_cvxpy(self)
 
     @classmethod
     def load(cls, path: str | PathLike[str], comm: Any = None) -> LCP:
@@ -396,8 +417,13 @@ class LCP:
         UnsupportedModel
             Where a ``.nl`` file states something else.
         """
-        loaded = ask("file format", "load")(LCP, path) if comm is None else ask("ranks", "load")(LCP, path, comm)
-        return cast(LCP, loaded)
+        if comm is None:
+            from ..doors.files.files import load
+
+            return load(LCP, path)
+        from ..ranks.on_ranks import load as load_on_ranks
+
+        return load_on_ranks(LCP, path, comm)
 
     __repr__ = written_lcp
     __str__ = described_lcp

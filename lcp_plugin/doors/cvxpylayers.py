@@ -22,9 +22,9 @@ except ImportError:
         "lcp_plugin.doors.cvxpylayers needs cvxpylayers from 1.2 on; install it with: pip install 'cvxpylayers>=1.2'"
     ) from None
 
+from ..auto import asked_of_solve
 from ..core.checks import FloatVector
 from ..core.errors import LCPError, NotConverged, UnsupportedModel
-from ..core.solving.driver import asked_of_solve
 from ..modeling.program_derivative import conditions, in_words_of_programs
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import judged_program

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..auto import solve_lcp
 from ..core.checks import FloatVector, checked_vector
 from ..core.errors import InvalidOption, InvalidProblem
 from ..core.lcp import LCP
-from ..core.solving.driver import solve
 from ..methods.lemke import lemke_path
 
 STATUS = {"solved": 0, "limit": 1, "ray": 2, "rounding": 3}
@@ -84,7 +84,7 @@ def lemke(
         found, end, pivots = np.zeros(problem.n), "solved", 0
     else:
         found, end, pivots = lemke_path(problem, covering, max(int(max_iter), 1))
-    if end == "rounding" and (result := solve(problem, "lemke", tolerance=1e-10, refute=False)).is_solved:
+    if end == "rounding" and (result := solve_lcp(problem, "lemke", tolerance=1e-10, refute=False)).is_solved:
         found, end = result.z.copy(), "solved"
     if z is not None:
         z[:] = found

@@ -17,14 +17,15 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ..core.algorithms import REGISTRY, Algorithm, create, module_of
+from ..algorithms import REGISTRY, create, module_of
+from ..api import solve
+from ..auto import policy_for
+from ..core.algorithm import Algorithm
 from ..core.checks import FloatVector
 from ..core.errors import ConvergenceWarning, InvalidOption, LCPError
-from ..core.kinds import refusal
+from ..core.kind import refusal
 from ..core.lcp import LCP
-from ..core.policy.choice import policy_for
 from ..core.settings import Status
-from ..core.solving.driver import solve
 from ..core.solving.result import Result, Sample
 from ..gallery.scene import Scene
 

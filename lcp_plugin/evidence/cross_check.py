@@ -20,15 +20,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..core.algorithms import module_of
+from ..algorithms import module_of
+from ..api import solve
 from ..core.certificates.residuals import Certificate
 from ..core.certificates.row_residuals import magnitude, rounding_floor, scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, LCPError
-from ..core.kinds import refusal
+from ..core.kind import refusal
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
-from ..core.solving.driver import solve
 from ..core.solving.result import Result
 from ..problems.programs.certification import certify
 from ..problems.programs.conversion import qp_from_lcp

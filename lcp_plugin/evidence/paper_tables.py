@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.algorithms import Algorithm, create
+from ..algorithms import create
+from ..core.algorithm import Algorithm
 from ..core.certificates.row_residuals import euclidean_norm
 from ..core.checks import FloatVector
 from ..core.lcp import LCP

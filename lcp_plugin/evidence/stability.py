@@ -12,7 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.algorithms import REGISTRY, Algorithm
+from ..algorithms import REGISTRY
+from ..api import solve
+from ..core.algorithm import Algorithm
 from ..core.errors import (
     ConvergenceWarning,
     InvalidOption,
@@ -20,7 +22,6 @@ from ..core.errors import (
     UnsuitableProblem,
     did_you_mean,
 )
-from ..core.solving.driver import solve
 from ..core.solving.result import Result
 from .contestants import checked_names, contestants
 from .drawing import draw_maps

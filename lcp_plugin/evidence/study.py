@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..core.kinds import kind_of, refusal
+from ..core.kind import kind_of, refusal
 from ..core.lcp import LCP
 from ..core.settings import Settings
 from ..doors.files.files import checked_path

@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.algorithms import create
+from ..core.algorithm import Algorithm
 from ..core.crossovers import (
     INTERIOR_STEPS,
     LINEAR_PROGRAM_UP_TO,
@@ -47,12 +47,14 @@ from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
 from ..core.matrix.units import Exponents, scaled
-from ..core.policy.choice import last_resort
 from ..core.policy.stages import Choice, Stage
+from ..core.splittings.projected_relaxation import PSOR
 from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
-from .lemke import has_parts_that_fit
+from .interior.interior_point import InteriorPoint
+from .lemke import Lemke, has_parts_that_fit
 from .newton.condensed import Condensed, condensing_passes
+from .newton.semismooth_newton import Newton
 from .presolve import presolve
 
 CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
@@ -116,16 +118,17 @@ class Retries:
     """newton and lemke once more, each once, on the whole problem from the start: the best point may lead astray."""
 
     def __init__(self) -> None:
-        self._left = ["newton", "lemke"]
+        self._left: list[Algorithm] = [Newton(), Lemke()]
 
     def following(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
         """Return the next that has not begun there: lemke where two paths cost no more than was spent, or little."""
         spent = sum(stage.work for stage in stages) * problem.nonzeros
         while problem.n <= PIVOTED_UP_TO and self._left:
-            name = self._left.pop(0)
+            method = self._left.pop(0)
+            name = method.name
             is_dear = name == "lemke" and 4.0 * problem.n**3 > max(spent, CHEAP_ENTRIES)
             if not is_dear and not any(stage.algorithm.name == name and stage.from_start for stage in stages):
-                return Choice(create(name, {}), f"{name} once more, from the start", from_start=True)
+                return Choice(method, f"{name} once more, from the start", from_start=True)
         return None
 
 
@@ -188,12 +191,12 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     reduced = None if is_kkt else presolve(problem)
     left = problem if reduced is None else reduced.problem
     about = f" ({reduced})" if left is not problem else ""
-    newton = Choice(create("newton", {}), f"guesses what is at a bound, solves for the rest{about}", reduced)
+    newton = Choice(Newton(), f"guesses what is at a bound, solves for the rest{about}", reduced)
     why = f"steps strictly between the bounds; suits M, which is monotone or may be{about}"
     is_made = "interior_point" in getattr(problem.origin, "attempted", ())
-    interior = Choice(create("interior_point", {}), why, reduced, is_made=is_made)
+    interior = Choice(InteriorPoint(), why, reduced, is_made=is_made)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
-    lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
+    lemke = Choice(Lemke(), f"pivoting needs no property of M{about}", reduced)
     left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
     left_out += [] if has_parts_that_fit(left) else [lemke.algorithm]
     # A program has no other method that would be quicker, whatever its factor fills.
@@ -216,7 +219,7 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
         order = [interior, check, newton, lemke]
         is_full = left.is_dense or left.nonzeros > FULL_SHARE * left.n**2
         if is_full and not has_positive_diagonal(left.matrix).all():
-            few = create("lemke", {"max_pivots": 10 + left.n // FIRST_PIVOTS, "restarts": 0})
+            few = Lemke(max_pivots=10 + left.n // FIRST_PIVOTS, restarts=0)
             order = [Choice(few, f"some pivots, before a factor of a dense M{about}", reduced), *order]
     else:
         interior = replace(interior, because=f"M is not shown to be monotone, but interior points may do{about}")
@@ -241,6 +244,11 @@ def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
         yield Choice(ExhaustiveSearch(), "few enough unknowns to try every choice of bounds to the end")
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
+
+
+def last_resort(problem: LCP) -> Algorithm:
+    """Return the method that auto follows to its end where nothing before it converges."""
+    return Lemke() if problem.n <= PIVOTED_UP_TO else PSOR()
 
 
 def _suits_newton(problem: LCP) -> bool:

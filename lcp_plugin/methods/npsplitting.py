@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.algorithms.base import Step, check_choice
+from ..core.algorithm import Step, check_choice
 from ..core.certificates.row_residuals import scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
@@ -42,8 +42,8 @@ class NPSplitting(ScaledByRows):
     """
 
     name: ClassVar[str] = "npsplitting"
-    assumption: ClassVar[str] = "𝓜 + 2I + D nonsingular"
-    converges_on: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1); H₊ for a named splitting, scaled"
+    needs: ClassVar[str] = "𝓜 + 2I + D nonsingular"
+    solves: ClassVar[str] = "ρ(T) < 1 (the paper's Theorem 4.1); H₊ for a named splitting, scaled"
     cost: ClassVar[str] = "1 product with M, 1 solve with 𝓜 + 2I + D"
 
     splitting: Any = "tridiagonal"

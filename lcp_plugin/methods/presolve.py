@@ -11,11 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.algorithms import Algorithm, Step
+from ..core.algorithm import Algorithm, Step
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import EPSILON, NEGLIGIBLE_DIAGONAL
-from ..core.kinds import refusal
+from ..core.kind import refusal
 from ..core.lcp import LCP
 from ..core.rounding import compensated_product
 

@@ -11,10 +11,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ..auto import solve_lcp
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnsupportedModel
 from ..core.lcp import LCP
-from ..core.solving.driver import solve
 from ..core.solving.result import Result
 from ..core.written import in_words
 from ..problems.nonlinear.data import NonlinearProblem
@@ -251,8 +251,8 @@ def solve_from(problem: LCP | NonlinearProblem, start: FloatVector | None, optio
     """
     if not isinstance(problem, NonlinearProblem):
         if "z0" in options or start is None or not np.isfinite(start).all():
-            return solve(problem, **options)
-        return replace(solve(problem, z0=start, **options), begun=BEGUN)
+            return solve_lcp(problem, **options)
+        return replace(solve_lcp(problem, z0=start, **options), begun=BEGUN)
     known = list(inspect.signature(solve_nonlinear).parameters)[2:]
     for name in options:
         if name not in (*known, "z0"):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..core.algorithms import create
 from ..core.lcp import LCP
-from ..core.policy.choice import Policy
+from ..core.policy.policy import Policy
 from ..core.policy.stages import Choice, Stage
 from ..core.splittings.projected_relaxation import PSOR
+from ..methods.multigrid import Multigrid
 
 
 class AutoOnRanks(Policy):
@@ -18,7 +18,7 @@ class AutoOnRanks(Policy):
 
     def first(self, problem: LCP) -> Choice:
         """Return multigrid, which needs about as many cycles whatever n is."""
-        return Choice(create("multigrid", {"hands_over": True}))
+        return Choice(Multigrid(hands_over=True))
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return PSOR where multigrid came to an end."""

@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from applications import mechanics
 
+from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.core.lcp import LCP
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.gallery import build
 
 from .crossovers import random_band

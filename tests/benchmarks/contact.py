@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from lcp_plugin.api import solve
 from lcp_plugin.core.kernels.compilation import compiled
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.settings import Status
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.problems.batches.batch import solve_batch
 
 from .small import COMPILED_LEMKE, friction, spectrum

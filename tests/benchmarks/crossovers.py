@@ -10,11 +10,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg.blas import dsyrk
 
+from lcp_plugin.api import solve
 from lcp_plugin.core import crossovers
 from lcp_plugin.core.kernels.threads import share, threads_for
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.policy.stages import Stage
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
 from lcp_plugin.evidence.contestants import fresh

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lcp_plugin.api import solve
 from lcp_plugin.core.certificates.row_residuals import is_at_bound
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.gallery import parse
 from lcp_plugin.problems.sensitivity import derivative

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.gallery import Scene, parse
 from lcp_plugin.problems.sensitivity import Derivative, derivative

@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.core.algorithms.base import without_warnings
+from lcp_plugin.core.algorithm import without_warnings
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, UnitLeastSquares
 from lcp_plugin.problems.least_squares.face_steps import projected_steps

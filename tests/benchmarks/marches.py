@@ -23,9 +23,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import solve_banded
 
+from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.core.solving.result import Result
 from lcp_plugin.problems.march import March, march
 from lcp_plugin.problems.march.march_many import march_many

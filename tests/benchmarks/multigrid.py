@@ -22,13 +22,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.api import solve
 from lcp_plugin.commands.distributed import peak_memory
 from lcp_plugin.core.certificates.residuals import Certificate
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.errors import InvalidProblem, LCPError
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.settings import checked_threads
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.core.solving.result import Result
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.gallery import Scene, build, parse
@@ -97,7 +97,7 @@ FIRST_RUN = """
 import time
 from lcp_plugin import gallery
 from lcp_plugin.evidence.contestants import fresh
-from lcp_plugin.core.solving.driver import solve
+from lcp_plugin import solve
 problem = gallery.parse("{}").problem
 for _ in range(5):
     new = fresh(problem)

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.gallery.stencil import stencil_matrix
 from lcp_plugin.methods.interior.interior_point import InteriorPoint
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin.algorithms import create
+from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.settings import Status
-from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.evidence.paper_tables import iterated
 from lcp_plugin.gallery import build
 from lcp_plugin.problems.batches.batch import solve_batch

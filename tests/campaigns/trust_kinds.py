@@ -30,7 +30,7 @@ from relations import EXACT, bits, scaled
 
 from lcp_plugin import LCP, LCPError, UnsuitableProblem, all_solutions, error_bound, prepare, solve, solve_many
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.core.algorithms.base import SWEEPS
+from lcp_plugin.core.algorithm import SWEEPS
 from lcp_plugin.core.errors import UnsuitableMatrix
 
 Generator = np.random.Generator

@@ -265,7 +265,7 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
     """Where matplotlib is missing, --plot is refused with the command to install it, before anything is solved."""
     for module in ("matplotlib", "matplotlib.figure"):
         monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.setattr("lcp_plugin.core.solving.driver.solve", lambda *_, **__: pytest.fail("it was solved"))
+    monkeypatch.setattr("lcp_plugin.api.solve", lambda *_, **__: pytest.fail("it was solved"))
     done = lcp_plugin("solve", "murty:n=4", "--plot", "out.png")
     assert done.exit_code == 2
     assert re.fullmatch(r"lcp-plugin: .*matplotlib.*pip install 'lcp_plugin\[report\]'\n", done.stderr)

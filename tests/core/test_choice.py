@@ -13,9 +13,9 @@ from benchmarks.small import friction
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.algorithms import Algorithm, create
+from lcp_plugin.auto import Auto
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.symmetry import mean_coupling
-from lcp_plugin.core.policy.choice import Auto
 from lcp_plugin.core.policy.stages import Choice, Stage
 from lcp_plugin.gallery.stencil import stencil_matrix
 from lcp_plugin.methods.direct import direct_methods, factor_passes, has_had_its_turn

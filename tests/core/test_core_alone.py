@@ -1,4 +1,4 @@
-"""The core alone solves, judges and explains; what it lacks it names. No room is imported here."""
+"""What every solve needs: the sweeps of the core, the judge, limits and words, on planted solutions."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import LCP, Certificate, Status, solve
-from lcp_plugin.core import registry
-from lcp_plugin.core.algorithms import REGISTRY, algorithm_class, create
-from lcp_plugin.core.errors import InvalidOption, NotConverged, UnknownAlgorithm, UnsuitableMatrix
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.core.errors import NotConverged, UnknownAlgorithm, UnsuitableMatrix
 
-SPLITTINGS = [name for name, place in REGISTRY.items() if place.startswith("core.")]
+SPLITTINGS = [name for name, kind in REGISTRY.items() if kind.__module__.startswith("lcp_plugin.core.")]
 
 
 def planted(n: int, seed: int, *, is_dense: bool = False) -> tuple[LCP, np.ndarray]:
@@ -29,7 +28,7 @@ def planted(n: int, seed: int, *, is_dense: bool = False) -> tuple[LCP, np.ndarr
 
 
 def test_the_splittings_are_the_core_s() -> None:
-    """The paper's sweeps and the projected ones are there whatever room is not."""
+    """The paper's sweeps and the projected ones lie in the core."""
     assert {"npj", "npgs", "npsor", "npaor", "pj", "pgs", "psor", "paor", "gfp"} == {*SPLITTINGS}
 
 
@@ -95,7 +94,7 @@ def test_limits_and_statuses_are_said() -> None:
 
 
 def test_verbose_prints_the_run(capsys: pytest.CaptureFixture[str]) -> None:
-    """A header, lines and an end, whatever rooms have more to say of M."""
+    """A header, lines and an end, whatever else is said of M."""
     solve(planted(50, 6)[0], "pgs", verbose=True)
     printed = capsys.readouterr().out
     assert "LCP(n=50" in printed
@@ -116,32 +115,3 @@ def test_sweeps_are_equivariant() -> None:
     other = LCP(problem.csr[order][:, order], unit * problem.q[order], upper=unit * problem.upper[order])
     one, two = solve(problem, "pj"), solve(other, "pj")
     np.testing.assert_allclose(two.z, unit * one.z[order], rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("ask", "what"),
-    [
-        (lambda problem: problem.to_qp(), "conversion 'to_qp'"),
-        (lambda problem: problem.save("p.npz"), "file format 'save'"),
-        (lambda problem: LCP.from_game([[1.0]], [[1.0]]), "conversion 'from_game'"),
-        (lambda problem: solve(problem, error_bound=True), "judge 'error'"),
-    ],
-)
-def test_what_is_not_here_is_named(ask, what: str, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
-    """What a room offers works where that is here; elsewhere the room is named."""
-    monkeypatch.chdir(tmp_path)
-    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    registered, name = what.replace("'", "").rsplit(" ", 1)
-    if registry.ask_or_none(registered, name) is None:
-        with pytest.raises(InvalidOption, match=f"the {what} is offered by .* install lcp_plugin as a whole"):
-            ask(problem)
-    else:
-        ask(problem)
-
-
-def test_methods_that_are_not_here_are_unknown() -> None:
-    """Only what can be had is registered."""
-    assert all(algorithm_class(name).name == name for name in REGISTRY)
-    for name in {"newton", "lemke", "banded", "multigrid", "interior_point", "npsplitting"} - {*REGISTRY}:
-        with pytest.raises(UnknownAlgorithm, match=name):
-            create(name, {})

@@ -169,7 +169,7 @@ def test_the_campaign_sees_crashes_and_changes(damage, what: str, monkeypatch: p
 
 def test_the_campaign_sees_a_start_that_is_written_to(monkeypatch: pytest.MonkeyPatch) -> None:
     """A z0 that a run takes for its own is found out."""
-    from lcp_plugin.core.solving.driver import checked_start
+    from lcp_plugin.auto import checked_start
 
     def careless(problem: LCP, z0: object) -> np.ndarray:
         start = checked_start(problem, z0)
@@ -177,7 +177,7 @@ def test_the_campaign_sees_a_start_that_is_written_to(monkeypatch: pytest.Monkey
             z0 += 1.0
         return start
 
-    monkeypatch.setattr("lcp_plugin.core.solving.driver.checked_start", careless)
+    monkeypatch.setattr("lcp_plugin.auto.checked_start", careless)
     assert finds(trust.MODIFIED, "optional")
 
 

@@ -238,12 +238,13 @@ def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    "place", ["driver.policy_for", "driver.checked_start", "judge.Judge.final", "judge.Judge.verdict"]
+    "place",
+    ["auto.policy_for", "auto.checked_start", "core.solving.judge.Judge.final", "core.solving.judge.Judge.verdict"],
 )
 def test_no_work_is_off_the_clock(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever a call does, from its first look at what it was given to its verdict, is in ``seconds``."""
     clock = FakeClock(monkeypatch)
-    path, _, name = f"lcp_plugin.core.solving.{place}".rpartition(".")
+    path, _, name = f"lcp_plugin.{place}".rpartition(".")
     owner = pkgutil.resolve_name(path)
     original = getattr(owner, name)
 
@@ -371,10 +372,10 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 
 PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
     "auto": ("core.solving.driver.Run.__init__", "core.solving.driver.CommonUnits.of",
-        "core.policy.choice.Single.first",
-             "proofs.guarantees.warn_where_known_to_be_uncovered"),
-    "npsor": ("core.policy.choice.Auto.first",),
-    "lemke": ("core.policy.choice.Auto.first",),
+        "auto.Single.first",
+             "auto.warn_where_known_to_be_uncovered"),
+    "npsor": ("auto.Auto.first",),
+    "lemke": ("auto.Auto.first",),
 }
 
 
@@ -385,10 +386,10 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
         ("core.solving.driver.fused", {}),
         ("core.solving.driver.Run.__init__", {}),
         ("core.solving.driver.CommonUnits.of", {}),
-        ("proofs.guarantees.warn_where_known_to_be_uncovered", {}),
+        ("auto.warn_where_known_to_be_uncovered", {}),
         ("proofs.bounds.error_judge.ErrorJudge._bound", {"tolerance_on": "error"}),
-        ("core.policy.choice.Auto.first", {}),
-        ("core.policy.choice.Single.first", {}),
+        ("auto.Auto.first", {}),
+        ("auto.Single.first", {}),
     ],
 )
 def test_ctrl_c_during_the_set_up_returns_the_projected_start(

@@ -257,7 +257,7 @@ def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch
         patch.setattr(NPSOR, "iterates", interrupted)
         assert solve(SWEPT).status is Status.INTERRUPTED
         assert np.geterr() == before
-    monkeypatch.setattr("lcp_plugin.core.solving.driver.checked_start", interrupted)
+    monkeypatch.setattr("lcp_plugin.auto.checked_start", interrupted)
     with pytest.raises(KeyboardInterrupt):
         solve(TOTAL)
     assert np.geterr() == before

@@ -21,7 +21,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def proved_on(*words: str) -> list[str]:
     """The algorithms whose proofs name one of these classes, and auto."""
-    return ["auto", *(name for name, kind in KINDS.items() if any(word in kind.converges_on for word in words))]
+    return ["auto", *(name for name, kind in KINDS.items() if any(word in kind.solves for word in words))]
 
 
 @st.composite

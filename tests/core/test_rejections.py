@@ -61,7 +61,7 @@ BUILTIN_BASE = {
 NAN, INF = float("nan"), float("inf")
 KINDS = {name: algorithm_class(name) for name in REGISTRY}
 OPTIONS = {name: [field.name for field in fields(kind)] for name, kind in KINDS.items()}
-NEEDS_POSITIVE_DIAGONAL = [name for name, kind in KINDS.items() if kind.assumption.startswith("positive diagonal")]
+NEEDS_POSITIVE_DIAGONAL = [name for name, kind in KINDS.items() if kind.needs.startswith("positive diagonal")]
 NEEDS_NO_DIAGONAL = [name for name in REGISTRY if name not in NEEDS_POSITIVE_DIAGONAL]
 
 

@@ -51,11 +51,12 @@ from lcp_plugin import (
 )
 from lcp_plugin.commands import ampl
 from lcp_plugin.commands.cli import app
-from lcp_plugin.core.kinds import COMMANDS, WAYS, kind_of, kinds
+from lcp_plugin.core.kind import COMMANDS, WAYS, kind_of
 from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.answer import Answer
 from lcp_plugin.doors.nl import read_nl, read_sol, write_nl
 from lcp_plugin.doors.nl.answers import CODES
+from lcp_plugin.kinds import KINDS, options_of
 from lcp_plugin.methods.presolve import presolve
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 
@@ -388,9 +389,9 @@ CELLS = [pytest.param(sample, way, id=f"{sample} × {way}") for sample in SAMPLE
 
 def test_every_kind_and_every_way_has_its_row() -> None:
     """A kind without samples, or a way without a trial, is found here."""
-    assert {sample.kind for sample in SAMPLES} == {kind.word for kind in kinds()}
+    assert {sample.kind for sample in SAMPLES} == {kind.word for kind in KINDS}
     assert TRIALS.keys() == set(WAYS)
-    for kind in kinds():
+    for kind in KINDS:
         assert set(kind.ways) <= set(WAYS)
         assert {name for name in kind.instead if not name.endswith("=")} <= set(WAYS) - set(kind.ways)
         assert all(kind.words(way) for way in WAYS if way not in kind.ways), kind
@@ -402,8 +403,8 @@ def test_readme_shows_the_table_in_small() -> None:
     text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     head, _, *rows = next(part for part in text.split("\n\n") if part.startswith("| kind |")).splitlines()
     columns = [cell.replace("`", "").split(", ") for cell in map(str.strip, head.split("|")[2:-1])]
-    assert [row.split("`")[1].partition("(")[0] for row in rows] == [kind.word for kind in kinds()]
-    for row, kind in zip(rows, kinds(), strict=True):
+    assert [row.split("`")[1].partition("(")[0] for row in rows] == [kind.word for kind in KINDS]
+    for row, kind in zip(rows, KINDS, strict=True):
         marks = [cell.strip() for cell in row.rsplit("|", len(columns) + 1)[1:-1]]
         assert marks == ["✓" * all(way in kind.ways for way in ways) for ways in columns], kind.word
 
@@ -454,7 +455,7 @@ def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, cap
     """What an option promises happens; one that a kind does not take is refused by its name."""
     kind, wish = kind_of(sample.problem), WISHES[name]
     assert kind is not None
-    is_taken = name in OF_SOLVE or name == "algorithm" if kind.options is None else name in kind.options
+    is_taken = name in OF_SOLVE or name == "algorithm" if options_of(kind) is None else name in options_of(kind)
     if name in ("z0", "x0") and is_taken:
         wish = solved(sample).z if name == "z0" else solved(sample).x
     try:

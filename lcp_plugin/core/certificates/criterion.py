@@ -48,7 +48,7 @@ from .row_residuals import (
 )
 
 if TYPE_CHECKING:
-    from ..algorithms import Step
+    from ..algorithm import Step
     from ..policy.stages import Choice
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds

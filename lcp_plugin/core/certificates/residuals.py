@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import BoolVector, FloatVector, read_only, restored
 from ..errors import InvalidProblem
-from ..kinds import refusal
+from ..kind import refusal
 from ..lcp import LCP
 from ..matrix.structure import parts
 from ..matrix.units import times_power

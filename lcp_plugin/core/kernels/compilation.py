@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
@@ -308,10 +308,18 @@ def _plain(kind: Any) -> Any:
 
 
 def compiled_elementwise(function: Any) -> Any:
-    """Compile a function of two numbers into one of two arrays, at once."""
-    with suppress(Exception), _kept_in(cache_folder()):
-        return vectorize(["float64(float64, float64)"], cache=True)(function)  # type: ignore[no-untyped-call]
-    return vectorize(["float64(float64, float64)"])(function)  # type: ignore[no-untyped-call]
+    """Compile a function of two numbers into one of two arrays, at its first call."""
+
+    @cache
+    def kernel() -> Any:
+        with suppress(Exception), _kept_in(cache_folder()):
+            return vectorize(["float64(float64, float64)"], cache=True)(function)  # type: ignore[no-untyped-call]
+        return vectorize(["float64(float64, float64)"])(function)  # type: ignore[no-untyped-call]
+
+    def called(a: Any, b: Any) -> Any:
+        return kernel()(a, b)
+
+    return called
 
 
 @contextmanager

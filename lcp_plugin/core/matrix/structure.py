@@ -12,7 +12,6 @@ import numpy as np
 
 from ..checks import FloatVector, read_only
 from ..communicator import Communicator
-from ..registry import ask
 from .matrix import Matrix, fact
 
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
@@ -79,7 +78,7 @@ def parts(matrix: Matrix) -> Parts | None:
     True
     """
     if not matrix.communicator.is_alone:
-        return ask("ranks", "joined_parts")(matrix)  # type: ignore[no-any-return]
+        return _joined_parts(matrix)
     if _is_seen_connected(matrix):
         return None
     labels, count = local_parts(matrix)
@@ -109,3 +108,29 @@ def local_parts(matrix: Matrix) -> tuple[IntVector, int]:
     join(rows.indptr, rows.indices, first)
     roots, labels = np.unique(first, return_inverse=True)
     return labels.astype(np.int64).reshape(-1), roots.size
+
+
+def _joined_parts(matrix: Matrix) -> Parts | None:
+    """Return the parts of rows over several ranks: those of each rank, joined where one of its unknowns is another's.
+
+    What a rank calls a part is told to the others by the values of its unknowns there; the parts that meet are few.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    communicator, own = matrix.communicator, matrix.own
+    local, count = local_parts(matrix)
+    before, total = communicator.places(count)
+    theirs = matrix.whole((local[:own] + before).astype(np.float64))[own:].astype(np.int64)
+    met = np.unique(np.stack([local[own:] + before, theirs], axis=1), axis=0)
+    pairs = communicator.everybodys(met)
+    pattern = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(total, total))
+    joined_count, joined = connected_components(pattern, directed=False)
+    if joined_count <= 1:
+        return None
+    shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
+    mine = joined[local[:own] + before]
+    order = np.concatenate([shared, np.setdiff1d(mine, shared)])
+    number = np.full(joined_count, -1)
+    number[order] = np.arange(order.size)
+    return Parts(read_only(number[mine]), order.size, int(joined_count), shared.size, communicator)

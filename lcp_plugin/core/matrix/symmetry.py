@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
 from ..kernels.threads import share
-from ..registry import ask
+from .joint_facts import has_symmetric_products
 from .matrix import Matrix, fact
 
 UNNOTICED = 1e-12  # relative asymmetry of an entry that conjugate gradients do not notice
@@ -52,7 +52,7 @@ def has_symmetric_entries(matrix: Matrix) -> bool:
     speed, not correctness: every z is judged by its residual.
     """
     if matrix.communicator.size > 1:
-        return bool(ask("ranks", "has_symmetric_products")(matrix))
+        return has_symmetric_products(matrix)
     return is_symmetric_entrywise(matrix.csr_rows)
 
 

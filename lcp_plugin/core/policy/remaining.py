@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..algorithms import Algorithm
+from ..algorithm import Algorithm
 from ..crossovers import DIRECT_UP_TO, MULTIGRID_PASSES
 from ..lcp import LCP
 from ..matrix.symmetry import has_symmetric_entries

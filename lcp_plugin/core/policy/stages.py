@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..algorithms import Algorithm, Step
+from ..algorithm import Algorithm, Step
 from ..checks import BoolVector, FloatVector
 from ..lcp import LCP
 

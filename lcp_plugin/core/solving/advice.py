@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..algorithms import Algorithm
+from ..algorithm import Algorithm
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
 from ..lcp import LCP

@@ -7,7 +7,6 @@ import math
 from typing import TYPE_CHECKING, Any, Self
 
 from ..errors import NotConverged
-from ..registry import ask
 from ..settings import PROVEN, Status
 from ..written import in_words
 
@@ -138,7 +137,9 @@ class Answer:
             Of :func:`lcp_plugin.evidence.plots.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns' grid,
             or ``rows`` and their coordinates ``over``, for z and w.
         """
-        return ask("picture", "answer")(self, **how)
+        from ...evidence.plots import plot_answer
+
+        return plot_answer(self, **how)
 
     def __repr__(self) -> str:
         size = "" if self.x is None else f"n={len(self.x)}, "

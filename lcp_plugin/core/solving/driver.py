@@ -1,199 +1,70 @@
-"""solve(): what is asked of it, checked; then a run, or one compiled call where a room has one and nobody watches."""
+"""What `solve` does of an LCP once it is known what is asked: one compiled call where nobody watches, else a run."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, overload
+from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from ..algorithms import Algorithm, FusedSolve
+from ..algorithm import Algorithm, FusedSolve
 from ..certificates.criterion import CommonUnits
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector, checked_start
+from ..checks import FloatVector
 from ..deadline import Clock
-from ..errors import InvalidOption
 from ..kernels.threads import threads_for
-from ..kinds import LINEAR_COMPLEMENTARITY_PROBLEM, solve_any
 from ..lcp import LCP
-from ..policy.choice import Policy, name_of, policy_for, with_reasons
+from ..policy.policy import Policy, name_of, with_reasons
 from ..policy.stages import Choice
-from ..registry import ask_or_none
-from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
+from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO
+from .judge import Judge
 from .result import Result, StageRecord
 from .run import Callback, Run
-
-if TYPE_CHECKING:
-    from ...problems.equilibria.equilibrium_program import EquilibriumProgram
-    from ...problems.equilibria.result import EquilibriumResult
-    from ...problems.least_squares.data import BoundedLeastSquares
-    from ...problems.least_squares.solving import LeastSquaresResult
-    from ...problems.nonlinear.data import NonlinearProblem
-    from ...problems.programs.program import QuadraticProgram
-    from ...problems.programs.solving import QuadraticProgramResult
+from .run_log import Header
 
 
-@overload
-def solve(
-    problem: LCP, algorithm: str | Algorithm | Policy = "auto", *, z0: ArrayLike | None = None,
-    tolerance: float = 1e-8, tolerance_on: str = "residual",
-    max_iterations: int | None = None, max_seconds: float | None = None, absolute_tolerance: float = 0.0,
-    record: bool = False, callback: Callback | None = None, error_bound: bool = False, refute: bool = True,
-    threads: int | None = None, verbose: bool = False, **options: Any,
-) -> Result: ...
-@overload
-def solve(
-    problem: NonlinearProblem, algorithm: str | Algorithm = "auto", *, x0: ArrayLike, **options: Any
-) -> Result: ...
-@overload
-def solve(
-    problem: QuadraticProgram, algorithm: str | Algorithm = "auto", **options: Any
-) -> QuadraticProgramResult: ...
-@overload
-def solve(problem: EquilibriumProgram, **options: Any) -> EquilibriumResult: ...
-@overload
-def solve(problem: BoundedLeastSquares, **options: Any) -> LeastSquaresResult: ...
-def solve(
-    problem: Any,
-    algorithm: str | Algorithm | Policy = "auto",
-    *,
-    z0: ArrayLike | None = None,
-    tolerance: float = 1e-8,
-    tolerance_on: str = "residual",
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    record: bool = False,
-    callback: Callback | None = None,
-    error_bound: bool = False,
-    refute: bool = True,
-    threads: int | None = None,
-    verbose: bool = False,
-    **options: Any,
-) -> Any:
-    """Return the answer to a problem, judged on the problem's own data.
+def solved_by(
+    policy: Policy, problem: LCP, settings: Settings, start: FloatVector, clock: Clock, callback: Callback | None,
+    *, judge: Callable[[CommonUnits, Settings], Judge] = Judge, header: Header | None = None,
+    warn: Callable[[LCP, Policy], None] | None = None,
+) -> Result:
+    """Return the result of what a policy chooses.
 
     Parameters
     ----------
-    problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem or BoundedLeastSquares
-        Never modified. What follows is said of an LCP; see Notes for the others. Where its rows are spread over ranks
-        (:meth:`LCP.from_rows`), all of them call with the same arguments; z0, z and w are the own parts then, and
-        everything else is the same on every rank.
-    algorithm : str or Algorithm
-        A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
-    z0 : array, shape (n,), or a number for n = 1, optional
-        Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. ``interior_point``
-        uses one on dense symmetric M and programs only; ``lemke`` tries its active set, and begins there where its
-        residual is a tenth of that point's or less; where it changes nothing ``explain()`` says so.
-    tolerance : float
-        SOLVED means that the measured residual of the returned z is at most this: in every part of the problem
-        (connected component of M's pattern) relative to that part's own reference.
-    tolerance_on : {"residual", "error"}
-        With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved of every part, z* the solution.
-    max_iterations : int, default 100 000
-    max_seconds : float, optional
-        Wall-clock limit in seconds, set-up included and compilation of kernels excluded; obeyed at the end of
-        the iteration under way, or within a tenth of a second inside a long factorisation, as Ctrl-C is. That goes
-        on in a thread of its own until it is done, and what it finds is dropped.
-    absolute_tolerance : float
-        In the unit of z: a part with ‖r‖∞ ≤ absolute_tolerance is solved whatever its reference, as a contact at rest
-        is whose gaps are rounding; INFEASIBLE and NO_SOLUTION are proved beyond it.
-    record : bool
-        Keep samples of the run at geometric intervals in ``Result.history``.
-    callback : callable, optional
-        Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
-        run with status INTERRUPTED. What it raises is passed on.
-    error_bound : bool
-        Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
-        clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
-    refute : bool
-        Look for a proof that there is no solution where none is found. False saves the work: a run that finds none ends
-        STALLED, at the start where a look at all cases of a small problem in doubles has excluded every z.
-    threads : int, optional
-        How many threads this solve may use; by default all that the process may use, but one where the rows are on
-        ranks. The answer is the same bit for bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.
-    verbose : bool
-        Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
-        seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.
-    **options
-        Options of the named algorithm.
-
-    Returns
-    -------
-    Result
-        Or that of the other kind; each is an :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x,
-        objective, advice and proof. Always, whatever the status, with the best iterate whose residual was measured
-        (in-place methods are measured at intervals and at the end), also after Ctrl-C; before the first step that is
-        the start. ``result.require_solved()`` raises instead.
-
-    Raises
-    ------
-    UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
-        Before the first iteration; UnsuitableMatrix also where ``tolerance_on="error"`` and M allows no error bound.
-
-    Notes
-    -----
-    What the other kinds take, and what SOLVED means there, is that of the function which solves them; they refuse the
-    rest, and have default tolerances of their own:
-
-    - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.solve_nonlinear`;
-    - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and
-      UNBOUNDED with a proof, see :class:`~lcp_plugin.QuadraticProgramResult`; options as for an LCP, z0 is the
-      ``result.z`` of an earlier run, a start where that has as many unknowns;
-    - ``EquilibriumProgram``: :func:`~lcp_plugin.minimize_over_solutions`;
-    - ``BoundedLeastSquares``: :func:`~lcp_plugin.bounded_least_squares`.
-
-    Kernels of small problems are interpreted, with the same bits, until compiling them pays. The first large problem of
-    its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles everything.
-
-    Examples
-    --------
-    >>> problem = LCP([[4, -1], [-1, 4]], [-3, 5])
-    >>> result = solve(problem, "npsor", relaxation=1.7)
-    >>> result.status.name, result.z.round(6)
-    ('SOLVED', array([0.75, 0.  ]))
-
-    >>> from lcp_plugin import QuadraticProgram
-    >>> best = solve(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
-    >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
-    ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
+    policy : Policy
+    problem : LCP
+    settings : Settings
+    start : ndarray, shape (n,)
+        Within the bounds.
+    clock : Clock
+        Running.
+    callback : callable or None
+    judge : callable
+        Makes the judge of a run.
+    header : callable, optional
+        What ``verbose=True`` tells of M.
+    warn : callable, optional
+        Asked before the run.
     """
-    if not isinstance(problem, LCP):
-        given, defaults = locals(), solve.__kwdefaults__ or {}
-        wishes = {name: given[name] for name in defaults if given[name] is not defaults[name]}
-        return solve_any(problem, algorithm, {**wishes, **options})
-    if options:
-        LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)
-    communicator, clock = problem.communicator, Clock(problem.communicator)
-    # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
-    with np.errstate(), communicator.interruptions() as clock.hears:
-        policy, settings, callback, start = communicator.together(lambda: (
-            policy_for(algorithm, options, on_ranks=problem.is_distributed, refutes=refute),
-            Settings(
-                tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
-                threads, verbose, refute,
-            ),
-            checked_callback(callback), checked_start(problem, z0),
-        ))
-        asked = policy.chosen, settings
-        communicator.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
-        run = units = None
-        with threads_for(1 if threads is None and problem.is_distributed else settings.threads):  # ranks are the cores
-            try:
-                if policy.chosen != "auto" and (warn := ask_or_none("remark", "uncovered")) is not None:
-                    warn(problem, policy, stacklevel=2)
-                units = CommonUnits.of(problem, settings.least_reference)
-                start, first = units.inward(start), policy.first(units.problem)
-                if callback is None and (result := fused(units, policy, first, settings, start, clock)) is not None:
-                    return result
-                run = Run(units, policy, settings, callback, clock)
-                return run.judged(start, run.drive(start, first))
-            except KeyboardInterrupt:
-                if problem.is_distributed:
-                    raise  # the second one: the other ranks have not heard of it
-                run = run or Run(units or CommonUnits(problem, problem), policy, settings, callback, clock)
-                return run.judged(start, Status.INTERRUPTED)
+    run = units = None
+
+    def run_in(units: CommonUnits) -> Run:
+        return Run(units, policy, settings, callback, clock, judge(units, settings), header)
+
+    with threads_for(1 if settings.threads is None and problem.is_distributed else settings.threads):  # ranks: cores
+        try:
+            if warn is not None:
+                warn(problem, policy)
+            units = CommonUnits.of(problem, settings.least_reference)
+            start, first = units.inward(start), policy.first(units.problem)
+            if callback is None and (result := fused(units, policy, first, settings, start, clock)) is not None:
+                return result
+            run = run_in(units)
+            return run.judged(start, run.drive(start, first))
+        except KeyboardInterrupt:
+            if problem.is_distributed:
+                raise  # the second one: the other ranks have not heard of it
+            run = run or run_in(units or CommonUnits(problem, problem))
+            return run.judged(start, Status.INTERRUPTED)
 
 
 def fused(
@@ -237,10 +108,3 @@ def fused_result(
         iterations=iterations, work=found.work, absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
         setup_seconds=0.0, stages=tuple(stages), _asked=policy.chosen,
     )
-
-
-def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[Policy, Settings]:
-    """Return what an algorithm and other keyword arguments of `solve` ask for; a start and a callback may be there."""
-    settings = Settings(**{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE})
-    options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
-    return policy_for(algorithm, options, refutes=settings.refute), settings

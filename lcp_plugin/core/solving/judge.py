@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..algorithms import Algorithm, Step
+from ..algorithm import Algorithm, Step
 from ..certificates.criterion import CommonUnits, measured_in_units, rounding_of_data
 from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
-from ..registry import ask
 from ..settings import PROVEN, Settings, Status
 from .result import BoundOrReason
 
@@ -178,9 +177,3 @@ class Judge:
             return Status.PRECISION_LIMIT
         is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT)
         return Status.STALLED if is_unfounded or (reason is Status.DIVERGED and is_chain) else reason
-
-
-def judge_of(units: CommonUnits, settings: Settings) -> Judge:
-    """Return the judge of an LCP; where the error is asked for, one that bounds it."""
-    kind: type[Judge] = ask("judge", "error") if settings.error_bound or settings.is_on_error else Judge
-    return kind(units, settings)

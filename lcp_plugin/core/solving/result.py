@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
-from ..registry import ask, ask_or_none
 from ..settings import Status
 from ..written import in_words
 from .advice import advice_on_given_rows
@@ -154,8 +153,9 @@ class Result(Answer):
 
         See :func:`lcp_plugin.convergence_guarantee`.
         """
-        guarantee: Guarantee = ask("remark", "guarantee")(self.certificate.problem, self._asked)
-        return guarantee
+        from ...proofs.guarantees import convergence_guarantee
+
+        return convergence_guarantee(self.certificate.problem, self._asked)
 
     @property
     def x(self) -> FloatVector:
@@ -183,8 +183,9 @@ class Result(Answer):
 
     def _sign(self) -> list[str]:
         """Return what the diagonal of M says where it is negative throughout; of an LCP."""
-        tell = None if self.certificate.is_linearised else ask_or_none("remark", "sign")
-        remark = "" if tell is None else tell(self.certificate.problem.matrix)
+        from ...proofs.verdicts.report import sign_remark
+
+        remark = "" if self.certificate.is_linearised else sign_remark(self.certificate.problem.matrix)
         return [remark] if remark else []
 
     def _small_contradiction(self) -> list[str]:
@@ -201,6 +202,8 @@ class Result(Answer):
 
     def explain(self) -> str:
         """Return the story of the run in a few lines."""
+        from ...proofs.misleading import what_may_mislead
+
         lines = [
             f"{self.status.name}: {self.advice}.",
             self.reached(),
@@ -215,8 +218,7 @@ class Result(Answer):
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
-        misleading = ask_or_none("remark", "misleading")
-        return "\n".join([*lines, *(misleading(self) if misleading else []), *self._complementarity()])
+        return "\n".join([*lines, *what_may_mislead(self), *self._complementarity()])
 
     def _effort(self) -> str:
         matrix = "F′" if self.certificate.is_linearised else "M"

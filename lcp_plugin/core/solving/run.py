@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..algorithms import Step
+from ..algorithm import Step
 from ..certificates.criterion import CommonUnits
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import ratio
@@ -18,13 +18,13 @@ from ..checks import FloatVector, read_only
 from ..deadline import NEW_KERNELS, Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
-from ..policy.choice import Policy, name_of, with_reasons
+from ..policy.policy import Policy, name_of, with_reasons
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage
 from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO, advice_beside_a_wrong_row, advice_of_run, unused_start
-from .judge import Judge, judge_of
+from .judge import Judge
 from .result import BoundOrReason, Result, Sample, StageRecord
-from .run_log import RunLog
+from .run_log import Header, RunLog
 
 Callback = Callable[[Sample, FloatVector], Any]
 
@@ -38,21 +38,21 @@ class Run:
 
     They work in the common units of the problem's parts. A judge of another problem than the one that the algorithms
     take may be given (see :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which that one is
-    the linearisation at the start.
+    the linearisation at the start. `header` tells what ``verbose=True`` prints of M.
     """
 
     def __init__(
         self, units: CommonUnits, policy: Policy, settings: Settings, callback: Callback | None, clock: Clock,
-        judge: Judge | None = None,
+        judge: Judge | None = None, header: Header | None = None,
     ) -> None:
         self.units, self.policy, self.settings, self.callback, self.clock = units, policy, settings, callback, clock
-        self.judge, self.incumbent, self.state = judge or judge_of(units, settings), Incumbent(), RunState()
+        self.judge, self.incumbent, self.state = judge or Judge(units, settings), Incumbent(), RunState()
         self.problem = problem = units.problem
         self.progress = Progress(problem.n, settings.max_iterations)
         self.checks = CheckSchedule(ratio(1.0, self.judge.reference), settings.goal)
         self.start_residual = math.inf
         with clock.paused():
-            self.log = RunLog(self.judge.asked, settings) if settings.verbose else None
+            self.log = RunLog(self.judge.asked, header) if settings.verbose else None
         self._is_watched = settings.record or settings.verbose or not problem.communicator.everywhere(callback is None)
         self._next_sample = 0
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 from typing import Any
 
 from ..deadline import NEW_KERNELS, compilation
 from ..lcp import LCP
+from ..matrix.matrix import Matrix
 from ..policy.stages import Choice, Stage
-from ..registry import ask_or_none
-from ..settings import Settings
 from .result import Result, Sample
 
 GROWTH = 1.5  # of a stage's iterations from one line to the next
 NOTICEABLE = 0.5  # seconds of compilation
 QUIET = 1.0  # seconds of it before a line says why nothing happens
+
+Header = Callable[[Matrix], tuple[str, str]]  # the classes of M, and a remark on it, '' where there is none
 
 
 class RunLog:
@@ -25,19 +27,16 @@ class RunLog:
     ----------
     problem : LCP or NonlinearProblem
         The caller's.
-    settings : Settings
+    header : callable, optional
+        Tells the classes of an LCP's M, and a remark on it.
     """
 
-    def __init__(self, problem: Any, settings: Settings) -> None:
+    def __init__(self, problem: Any, header: Header | None = None) -> None:
         self._is_silent = isinstance(problem, LCP) and problem.communicator.rank > 0
         self._compilation, self._compiled = compilation(), compilation().seconds
         self._silent_until = NEW_KERNELS.seconds + QUIET
         self._next = 0
-        is_linear = isinstance(problem, LCP)
-        classes, remark = (
-            tell(problem.matrix) if is_linear and (tell := ask_or_none("remark", what)) is not None else ""
-            for what in ("classes", "sign")
-        )
+        classes, remark = ("", "") if header is None or not isinstance(problem, LCP) else header(problem.matrix)
         self._say(f"{problem}{classes and f'; M {classes}'}")
         if remark:
             self._say(remark)

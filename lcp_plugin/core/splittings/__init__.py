@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..algorithms.base import SWEEPS, Algorithm, Step, check_choice, check_number, check_positive, directions
+from ..algorithm import SWEEPS, Algorithm, Step, check_choice, check_number, check_positive, directions
 from ..checks import FloatVector
 from ..lcp import LCP
 from ..matrix.row_sums import row_splits

@@ -9,15 +9,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..algorithms.base import Step, check_positive, directions, require_positive_diagonal
+from ..algorithm import Step, check_positive, directions, require_positive_diagonal
 from ..checks import FloatVector
 from ..crossovers import PSOR_GAIN, PSOR_PASSES
 from ..errors import InvalidOption
 from ..lcp import LCP
 from ..matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
+from ..matrix.joint_facts import pivot_weight
 from ..matrix.row_sums import inverse_residual_scale, row_splits
 from ..matrix.symmetry import has_symmetric_entries
-from ..registry import ask
 from . import Splitting
 
 # The automatic relaxation of PSOR.
@@ -33,8 +33,8 @@ HUMP = 40.0  # times 1/(2 − ω): how far increments may rise during a trial th
 class _Relaxation(Splitting):
     """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii)."""
 
-    assumption: ClassVar[str] = "positive diagonal"
-    converges_on: ClassVar[str] = "H₊"
+    needs: ClassVar[str] = "positive diagonal"
+    solves: ClassVar[str] = "H₊"
     reference: ClassVar[str] = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
 
     sweep: str = "forward"
@@ -75,7 +75,7 @@ class _InPlace(_Relaxation):
         adaptive = AdaptiveRelaxation(self.first_trial()) if fixed is None else None
         relaxation, told = 1.0 if fixed is None else fixed, self.first_trial()
         if not communicator.is_empty and has_symmetric_entries(problem.matrix):
-            pivots = pivots + ask("ranks", "pivot_weight")(M, communicator, relaxation)
+            pivots = pivots + pivot_weight(M, communicator, relaxation)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
         passes = directions(self.sweep)
         splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
@@ -123,7 +123,7 @@ class PSOR(_InPlace):
     """
 
     name: ClassVar[str] = "psor"
-    converges_on: ClassVar[str] = "SPD for ω < 2, H₊ for ω < 2/(1+ρ), both for auto"
+    solves: ClassVar[str] = "SPD for ω < 2, H₊ for ω < 2/(1+ρ), both for auto"
 
     relaxation: float | str = "auto"
 
@@ -171,7 +171,7 @@ class PGS(_InPlace):
     """
 
     name: ClassVar[str] = "pgs"
-    converges_on: ClassVar[str] = "SPD, H₊"
+    solves: ClassVar[str] = "SPD, H₊"
 
 
 class _Simultaneous(_Relaxation):
@@ -205,7 +205,7 @@ class PAOR(_Simultaneous):
     """
 
     name: ClassVar[str] = "paor"
-    converges_on: ClassVar[str] = "H₊ for 0 ≤ β ≤ ω < 2/(1+ρ)"
+    solves: ClassVar[str] = "H₊ for 0 ≤ β ≤ ω < 2/(1+ρ)"
 
     relaxation: float = 1.0
     acceleration: float = 0.5
@@ -243,7 +243,7 @@ class GFP(_Simultaneous):
 
     name: ClassVar[str] = "gfp"
     is_coupled: ClassVar[bool] = False
-    converges_on: ClassVar[str] = "H₊ for ω < 2/(1+ρ)"
+    solves: ClassVar[str] = "H₊ for ω < 2/(1+ρ)"
     reference: ClassVar[str] = "Fang 2021, doi:10.3934/math.2021691"
 
     relaxation: float = 1.0

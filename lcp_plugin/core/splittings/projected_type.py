@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..algorithms.base import Algorithm, Step, check_choice, check_positive
+from ..algorithm import Algorithm, Step, check_choice, check_positive
 from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix
 from ..lcp import LCP
@@ -104,9 +104,9 @@ class ProjectedType(ScaledByRows, Splitting):
 
     sweep: str = "forward"
 
-    assumption: ClassVar[str] = "d/α + d + 2 > 0"
+    needs: ClassVar[str] = "d/α + d + 2 > 0"
     runs_on_ranks: ClassVar[bool] = True
-    converges_on: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
+    solves: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
 
     def __post_init__(self) -> None:
         ScaledByRows.__post_init__(self)
@@ -184,7 +184,7 @@ class NPAOR(ProjectedType):
     """
 
     name: ClassVar[str] = "npaor"
-    converges_on: ClassVar[str] = 'H₊ for 0 ≤ β ≤ α (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
+    solves: ClassVar[str] = 'H₊ for 0 ≤ β ≤ α (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
     relaxation: float = 1.7
     acceleration: float = 1.0
 
@@ -244,5 +244,5 @@ class NPJ(ProjectedType):
     """
 
     name: ClassVar[str] = "npj"
-    converges_on: ClassVar[str] = "H₊"
+    solves: ClassVar[str] = "H₊"
     is_coupled: ClassVar[bool] = False

@@ -15,7 +15,6 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnreadableFile
-from ...core.registry import ask
 from .matrix_market import opened, read_mat, read_matrix_market
 
 if TYPE_CHECKING:
@@ -33,7 +32,9 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
     """Write the problem to a ``.npz`` or ``.nl`` file or, for any other path, into a folder of Matrix Market files."""
     target = checked_path(path)
     if target.suffix.lower() == ".nl":
-        ask("file format", "write .nl")(problem, target)
+        from ..nl.writing import write_nl
+
+        write_nl(problem, target)
         return
     _refuse_huge_bounds(problem)
     if target.suffix.lower() == ".npz":
@@ -75,8 +76,9 @@ def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
     """Read a problem from a ``.npz``, ``.mat`` or ``.nl`` file, or ``M.mtx`` and ``q.mtx`` in a folder or by prefix."""
     source = checked_path(path)
     if source.suffix.lower() == ".nl":
-        stated: LCP = ask("file format", "an LCP in .nl")(source)
-        return stated
+        from ..nl.model import lcp_in_nl
+
+        return lcp_in_nl(source)
     if source.suffix.lower() == ".npz":
         return _load_npz(kind, source)
     if source.suffix.lower() == ".mat" and not source.is_dir():

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from ...core.algorithms import Algorithm
+from ...core.algorithm import Algorithm
 from ...core.checks import check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
 from .batches import Wishes, common_axes, gradients, no_second_derivative, solved, tangents

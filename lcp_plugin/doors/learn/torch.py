@@ -17,7 +17,7 @@ except ImportError:
         "lcp_plugin.doors.learn.torch needs PyTorch; install it with: pip install 'lcp_plugin[learn]'"
     ) from None
 
-from ...core.algorithms import Algorithm
+from ...core.algorithm import Algorithm
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
 from .batches import Wishes, common_axes, gradients, is_one, no_second_derivative, solved, tangents

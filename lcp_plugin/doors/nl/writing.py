@@ -11,7 +11,6 @@ import scipy.sparse as sp
 
 from ...core.errors import InvalidProblem
 from ...core.lcp import LCP
-from ...core.registry import ask
 from ...problems.programs.program import QuadraticProgram
 from ..files.files import checked_path, write_whole
 from .content import ARITY, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL, NLContent, Token, Trees
@@ -61,8 +60,9 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
 def _content_of(problem: Any) -> NLContent:
     """Return what a file of the problem holds."""
     if hasattr(problem, "component_data_objects"):
-        found: NLContent = ask("file format", "a Pyomo model in .nl")(problem)
-        return found
+        from ..pyomo.answers import content_of
+
+        return content_of(problem)
     if isinstance(problem, LCP):
         return _content_of_lcp(problem)
     if isinstance(problem, QuadraticProgram):

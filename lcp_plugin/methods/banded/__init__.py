@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ...core.algorithms.base import Algorithm, FusedSolve, Step, check_flag
+from ...core.algorithm import Algorithm, FusedSolve, Step, check_flag
 from ...core.certificates.criterion import within
 from ...core.certificates.row_residuals import ratio_upwards
 from ...core.checks import FloatVector
@@ -84,8 +84,8 @@ class Banded(Algorithm):
     """
 
     name: ClassVar[str] = "banded"
-    assumption: ClassVar[str] = "a narrow band"
-    converges_on: ClassVar[str] = "M, bounds on one side; tridiagonal M"
+    needs: ClassVar[str] = "a narrow band"
+    solves: ClassVar[str] = "M, bounds on one side; tridiagonal M"
     cost: ClassVar[str] = "1 factorisation of the band"
     reference: ClassVar[str] = (
         "Cryer 1983, doi:10.1145/357456.357458; Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6"

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.algorithms.base import Algorithm, Step, without_warnings
+from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import reference_residual
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector
@@ -72,8 +72,8 @@ class InteriorPoint(Algorithm):
     """
 
     name: ClassVar[str] = "interior_point"
-    assumption: ClassVar[str] = "monotone M"
-    converges_on: ClassVar[str] = "– (by experience: PSD, also nonsymmetric)"
+    needs: ClassVar[str] = "monotone M"
+    solves: ClassVar[str] = "– (by experience: PSD, also nonsymmetric)"
     cost: ClassVar[str] = "1 factorisation"
     reference: ClassVar[str] = "Mehrotra 1992, doi:10.1137/0802028"
     is_monotone: ClassVar[bool] = False

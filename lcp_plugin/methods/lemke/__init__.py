@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, without_warnings
+from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, without_warnings
 from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import measured_residual
 from ...core.checks import FloatVector
@@ -82,8 +82,8 @@ class Lemke(Algorithm):
     """
 
     name: ClassVar[str] = "lemke"
-    assumption: ClassVar[str] = "n up to a few thousand"
-    converges_on: ClassVar[str] = "P, copositive-plus (PSD) if feasible, finite boxes"
+    needs: ClassVar[str] = "n up to a few thousand"
+    solves: ClassVar[str] = "P, copositive-plus (PSD) if feasible, finite boxes"
     cost: ClassVar[str] = "O(n²) a pivot, a block of pivots a step"
     reference: ClassVar[str] = (
         "Lemke 1965, doi:10.1287/mnsc.11.7.681; Cao, Ferris 1996, doi:10.1287/moor.21.2.484"

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.algorithms.base import Step, check_positive, require_positive_diagonal
+from ...core.algorithm import Step, check_positive, require_positive_diagonal
 from ...core.checks import FloatVector, is_number, real_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
@@ -46,8 +46,8 @@ class ModulusBased(Splitting):
     The start is x⁰ = z⁰ − lower (γ/2 = 1), as in the paper's tables.
     """
 
-    assumption: ClassVar[str] = "positive diagonal, only lower bounds"
-    converges_on: ClassVar[str] = "H₊ for Ω ≥ D, 0 ≤ β ≤ α ≤ 1"
+    needs: ClassVar[str] = "positive diagonal, only lower bounds"
+    solves: ClassVar[str] = "H₊ for Ω ≥ D, 0 ≤ β ≤ α ≤ 1"
     reference: ClassVar[str] = "Bai 2010, doi:10.1002/nla.680"
 
     omega: float | ArrayLike = 1.0

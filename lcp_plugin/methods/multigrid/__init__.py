@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.algorithms.base import Algorithm, Step, check_choice, check_flag, check_positive, require_positive_diagonal
+from ...core.algorithm import Algorithm, Step, check_choice, check_flag, check_positive, require_positive_diagonal
 from ...core.checks import FloatVector
 from ...core.crossovers import DIRECT_UP_TO, MULTIGRID_PASSES, MULTIGRID_ROWS
 from ...core.errors import InvalidOption
@@ -84,8 +84,8 @@ class Multigrid(Algorithm):
     """
 
     name: ClassVar[str] = "multigrid"
-    assumption: ClassVar[str] = "positive diagonal"
-    converges_on: ClassVar[str] = "SPD"
+    needs: ClassVar[str] = "positive diagonal"
+    solves: ClassVar[str] = "SPD"
     cost: ClassVar[str] = "about 10 passes"
     reference: ClassVar[str] = (
         "Gräser, Kornhuber 2009, J. Comput. Math. 27; Toivanen, Oosterlee 2012, doi:10.4208/nmtma.2011.m11si05"

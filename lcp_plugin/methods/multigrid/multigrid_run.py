@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.algorithms.base import Step
+from ...core.algorithm import Step
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
 from ...core.matrix.symmetry import has_symmetric_entries

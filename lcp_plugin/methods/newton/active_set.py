@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...core.algorithms.base import Step
+from ...core.algorithm import Step
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP

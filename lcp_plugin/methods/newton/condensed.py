@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.algorithms.base import Algorithm, Step, without_warnings
+from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP

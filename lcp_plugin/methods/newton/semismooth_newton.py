@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, in_driven_sweeps, without_warnings
+from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, in_driven_sweeps, without_warnings
 from ...core.checks import FloatVector
 from ...core.crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_ROWS, DIRECT_UP_TO
 from ...core.lcp import LCP
@@ -66,8 +66,8 @@ class Newton(Algorithm):
     """
 
     name: ClassVar[str] = "newton"
-    assumption: ClassVar[str] = "none"
-    converges_on: ClassVar[str] = "M, bounds on one side, n ≤ 250"
+    needs: ClassVar[str] = "none"
+    solves: ClassVar[str] = "M, bounds on one side, n ≤ 250"
     cost: ClassVar[str] = "1 factorisation of the free block"
     reference: ClassVar[str] = (
         "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "

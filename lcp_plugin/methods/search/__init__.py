@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
-from ...core.kinds import refusal
+from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...proofs.exact.rational import exact_slack
 from ...proofs.exact.simplex import Effort

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.algorithms.base import Algorithm, Step, without_warnings
+from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import reference_residual
 from ...core.checks import FloatVector
 from ...core.crossovers import LINEAR_PROGRAM_UP_TO

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.algorithms.base import Algorithm, FusedSolve, Phases, Step, without_warnings
+from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, without_warnings
 from ...core.certificates.criterion import within
 from ...core.checks import DENSE_ABOVE_DENSITY, FloatVector, read_only
 from ...core.crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO, CONTACTS_UP_TO

@@ -10,15 +10,15 @@ from typing import Any, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.algorithms import Algorithm
+from ...api import solve
+from ...core.algorithm import Algorithm
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.kernels.threads import threads_for
-from ...core.kinds import kind_of, refusal
+from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ...core.settings import Settings, Status, checked_threads
 from ...core.solving.answer import Answer
-from ...core.solving.driver import solve
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ...systems.factors import bands

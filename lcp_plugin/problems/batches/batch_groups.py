@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.algorithms.base import Phases
+from ...core.algorithm import Phases
 from ...core.certificates.criterion import CommonUnits, beside_the_largest, within
 from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import largest_ratio

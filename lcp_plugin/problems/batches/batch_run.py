@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...core.algorithms import Algorithm
-from ...core.algorithms.base import Phases
+from ...auto import asked_of_solve, solve_lcp
+from ...core.algorithm import Algorithm, Phases
 from ...core.certificates.residuals import Certificate
 from ...core.checks import read_only
 from ...core.communicator import ALONE
@@ -18,7 +18,7 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.lcp import LCP
 from ...core.settings import Status
-from ...core.solving.driver import asked_of_solve, fused_result, solve
+from ...core.solving.driver import fused_result
 from ...core.solving.result import Result
 from ...methods.direct import may_be_searched
 from ...methods.small.small_dense import Answers, run_phases
@@ -221,7 +221,7 @@ class BatchRun(BatchLoop):
         self._write(group.items[left[rows]], starts, Status.STALLED, residual, made[left[rows]])
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
-        found = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+        found = solve_lcp(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
         self.results[k] = found
         self.is_interrupted |= found.status is Status.INTERRUPTED
         self._write([k], [found.z], found.status, found.certificate.relative_residual, found.iterations)
@@ -234,7 +234,7 @@ class BatchRun(BatchLoop):
         if which < 0:  # excluded, or not begun
             is_begun = self.status[k] is Status.STALLED
             wishes = self.wishes if is_begun else self.wishes | {"max_iterations": 0}
-            found = solve(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+            found = solve_lcp(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
             return found if is_begun or found.is_solved else replace(found, status=self.status[k])
         answer = self.compiled[which].solve_fused(at)
         assert answer is not None

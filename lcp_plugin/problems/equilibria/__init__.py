@@ -1,10 +1,9 @@
 """The best solution of a complementarity problem, by branch and bound with proofs; here, what takes the kind."""
 
-from ...core.kinds import Kind
+from ...core.kind import Kind
 
 EQUILIBRIUM_PROGRAM = Kind(
-    "objective over equilibria", "problems.equilibria.equilibrium_program:EquilibriumProgram",
-    "problems.equilibria.branch_and_bound:minimize_over_solutions", "problems.equilibria.result:EquilibriumResult",
+    "objective over equilibria", "EquilibriumProgram",
     ("solve", "solve_batch", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     "solve(problem) takes it; its pairs alone are an LCP where they determine their unknowns",
     {

@@ -27,7 +27,6 @@ from ...core.checks import FloatVector, checked_vector, is_number
 from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
-from ...core.registry import ask_or_none
 from ...core.settings import Status
 from ..programs.qp_proofs import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
@@ -189,8 +188,9 @@ class BranchAndBound:
         return self._result(ended)
 
     def _run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> Status | None:
-        engine, is_provable = ask_or_none("global solver", "SCIP"), self.original.is_provable
-        engine = engine() if engine is not None else None
+        from ...doors.scip import minimize_or_none
+
+        engine, is_provable = minimize_or_none(), self.original.is_provable
         if is_provable and not self._root():
             return None
         if x0 is not None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
 from ...core.errors import InvalidProblem, UnsupportedModel
+from ...core.kind import Kind
 from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
 from ..programs.reductions import fold_simple_rows
+from . import EQUILIBRIUM_PROGRAM
 
 Indices = NDArray[np.int64]
 #: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
@@ -90,6 +92,8 @@ class EquilibriumProgram:
     >>> EquilibriumProgram(program, [0], [1])
     EquilibriumProgram(n=2, 1 pair)
     """
+
+    problem_kind: ClassVar[Kind] = EQUILIBRIUM_PROGRAM
 
     program: QuadraticProgram
     first: Indices

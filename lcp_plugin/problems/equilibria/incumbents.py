@@ -14,12 +14,12 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
+from ...auto import solve_lcp
 from ...core.checks import BoolVector, FloatVector
 from ...core.deadline import is_over, seconds_left
 from ...core.errors import LCPError
 from ...core.lcp import LCP
 from ...core.settings import Status
-from ...core.solving.driver import solve
 from .equilibrium_program import BETWEEN, CASES, LOWER, Cases, EquilibriumProgram
 from .relaxations import Node, Relaxations
 
@@ -255,7 +255,7 @@ def _followed(problem: EquilibriumProgram, is_leader: BoolVector, values: FloatV
     limit = seconds_left()
     try:
         followers = LCP(M, q, lower=lower, upper=upper)
-        found = solve(followers, refute=False, max_seconds=None if math.isinf(limit) else limit)
+        found = solve_lcp(followers, refute=False, max_seconds=None if math.isinf(limit) else limit)
     except LCPError:
         return None
     if found.status is Status.INTERRUPTED:

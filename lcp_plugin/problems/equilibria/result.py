@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from ...core.checks import FloatVector
+from ...core.kind import Kind
 from ...core.settings import Status
 from ...core.solving.answer import Answer
 from ..programs.program import QuadraticProgram
 from ..programs.qp_proofs import QPInfeasibility, QPUnboundedness
+from . import EQUILIBRIUM_PROGRAM
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .lower_level import tightened
 from .relaxations import FEASIBLE, Node, Relaxations
@@ -96,6 +98,8 @@ class EquilibriumResult(Answer):
     outside : Outside or None
         What SCIP said, where it was asked.
     """
+
+    answered_kind: ClassVar[Kind] = EQUILIBRIUM_PROGRAM
 
     problem: EquilibriumProgram = field(repr=False)
     searched: EquilibriumProgram = field(repr=False)

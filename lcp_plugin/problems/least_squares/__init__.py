@@ -1,10 +1,9 @@
 """Least squares within bounds: steps that find the face, and steps that solve on it; here, what takes the kind."""
 
-from ...core.kinds import LANGUAGES, Kind
+from ...core.kind import LANGUAGES, Kind
 
 BOUNDED_LEAST_SQUARES = Kind(
-    "bounded least squares problem", "problems.least_squares.data:BoundedLeastSquares",
-    "problems.least_squares.solving:solve_least_squares", "problems.least_squares.solving:LeastSquaresResult",
+    "bounded least squares problem", "BoundedLeastSquares",
     ("solve", "solve_batch", "pickle", *LANGUAGES, "lcp-plugin solve"),
     "LCP(AᵀA, −Aᵀb, lower=…, upper=…) states it as an LCP",
     {

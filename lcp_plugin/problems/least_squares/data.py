@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,7 +24,9 @@ from ...core.checks import (
 from ...core.communicator import Communicator
 from ...core.deadline import is_over
 from ...core.errors import InvalidOption, InvalidProblem
+from ...core.kind import Kind
 from ...systems.equilibration import power_of_two
+from . import BOUNDED_LEAST_SQUARES
 
 COPIED_UP_TO = 10**6  # places of A
 ALONE = Communicator()
@@ -73,6 +75,8 @@ class BoundedLeastSquares:
     is_sparse, is_dense : bool
         Whether it is a sparse array, or an ndarray.
     """
+
+    problem_kind: ClassVar[Kind] = BOUNDED_LEAST_SQUARES
 
     def __init__(
         self, A: Any, b: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,

@@ -10,11 +10,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from ...core.algorithms.base import Algorithm, Step
+from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import CommonUnits
 from ...core.checks import FloatVector
 from ...core.deadline import Clock
-from ...core.policy.choice import Policy
+from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.settings import Settings, Status
 from ...core.solving.judge import Judge

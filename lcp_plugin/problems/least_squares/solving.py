@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import FloatVector, read_only, restored
 from ...core.deadline import Clock
+from ...core.kind import Kind
 from ...core.settings import Settings, Status
 from ...core.solving.answer import Answer
+from . import BOUNDED_LEAST_SQUARES
 from .data import ALONE, BoundedLeastSquares
 
 SMALL = 20_000  # places of A up to which one compiled call is quicker than libraries called step by step
@@ -168,6 +170,8 @@ class LeastSquaresResult(Answer):
     problem : BoundedLeastSquares
         The data.
     """
+
+    answered_kind: ClassVar[Kind] = BOUNDED_LEAST_SQUARES
 
     x: FloatVector
     cost: float

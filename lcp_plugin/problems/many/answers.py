@@ -8,7 +8,6 @@ from operator import index
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 from ...core.errors import LCPError, NotConverged
-from ...core.registry import ask
 from ...core.settings import Status
 
 T = TypeVar("T")
@@ -96,7 +95,9 @@ class AnswerSequence(Results[T]):
 
     def plot(self, **how: Any) -> Any:
         """Return matplotlib's axes with a picture of the answers; see :meth:`Answer.plot`."""
-        return ask("picture", "answer")(self, **how)
+        from ...evidence.plots import plot_answer
+
+        return plot_answer(self, **how)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s)"

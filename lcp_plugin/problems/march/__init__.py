@@ -10,18 +10,19 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.algorithms import Algorithm, FusedSolve
+from ...auto import asked_of_solve, solve_lcp
+from ...core.algorithm import Algorithm, FusedSolve
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, check_kind, checked_vector, is_number, read_only, real_array
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
-from ...core.kinds import refusal
+from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...core.matrix.structure import parts
 from ...core.matrix.units import units_of
-from ...core.policy.choice import Policy
+from ...core.policy.policy import Policy
 from ...core.settings import OF_SOLVE, Settings, Status
-from ...core.solving.driver import asked_of_solve, fused_result, solve
+from ...core.solving.driver import fused_result
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ..many.answers import AnswerSequence, Results
@@ -315,7 +316,7 @@ def take_steps(
                     step = problem.with_q(forcing[before] + carry @ state)
                 left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
                 of_step = StepPolicy(begin, refutes=settings.refute) if algorithm == "auto" else None
-                found = solve(step, of_step or algorithm, z0=state, **{**wishes, **left})
+                found = solve_lcp(step, of_step or algorithm, z0=state, **{**wishes, **left})
                 done.all_solved = found.is_solved
                 if of_step is not None and found.is_solved:
                     begin = of_step.following(problem, first + before, total - first - before - 1)

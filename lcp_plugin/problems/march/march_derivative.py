@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import FloatVector, finite_vector, is_number, real_array, rectangular_matrix
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
-from ...core.kinds import changes_by_name
+from ...core.kind import changes_by_name
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.algorithms import Algorithm
+from ...auto import asked_of_solve
+from ...core.algorithm import Algorithm
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
-from ...core.kinds import refusal
+from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_threads
-from ...core.solving.driver import asked_of_solve, fused_result
+from ...core.solving.driver import fused_result
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ...systems.factors import bands

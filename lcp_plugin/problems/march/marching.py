@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ...core.algorithms import Algorithm
+from ...auto import Auto
+from ...core.algorithm import Algorithm
 from ...core.lcp import LCP
-from ...core.policy.choice import Auto
 from ...core.policy.stages import Choice, Stage
 from ...methods.newton.condensed import Condensed, condensing_passes
 

@@ -1,11 +1,9 @@
 """Nonlinear complementarity problems: F, steps by linearisation, certificate, proof; here, what takes the kind."""
 
-from ...core.kinds import Kind
+from ...core.kind import Kind
 
 NONLINEAR_PROBLEM = Kind(
-    "nonlinear complementarity problem", "problems.nonlinear.data:NonlinearProblem",
-    "problems.nonlinear.solving:solve_nonlinear",
-    "core.solving.result:Result",
+    "nonlinear complementarity problem", "NonlinearProblem",
     ("solve", "derivative", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     "problem.linearised(x) is the LCP at a point x",
     {

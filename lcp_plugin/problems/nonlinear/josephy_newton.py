@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.algorithms import Algorithm, Step
-from ...core.algorithms.base import without_warnings
+from ...auto import policy_for
+from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import CommonUnits, largest_of_parts
 from ...core.certificates.row_residuals import largest_ratio, scaled_residual
 from ...core.checks import FloatVector
@@ -21,7 +21,7 @@ from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.structure import parts
-from ...core.policy.choice import Policy, policy_for
+from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.settings import Settings, Status
 from ...core.solving.driver import fused

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.algorithms import Algorithm
+from ...auto import Single, policy_for
+from ...core.algorithm import Algorithm
 from ...core.certificates.criterion import CommonUnits
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, read_only
@@ -18,7 +19,6 @@ from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
-from ...core.policy.choice import Single, policy_for
 from ...core.policy.stages import Choice
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.judge import Judge

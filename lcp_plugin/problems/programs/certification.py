@@ -16,8 +16,7 @@ import numpy as np
 from ...core.checks import FloatVector, checked_vector, is_number
 from ...core.deadline import time_limit
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
-from ...core.kinds import kind_of, refusal
-from ...core.registry import ask
+from ...core.kind import kind_of, refusal
 from ...core.solving.answer import Answer
 from .convexity import refuse_nonconvex
 from .program import QuadraticProgram
@@ -113,8 +112,9 @@ def certify(
                 raise InvalidProblem(refusal("certify", problem))
             if x is not None or multipliers is not None or claim is not None:
                 raise InvalidOption("x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own")
-            proved: Certification = ask("certification", "cvxpy")(problem, float(tolerance))
-            return proved
+            from ...modeling.certified_problem import certify_problem
+
+            return certify_problem(problem, float(tolerance))
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
         refuse_nonconvex(problem)

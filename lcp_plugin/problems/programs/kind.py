@@ -1,10 +1,9 @@
-"""The kind of quadratic and linear programs: what solves them, and which ways take them."""
+"""The kind of quadratic and linear programs: which ways take them."""
 
-from ...core.kinds import LANGUAGES, Kind
+from ...core.kind import LANGUAGES, Kind
 
 QUADRATIC_PROGRAM = Kind(
-    "quadratic program", "problems.programs.program:QuadraticProgram", "problems.programs.solving:judged_program",
-    "problems.programs.solving:QuadraticProgramResult",
+    "quadratic program", "QuadraticProgram",
     ("solve", "solve_batch", "solve_many", "prepare", "certify", "pickle", *LANGUAGES, "lcp-plugin solve",
      "lcp-plugin certify"),
     "LCP.from_qp(program.P, program.c, …) makes an LCP of it",

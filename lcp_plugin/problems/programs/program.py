@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,10 +23,12 @@ from ...core.checks import (
 )
 from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
+from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
 from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
+from .kind import QUADRATIC_PROGRAM
 from .own_units import OwnUnits
 from .program_matrices import ProgramMatrices, as_csr, or_one
 from .qp_certificates import proof_of_no_minimum
@@ -81,6 +83,8 @@ class QuadraticProgram:
     >>> program.objective([0.5, 1.5])
     -4.5
     """
+
+    problem_kind: ClassVar[Kind] = QUADRATIC_PROGRAM
 
     P: Any
     c: FloatVector

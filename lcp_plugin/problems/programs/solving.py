@@ -7,19 +7,20 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
+from ...auto import asked_of_solve, solve_lcp
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, restored
 from ...core.communicator import ALONE
 from ...core.deadline import Clock, OutOfTimeError, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ...core.kind import Kind
 from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
-from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result, Sample, StageRecord, told_stages
 from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
@@ -30,6 +31,7 @@ from .conversion import attempts
 from .convexity import LARGEST_CHECKED, refuse_nonconvex
 from .criterion import program_goal
 from .interior_call import Begun, solved_again, solved_by_interior_points
+from .kind import QUADRATIC_PROGRAM
 from .program import QuadraticProgram
 from .qp_certificates import prove_unheld
 from .qp_forms import QPOrigin
@@ -95,6 +97,8 @@ class QuadraticProgramResult(Answer):
     begun : str
         As of :class:`lcp_plugin.Result`.
     """
+
+    answered_kind: ClassVar[Kind] = QUADRATIC_PROGRAM
 
     status: Status
     solution: QPSolution
@@ -401,7 +405,7 @@ def program_runs(
             if (left := seconds_left()) < math.inf:
                 options["max_seconds"] = min(left, options.get("max_seconds", math.inf))
             try:
-                result = solve(
+                result = solve_lcp(
                     attempt.problem, algorithm, tolerance=tolerance,
                     callback=partial(ends, attempt.problem.origin) if callback or refutation else None,
                     **{**start, **options},

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ...core.kinds import changes_by_name, refusal
+from ...core.kind import changes_by_name, refusal
 from ...core.lcp import LCP
 from ...core.matrix.symmetry import has_symmetric_entries
 from ...core.solving.result import Result

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
-from ...core.kinds import changes_by_name
+from ...core.kind import changes_by_name
 from ...core.matrix.units import are_in_one_unit
 from ...core.settings import Status
 from ...core.solving.result import Result

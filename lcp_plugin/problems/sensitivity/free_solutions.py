@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from ...auto import solve_lcp
 from ...core.checks import FloatVector
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.solving.driver import solve
 from ...proofs.bounds.active_rows import ActiveRows, settled_rows
 from ...systems.free_systems import CONSISTENT, FreeSystem
 
@@ -67,7 +67,7 @@ def one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector
     M = problem.M
     block = M[part][:, part] if sp.issparse(M) else M[np.ix_(part, part)]
     small = LCP(block, (h + M @ dz)[part], lower=lower[part], upper=upper[part])
-    result = solve(small)
+    result = solve_lcp(small)
     if not result.is_solved:
         raise UnsuitableProblem(
             f"{part.size} free and degenerate rows have no one-sided derivative that could be found: their LCP ended "

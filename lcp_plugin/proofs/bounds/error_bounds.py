@@ -17,7 +17,7 @@ from ...core.certificates.criterion import largest_of_parts
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ...core.kinds import refusal
+from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...core.rounding import lower_end
 from ...systems.comparison_sums import comparison_product

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from collections.abc import Hashable, Iterator
 from dataclasses import fields, replace
@@ -9,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ...core.algorithms import Algorithm
+from ...core.algorithm import Algorithm
 from ...core.checks import FloatVector
+from ...core.crossovers import PIVOTED_UP_TO
 from ...core.errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ...core.kinds import refusal
+from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import (
     MODULUS,
@@ -23,7 +25,7 @@ from ...core.matrix.iteration_facts import (
 )
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
-from ...core.policy.choice import Policy, Single, last_resort, policy_for
+from ...core.policy.policy import Policy
 from ...systems.comparison import jacobi_radius
 from ...systems.graph import within_blocks
 from ..verdicts import analyze, comparison_certificate, h_verdict
@@ -82,15 +84,22 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("convergence_guarantee", problem))
+    from ...auto import policy_for
+    from ...methods.direct import last_resort
+
     policy = policy_for(algorithm, options)
     problem.matrix.require_all_rows()
     with np.errstate(all="ignore"):  # what overflows proves nothing
-        return _of_one(problem, policy.algorithm) if isinstance(policy, Single) else _of_auto(problem)
+        if policy.algorithm is not None:
+            return _of_one(problem, policy.algorithm)
+        return _of_auto(problem, last_resort(problem))
 
 
-def warn_where_known_to_be_uncovered(problem: LCP, policy: Policy, *, stacklevel: int) -> None:
+def warn_where_known_to_be_uncovered(problem: LCP, policy: Policy) -> None:
     """Warn, once a matrix and choice, where it is known already that nothing proves the convergence."""
-    held = _identity(policy.algorithm) if isinstance(policy, Single) and _guarantees.is_known(problem.matrix) else None
+    if policy.algorithm is None or not _guarantees.is_known(problem.matrix):
+        return
+    held = _identity(policy.algorithm)
     guarantee = _guarantees(problem.matrix).get(held) if held else None
     if guarantee is None or guarantee.is_guaranteed or held in (warned := _warned_of(problem.matrix)):
         return
@@ -98,8 +107,16 @@ def warn_where_known_to_be_uncovered(problem: LCP, policy: Policy, *, stacklevel
     remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
     warnings.warn(
         f"nothing proves that {policy.name} converges on this matrix ({guarantee.theorem}){remedy}",
-        ConvergenceWarning, stacklevel=stacklevel + 1,
+        ConvergenceWarning, stacklevel=_caller_outside(),
     )
+
+
+def _caller_outside() -> int:
+    """Return how far up the first caller outside this package is, for a warning given by the caller of this."""
+    package, level, frame = __name__.partition(".")[0], 0, inspect.currentframe()
+    while frame is not None and str(frame.f_globals.get("__name__", "")).partition(".")[0] == package:
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 @fact
@@ -149,12 +166,12 @@ def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
     return Guarantee(GUARANTEED, theorem)
 
 
-def _of_auto(problem: LCP) -> Guarantee:
+def _of_auto(problem: LCP, method: Algorithm) -> Guarantee:
     """Return that of the method which auto follows to its end where the ones before it fail."""
-    last = _of_one(problem, last_resort(problem))
+    last = _of_one(problem, method)
     if not last.is_guaranteed:
         return Guarantee(NOT_COVERED, last.theorem)
-    return Guarantee(GUARANTEED, f"whatever it tries before, it comes to {last_resort(problem).name}: {last.theorem}")
+    return Guarantee(GUARANTEED, f"whatever it tries before, it comes to {method.name}: {last.theorem}")
 
 
 def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
@@ -316,7 +333,7 @@ def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
     report = analyze(problem)
     if has_positive_diagonal(problem.matrix).all() and report.is_symmetric and report.is_positive_definite:
         return 'algorithm="psor": M is symmetric positive definite'
-    if is_h_plus and last_resort(problem).name == "lemke":
+    if is_h_plus and problem.n <= PIVOTED_UP_TO:
         return 'algorithm="lemke": no sweep contracts by more than rounding, and H₊-matrices are P-matrices'
     return 'nothing here is proven for this M; algorithm="auto" tries more than one'
 

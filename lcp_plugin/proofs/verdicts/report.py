@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InvalidProblem
-from ...core.kinds import kind_of, refusal
+from ...core.kind import kind_of, refusal
 from ...core.matrix import structure
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import triangular_form

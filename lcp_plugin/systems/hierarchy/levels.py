@@ -25,9 +25,9 @@ from ...core.checks import FloatVector, read_only
 from ...core.communicator import ALONE, NOBODY, Arrays, Communicator
 from ...core.crossovers import SINGLE_FROM
 from ...core.kernels.threads import share
+from ...core.matrix.joint_facts import pivot_weight
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.symmetry import has_symmetric_entries, is_mirrored
-from ...core.registry import ask
 from ..equilibration import power_of_two
 from ..factors import dense_lu
 from . import coarsening, galerkin
@@ -225,7 +225,7 @@ def _weighted_grid(matrix: Operator, communicator: Communicator, own: int, scale
     indptr, indices, data = matrix.arrays
     width = own + communicator.foreign
     rows = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, width))[:own]
-    weight = ask("ranks", "pivot_weight")(rows, communicator, 1.0)
+    weight = pivot_weight(rows, communicator, 1.0)
     weight.flags.writeable = False
     return grid_of(matrix, communicator, own, weight)
 

@@ -20,8 +20,8 @@ from lcp_plugin import LCP
 from lcp_plugin.commands.cli import app
 from lcp_plugin.commands.solving import Picture
 from lcp_plugin.core.errors import LCPError
-from lcp_plugin.doors.files.program_files import ARRAYS, MPS, NL
 from lcp_plugin.doors.nl import write_nl
+from lcp_plugin.doors.program_files import ARRAYS, MPS, NL
 
 M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
 QPS = """NAME          TWO

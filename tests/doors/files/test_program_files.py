@@ -20,7 +20,7 @@ from lcp_plugin import (
     load_problem,
     solve,
 )
-from lcp_plugin.doors.files.program_files import load_program
+from lcp_plugin.doors.program_files import load_program
 
 P, c = np.array([[2.0, 0.0], [0.0, 2.0]]), np.array([-2.0, -4.0])
 G, h = np.array([[1.0, 1.0]]), np.array([2.0])

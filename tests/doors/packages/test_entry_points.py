@@ -22,11 +22,11 @@ from lcp_plugin.algorithms import (
     Algorithm,
     Step,
     algorithm_class,
+    class_from_outside,
     create,
     from_other_packages,
 )
 from lcp_plugin.commands.cli import app
-from lcp_plugin.doors.packages import class_from_outside
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, Status, solve
-from lcp_plugin.core.algorithms.base import Step
+from lcp_plugin.core.algorithm import Step
 from lcp_plugin.core.errors import InvalidOption, UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, connected_parts
 from lcp_plugin.methods.lemke.canonical_box import canonical_box

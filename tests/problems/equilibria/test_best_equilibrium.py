@@ -20,7 +20,7 @@ from lcp_plugin import (
     minimize_over_solutions,
     solve,
 )
-from lcp_plugin.problems.equilibria import branch_and_bound
+from lcp_plugin.doors import scip
 from lcp_plugin.problems.equilibria.incumbents import LocalSearch
 from lcp_plugin.problems.equilibria.lower_level import tightened
 
@@ -94,7 +94,7 @@ def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(monkeypatch
     """The status is user_limit, variables keep what they hold, and a bound of (y − x)² + x² + 1 is one."""
     monkeypatch.setattr(LocalSearch, "from_point", lambda self, x, cases=None: None)
     monkeypatch.setattr(LocalSearch, "from_leaders", lambda self, guess, most=None: None)
-    monkeypatch.setattr(branch_and_bound, "ask_or_none", lambda what, name: None)
+    monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
     x, y = cp.Variable(value=7.0), cp.Variable(value=-3.0)
     pair = complements(x >= 0, y - x - 1 >= 0)
     problem = cp.Problem(cp.Minimize((y - x) ** 2 + x**2 + 1), [pair])

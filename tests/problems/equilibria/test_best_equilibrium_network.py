@@ -15,13 +15,14 @@ from network import network
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, minimize_over_solutions
 from lcp_plugin.core.errors import LCPError, UnsupportedModel
+from lcp_plugin.doors import scip
 from lcp_plugin.problems.equilibria import branch_and_bound
 
 
 @pytest.fixture
 def without_scip(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let nobody find pyscipopt."""
-    monkeypatch.setattr(branch_and_bound, "ask_or_none", lambda what, name: None)
+    monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
 
 
 def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,7 +33,7 @@ def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(monkey
     assert (problem.status, result.problem.pairs) == (cp.OPTIMAL, 42)
     assert result.bound_by == "proof" or "bound by SCIP, in floating point" in result.explain()
     assert result.problem.excess(result.x) <= 1e-7
-    monkeypatch.setattr(branch_and_bound, "ask_or_none", lambda what, name: None)
+    monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
     alone, own = network()
     alone.solve(method="LCP", max_nodes=0)
     assert alone.value == pytest.approx(problem.value, rel=1e-6)

@@ -214,13 +214,13 @@ def test_a_run_goes_on_from_what_was_attempted_before_it(monkeypatch: pytest.Mon
     monkeypatch.setattr(solving, "settled_at_once", lambda *_: None)
     monkeypatch.setattr(interior_call, "points", lambda *_: iter([(ended, 7, 3.0, True)]))
     monkeypatch.setattr(interior_point.Search, "interior", lambda *_: pytest.fail("made again"))
-    starts, given = [], solving.solve
+    starts, given = [], solving.solve_lcp
 
     def noted(*args: Any, **wishes: Any) -> Any:
         starts.append(wishes["z0"])
         return given(*args, **wishes)
 
-    monkeypatch.setattr(solving, "solve", noted)
+    monkeypatch.setattr(solving, "solve_lcp", noted)
     result = solve(program)
     assert result.is_solved
     assert result.x == pytest.approx([1.0, 3.0], abs=1e-6)

@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import FloatVector, is_number
-from ..crossovers import SWEEP_ENTRIES
-from ..errors import InvalidOption, UnsuitableMatrix, did_you_mean
-from ..lcp import LCP
-from ..matrix.iteration_facts import IterationFacts
-from ..matrix.row_sums import has_positive_diagonal
+from .checks import FloatVector, is_number
+from .crossovers import SWEEP_ENTRIES
+from .errors import InvalidOption, UnsuitableMatrix, did_you_mean
+from .lcp import LCP
+from .matrix.iteration_facts import IterationFacts
+from .matrix.row_sums import has_positive_diagonal
 
 SWEEPS = ("forward", "backward", "symmetric")
 Phases = tuple[bool, bool, bool]  # sweeps, rounds, pivots
@@ -89,7 +89,7 @@ class FusedSolve:
 class Algorithm(ABC):
     """A frozen dataclass of its own options that can iterate.
 
-    Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
+    Class attributes describe it to readers: `name` (registry name), `needs`, `solves`
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
     `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
     `problem.communicator` for what other ranks know; `is_monotone` False says that rises of the residual are legal, and
@@ -129,8 +129,8 @@ class Algorithm(ABC):
     """
 
     name: ClassVar[str]
-    assumption: ClassVar[str] = "–"
-    converges_on: ClassVar[str] = "–"
+    needs: ClassVar[str] = "–"
+    solves: ClassVar[str] = "–"
     cost: ClassVar[str] = "–"
     reference: ClassVar[str] = "–"
     runs_on_ranks: ClassVar[bool] = False

@@ -6,20 +6,18 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
-from ...core.lcp import LCP
-from ...core.registry import ask
-from .files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys, with_infinities
-from .matrix_market import read_mat
-
-if TYPE_CHECKING:
-    from ...problems.least_squares.data import BoundedLeastSquares
-    from ...problems.programs.program import QuadraticProgram
+from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
+from ..core.lcp import LCP
+from ..problems.least_squares.data import BoundedLeastSquares
+from ..problems.programs.program import QuadraticProgram
+from .files.files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys, with_infinities
+from .files.matrix_market import read_mat
+from .nl.model import program_in_nl
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps"), ".nl"
 PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of CSC matrices
@@ -90,20 +88,15 @@ def kind_in(path: str | PathLike[str]) -> Any:
     except OSError:  # a name that no file can have
         is_file = False
     if source.suffix.lower() in MPS:
-        return _class_of("QuadraticProgram")
+        return QuadraticProgram
     if source.suffix.lower() not in ARRAYS or not is_file:
         return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}
     if "M" in names or names & {*MATRIX_KEYS}:
         return LCP
     if names & {"P", "c", "H", "f"} or {"A", "q"} <= names:
-        return _class_of("QuadraticProgram")
-    return _class_of("BoundedLeastSquares") if {"A", "b"} <= names else LCP
-
-
-def _class_of(kind: str) -> Any:
-    """Return the class of a kind, whose room may not be here."""
-    return ask("kind", kind).type
+        return QuadraticProgram
+    return BoundedLeastSquares if {"A", "b"} <= names else LCP
 
 
 def load_program(path: str | PathLike[str]) -> Stated:
@@ -135,7 +128,7 @@ def load_program(path: str | PathLike[str]) -> Stated:
     if suffix in MPS:
         return _from_mps(source)
     if suffix == NL:
-        return Stated(*ask("file format", "a program in .nl")(source))
+        return Stated(*program_in_nl(source))
     if not source.exists():
         raise UnreadableFile(f"no such file: {source}")
     raise UnreadableFile(
@@ -154,7 +147,7 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
     content = {ALIASES.get(name, name): array for name, array in content.items()}
     require_keys(source, content, ("A", "b"), "a least squares problem holds A, b and, if wanted, lower and upper")
     try:
-        return _class_of("BoundedLeastSquares")(  # type: ignore[no-any-return]
+        return BoundedLeastSquares(
             content["A"], content["b"], **_limits(content, "lower", "upper"), weights=content.get("weights"),
             ridge=_number(content.get("ridge", 0.0)), l1=_limits(content, "l1").get("l1", 0.0),
         )
@@ -186,7 +179,7 @@ def _from_arrays(source: Path) -> Stated:
     P = sp.csr_array((c.size, c.size)) if P is None else _whole(P)
     try:
         bounds = _limits(program, "lower", "upper")
-        kind = _class_of("QuadraticProgram")
+        kind = QuadraticProgram
         if program.keys() & {"l", "u"}:
             _require_ranges_alone(source, program, A)
             limits = {"l": -np.inf, "u": np.inf} | _limits(program, "l", "u")
@@ -277,7 +270,7 @@ def _from_mps(source: Path) -> Stated:
         P = sp.csr_array(sp.csc_array((np.array(hessian.value_), hessian.index_, hessian.start_), shape=(n, n)))
     sense = -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
     try:
-        program = _class_of("QuadraticProgram").from_ranges(
+        program = QuadraticProgram.from_ranges(
             sense * _whole(P), sense * np.array(linear.col_cost_), A, linear.row_lower_, linear.row_upper_,
             linear.col_lower_, linear.col_upper_,
         )

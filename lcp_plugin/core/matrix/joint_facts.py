@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from ..core.checks import FloatVector, read_only
-from ..core.communicator import Communicator
-from ..core.matrix.matrix import Matrix
-from ..core.matrix.structure import Parts, local_parts
+from ..checks import FloatVector
+from ..communicator import Communicator
+from .matrix import Matrix
 
 UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x, x and y arbitrary, beyond which M is not symmetric
 
@@ -45,8 +42,6 @@ def pivot_weight(rows: Any, communicator: Communicator, relaxation: float) -> Fl
     return np.where(np.isfinite(weight), weight, 0.0)
 
 
-
-
 @np.errstate(all="ignore")
 def has_symmetric_products(matrix: Matrix) -> bool:
     """Return whether xᵀM y = yᵀM x for x and y of arbitrary entries, up to rounding."""
@@ -64,26 +59,3 @@ def _arbitrary(first: int, count: int, seed: int) -> FloatVector:
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # the mixing steps of SplitMix64
         bits = (bits ^ (bits >> np.uint64(shift))) * np.uint64(factor)
     return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1.0
-
-
-def joined_parts(matrix: Matrix) -> Parts | None:
-    """Return the parts of rows over several ranks: those of each rank, joined where one of its unknowns is another's.
-
-    What a rank calls a part is told to the others by the values of its unknowns there; the parts that meet are few.
-    """
-    communicator, own = matrix.communicator, matrix.own
-    local, count = local_parts(matrix)
-    before, total = communicator.places(count)
-    theirs = matrix.whole((local[:own] + before).astype(np.float64))[own:].astype(np.int64)
-    met = np.unique(np.stack([local[own:] + before, theirs], axis=1), axis=0)
-    pairs = communicator.everybodys(met)
-    pattern = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(total, total))
-    joined_count, joined = connected_components(pattern, directed=False)
-    if joined_count <= 1:
-        return None
-    shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
-    mine = joined[local[:own] + before]
-    order = np.concatenate([shared, np.setdiff1d(mine, shared)])
-    number = np.full(joined_count, -1)
-    number[order] = np.arange(order.size)
-    return Parts(read_only(number[mine]), order.size, int(joined_count), shared.size, communicator)

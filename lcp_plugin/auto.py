@@ -61,54 +61,39 @@ from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..algorithms import REGISTRY, Algorithm, algorithm_class, create
-from ..algorithms.base import in_driven_sweeps
-from ..crossovers import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO
-from ..errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from ..lcp import LCP
-from ..matrix.row_sums import has_positive_diagonal, row_blocks
-from ..matrix.symmetry import mean_coupling
-from ..registry import ask, ask_or_none
-from ..settings import OF_SOLVE
-from ..splittings.projected_relaxation import PGS, PSOR
-from ..splittings.projected_type import NPSOR
-from .remaining import ASKED_EVERY, TRIAL_SWEEPS, Remaining
-from .stages import Choice, Stage
+from .algorithms import REGISTRY, create
+from .core.algorithm import Algorithm, in_driven_sweeps
+from .core.certificates.criterion import CommonUnits
+from .core.checks import checked_start
+from .core.crossovers import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO
+from .core.deadline import Clock
+from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from .core.kind import LINEAR_COMPLEMENTARITY_PROBLEM
+from .core.lcp import LCP
+from .core.matrix.matrix import Matrix
+from .core.matrix.row_sums import has_positive_diagonal, row_blocks
+from .core.matrix.symmetry import mean_coupling
+from .core.policy.policy import Policy
+from .core.policy.remaining import ASKED_EVERY, TRIAL_SWEEPS, Remaining
+from .core.policy.stages import Choice, Stage
+from .core.settings import BESIDE, OF_SOLVE, Settings, checked_callback
+from .core.solving.driver import solved_by
+from .core.solving.judge import Judge
+from .core.solving.result import Result
+from .core.solving.run import Callback
+from .core.splittings.projected_relaxation import PGS, PSOR
+from .core.splittings.projected_type import NPSOR
 
 if TYPE_CHECKING:
-    from ...methods.direct import Retries, Turns
+    from .methods.direct import Retries, Turns
 
+DIRECT = "newton"  # predicts for all direct methods
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 PROJECTED_TYPE = Choice(
     NPSOR(scaling="diagonal"), "cheap sweeps over the rows come first; how fast they are decides what follows"
 )
-
-
-class Policy:
-    """Chooses the first algorithm, and after each step whether another one takes over.
-
-    Attributes
-    ----------
-    name : str
-    chosen : str or Algorithm
-        What the caller asked for.
-    """
-
-    name: str
-    chosen: Any
-
-    def first(self, problem: LCP) -> Choice:
-        """Return the algorithm to begin with."""
-        raise NotImplementedError
-
-    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
-        """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
-        return None
-
-    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
-        """Return what begins where the run began, after a point so far out that rounding hides the tolerance there."""
-        return None
 
 
 class Single(Policy):
@@ -116,6 +101,8 @@ class Single(Policy):
 
     Where `refutes` is False, nobody looks for a proof.
     """
+
+    algorithm: Algorithm
 
     def __init__(self, algorithm: Algorithm, *, refutes: bool = True) -> None:
         self.algorithm = self.chosen = algorithm
@@ -130,8 +117,9 @@ class Single(Policy):
         is_unfit = not self._refutes or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
         if not failed or len(stages) > 1 or is_unfit:
             return None
-        check = ask_or_none("step of auto", "feasibility")
-        return check and Choice(check(), f"{self.name} found no solution: is there one?")
+        from .methods.search.stages import FeasibilityCheck
+
+        return Choice(FeasibilityCheck(), f"{self.name} found no solution: is there one?")
 
 
 class Auto(Policy):
@@ -147,26 +135,27 @@ class Auto(Policy):
         self._direct: Turns | None = None
 
     @cached_property
-    def _retries(self) -> Retries | None:
-        retries: type[Retries] | None = ask_or_none("step of auto", "once more")
-        return None if retries is None else retries()
+    def _retries(self) -> Retries:
+        from .methods.direct import Retries
+
+        return Retries()
 
     def first(self, problem: LCP) -> Choice:
         """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
         if getattr(problem.origin, "form", "") == "kkt":
             self._direct = self._turns(problem)
-            if self._direct is not None and (first := self._direct.first()) is not None:
+            if (first := self._direct.first()) is not None:
                 why = "multipliers have no diagonal entry, which sweeps need"
                 return replace(first, because=f"{why}; {first.because}")
             self._direct = None
         if takes_the_small_dense_solver(problem):
-            return Choice(_small(), "small: a few sweeps guess which unknowns are at a bound")
+            from .methods.small.small_dense import SmallDenseSolver
+
+            return Choice(SmallDenseSolver(), "small: a few sweeps guess which unknowns are at a bound")
         banded = _banded()
-        passes = math.inf if banded is None else in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
+        passes = in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
         cost = f"{max(passes, 1.0):.0f} sweep" + "s" * (passes > 1.5)
-        narrow = PROJECTED_TYPE if banded is None else Choice(
-            banded, f"M is a narrow band, solved in about the time of {cost}"
-        )
+        narrow = Choice(banded, f"M is a narrow band, solved in about the time of {cost}")
         is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
         if passes <= TRIAL_SWEEPS:
             return narrow
@@ -190,7 +179,9 @@ class Auto(Policy):
         if left is None:
             return None
         if left.name == "multigrid":
-            passes = self._factor_passes(problem)
+            from .methods.direct import factor_passes
+
+            passes = factor_passes(problem)
             if left.has_failed and passes == math.inf:
                 return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
             is_behind = left.sweeps > passes and (
@@ -208,7 +199,7 @@ class Auto(Policy):
             if passes < math.inf and rival.name != DIRECT and not self._seems_unheld(problem, by_rows=True):
                 return Choice(rival, f"{left}; {rival.name} is expected to take the time of {passes:.0f} sweeps")
         self._direct = self._turns(problem)
-        first = None if self._direct is None else self._direct.first()
+        first = self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")
 
     def _seems_unheld(self, problem: LCP, *, by_rows: bool = False) -> bool:
@@ -216,70 +207,56 @@ class Auto(Policy):
 
         Only where proofs are looked for.
         """
-        asks = ask_or_none("step of auto", "is unheld") if self._refutes else None
-        return asks is not None and bool(asks(problem, by_rows=by_rows))
+        from .proofs.no_solution.infeasibility import seems_unheld
 
-    @staticmethod
-    def _factor_passes(problem: LCP) -> float:
-        """Return about how many passes factors take, ∞ where one is too large or their room is not here."""
-        passes = ask_or_none("step of auto", "factor passes")
-        return math.inf if passes is None else float(passes(problem))
+        return self._refutes and bool(seems_unheld(problem, by_rows=by_rows))
 
-    def _turns(self, problem: LCP) -> Turns | None:
-        """Return the direct methods, where they are here."""
-        turns: type[Turns] | None = ask_or_none("step of auto", "direct methods")
-        if turns is None or self._retries is None:
-            return None
-        return turns(problem, self._retries, refutes=self._refutes, looks_at_cases=self.looks_at_cases)
+    def _turns(self, problem: LCP) -> Turns:
+        """Return the direct methods."""
+        from .methods.direct import Turns
+
+        return Turns(problem, self._retries, refutes=self._refutes, looks_at_cases=self.looks_at_cases)
 
     def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
         """Return newton or lemke, where they have not begun there."""
-        return None if self._retries is None else self._retries.following(problem, stages)
-
-
-DIRECT = "newton"  # predicts for all direct methods
+        return self._retries.following(problem, stages)
 
 
 def takes_the_small_dense_solver(problem: LCP) -> bool:
     """Return whether auto solves the problem by one compiled call: small, and no tridiagonal M-matrix kept sparse."""
-    small = _small()
-    if small is None or not small.takes(problem):
+    from .methods.small.small_dense import SmallDenseSolver
+
+    if not SmallDenseSolver.takes(problem):
         return False
-    banded = None if problem.is_dense else _banded()
-    return banded is None or banded.predicted_passes(problem, math.inf) > TRIAL_SWEEPS
+    return problem.is_dense or _banded().predicted_passes(problem, math.inf) > TRIAL_SWEEPS
 
 
 def _rivals(problem: LCP, stages: Sequence[Stage], left: Remaining) -> list[Algorithm]:
     """Return what could take over, in the order in which a tie is decided."""
+    from .methods.newton.semismooth_newton import Newton
+
     now = stages[-1].algorithm
     rivals: list[Algorithm] = []
     if has_positive_diagonal(problem.matrix).all():
         rivals += [PSOR()] if isinstance(now, NPSOR) else []
         was_tried = any(stage.algorithm.name == "multigrid" for stage in stages)
         is_suited = not (problem.is_dense or was_tried) and isinstance(now, (NPSOR, PSOR))
-        if is_suited and "multigrid" in REGISTRY:
-            multigrid = _multigrid()
+        if is_suited:
+            from .methods.multigrid import Multigrid
+
+            multigrid = Multigrid(hands_over=True)
             has_had_its_turn = isinstance(now, PSOR) and left.work > multigrid.predicted_passes(problem, left.sweeps)
             if left.has_failed or has_had_its_turn or mean_coupling(problem.matrix) > CLEARLY_DOMINANT:
                 rivals.append(multigrid)
-    return [*rivals, *([create(DIRECT, {})] if DIRECT in REGISTRY else [])]
-
-
-def _multigrid() -> Algorithm:
-    return create("multigrid", {"hands_over": True})
+    return [*rivals, Newton()]
 
 
 @cache
-def _banded() -> Algorithm | None:
-    """Return the rounds on a narrow band, None where their room is not here."""
-    return create("banded", {"hands_over": True}) if "banded" in REGISTRY else None
+def _banded() -> Algorithm:
+    """Return the rounds on a narrow band."""
+    from .methods.banded import Banded
 
-
-@cache
-def _small() -> Any:
-    """Return the solver of small problems, None where its room is not here."""
-    solver = ask_or_none("step of auto", "small")
-    return solver and solver()
+    return Banded(hands_over=True)
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:
@@ -302,7 +279,7 @@ def _triangle(problem: LCP) -> str | None:
     # The rows are sorted; those at both ends refuse almost every other matrix.
     if problem.n < 2 or (M.indices[M.indptr[1] - 1] > 0 and M.indices[M.indptr[-2]] < problem.n - 1):
         return None
-    from ..matrix.structure import triangular_form
+    from .core.matrix.structure import triangular_form
 
     return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
 
@@ -311,40 +288,6 @@ def _exact_order(problem: LCP, now: Stage) -> str | None:
     """Return the order of the sweep that is exact, where M is triangular and one sweep of npsor is done."""
     is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
     return _triangle(problem) if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() else None
-
-
-def last_resort(problem: LCP) -> Algorithm:
-    """Return the method that auto follows to its end where nothing before it converges."""
-    return create("lemke" if problem.n <= PIVOTED_UP_TO else "psor", {})
-
-
-PARTS_IN_WORDS = {
-    "newton": "guesses which unknowns are at a bound and solves for the others, until the guess proves right",
-    "lemke": "pivots: brings one unknown at a time to its bound, or away from it",
-}
-
-
-def with_reasons(
-    parts: Sequence[tuple[str, int, float]], algorithm: Algorithm, because: str
-) -> list[tuple[str, str, int, float]]:
-    """Return the parts of an algorithm with why each ran: in words of its own, or, of the first, as it was chosen.
-
-    Parameters
-    ----------
-    parts : sequence of (name, iterations, work)
-    """
-    def reason(k: int, name: str) -> str:
-        if name != algorithm.name and name in PARTS_IN_WORDS:
-            return PARTS_IN_WORDS[name]
-        return "" if k else because
-
-    return [(name, reason(k, name), iterations, work) for k, (name, iterations, work) in enumerate(parts)]
-
-
-def name_of(policy: Policy, stages: Sequence[Any]) -> str:
-    """Return what ran: the policy, and the chain of what it chose, as records of stages, where that says more."""
-    chain = [stage.name for stage in stages]
-    return policy.name if "".join(chain) in ("", policy.name) else f"{policy.name}: {', '.join(chain)}"
 
 
 def policy_for(
@@ -378,7 +321,11 @@ def policy_for(
                 f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well'
                 f"{did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
-        return ask("ranks", "auto")() if on_ranks else Auto(refutes=refutes, looks_at_cases=looks_at_cases)
+        if on_ranks:
+            from .ranks.auto import AutoOnRanks
+
+            return AutoOnRanks()
+        return Auto(refutes=refutes, looks_at_cases=looks_at_cases)
     if isinstance(algorithm, type):
         name = algorithm.__name__
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")
@@ -389,6 +336,80 @@ def policy_for(
 
 def _single(algorithm: Algorithm, on_ranks: bool, refutes: bool) -> Single:
     if on_ranks and not algorithm.runs_on_ranks:
-        names = ", ".join(name for name in REGISTRY if algorithm_class(name).runs_on_ranks)
+        names = ", ".join(name for name, kind in REGISTRY.items() if kind.runs_on_ranks)
         raise UnknownAlgorithm(f"{algorithm.name!r} does not run on several ranks; auto does, and {names}")
     return Single(algorithm, refutes=refutes)
+
+
+def solve_lcp(
+    problem: LCP,
+    algorithm: str | Algorithm | Policy = "auto",
+    *,
+    z0: ArrayLike | None = None,
+    tolerance: float = 1e-8,
+    tolerance_on: str = "residual",
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    record: bool = False,
+    callback: Callback | None = None,
+    error_bound: bool = False,
+    refute: bool = True,
+    threads: int | None = None,
+    verbose: bool = False,
+    **options: Any,
+) -> Result:
+    """Return the answer to an LCP: what :func:`lcp_plugin.solve` does with one, and says of these parameters.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+        As there.
+    """
+    if options:
+        LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)
+    communicator, clock = problem.communicator, Clock(problem.communicator)
+    # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
+    with np.errstate(), communicator.interruptions() as clock.hears:
+        policy, settings, callback, start = communicator.together(lambda: (
+            policy_for(algorithm, options, on_ranks=problem.is_distributed, refutes=refute),
+            Settings(
+                tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
+                threads, verbose, refute,
+            ),
+            checked_callback(callback), checked_start(problem, z0),
+        ))
+        asked = policy.chosen, settings
+        communicator.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
+        return solved_by(
+            policy, problem, settings, start, clock, callback, judge=_judge_of, header=_header,
+            warn=None if policy.chosen == "auto" else _warn,
+        )
+
+
+def _judge_of(units: CommonUnits, settings: Settings) -> Judge:
+    """Return the judge of an LCP; where the error is asked for, one that bounds it."""
+    if not (settings.error_bound or settings.is_on_error):
+        return Judge(units, settings)
+    from .proofs.bounds.error_judge import ErrorJudge
+
+    return ErrorJudge(units, settings)
+
+
+def _warn(problem: LCP, policy: Policy) -> None:
+    from .proofs.guarantees import warn_where_known_to_be_uncovered
+
+    warn_where_known_to_be_uncovered(problem, policy)
+
+
+def _header(matrix: Matrix) -> tuple[str, str]:
+    from .proofs.verdicts.report import classes_in_words, sign_remark
+
+    return classes_in_words(matrix), sign_remark(matrix)
+
+
+def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[Policy, Settings]:
+    """Return what an algorithm and other keyword arguments of `solve` ask for; a start and a callback may be there."""
+    settings = Settings(**{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE})
+    options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
+    return policy_for(algorithm, options, refutes=settings.refute), settings

@@ -1,0 +1,157 @@
+"""solve(): one verb for every kind of problem."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, overload
+
+from numpy.typing import ArrayLike
+
+from .auto import solve_lcp
+from .core.algorithm import Algorithm
+from .core.lcp import LCP
+from .core.policy.policy import Policy
+from .core.solving.result import Result
+from .core.solving.run import Callback
+
+if TYPE_CHECKING:
+    from .problems.equilibria.equilibrium_program import EquilibriumProgram
+    from .problems.equilibria.result import EquilibriumResult
+    from .problems.least_squares.data import BoundedLeastSquares
+    from .problems.least_squares.solving import LeastSquaresResult
+    from .problems.nonlinear.data import NonlinearProblem
+    from .problems.programs.program import QuadraticProgram
+    from .problems.programs.solving import QuadraticProgramResult
+
+
+@overload
+def solve(
+    problem: LCP, algorithm: str | Algorithm | Policy = "auto", *, z0: ArrayLike | None = None,
+    tolerance: float = 1e-8, tolerance_on: str = "residual",
+    max_iterations: int | None = None, max_seconds: float | None = None, absolute_tolerance: float = 0.0,
+    record: bool = False, callback: Callback | None = None, error_bound: bool = False, refute: bool = True,
+    threads: int | None = None, verbose: bool = False, **options: Any,
+) -> Result: ...
+@overload
+def solve(
+    problem: NonlinearProblem, algorithm: str | Algorithm = "auto", *, x0: ArrayLike, **options: Any
+) -> Result: ...
+@overload
+def solve(
+    problem: QuadraticProgram, algorithm: str | Algorithm = "auto", **options: Any
+) -> QuadraticProgramResult: ...
+@overload
+def solve(problem: EquilibriumProgram, **options: Any) -> EquilibriumResult: ...
+@overload
+def solve(problem: BoundedLeastSquares, **options: Any) -> LeastSquaresResult: ...
+def solve(
+    problem: Any,
+    algorithm: str | Algorithm | Policy = "auto",
+    *,
+    z0: ArrayLike | None = None,
+    tolerance: float = 1e-8,
+    tolerance_on: str = "residual",
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    record: bool = False,
+    callback: Callback | None = None,
+    error_bound: bool = False,
+    refute: bool = True,
+    threads: int | None = None,
+    verbose: bool = False,
+    **options: Any,
+) -> Any:
+    """Return the answer to a problem, judged on the problem's own data.
+
+    Parameters
+    ----------
+    problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem or BoundedLeastSquares
+        Never modified. What follows is said of an LCP; see Notes for the others. Where its rows are spread over ranks
+        (:meth:`LCP.from_rows`), all of them call with the same arguments; z0, z and w are the own parts then, and
+        everything else is the same on every rank.
+    algorithm : str or Algorithm
+        A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
+    z0 : array, shape (n,), or a number for n = 1, optional
+        Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. ``interior_point``
+        uses one on dense symmetric M and programs only; ``lemke`` tries its active set, and begins there where its
+        residual is a tenth of that point's or less; where it changes nothing ``explain()`` says so.
+    tolerance : float
+        SOLVED means that the measured residual of the returned z is at most this: in every part of the problem
+        (connected component of M's pattern) relative to that part's own reference.
+    tolerance_on : {"residual", "error"}
+        With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved of every part, z* the solution.
+    max_iterations : int, default 100 000
+    max_seconds : float, optional
+        Wall-clock limit in seconds, set-up included and compilation of kernels excluded; obeyed at the end of
+        the iteration under way, or within a tenth of a second inside a long factorisation, as Ctrl-C is. That goes
+        on in a thread of its own until it is done, and what it finds is dropped.
+    absolute_tolerance : float
+        In the unit of z: a part with ‖r‖∞ ≤ absolute_tolerance is solved whatever its reference, as a contact at rest
+        is whose gaps are rounding; INFEASIBLE and NO_SOLUTION are proved beyond it.
+    record : bool
+        Keep samples of the run at geometric intervals in ``Result.history``.
+    callback : callable, optional
+        Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
+        run with status INTERRUPTED. What it raises is passed on.
+    error_bound : bool
+        Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
+        clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
+    refute : bool
+        Look for a proof that there is no solution where none is found. False saves the work: a run that finds none ends
+        STALLED, at the start where a look at all cases of a small problem in doubles has excluded every z.
+    threads : int, optional
+        How many threads this solve may use; by default all that the process may use, but one where the rows are on
+        ranks. The answer is the same bit for bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.
+    verbose : bool
+        Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
+        seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.
+    **options
+        Options of the named algorithm.
+
+    Returns
+    -------
+    Result
+        Or that of the other kind; each is an :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x,
+        objective, advice and proof. Always, whatever the status, with the best iterate whose residual was measured
+        (in-place methods are measured at intervals and at the end), also after Ctrl-C; before the first step that is
+        the start. ``result.require_solved()`` raises instead.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+        Before the first iteration; UnsuitableMatrix also where ``tolerance_on="error"`` and M allows no error bound.
+
+    Notes
+    -----
+    What the other kinds take, and what SOLVED means there, is that of the function which solves them; they refuse the
+    rest, and have default tolerances of their own:
+
+    - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.solve_nonlinear`;
+    - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and
+      UNBOUNDED with a proof, see :class:`~lcp_plugin.QuadraticProgramResult`; options as for an LCP, z0 is the
+      ``result.z`` of an earlier run, a start where that has as many unknowns;
+    - ``EquilibriumProgram``: :func:`~lcp_plugin.minimize_over_solutions`;
+    - ``BoundedLeastSquares``: :func:`~lcp_plugin.bounded_least_squares`.
+
+    Kernels of small problems are interpreted, with the same bits, until compiling them pays. The first large problem of
+    its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles everything.
+
+    Examples
+    --------
+    >>> problem = LCP([[4, -1], [-1, 4]], [-3, 5])
+    >>> result = solve(problem, "npsor", relaxation=1.7)
+    >>> result.status.name, result.z.round(6)
+    ('SOLVED', array([0.75, 0.  ]))
+
+    >>> from lcp_plugin import QuadraticProgram
+    >>> best = solve(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
+    >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
+    ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
+    """
+    given, defaults = locals(), solve.__kwdefaults__ or {}
+    wishes = {name: given[name] for name in defaults if given[name] is not defaults[name]}
+    if isinstance(problem, LCP):
+        return solve_lcp(problem, algorithm, **wishes, **options)
+    from .kinds import solve_any  # which loads every kind
+
+    return solve_any(problem, algorithm, {**wishes, **options})

@@ -48,7 +48,7 @@ OUTCOMES = {  # colour and sign
 
 @dataclass(frozen=True)
 class Cell:
-    """One algorithm under one stress.
+    """One algorithm on one kind of difficult data.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Atlas(Exported):
-    """How each algorithm fared under each stress.
+    """How each algorithm coped with each kind of difficult data.
 
     Attributes
     ----------
@@ -213,7 +213,7 @@ def stability_atlas(
     quick: bool = False,
     progress: Progress | None = None,
 ) -> Atlas:
-    """Return how each algorithm fares under each stress, judged against exact answers.
+    """Return how each algorithm copes with each kind of difficult data, compared with exact answers.
 
     Parameters
     ----------

@@ -84,7 +84,7 @@ def test_the_source_archive_can_be_tested(built: Path) -> None:
     with tarfile.open(archive) as opened:
         names = {name.partition("/")[2] for name in opened.getnames()}
     needed = sources("lcp_plugin") | sources("tests") | sources("examples")
-    needed |= {"README.md", "LICENSE", "CITATION.cff", "pyproject.toml", "examples/pictures/obstacle_problem.png"}
+    needed |= {"README.md", "LICENSE", "CITATION.cff", "pyproject.toml", "examples/pictures/three_problems.png"}
     assert needed <= names
 
 

@@ -45,7 +45,7 @@ from .free_solutions import one_sided, solution, words_on_singular
 
 
 class Gradient(NamedTuple):
-    """What a function of the solution has for gradients.
+    """Gradient of a function of the solution, with respect to the data of the problem.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ def derivative(result: BatchResult) -> BatchDerivative: ...
 @overload
 def derivative(result: March) -> MarchDerivative: ...
 def derivative(result: Result | BatchResult | March) -> Derivative | BatchDerivative | MarchDerivative:
-    """Return the derivative of the solution z of an LCP by M, q and the bounds, or those of a batch, or of a march.
+    """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def derivative(result: Result | BatchResult | March) -> Derivative | BatchDeriva
 
 
 class Derivative:
-    """The derivative of z by the data, at one solution.
+    """The derivative of a solution z with respect to the data of its problem.
 
     Parameters
     ----------

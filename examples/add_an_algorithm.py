@@ -7,8 +7,9 @@ Korpelevich's extragradient method takes each step twice: once to look ahead, on
 For τ < 1/‖M‖ it converges on every monotone problem, M symmetric or not. Without the look ahead the iterates of the
 game below circle for ever; with it they spiral into the equilibrium.
 
-An algorithm is a frozen dataclass with `iterates`. It has no clock, no tolerance and no status: `solve` adds these. To
-offer it under its name from a package of your own, put this into that package's pyproject.toml,
+An algorithm is a frozen dataclass with `iterates`. It has no clock, no tolerance and no status: `solve` adds these. A
+copy of the class in a file of `lcp_plugin/methods/` is an algorithm of this package, and its test is the second file.
+To offer it under its name from a package of your own, put this into that package's pyproject.toml,
 
     [project.entry-points."lcp_plugin.algorithms"]
     extragradient = "my_package.add_an_algorithm:Extragradient"

@@ -34,6 +34,9 @@ def _named(targets: str) -> set[str]:
 _picture = re.search(r"```text\n(.*?)```", _section(), re.S)
 LINES = _picture[1].splitlines() if _picture else []
 ARROWS = {room: targets for line in LINES for room, targets in _arrows(line).items()}  # beside those to the core
+DRAWN = set(ARROWS)
+# A method of one file that imports the core alone need not be drawn.
+ARROWS |= {one.stem: set() for one in (PACKAGE / "methods").glob("*.py") if one.stem not in {*DRAWN, "__init__"}}
 PLACES = [PACKAGE / group for group in ("", *GROUPS)]
 FOLDERS = {  # or the file of one that is one
     room: next((one for one in [*(place / room for place in PLACES), *(place / f"{room}.py" for place in PLACES)]

@@ -37,13 +37,21 @@ from lcp_plugin.evidence.drawing import STYLE
 
 @dataclass(frozen=True, kw_only=True)
 class Extragradient(Algorithm):
-    """Each step twice: one to look ahead, one in earnest; `step` in units of 1/‖M‖."""
+    """Each step twice: one to look ahead, one in earnest.
+
+    Parameters
+    ----------
+    step : float
+        In units of 1/‖M‖.
+    looks_ahead : bool
+        False leaves out the first of the two, for comparison.
+    """
 
     name: ClassVar[str] = "extragradient"
     needs: ClassVar[str] = "monotone M"
     solves: ClassVar[str] = "PSD, symmetric or not, for step < 1"
     cost: ClassVar[str] = "2 products with M"
-    reference: ClassVar[str] = "Korpelevich 1976"
+    reference: ClassVar[str] = "Korpelevich 1976; Facchinei, Pang 2003, chapter 12, doi:10.1007/b97544"
     is_monotone: ClassVar[bool] = False  # its residual may rise on the way
 
     step: float = 0.9

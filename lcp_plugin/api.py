@@ -150,10 +150,14 @@ def solve(
     >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
     ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
     """
+    if isinstance(problem, LCP):
+        return solve_lcp(
+            problem, algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, max_iterations=max_iterations,
+            max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, record=record, callback=callback,
+            error_bound=error_bound, refute=refute, threads=threads, verbose=verbose, **options,
+        )
     given, defaults = locals(), solve.__kwdefaults__ or {}
     wishes = {name: given[name] for name in defaults if given[name] is not defaults[name]}
-    if isinstance(problem, LCP):
-        return solve_lcp(problem, algorithm, **wishes, **options)
     from .kinds import solve_any  # which loads every kind
 
     return solve_any(problem, algorithm, {**wishes, **options})

@@ -88,6 +88,7 @@ from .core.splittings.projected_type import NPSOR
 
 if TYPE_CHECKING:
     from .methods.direct import Retries, Turns
+    from .methods.small.small_dense import SmallDenseSolver
 
 DIRECT = "newton"  # predicts for all direct methods
 CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
@@ -149,9 +150,7 @@ class Auto(Policy):
                 return replace(first, because=f"{why}; {first.because}")
             self._direct = None
         if takes_the_small_dense_solver(problem):
-            from .methods.small.small_dense import SmallDenseSolver
-
-            return Choice(SmallDenseSolver(), "small: a few sweeps guess which unknowns are at a bound")
+            return Choice(_small(), "small: a few sweeps guess which unknowns are at a bound")
         banded = _banded()
         passes = in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
         cost = f"{max(passes, 1.0):.0f} sweep" + "s" * (passes > 1.5)
@@ -224,9 +223,7 @@ class Auto(Policy):
 
 def takes_the_small_dense_solver(problem: LCP) -> bool:
     """Return whether auto solves the problem by one compiled call: small, and no tridiagonal M-matrix kept sparse."""
-    from .methods.small.small_dense import SmallDenseSolver
-
-    if not SmallDenseSolver.takes(problem):
+    if not _small().takes(problem):
         return False
     return problem.is_dense or _banded().predicted_passes(problem, math.inf) > TRIAL_SWEEPS
 
@@ -249,6 +246,14 @@ def _rivals(problem: LCP, stages: Sequence[Stage], left: Remaining) -> list[Algo
             if left.has_failed or has_had_its_turn or mean_coupling(problem.matrix) > CLEARLY_DOMINANT:
                 rivals.append(multigrid)
     return [*rivals, Newton()]
+
+
+@cache
+def _small() -> SmallDenseSolver:
+    """Return the solver of small problems."""
+    from .methods.small.small_dense import SmallDenseSolver
+
+    return SmallDenseSolver()
 
 
 @cache

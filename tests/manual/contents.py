@@ -18,7 +18,7 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages it shows; the longest match counts
-    "solve": ("Solve: problems, methods, what comes back", "core algorithms methods problems"),
+    "solve": ("Solve: problems, methods, what comes back", "core algorithms api auto methods problems"),
     "model": ("Model: in cvxpy, as a program, a game, an equation", "modeling problems.programs "
               "problems.reformulations"),
     "prove": (

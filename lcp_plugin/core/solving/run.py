@@ -182,13 +182,12 @@ class Run:
         state, stage, log = self.state, self.state.stages[-1], self.log
         is_due = self.settings.record and (is_last or state.iteration >= self._next_sample)
         with self.clock.paused():
-            known = None if residual is None else float(residual)  # no numpy scalar, as interpreted kernels return
-            sample = Sample(state.iteration, state.work, state.seconds, known, stage.algorithm.name)
+            sample = Sample(state.iteration, state.work, state.seconds, residual, stage.algorithm.name)
             wants_to_stop = self._called_back(sample, step.z)
             is_due |= self.settings.record and wants_to_stop
             is_printed = log is not None and log.is_due(stage)
             if is_due or is_printed:
-                sample = replace(sample, residual=float(self.judge.measure(step.z)) if known is None else known)
+                sample = replace(sample, residual=self.judge.measure(step.z) if residual is None else residual)
             if log is not None and is_printed:
                 log.step(stage, sample)
             if is_due:

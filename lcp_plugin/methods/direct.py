@@ -205,8 +205,6 @@ def _by_prospects(problem: LCP, refutes: bool, words: list[str]) -> Iterator[Cho
     too_large = _too_large(problem, left, is_kkt=is_kkt)
     left_out = [one.algorithm for one in (check, lemke, newton, interior) if one.algorithm.name in too_large]
     left_out += [] if refutes else [check.algorithm]
-    if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
-        left_out.append(newton.algorithm)  # whose active sets change at random there
     row = contradictory_row(problem) if refutes else None
     is_contradictory = row is not None and row.excludes(EPSILON)
     if not (is_kkt or is_contradictory) and condensing_passes(left) < _passes_of_factors(left, FEWEST_FACTORS):
@@ -246,7 +244,7 @@ def _too_large(problem: LCP, left: LCP, *, is_kkt: bool) -> dict[str, str]:
     """Return the methods that take no problem as large, by their names, and what to say of each.
 
     They run on what presolving has `left`. A program has no other method that would be quicker than these of a factor,
-    whatever it fills.
+    whatever it fills. Where the diagonal is negative newton's active sets change at random.
     """
     from ..systems.factors import factor_fits
 
@@ -257,6 +255,8 @@ def _too_large(problem: LCP, left: LCP, *, is_kkt: bool) -> dict[str, str]:
         found["lemke"] = _up_to("lemke", PIVOTED_UP_TO, left)
     if not (is_kkt or left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
         found |= {name: f"{name} (a factor of M is predicted to be too large)" for name in ("newton", "interior_point")}
+    if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
+        found.setdefault("newton", _up_to("newton, where the diagonal is negative,", LINEAR_PROGRAM_UP_TO, problem))
     return found
 
 

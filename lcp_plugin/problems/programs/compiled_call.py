@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -14,12 +13,13 @@ from ...core.deadline import Clock
 from ...core.solving.result import StageRecord
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
+from .definitions import Substitution
 from .program import QuadraticProgram
 from .qp_certificates import with_bounds
 from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility
 from .qp_solution import QPSolution
-from .reductions import Substitution, fold_simple_rows, substitute_definitions
+from .reductions import FixedVariables, FoldedRows, Reduction
 from .small_programs import ROWS_UP_TO, UP_TO, SmallAnswers, SmallPrograms, may_be_small, work_of_search
 
 ACTIVE_SET = "dual active set"
@@ -54,32 +54,23 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> Found | QPIn
 
     The proof, that constraints contradict each other, is checked in exact arithmetic, and the program keeps it.
     """
-    clock, substitution, rows = Clock(ALONE), None, None
-    reduced, goal = program, program_goal(tolerance)
-    if program.b.size and (substitution := _worthwhile(program)) is not None:
-        refuse_nonconvex(program)  # on the subspace that is left P may be convex
-        reduced = substitution.reduced
-    if reduced.matrices.has_sparse_rows and reduced.matrices.sizes[0] * reduced.n**2 > FOLDED_FROM:
-        free, simple = np.count_nonzero(reduced.lower < reduced.upper), reduced.matrices.singletons[0].size
-        if not may_be_small(int(free), reduced.constraints.rows - simple, MANY):
-            return None
-        rows = fold_simple_rows(reduced)
-        reduced = rows.folded
-    if (part := _FreePart.of(reduced)) is None:
+    clock, goal = Clock(ALONE), program_goal(tolerance)
+    reduction = _made_small(program)
+    if reduction is None:
         return None
-    answers, contradicts = part.solved(min(max(tolerance, REACHED), PROGRAM_TOLERANCE))
-    if contradicts and reduced is program and (proof := contradiction(program, answers.y[0], goal)) is not None:
-        return proof
+    reduced, answers = reduction.reduced, SmallAnswers.empty(1, reduction.reduced.n, reduction.reduced.constraints.rows)
+    contradicts = np.zeros(1, np.bool_)
+    _arrays(reduced).solve(min(max(tolerance, REACHED), PROGRAM_TOLERANCE), 0, 1, answers, contradicts)
+    if contradicts[0]:
+        proof = program.accept_proof(reduction.proof(contradiction(reduced, answers.y[0])), goal)
+        if isinstance(proof, QPInfeasibility):
+            return proof
     if not answers.has_converged[0]:
         return None
-    x, y, costs = part.whole(answers)
+    y, costs = answers.y[0], answers.reduced[0]
     every = np.concatenate([y, np.maximum(costs, 0.0), np.maximum(-costs, 0.0)])
-    if rows is not None:
-        every = rows.unfold(every)
-    if substitution is not None:
-        x, every = substitution.restored(x, every)
-    solution = QPSolution.of_rows(program, x, every)
-    if reduced is program and part.x is None and program.units.are_the_users:
+    solution = QPSolution.of_rows(program, *reduction.outward(answers.x[0], every))
+    if reduced is program and program.units.are_the_users:
         solution.__dict__["_errors"] = Errors(*answers.measures[0, :5].tolist())
     if not solution.is_stationary(goal):
         return None
@@ -88,87 +79,51 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> Found | QPIn
     return Found(solution, StageRecord(ACTIVE_SET, AT_ONCE, steps, work), clock.read())
 
 
-def contradiction(program: QuadraticProgram, y: FloatVector, goal: float) -> QPInfeasibility | None:
-    """Return the proof that these multipliers of an infeasible program's rows are, checked exactly, if they are one.
-
-    Those of bounds are what they leave.
-    """
-    proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y.tolist()) if value})
-    if not (proof.verify() and proof.excludes(goal)):
+def _made_small(program: QuadraticProgram) -> Reduction | None:
+    """Return what the compiled call is to take of a program; None where that is too much work for dense loops."""
+    reduction = Reduction(program)
+    if program.b.size and _is_worth_substituting(program):
+        reduction = reduction.then(Substitution.of)
+        if reduction.steps:
+            refuse_nonconvex(program)  # on the subspace that is left P may be convex
+    reduced = reduction.reduced
+    if reduced.matrices.has_sparse_rows and reduced.matrices.sizes[0] * reduced.n**2 > FOLDED_FROM:
+        count, simple = int(np.count_nonzero(reduced.lower < reduced.upper)), reduced.matrices.singletons[0].size
+        if not may_be_small(count, reduced.constraints.rows - simple, MANY):
+            return None
+        reduction = reduction.then(FoldedRows.of)
+        reduced = reduction.reduced
+    free = reduced.lower < reduced.upper
+    count, rows = int(np.count_nonzero(free)), reduced.constraints.rows
+    if not may_be_small(count, rows, reduced.matrices.stored):
         return None
-    program.__dict__["_proof"] = proof
-    return proof
+    sides = int(np.isfinite(reduced.lower[free]).sum() + np.isfinite(reduced.upper[free]).sum())
+    if count > BOXED_UP_TO and sides > BOXED * count and BOXED * rows < count:
+        return None
+    return reduction.then(FixedVariables.of)
 
 
-def _worthwhile(program: QuadraticProgram) -> Substitution | None:
-    """Return the substitution of what equations define; None where the call is quick, or too long, with it or without.
+def _arrays(program: QuadraticProgram) -> SmallPrograms:
+    """Return a program as the compiled call takes it."""
+    (P, C), (m, p, _, _) = program.matrices.dense, program.matrices.sizes
+    d = program.h if not p else program.b if not m else np.concatenate([program.h, program.b])
+    is_equality = program.matrices.is_equality[: m + p]
+    vectors = [one[np.newaxis] for one in (program.c, d, program.lower, program.upper)]
+    return SmallPrograms(
+        P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3], np.array([program.units[2:4]])
+    )
+
+
+def contradiction(program: QuadraticProgram, y: FloatVector) -> QPInfeasibility:
+    """Return what these multipliers of rows prove if they contradict each other, with those of bounds."""
+    return with_bounds(program, {i: Fraction(value) for i, value in enumerate(y.tolist()) if value})
+
+
+def _is_worth_substituting(program: QuadraticProgram) -> bool:
+    """Return whether what equations define is put in; not where the call is quick, or too long, with it or without.
 
     Without, P has to be definite by the look of its diagonal: on the subspace that is left it may be so.
     """
     n, defined = program.n, min(int(np.count_nonzero(program.matrices.is_definable)), program.b.size)
     is_quick = n**2 * (n + program.constraints.rows) <= SUBSTITUTED_FROM and program.P.diagonal().min() > 0.0
-    return substitute_definitions(program) if not is_quick and may_be_small(n - defined, 0, 0) else None
-
-
-@dataclass(frozen=True, eq=False)
-class _FreePart:
-    """A program in its variables whose bounds differ, as the compiled call takes it.
-
-    Attributes
-    ----------
-    program : QuadraticProgram
-    arrays : SmallPrograms
-    x : ndarray, shape (n,), or None
-        The values of the other variables, 0 elsewhere; None where there are none.
-    """
-
-    program: QuadraticProgram
-    arrays: SmallPrograms
-    x: FloatVector | None
-
-    @classmethod
-    def of(cls, program: QuadraticProgram) -> _FreePart | None:
-        """Return that of a program, or None where it is too much work for dense loops."""
-        matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
-        c, lower, upper, x = program.c, program.lower, program.upper, None
-        free = lower < upper
-        count = int(np.count_nonzero(free))
-        if not may_be_small(count, m + p, matrices.stored):
-            return None
-        sides = int(np.isfinite(lower[free]).sum() + np.isfinite(upper[free]).sum())
-        if count > BOXED_UP_TO and sides > BOXED * count and BOXED * (m + p) < count:
-            return None
-        P, C = matrices.dense
-        d = program.h if not p else program.b if not m else np.concatenate([program.h, program.b])
-        if count < n:
-            x = np.where(free, 0.0, lower)
-            c, d, lower, upper = (c + P[0] @ x)[free], d - C[0] @ x, lower[free], upper[free]
-            P, C = np.ascontiguousarray(P[:, free][:, :, free]), np.ascontiguousarray(C[:, :, free])
-        vectors = c[np.newaxis], d[np.newaxis], lower[np.newaxis], upper[np.newaxis]
-        is_equality = matrices.is_equality[: m + p]
-        arrays = SmallPrograms(
-            P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3], np.array([program.units[2:4]])
-        )
-        return cls(program, arrays, x)
-
-    def solved(self, tolerance: float) -> tuple[SmallAnswers, bool]:
-        """Return what the compiled call finds, and whether constraints contradict each other."""
-        answers = SmallAnswers.empty(1, self.arrays.c.shape[1], self.arrays.d.shape[1])
-        contradicts = np.zeros(1, np.bool_)
-        self.arrays.solve(tolerance, 0, 1, answers, contradicts)
-        return answers, bool(contradicts[0])
-
-    def whole(self, answers: SmallAnswers) -> tuple[FloatVector, FloatVector, FloatVector]:
-        """Return x, the multipliers of rows, and those of lower less those of upper bounds, of all variables.
-
-        Of a fixed one that is what stationarity leaves.
-        """
-        found, y, reduced = answers.x[0], answers.y[0], answers.reduced[0]
-        if self.x is None:
-            return found, y, reduced
-        x, free = self.x.copy(), self.program.lower < self.program.upper
-        x[free] = found
-        P, C = self.program.matrices.dense
-        costs = P[0] @ x + self.program.c + y @ C[0]
-        costs[free] = reduced
-        return x, y, costs
+    return not is_quick and may_be_small(n - defined, 0, 0)

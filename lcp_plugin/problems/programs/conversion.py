@@ -14,9 +14,10 @@ from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, Unsu
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
+from .definitions import Substitution
 from .program import QuadraticProgram, asymmetry_of
 from .qp_forms import QPOrigin
-from .reductions import Substitution, fold_simple_rows, substitute_definitions
+from .reductions import FoldedRows, Reduction
 
 FORMS = ("auto", "direct", "kkt")
 __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
@@ -82,9 +83,9 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     refuse_nonconvex(program)
     if form not in FORMS:
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
-    cheap = substitute_definitions(program, saves_work=True) if form == "auto" else None
-    problem = optimality_conditions(program, cheap)
-    if form == "direct" and (left := problem.origin.rows.left.size):
+    reduction = Reduction(program)
+    problem = optimality_conditions(reduction.then(Substitution.of, saves_work=True) if form == "auto" else reduction)
+    if form == "direct" and (left := problem.origin.rows):
         raise UnsuitableProblem(
             f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
             'nonzero (or contradict one another); use form="kkt"'
@@ -136,9 +137,9 @@ def lcp_from_lp(
     return lcp_from_qp(QuadraticProgram(sp.csr_array((n, n)), c, G, h, A, b, lower, upper))
 
 
-def optimality_conditions(program: QuadraticProgram, substitution: Substitution | None = None) -> LCP:
-    """Return the conditions of a program known to be convex, or of what a substitution leaves of it."""
-    origin = QPOrigin(fold_simple_rows(program if substitution is None else substitution.reduced), substitution)
+def optimality_conditions(reduction: Reduction) -> LCP:
+    """Return the conditions of a program known to be convex, of what a reduction leaves of it, simple rows folded."""
+    origin = QPOrigin(reduction.then(FoldedRows.of))
     problem = origin.problem()
     problem.origin = problem.criterion = origin
     return problem
@@ -166,16 +167,17 @@ def attempts(program: QuadraticProgram, first: Attempt | None = None) -> Iterato
     >>> [attempt.because for attempt in attempts(program)]
     ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
     """
+    as_it_stands = Reduction(program)
     if first is None:
-        cheap = substitute_definitions(program, saves_work=True)
-        problem = optimality_conditions(program, cheap)
+        cheap = as_it_stands.then(Substitution.of, saves_work=True)
+        problem = optimality_conditions(cheap)
         form = f"the {problem.origin.form} form"
-        first = Attempt(problem, form if cheap is None else f"{form}, defined variables put in")
+        first = Attempt(problem, f"{form}, defined variables put in" if cheap.steps else form)
     yield first
-    if first.problem.origin.substitution is not None:
-        yield Attempt(optimality_conditions(program), "the KKT form of the program as it stands")
-    elif (substitution := substitute_definitions(program)) is not None:
-        yield Attempt(optimality_conditions(program, substitution), "defined variables put in")
+    if first.problem.origin.reduction.reduced.n < program.n:
+        yield Attempt(optimality_conditions(as_it_stands), "the KKT form of the program as it stands")
+    elif (whole := as_it_stands.then(Substitution.of)).steps:
+        yield Attempt(optimality_conditions(whole), "defined variables put in")
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:

@@ -77,6 +77,12 @@ class OwnUnits(NamedTuple):
         n = self.unknown.size
         return self._replace(coefficient=np.concatenate([self.coefficient[left], self.coefficient[-2 * n :]]))
 
+    def of_unknowns_left(self, left: Any) -> OwnUnits:
+        """Return those of the same program in these of its unknowns, the others put in."""
+        rows = self.coefficient[: -2 * self.unknown.size]
+        unknown = self.unknown[left]
+        return self._replace(coefficient=np.concatenate([rows, unknown, unknown]), unknown=unknown)
+
 
 def objective_sizes(c: Any, diagonal: Any) -> Any:
     """Return powers of two: what most |c_j| are near, or most p_jj if these are larger, and the smallest |c_j|.

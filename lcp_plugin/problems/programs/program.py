@@ -207,11 +207,23 @@ class QuadraticProgram:
         """
         if "_proof" not in self.__dict__:
             own = self.rescaled
-            found = proof_of_no_minimum(self) if own is None else own.proof(own.program.proof_of_no_minimum)
+            found = proof_of_no_minimum(self) if own is None else own.proof(own.reduced.proof_of_no_minimum)
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
         return self.known_proof
+
+    def accept_proof(
+        self, proof: QPInfeasibility | QPUnboundedness | None, tolerance: float | None = None
+    ) -> QPInfeasibility | QPUnboundedness | None:
+        """Keep a proof of this program and return it, None where it does not hold, or excludes too little to count.
+
+        Without a tolerance it counts by however little.
+        """
+        if proof is None or not proof.verify() or not (tolerance is None or proof.excludes(tolerance)):
+            return None
+        self.__dict__["_proof"] = proof
+        return proof
 
     @property
     def known_proof(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -222,7 +234,7 @@ class QuadraticProgram:
     def proof_of_descent(self) -> QPUnboundedness | None:
         """A proof that the objective falls for ever, whatever else contradicts; looked for once."""
         own = self.rescaled
-        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.program.proof_of_descent)
+        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.reduced.proof_of_descent)
         return found if isinstance(found, QPUnboundedness) else None
 
     def refutation(

@@ -7,7 +7,6 @@ own numbers. Nothing else counts as a proof.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,7 +24,7 @@ from ...systems.equilibration import evened
 from .constraints import stationarity
 from .criterion import PROGRAM_TOLERANCE
 from .qp_proofs import QPInfeasibility, QPUnboundedness, losses
-from .reductions import FoldedRows, fold_simple_rows
+from .reductions import FoldedRows
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -73,17 +72,17 @@ def proof_of_no_minimum(
     >>> print(proof_of_no_minimum(QuadraticProgram([[0.0]], [1.0], upper=1.0)))
     unbounded: the objective falls for ever along a direction from a feasible point (checked exactly)
     """
-    rows = fold_simple_rows(program)
-    row = None if is_met else contradictory_row(rows.folded)
+    rows = FoldedRows.of(program)
+    row = None if is_met else contradictory_row(rows.reduced)
     found: QPInfeasibility | QPUnboundedness | None = row
     if row is None or row.margin < DECISIVE:
-        other = prove_unheld(rows.folded) or _by_programs(rows.folded, exactly, is_met)
+        other = prove_unheld(rows.reduced) or _by_programs(rows.reduced, exactly, is_met)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
-    if found is None or rows.folded is program:
+    if found is None or rows.reduced is program:
         return found
-    unfolded = _unfolded(rows, found)
     # A bound that a row gives is rounded, the row is not.
-    return unfolded if unfolded.verify() else prove_unheld(program) or _by_programs(program, exactly, is_met)
+    proof: QPInfeasibility | QPUnboundedness | None = rows.proof(found)
+    return proof or prove_unheld(program) or _by_programs(program, exactly, is_met)
 
 
 def _by_programs(
@@ -96,16 +95,6 @@ def _by_programs(
     exactly = exactly or entries <= MANY_NONZEROS
     contradiction = None if is_met else prove_infeasible(program, exactly=exactly)
     return contradiction or prove_unbounded(program, exactly=exactly)
-
-
-def _unfolded(
-    rows: FoldedRows, proof: QPInfeasibility | QPUnboundedness
-) -> QPInfeasibility | QPUnboundedness:
-    """Return the proof in the terms of the whole program: what a bound has, its row gets."""
-    if isinstance(proof, QPUnboundedness):
-        return replace(proof, program=rows.program)
-    multipliers = rows.unfold(np.array(proof.multipliers, dtype=object))
-    return QPInfeasibility(rows.program, tuple(map(Fraction, multipliers)))
 
 
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:

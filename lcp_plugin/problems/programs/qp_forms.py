@@ -14,7 +14,7 @@ from ...proofs.no_solution.farkas import linear_program
 from .criterion import PROGRAM_TOLERANCE, program_goal
 from .program_matrices import as_csr, sums_and_terms
 from .qp_solution import QPSolution
-from .reductions import FoldedRows, Substitution
+from .reductions import Reduction
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -37,10 +37,9 @@ class QPOrigin:
 
     Attributes
     ----------
-    rows : FoldedRows
-        The program with its simple rows folded into bounds, ``rows.folded``, whose conditions the problem states.
-    substitution : Substitution or None
-        What was put in before that.
+    reduction : Reduction
+        The program, and what is left of it, whose conditions the problem states: variables that are only defined put
+        in, or not, and simple rows folded into bounds.
 
     Notes
     -----
@@ -48,8 +47,7 @@ class QPOrigin:
     the direct form: M = P, q = c, the bounds as they are.
     """
 
-    rows: FoldedRows
-    substitution: Substitution | None = None
+    reduction: Reduction
     is_of_convex_program: ClassVar[bool] = True
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
     _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
@@ -58,16 +56,21 @@ class QPOrigin:
     @property
     def program(self) -> QuadraticProgram:
         """The program that was given."""
-        return self.rows.program if self.substitution is None else self.substitution.program
+        return self.reduction.program
+
+    @property
+    def rows(self) -> int:
+        """How many rows of G and A are left."""
+        return self.reduction.reduced.constraints.rows
 
     @property
     def form(self) -> str:
         """"direct" where bounds are all that is left, else "kkt"."""
-        return "kkt" if self.rows.left.size else "direct"
+        return "kkt" if self.rows else "direct"
 
     def problem(self) -> LCP:
         """Return the problem of n + m + p rows; its symmetric part is P beside zeros."""
-        program, rows = self.rows.folded, self.rows.left.size
+        program, rows = self.reduction.reduced, self.rows
         multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
         return LCP(
             program.matrices.kkt if rows else program.matrices.hessian,
@@ -77,9 +80,8 @@ class QPOrigin:
 
     def stated(self, x: FloatVector, multipliers: FloatVector) -> FloatVector:
         """Return z of an x and multipliers of all constraints of the program; NaN counts as 0."""
-        if self.substitution is not None:
-            x, multipliers = self.substitution.inward(x, multipliers)
-        return np.append(x, np.nan_to_num(multipliers[self.rows.left]))
+        x, multipliers = self.reduction.inward(x, np.nan_to_num(multipliers))
+        return np.append(x, multipliers[: self.rows])
 
     def recover(self, answer: Any) -> QPSolution:
         """Return the program's solution that an answer of the complementarity problem stands for.
@@ -98,9 +100,7 @@ class QPOrigin:
         """
         x, y = self._split(answer)
         if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
-            return QPSolution.without_multipliers(
-                self.program, x if self.substitution is None else self.substitution.expanded(x)
-            )
+            return QPSolution.without_multipliers(self.program, self.reduction.point(x))
         key = x.tobytes() + y.tobytes()
         solution = self._latest.get(key)  # a run's judge may have asked for it
         if solution is None:
@@ -118,7 +118,7 @@ class QPOrigin:
 
     def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers y, or of smaller ones that are as good."""
-        folded = self.rows.folded
+        folded = self.reduction.reduced
         y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
         found = self._with_bounds(x, y)
         is_small = found.error <= WORTH
@@ -132,7 +132,7 @@ class QPOrigin:
 
     def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
-        folded = self.rows.folded
+        folded = self.reduction.reduced
         if not (np.isfinite(folded.lower) | np.isfinite(folded.upper)).any():
             return self._whole(x, np.append(y, np.zeros(2 * x.size)))
         # What the bounds have to balance, μ_lower − μ_upper.
@@ -146,10 +146,7 @@ class QPOrigin:
 
     def _whole(self, x: FloatVector, multipliers: FloatVector) -> QPSolution:
         """Return the program's solution from x and the multipliers of the rows that are left, and of all bounds."""
-        every = self.rows.unfold(multipliers)
-        if self.substitution is not None:
-            x, every = self.substitution.restored(x, every)
-        return QPSolution(self.program, x, *self.program.constraints.split(every))
+        return QPSolution.of_rows(self.program, *self.reduction.outward(x, multipliers))
 
     def is_refuted(self, tolerance: float) -> bool:
         """Return whether the program is proved to have no minimum, in units of its own data.
@@ -179,8 +176,8 @@ class QPOrigin:
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""
-        n = self.rows.program.n
-        z = checked_answer(answer, n + self.rows.left.size)
+        n = self.reduction.reduced.n
+        z = checked_answer(answer, n + self.rows)
         return z[:n], z[n:].copy()
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from fractions import Fraction
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,9 +10,9 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector, assembled, read_only
 from ...core.matrix.structure import row_numbers
+from ...methods.presolve import like
 from .program_matrices import ProgramMatrices, as_csr
-from .qp_proofs import QPInfeasibility, QPUnboundedness
-from .qp_solution import QPSolution
+from .reductions import Step
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -22,12 +21,12 @@ FAR = 16  # log2 of an objective, or of a row's coefficients: linear programs an
 
 
 @dataclass(frozen=True, eq=False)
-class Rescaled:
+class Rescaled(Step):
     """A program in its own units: powers of two, so that no number is rounded.
 
     Attributes
     ----------
-    given, program : QuadraticProgram
+    program, reduced : QuadraticProgram
         As it was stated, and in its own units.
     of_x, of_multipliers : ndarray, shapes (n,) and (m + p + 2n,)
         What x and the multipliers of the latter are multiplied by.
@@ -35,8 +34,6 @@ class Rescaled:
         What its rows were divided by.
     """
 
-    given: QuadraticProgram
-    program: QuadraticProgram
     of_x: FloatVector
     of_multipliers: FloatVector
     of_rows: FloatVector
@@ -71,27 +68,21 @@ class Rescaled:
         made.__dict__.update(asymmetry=0.0, ranges=None, rescaled=None)
         return cls(program, made, unknown, objective / rows, rows)
 
-    def solution(self, found: QPSolution) -> QPSolution:
-        """Return the answer to the given program."""
-        return QPSolution.of_rows(self.given, found.x * self.of_x, found.multipliers * self.of_multipliers)
+    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return x and multipliers in the program's own units."""
+        return x / self.of_x, multipliers / self.of_multipliers
 
-    def proof(self, found: QPInfeasibility | QPUnboundedness | None) -> QPInfeasibility | QPUnboundedness | None:
+    def point(self, x: Any, *, is_direction: bool = False) -> Any:
+        """Return x in the units in which the program was stated."""
+        return x * like(self.of_x, x)
+
+    def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
+        """Return multipliers likewise; of those that contradict each other the size of no objective is a part."""
+        return reduced * (like(1.0 / self.of_rows, reduced) if x is None else self.of_multipliers)
+
+    def proof(self, found: Any) -> Any:
         """Return the same proof of the given program; where a radius is too small in its units, the one in its own."""
-        if found is None:
-            return None
-        if isinstance(found, QPUnboundedness):
-            point, direction = (_times(vector, self.of_x) for vector in (found.point, found.direction))
-            proof: QPInfeasibility | QPUnboundedness = replace(
-                found, program=self.given, point=point, direction=direction
-            )
-        else:
-            proof = replace(found, program=self.given, multipliers=_times(found.multipliers, 1.0 / self.of_rows))
-        return proof if proof.verify() else found
-
-
-def _times(vector: tuple[Fraction, ...], scales: FloatVector) -> tuple[Fraction, ...]:
-    scaled = zip(vector, scales.tolist(), strict=True)
-    return tuple(value * Fraction(scale) if value else value for value, scale in scaled)
+        return super().proof(found) or found
 
 
 def _scaled(matrix: Any, rows: FloatVector, columns: FloatVector) -> Any:

@@ -35,7 +35,7 @@ from .qp_certificates import prove_unheld
 from .qp_forms import QPOrigin
 from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
 from .qp_solution import QPSolution
-from .reductions import fold_simple_rows
+from .reductions import FoldedRows
 from .rescaled import Rescaled
 from .small_programs import MOST_STEPS
 
@@ -266,24 +266,20 @@ def _in_own_units(
     own: Rescaled, algorithm: Any, tolerance: float, options: dict[str, Any]
 ) -> QuadraticProgramResult:
     """Return the answer to a program that is solved in its own units, in those in which it was given."""
-    left = fold_simple_rows(own.given).left
-    if (guess := options.pop("guess", None)) is not None and guess.size == own.given.n + left.size:
+    left = FoldedRows.of(own.program).left
+    if (guess := options.pop("guess", None)) is not None and guess.size == own.program.n + left.size:
         options["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])
-    found = judged_program(own.program, algorithm, tolerance=tolerance, **options)
-    solution, proof = own.solution(found.solution), own.proof(found.proof)
-    if proof is not None:
-        own.given.__dict__["_proof"] = proof
+    found = judged_program(own.reduced, algorithm, tolerance=tolerance, **options)
+    proof = own.program.accept_proof(own.proof(found.proof))
+    solution = QPSolution.of_rows(own.program, *own.outward(found.solution.x, found.solution.multipliers))
     return replace(found, solution=solution, proof=proof, _run=None, _origin=None)
 
 
 def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
     """Return the proof that nothing holds a structure against its load, where it counts; the program keeps it."""
     refuse_nonconvex(program)
-    proof = prove_unheld(program)
-    if proof is None or not proof.excludes(goal):
-        return None
-    program.__dict__["_proof"] = proof
-    return proof
+    proof = program.accept_proof(prove_unheld(program), goal)
+    return proof if isinstance(proof, QPUnboundedness) else None
 
 
 def _finder(proof: QPInfeasibility | QPUnboundedness | None) -> str:

@@ -37,6 +37,7 @@ from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_l
 from lcp_plugin.problems.programs.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
 from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
 from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.reductions import FoldedRows
 from lcp_plugin.problems.programs.solving import judged_program
 from lcp_plugin.proofs.exact.linear_systems import solved_nearby
 
@@ -657,7 +658,7 @@ def test_a_full_program_gives_a_full_matrix() -> None:
     for P, few, kind in ((full + full.T, 0, np.ndarray), (np.diag(np.abs(F[0])), 28, sp.csr_array)):
         C = np.triu(G, few)
         problem = lcp_from_qp(QuadraticProgram(P, np.ones(30), C, np.ones(20)), "kkt")
-        rows = problem.origin.rows.left
+        rows = FoldedRows.of(problem.origin.program).left
         expected = np.block([[P, C[rows].T], [-C[rows], np.zeros((rows.size, rows.size))]])
         assert isinstance(problem.M, kind)
         assert np.array_equal(problem.csr.toarray(), expected)

@@ -224,8 +224,7 @@ def judged_program(
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes, begun = program_goal(tolerance), options.get("refute", True), Begun(program)
-    found = _at_once(begun, tolerance, guess, options) if is_one_call else None
-    by = found.stage.name if isinstance(found, Found) else _finder(found)
+    by, found = _at_once(begun, tolerance, guess, options) if is_one_call else ("", None)
     if isinstance(found, Found) and refutes and not found.solution.is_sure(goal):
         found = program.refutation(goal, is_met=True) or found
     if isinstance(found, Found):
@@ -282,10 +281,6 @@ def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
     return proof if isinstance(proof, QPUnboundedness) else None
 
 
-def _finder(proof: QPInfeasibility | QPUnboundedness | None) -> str:
-    return InteriorPoint.name if isinstance(proof, QPUnboundedness) else ACTIVE_SET
-
-
 def _refuted(
     program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, by: str, tolerance: float, seconds: float
 ) -> QuadraticProgramResult:
@@ -326,24 +321,24 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 
 def _at_once(
     begun: Begun, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
-) -> Found | QPInfeasibility | QPUnboundedness | None:
-    """Return the answer by the active set of a guess, one compiled call or interior points, a proof or None."""
-    refutes = options.get("refute", True)
+) -> tuple[str, Found | QPInfeasibility | QPUnboundedness | None]:
+    """Return what found it, and the answer, a proof or None: the active set of a guess, one call or interior points."""
+    refutes, by = options.get("refute", True), InteriorPoint.name
     try:
         if guess is not None and (again := solved_again(begun, guess, tolerance)) is not None:
-            return again
+            return by, again
         if (at_once := settled_at_once(begun.program, tolerance)) is not None or "max_iterations" in options:
-            return at_once
+            return ACTIVE_SET, at_once
         if (limit := options.get("max_seconds", math.inf)) == math.inf:
-            return solved_by_interior_points(begun, tolerance, refutes=refutes)
+            return by, solved_by_interior_points(begun, tolerance, refutes=refutes)
         clock, found = Clock(ALONE), None
         with suppress(OutOfTimeError), time_limit(min(SHARE * limit, seconds_left()), is_enforced=True):
             found = solved_by_interior_points(begun, tolerance, refutes=refutes)
         options["max_seconds"] = max(limit - clock.read(), SHORTEST)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
-        return None
-    return found
+        return by, None
+    return by, found
 
 
 def _by_forms(

@@ -19,9 +19,9 @@ from ...methods.presolve import like
 from ...proofs.exact.rational import products, rational_rows
 from ...systems.definiteness import is_diagonal
 from ...systems.symmetry import is_its_mirror
-from .own_units import OwnUnits
 from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
 from .reductions import Step
+from .units import OwnUnits
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram

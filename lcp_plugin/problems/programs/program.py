@@ -27,11 +27,9 @@ from ...core.matrix.matrix import largest_in_rows
 from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
-from .own_units import OwnUnits
+from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program_matrices import ProgramMatrices, as_csr, or_one
-from .qp_certificates import proof_of_no_minimum
-from .qp_proofs import QPInfeasibility, QPUnboundedness
-from .rescaled import Rescaled
+from .units import OwnUnits, Rescaled
 
 SYMMETRIC_TO = 1e-12
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -16,28 +16,34 @@ from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, restored
 from ...core.communicator import ALONE
 from ...core.deadline import Clock, OutOfTimeError, is_over, seconds_left, time_limit
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ...core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    UnknownAlgorithm,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    UnsupportedModel,
+)
 from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result, Sample, StageRecord, told_stages
 from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
+from ...methods.interior.suited_matrix import suited
 from ...methods.search.stages import FeasibilityCheck
 from ...systems.null_space import null_space_by_rows
-from .compiled_call import ACTIVE_SET, Found, settled_at_once
-from .conversion import attempts
+from .conversion import QPOrigin, attempts
 from .convexity import LARGEST_CHECKED, refuse_nonconvex
 from .criterion import program_goal
-from .interior_call import Begun, solved_again, solved_by_interior_points
+from .interior_points import Begun, solved_again, solved_by_interior_points
+from .no_minimum import QPInfeasibility, QPUnboundedness, numbers, prove_unheld
 from .program import QuadraticProgram
-from .qp_certificates import prove_unheld
-from .qp_forms import QPOrigin
-from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
-from .qp_solution import QPSolution
 from .reductions import FoldedRows
-from .rescaled import Rescaled
-from .small_programs import MOST_STEPS
+from .small_programs import ACTIVE_SET, MOST_STEPS, Found, may_be_small, settled_at_once
+from .solution import QPSolution
+from .units import Rescaled
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
@@ -46,6 +52,7 @@ SHORTEST = 0.1  # a limit of seconds that no small program reaches
 PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
 BY_FACTOR = "factor of P"  # that meets a pivot of 0
 REFUTED = "it came upon a proof that the program has no minimum"
+VECTORS = {"c", "h", "b", "lower", "upper"}
 
 
 class ProgramRun(NamedTuple):
@@ -189,7 +196,7 @@ class QuadraticProgramResult(Answer):
         return [*super()._course(), *(told_stages(self.stages) if has_run else [])]
 
 
-def judged_program(
+def solve_program(
     program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
 ) -> QuadraticProgramResult:
     """Return the answer with the smallest residuals in the program's own terms, and a status that its data prove.
@@ -268,7 +275,7 @@ def _in_own_units(
     left = FoldedRows.of(own.program).left
     if (guess := options.pop("guess", None)) is not None and guess.size == own.program.n + left.size:
         options["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])
-    found = judged_program(own.reduced, algorithm, tolerance=tolerance, **options)
+    found = solve_program(own.reduced, algorithm, tolerance=tolerance, **options)
     proof = own.program.accept_proof(own.proof(found.proof))
     solution = QPSolution.of_rows(own.program, *own.outward(found.solution.x, found.solution.multipliers))
     return replace(found, solution=solution, proof=proof, _run=None, _origin=None)
@@ -443,3 +450,38 @@ def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
     """Return whether a limit that the caller set, or the caller, ended the run."""
     limits = {Status.MAX_ITERATIONS: "max_iterations", Status.MAX_SECONDS: "max_seconds"}
     return result.status is Status.INTERRUPTED or limits.get(result.status) in options
+
+
+def prepare_program(program: QuadraticProgram) -> None:
+    """Compute what solves of the program, and of others with its matrices, ask of these."""
+    refuse_nonconvex(program)
+    matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
+    if may_be_small(n, m + p, matrices.stored):
+        _ = matrices.dense
+    else:
+        _ = suited(next(attempts(program)).problem.matrix).symbolic
+
+
+def solve_programs(
+    program: QuadraticProgram, vectors: Any, algorithm: Any, **options: Any
+) -> list[QuadraticProgramResult | LCPError]:
+    """Return what `solve_many` does of a program: where a run is needed, it goes on from the last answer."""
+    answers: list[QuadraticProgramResult | LCPError] = []
+    z: FloatVector | None = None
+    if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
+        raise InvalidProblem(f'a program takes a list of mappings, as [{{"b": b}}], got {type(vectors).__name__}')
+    for k, one in enumerate(vectors):
+        if not isinstance(one, Mapping) or (unknown := set(one) - VECTORS):
+            what = f"the name {min(unknown)!r}" if isinstance(one, Mapping) else type(one).__name__
+            raise InvalidProblem(f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}")
+        try:
+            found = solve_program(program.with_vectors(**one), algorithm, guess=z, **options)
+            answers.append(found)
+            z = found.z if found.is_solved and not found.is_compiled else z
+        except (InvalidOption, UnknownAlgorithm, UnsupportedModel):  # what concerns all
+            raise
+        except LCPError as error:
+            answers.append(error)
+        if isinstance(answers[-1], QuadraticProgramResult) and answers[-1].status is Status.INTERRUPTED:
+            break
+    return answers

@@ -17,9 +17,9 @@ from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, attempts, lcp_from_qp
 from lcp_plugin.problems.programs.definitions import Substitution
 from lcp_plugin.problems.programs.program_matrices import as_csr
-from lcp_plugin.problems.programs.qp_solution import QPSolution
 from lcp_plugin.problems.programs.reductions import FoldedRows
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.solution import QPSolution
+from lcp_plugin.problems.programs.solving import solve_program
 
 NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
 VECTORS = ("c", "h", "b", "lower", "upper")
@@ -202,4 +202,4 @@ def test_long_definitions_stay_and_short_ones_are_put_in() -> None:
     found = Substitution.of(program, saves_work=True)
     assert found is not None
     assert (found.reduced.n, found.reduced.b.size) == (assets + factors, factors)
-    assert judged_program(program).solution.is_optimal()
+    assert solve_program(program).solution.is_optimal()

@@ -13,8 +13,8 @@ from campaigns import convex_programs, programs_in_units
 from lcp_plugin import QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
 from lcp_plugin.problems.programs.definitions import Substitution
-from lcp_plugin.problems.programs.qp_solution import QPSolution
 from lcp_plugin.problems.programs.reductions import FoldedRows
+from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
 
 NAMES = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")

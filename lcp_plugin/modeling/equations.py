@@ -19,7 +19,7 @@ from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
 from ..core.matrix.matrix import largest_in_rows
 from ..core.matrix.structure import row_numbers
-from ..problems.programs.reductions import put_in
+from ..problems.programs.definitions import put_in
 from ..proofs.no_solution.linear_constraints import activity
 
 Indices = NDArray[np.int64]

@@ -23,7 +23,7 @@ SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages i
               "problems.reformulations"),
     "prove": (
         "Prove: a matrix, a method, an error, an answer",
-        "proofs core.certificates methods.search problems.programs.certification problems.programs.program_proofs",
+        "proofs core.certificates methods.search problems.programs.certification problems.programs.certification",
     ),
     "batch": ("Batch: many problems at once", "problems.batches problems.march problems.programs.stacked_programs"),
     "differentiate": ("Differentiate: how the answer changes", "doors.learn problems.sensitivity"),

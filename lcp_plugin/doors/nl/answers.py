@@ -20,7 +20,7 @@ from ...modeling.assembly import Arrangement, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
-from ...problems.programs.solving import QuadraticProgramResult, judged_program
+from ...problems.programs.solving import QuadraticProgramResult, solve_program
 from .checks import SideConditions, contradiction, evaluated
 from .content import Indices, NLContent
 
@@ -265,7 +265,7 @@ class ProgramModel(NLModel):
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
         """Return the answer; infeasible and unbounded are said only with a proof, ``answer.result.proof``."""
-        found = judged_program(self.problem, algorithm, **options)
+        found = solve_program(self.problem, algorithm, **options)
         status = found.status
         x = self.variables(found.solution.x)
         values = evaluated(self.content, x)

@@ -27,11 +27,9 @@ from ...core.matrix.matrix import largest_in_rows
 from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
-from .own_units import OwnUnits
+from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program_matrices import ProgramMatrices, as_csr, or_one
-from .qp_certificates import proof_of_no_minimum
-from .qp_proofs import QPInfeasibility, QPUnboundedness
-from .rescaled import Rescaled
+from .units import OwnUnits, Rescaled
 
 SYMMETRIC_TO = 1e-12
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
@@ -207,11 +205,23 @@ class QuadraticProgram:
         """
         if "_proof" not in self.__dict__:
             own = self.rescaled
-            found = proof_of_no_minimum(self) if own is None else own.proof(own.program.proof_of_no_minimum)
+            found = proof_of_no_minimum(self) if own is None else own.proof(own.reduced.proof_of_no_minimum)
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
         return self.known_proof
+
+    def accept_proof(
+        self, proof: QPInfeasibility | QPUnboundedness | None, tolerance: float | None = None
+    ) -> QPInfeasibility | QPUnboundedness | None:
+        """Keep a proof of this program and return it, None where it does not hold, or excludes too little to count.
+
+        Without a tolerance it counts by however little.
+        """
+        if proof is None or not proof.verify() or not (tolerance is None or proof.excludes(tolerance)):
+            return None
+        self.__dict__["_proof"] = proof
+        return proof
 
     @property
     def known_proof(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -222,7 +232,7 @@ class QuadraticProgram:
     def proof_of_descent(self) -> QPUnboundedness | None:
         """A proof that the objective falls without end, whatever else contradicts; looked for once."""
         own = self.rescaled
-        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.program.proof_of_descent)
+        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.reduced.proof_of_descent)
         return found if isinstance(found, QPUnboundedness) else None
 
     def refutation(

@@ -113,8 +113,7 @@ class FileStatement:
         if self.pairs.size:
             self._check_partners()
         self.known = self._known(self.says_nothing)
-        lifts = bool(self.pairs.size) or not (self.inequalities.size or content.is_maximized.size)
-        self.expressions = Expressions(content, self.known, lifts=lifts)
+        self.expressions = Expressions(content, self.known)
         self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
 
     def _refuse_discrete(self) -> None:
@@ -230,8 +229,9 @@ class FileStatement:
 
     def _put_in_definitions(self) -> None:
         """Let no defined variable be an unknown."""
-        if self.expressions.definitions.size:
-            self.expressions = Expressions(self.content, self.known, lifts=False)
+        found = self.expressions
+        if found.definitions.size:
+            found.put_in(found.definitions, np.flatnonzero(found.unknowns >= self.n))
 
     def _program_of(self, rows: Indices) -> tuple[QuadraticProgram, float, float]:
         """Return the program of some rows, to be minimised, its sign and the constant of the objective."""
@@ -352,7 +352,7 @@ class FileStatement:
         variables, offsets = found.unknowns[own], found.offset[rows]
         found.offset[definitions] -= self.right[definitions]
         if taken.size:
-            found.put_in(rows, definitions, own, -weights / pivots)
+            found.put_in(definitions, own)
         left = np.setdiff1d(np.append(self.equations, found.definitions), definitions)
         return self.pairs, left, (rows, variables, weights, offsets)
 

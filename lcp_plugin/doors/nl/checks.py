@@ -29,76 +29,100 @@ FUNCTIONS: dict[float, Callable[..., float]] = {
     52: math.acosh, 53: math.acos, 54: lambda *terms: math.fsum(terms), 76: math.pow, 77: lambda a: a * a,
     78: math.pow,
 }
+SUMS, PRODUCTS, BY_VALUE = (0, 1, 16, 54), (2, 77), (3, 5, 76, 78)  # the last take their second operand as it is
 
 
-def evaluated(content: NLContent, x: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return the values of the rows and of the objectives at x, shapes (m,) and (o,); NaN where there is none."""
-    values: list[float] = x.tolist()
+class Evaluation(NamedTuple):
+    """Rows and objectives at a point, NaN where they have no value, and the sizes of both: Σ |term|."""
+
+    rows: FloatVector
+    objectives: FloatVector
+    row_sizes: FloatVector
+    objective_sizes: FloatVector
+
+
+def evaluated(content: NLContent, x: FloatVector) -> Evaluation:
+    """Return the values of the rows and of the objectives at x, shapes (m,) and (o,), with their sizes."""
+    values, sizes = x.tolist(), np.abs(x).tolist()  # type: list[float], list[float]
     linear, trees = content.defined_linear, content.defined_trees
     for k in range(trees.size):
         entries = slice(linear.indptr[k], linear.indptr[k + 1])
-        terms = zip(linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True)
-        values.append(sum(factor * values[column] for column, factor in terms) + _values(trees, values, k, k + 1)[0])
-    rows, objectives = (
-        matrix @ x + np.array(_values(own, values, 0, own.size), dtype=np.float64)
-        for matrix, own in ((content.linear, content.trees), (content.objective_linear, content.objective_trees))
-    )
-    return rows, objectives
+        columns, factors = linear.indices[entries].tolist(), linear.data[entries].tolist()
+        (value,), (size,) = _values(trees, values, sizes, k, k + 1)
+        values.append(sum(factor * values[j] for j, factor in zip(columns, factors, strict=True)) + value)
+        sizes.append(sum(abs(factor) * sizes[j] for j, factor in zip(columns, factors, strict=True)) + size)
+    found = []
+    for matrix, own in ((content.linear, content.trees), (content.objective_linear, content.objective_trees)):
+        of_trees = np.array(_values(own, values, sizes, 0, own.size), dtype=np.float64)
+        found.append((matrix @ x + of_trees[0], abs(matrix) @ np.abs(x) + of_trees[1]))
+    (rows, row_sizes), (objectives, objective_sizes) = found
+    return Evaluation(rows, objectives, row_sizes, objective_sizes)
 
 
 def contradiction(
-    content: NLContent, x: FloatVector, found: tuple[FloatVector, FloatVector], expected: FloatVector,
-    allowed: Any = 0.0, objective: tuple[float, float] | None = None, relative: float = 0.0,
+    content: NLContent, found: Evaluation, expected: FloatVector, allowed: Any = 0.0,
+    objective: tuple[float, float] | None = None, relative: float = 0.0,
 ) -> str:
-    """Return which row, or the objective, is something else at x than was computed; nothing where all agree.
+    """Return which row, or the objective, is something else at the answer than was computed; nothing where all agree.
 
     Parameters
     ----------
     content : NLContent
-    x : ndarray, shape (n,)
-    found : tuple of ndarray
-        What `evaluated` says of x.
+    found : Evaluation
+        At the answer.
     expected : ndarray, shape (m,)
         NaN for a row that is not asked.
     allowed : number or ndarray, shape (m,)
-        What a row may differ by, beside the rounding of its linear terms.
+        What a row may differ by, beside the rounding of its terms.
     objective : tuple of float, optional
         The first objective, and the sum of the absolute values of its terms.
     relative : float
-        What a row may differ by beside the sum of its linear terms, as well.
+        What a row may differ by beside its size, as well.
     """
-    rows, objectives = found
-    size = 1.0 + np.abs(expected) + abs(content.linear) @ np.abs(x)
-    allowed = (DISAGREEMENT + relative) * size + allowed
+    rows, objectives = found.rows, found.objectives
+    allowed = (DISAGREEMENT + relative) * (np.abs(expected) + found.row_sizes) + allowed
     wrong = np.flatnonzero(~np.isnan(expected) & ~(np.abs(rows - expected) <= allowed))
     if wrong.size:
         k = int(wrong[0])
         return f"{content.row(k)} is {rows[k]:.9g} at the answer, where {expected[k]:.9g} was computed"
     if objective is not None and objectives.size:
         computed, terms = objective
-        if not abs(objectives[0] - computed) <= DISAGREEMENT * (1.0 + terms):
+        if not abs(objectives[0] - computed) <= DISAGREEMENT * (terms + found.objective_sizes[0]):
             return f"the objective is {objectives[0]:.9g} at the answer, where {computed:.9g} was computed"
     return ""
 
 
-def _values(trees: Trees, values: list[float], first: int, last: int) -> list[float]:
-    """Return the values of the trees from `first` to `last`, read backwards, operands before operators."""
+def _values(
+    trees: Trees, values: list[float], sizes: list[float], first: int, last: int
+) -> tuple[list[float], list[float]]:
+    """Return values and sizes of the trees from `first` to `last`, read backwards, operands before operators."""
     begin, end = int(trees.starts[first]), int(trees.starts[last])
-    stack: list[Any] = []
+    stack: list[tuple[float, float]] = []
     parts = (getattr(trees, name)[begin:end][::-1].tolist() for name in ("kinds", "values", "counts"))
     for kind, value, count in zip(*parts, strict=True):
         if kind == Token.NUMBER:
-            stack.append(value)
+            stack.append((value, abs(value)))
         elif kind == Token.VARIABLE:
-            stack.append(values[int(value)])
+            stack.append((values[int(value)], sizes[int(value)]))
         else:
-            operands = stack[: -count - 1 : -1]
+            operands, of_operands = zip(*stack[: -count - 1 : -1], strict=True)
             del stack[-count:]
             try:
-                stack.append(FUNCTIONS[value](*operands))
+                found = FUNCTIONS[value](*operands)
+                stack.append((found, max(abs(found), _size(value, operands, of_operands))))
             except (ValueError, ZeroDivisionError, OverflowError):
-                stack.append(math.nan)
-    return stack[::-1]
+                stack.append((math.nan, math.nan))
+    whole = stack[::-1]
+    return [one[0] for one in whole], [one[1] for one in whole]
+
+
+def _size(operator: float, operands: tuple[float, ...], sizes: tuple[float, ...]) -> float:
+    """Return Σ |term| of an operator's value, multiplied out; 0 for a function, whose value is one term."""
+    if operator in SUMS:
+        return math.fsum(sizes)
+    if operator in PRODUCTS:
+        return FUNCTIONS[operator](*sizes)
+    return abs(FUNCTIONS[operator](sizes[0], operands[1])) if operator in BY_VALUE else 0.0
 
 
 # --- Side conditions -----------------------------------------------------------------------------------------------

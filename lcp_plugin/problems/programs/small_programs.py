@@ -207,5 +207,5 @@ def _is_worth_substituting(program: QuadraticProgram) -> bool:
     Without, P has to be definite by the look of its diagonal: on the subspace that is left it may be so.
     """
     n, defined = program.n, min(int(np.count_nonzero(program.matrices.is_definable)), program.b.size)
-    is_quick = n**2 * (n + program.constraints.rows) <= SUBSTITUTED_FROM and program.P.diagonal().min() > 0.0
+    is_quick = n**2 * (n + program.constraints.rows) <= SUBSTITUTED_FROM and bool((program.P.diagonal() > 0.0).all())
     return not is_quick and may_be_small(n - defined, 0, 0)

@@ -82,8 +82,8 @@ class OwnUnits(NamedTuple):
 
     def of_rows(self, left: Any) -> OwnUnits:
         """Return those of the same program with these of its rows, the others put into its bounds."""
-        n = self.unknown.size
-        return self._replace(coefficient=np.concatenate([self.coefficient[left], self.coefficient[-2 * n :]]))
+        bounds = self.coefficient[self.coefficient.size - 2 * self.unknown.size :]  # none without unknowns
+        return self._replace(coefficient=np.concatenate([self.coefficient[left], bounds]))
 
     def of_unknowns_left(self, left: Any) -> OwnUnits:
         """Return those of the same program in these of its unknowns, the others put in."""

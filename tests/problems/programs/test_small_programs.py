@@ -120,6 +120,17 @@ def test_what_has_no_answer_gets_none(data: dict[str, Any], status: str) -> None
     assert program.refutation() is not None
 
 
+@pytest.mark.parametrize(("h", "b", "status"), [
+    ([], [0.0, 0.0], Status.SOLVED), ([2.0], [0.0], Status.SOLVED), ([], [1.0], Status.INFEASIBLE),
+    ([-1.0], [0.0], Status.INFEASIBLE), ([9.0, 0.0, -7.0, 2.0], [7.0], Status.INFEASIBLE),
+])
+def test_a_program_without_unknowns_is_what_its_rows_say(h: list[float], b: list[float], status: Status) -> None:
+    """All variables of a file may be fixed: 0 = 0 and 0 <= 2 hold, 0 = 1 and 0 <= -1 are proved not to."""
+    rows = [np.zeros((len(right), 0)) for right in (h, b)]
+    program = QuadraticProgram(np.zeros((0, 0)), np.zeros(0), rows[0], h, rows[1], b)
+    assert solve_program(program).status is status
+
+
 def test_numbers_far_from_one_are_solved_in_their_own_units() -> None:
     """Products that would overflow are not formed."""
     program = QuadraticProgram([[2e200, 0], [0, 2e200]], [-2e200, 2e200], lower=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from ...core.checks import (
     check_order,
     checked_bound,
     checked_vector,
-    frozen,
     read_only,
     rectangular_matrix,
     restored,
@@ -28,7 +27,7 @@ from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
-from .program_matrices import ProgramMatrices, as_csr, or_one
+from .program_matrices import ProgramMatrices, as_csr, no_rows, or_one
 from .units import OwnUnits, Rescaled
 
 SYMMETRIC_TO = 1e-12
@@ -412,15 +411,9 @@ def _checked_rows(
     """Return the checked matrix and right-hand side; none of either is no rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
-        return _no_rows(n), read_only(np.zeros(0))
+        return no_rows(n), read_only(np.zeros(0))
     checked = rectangular_matrix(matrix, name, None, n)
     return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
-
-
-@lru_cache(maxsize=64)
-def _no_rows(n: int) -> sp.csr_array:
-    """Return the same read-only matrix without rows for all: to make one takes longer than a small program."""
-    return frozen(sp.csr_array((0, n)))
 
 
 def symmetric(P: Any) -> tuple[Any, float]:

@@ -251,10 +251,10 @@ class FixedVariables(Step):
                 block(rows, np.arange(rows.shape[0]), free) for rows in (program.G, program.A)
             )
         ))
-        reduced = program.with_matrices(
-            smaller, (program.c + program.P @ x)[free], program.h - program.G @ x, program.b - program.A @ x,
-            program.lower[free], program.upper[free],
-        )
+        h = program.h - program.G @ x if program.h.size else program.h
+        b = program.b - program.A @ x if program.b.size else program.b
+        c, lower, upper = (one[free] for one in (program.c + program.P @ x, program.lower, program.upper))
+        reduced = program.with_matrices(smaller, c, h, b, lower, upper)
         reduced.__dict__["units"] = program.units.of_unknowns_left(free)
         return cls(program, reduced, free, x)
 
@@ -272,19 +272,18 @@ class FixedVariables(Step):
 
     def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
         """Return the multipliers of all constraints: a fixed variable's bounds take what stationarity leaves."""
-        program, m = self.program, self.program.constraints.rows
-        y, lower, upper = np.split(reduced, [m, m + self.free.size])
+        program, m, k = self.program, self.program.constraints.rows, self.free.size
+        y, lower, upper = reduced[:m], reduced[m : m + k], reduced[m + k :]
         if x is None:
             costs = np.zeros(program.n, dtype=object)
             for i in np.flatnonzero(y):
                 for j, value in program.constraints.exactly[i].items():
                     costs[j] += value * y[i]
         else:
-            costs = program.P @ x + program.c + y @ program.matrices.rows
-        at_bounds = np.maximum(costs, 0), np.maximum(-costs, 0)
-        for whole, part in zip(at_bounds, (lower, upper), strict=True):
-            whole[self.free] = part
-        return np.concatenate([y, *at_bounds])
+            costs = program.P @ x + program.c + program.matrices.sum_of_rows(y)
+        whole = np.concatenate([y, np.maximum(costs, 0), np.maximum(-costs, 0)])
+        whole[m + self.free], whole[m + program.n + self.free] = lower, upper
+        return whole
 
 
 def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:

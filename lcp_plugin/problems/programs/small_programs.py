@@ -140,8 +140,9 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> Found | QPIn
     reduction = _made_small(program)
     if reduction is None:
         return None
-    reduced, answers = reduction.reduced, SmallAnswers.empty(1, reduction.reduced.n, reduction.reduced.constraints.rows)
-    contradicts = np.zeros(1, np.bool_)
+    reduced, contradicts = reduction.reduced, np.zeros(1, np.bool_)
+    m = sum(reduced.matrices.sizes[:2])
+    answers = SmallAnswers.empty(1, reduced.n, m)
     _arrays(reduced).solve(min(max(tolerance, REACHED), PROGRAM_TOLERANCE), 0, 1, answers, contradicts)
     if contradicts[0]:
         proof = program.accept_proof(reduction.proof(contradiction(reduced, answers.y[0])), goal)
@@ -156,8 +157,8 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> Found | QPIn
         solution.__dict__["_errors"] = Errors(*answers.measures[0, :5].tolist())
     if not solution.is_stationary(goal):
         return None
-    steps, entries = int(answers.steps[0]), max(sum(reduced.matrices.entries), 1)
-    work = work_of_search(reduced.n, reduced.constraints.rows, steps) / entries
+    steps, entries = int(answers.steps[0]), max(sum(program.matrices.entries), 1)
+    work = work_of_search(reduced.n, m, steps) / entries
     return Found(solution, StageRecord(ACTIVE_SET, AT_ONCE, steps, work), clock.read())
 
 
@@ -171,12 +172,12 @@ def _made_small(program: QuadraticProgram) -> Reduction | None:
     reduced = reduction.reduced
     if reduced.matrices.has_sparse_rows and reduced.matrices.sizes[0] * reduced.n**2 > FOLDED_FROM:
         count, simple = int(np.count_nonzero(reduced.lower < reduced.upper)), reduced.matrices.singletons[0].size
-        if not may_be_small(count, reduced.constraints.rows - simple, MANY):
+        if not may_be_small(count, sum(reduced.matrices.sizes[:2]) - simple, MANY):
             return None
         reduction = reduction.then(FoldedRows.of)
         reduced = reduction.reduced
     free = reduced.lower < reduced.upper
-    count, rows = int(np.count_nonzero(free)), reduced.constraints.rows
+    count, rows = int(np.count_nonzero(free)), sum(reduced.matrices.sizes[:2])
     if not may_be_small(count, rows, reduced.matrices.stored):
         return None
     sides = int(np.isfinite(reduced.lower[free]).sum() + np.isfinite(reduced.upper[free]).sum())

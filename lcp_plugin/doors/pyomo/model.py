@@ -268,7 +268,7 @@ class _Draft:
         return content, list(information.variables), rows
 
     def _write(self, path: Path, exported: list[Any]) -> Any:
-        with path.open("w", newline="") as file:
+        with path.open("w", newline="", encoding="utf-8") as file:
             try:
                 return NLWriter().write(
                     self.model, file, linear_presolve=False, scale_model=False, skip_trivial_constraints=False,

@@ -29,7 +29,14 @@ FUNCTIONS: dict[float, Callable[..., float]] = {
     52: math.acosh, 53: math.acos, 54: lambda *terms: math.fsum(terms), 76: math.pow, 77: lambda a: a * a,
     78: math.pow,
 }
-SUMS, PRODUCTS, BY_VALUE = (0, 1, 16, 54), (2, 77), (3, 5, 76, 78)  # the last take their second operand as it is
+#: Σ |term| of what is multiplied out, from operands and their sizes; the value of any other function is one term.
+SIZES: dict[float, Callable[[list[float], list[float]], float]] = {
+    **dict.fromkeys((0, 1, 16, 54), lambda operands, sizes: math.fsum(sizes)),
+    2: lambda operands, sizes: sizes[0] * sizes[1],
+    77: lambda operands, sizes: sizes[0] * sizes[0],
+    3: lambda operands, sizes: sizes[0] / abs(operands[1]),
+    **dict.fromkeys((5, 76, 78), lambda operands, sizes: math.pow(sizes[0], operands[1])),
+}
 
 
 class Evaluation(NamedTuple):
@@ -97,32 +104,27 @@ def _values(
 ) -> tuple[list[float], list[float]]:
     """Return values and sizes of the trees from `first` to `last`, read backwards, operands before operators."""
     begin, end = int(trees.starts[first]), int(trees.starts[last])
-    stack: list[tuple[float, float]] = []
+    stack: list[float] = []
+    own: list[float] = []  # their sizes
     parts = (getattr(trees, name)[begin:end][::-1].tolist() for name in ("kinds", "values", "counts"))
     for kind, value, count in zip(*parts, strict=True):
         if kind == Token.NUMBER:
-            stack.append((value, abs(value)))
+            stack.append(value)
+            own.append(abs(value))
         elif kind == Token.VARIABLE:
-            stack.append((values[int(value)], sizes[int(value)]))
+            stack.append(values[int(value)])
+            own.append(sizes[int(value)])
         else:
-            operands, of_operands = zip(*stack[: -count - 1 : -1], strict=True)
-            del stack[-count:]
+            operands, of_operands = stack[: -count - 1 : -1], own[: -count - 1 : -1]
+            del stack[-count:], own[-count:]
             try:
                 found = FUNCTIONS[value](*operands)
-                stack.append((found, max(abs(found), _size(value, operands, of_operands))))
+                size = abs(found) if value not in SIZES else max(abs(found), SIZES[value](operands, of_operands))
             except (ValueError, ZeroDivisionError, OverflowError):
-                stack.append((math.nan, math.nan))
-    whole = stack[::-1]
-    return [one[0] for one in whole], [one[1] for one in whole]
-
-
-def _size(operator: float, operands: tuple[float, ...], sizes: tuple[float, ...]) -> float:
-    """Return Σ |term| of an operator's value, multiplied out; 0 for a function, whose value is one term."""
-    if operator in SUMS:
-        return math.fsum(sizes)
-    if operator in PRODUCTS:
-        return FUNCTIONS[operator](*sizes)
-    return abs(FUNCTIONS[operator](sizes[0], operands[1])) if operator in BY_VALUE else 0.0
+                found = size = math.nan
+            stack.append(found)
+            own.append(size)
+    return stack[::-1], own[::-1]
 
 
 # --- Side conditions -----------------------------------------------------------------------------------------------

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
 from ...modeling.expressions.program import Program
@@ -144,12 +145,10 @@ def pair_bounds(content: NLContent, rows: Indices) -> PairBounds:
     return PairBounds(np.where(told & 1, lower, -np.inf), np.where(told & 2, upper, np.inf))
 
 
-def slopes(content: NLContent, x: FloatVector, rows: Indices) -> FloatVector:
-    """Return Σ |slope| (1 + |x|) over all variables, of each row: how much it changes where they all do."""
+def jacobian(content: NLContent, x: FloatVector, rows: Indices) -> sp.csr_array:
+    """Return the derivatives of rows, then objectives, with these numbers by all variables, shape (k, n)."""
     found = Expressions(content, np.full(x.size, np.nan))
-    jacobian = Program.of(found.compiler, [found.rows(np.asarray(rows))], {UNKNOWNS: 0}, x.size).jacobian(x)
-    sums: FloatVector = abs(jacobian) @ (1.0 + np.abs(x))
-    return sums
+    return Program.of(found.compiler, [found.rows(rows)], {UNKNOWNS: 0}, x.size).jacobian(x)
 
 
 class SideConditions:
@@ -191,20 +190,18 @@ class SideConditions:
         content, inner = self.content, self.inequalities
         if not (names := self.names()):
             return ""
-        units = slopes(content, x, np.append(inner, self.spare))
+        # How much a row changes where all its variables do.
+        units = abs(jacobian(content, x, np.append(inner, self.spare))) @ (1.0 + np.abs(x))
         excesses = np.concatenate([
-            _excess(rows[inner], content.row_lower[inner], content.row_upper[inner], units[: inner.size]),
-            self._pair_excess(x, rows, units[inner.size:]),
-            _excess(*(part[self.bounded] for part in (x, content.lower, content.upper, 1.0 + np.abs(x)))),
+            excess(rows[inner], content.row_lower[inner], content.row_upper[inner], units[: inner.size]),
+            pair_excess(x[content.partners[self.spare]], rows[self.spare], *pair_bounds(content, self.spare),
+                        units[inner.size:]),
+            excess(*(part[self.bounded] for part in (x, content.lower, content.upper, 1.0 + np.abs(x)))),
         ])
-        excesses = np.where(np.isnan(excesses), np.inf, excesses)
-        worst, count = int(np.argmax(excesses)), int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
-        if not count:
-            return ""
-        others = f", nor {count - 1} more" if count > 1 else ""
-        return (
-            f"solved, but {names[worst]} does not hold{others}, off by {excesses[worst]:.2g}: it stands beside the "
-            "complementarities, and no unknown gives way to it; with an objective all solutions are searched"
+        what = worst_violation(names, excesses, tolerance)[1]
+        return what and (
+            f"solved, but {what}: it stands beside the complementarities, and no unknown gives way to it; with an "
+            "objective all solutions are searched"
         )
 
     def at_bounds_of_their_own(self, x: FloatVector) -> str:
@@ -221,18 +218,23 @@ class SideConditions:
                 )
         return ""
 
-    def _pair_excess(self, x: FloatVector, rows: FloatVector, units: FloatVector) -> FloatVector:
-        """Return |x − mid(lower, upper, x − w/unit)| of the pairs that were left out."""
-        own = x[self.content.partners[self.spare]]
-        moved = own - rows[self.spare] / np.where(units > 0.0, np.minimum(units, 1.0), 1.0)
-        bounds = pair_bounds(self.content, self.spare)
-        excess: FloatVector = np.abs(own - np.clip(moved, bounds.lower, bounds.upper)) / np.maximum(1.0, np.abs(own))
-        return excess
 
-
-def _excess(body: FloatVector, lower: FloatVector, upper: FloatVector, units: FloatVector) -> FloatVector:
+def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:
     """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's where that is less."""
     sizes = np.maximum(*(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)))
     scales = np.minimum(np.maximum(1.0, sizes), np.where(units > 0.0, units, np.abs(body)) + sizes)
-    excess: FloatVector = np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(scales > 0.0, scales, 1.0)
-    return excess
+    return np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(scales > 0.0, scales, 1.0)
+
+
+def pair_excess(body: Any, row: Any, lower: Any, upper: Any, units: Any) -> Any:
+    """Return |body − mid(lower, upper, body − row/unit)| of pairs, of the body's size, at least 1; else NaN."""
+    moved = np.where(np.isfinite(row), body - row / np.where(units > 0.0, np.minimum(units, 1.0), 1.0), np.nan)
+    return np.abs(body - np.clip(moved, lower, upper)) / np.maximum(1.0, np.abs(body))
+
+
+def worst_violation(names: Sequence[str], excesses: Any, tolerance: float) -> tuple[int, str]:
+    """Return which excess is the largest, and what does not hold, in words; none where all are at most `FEASIBLE`."""
+    excesses = np.where(np.isnan(excesses), np.inf, excesses)
+    worst, count = int(np.argmax(excesses)), int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
+    others = f", nor {count - 1} more" if count > 1 else ""
+    return worst, f"{names[worst]} does not hold{others}, off by {excesses[worst]:.2g}" if count else ""

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
 from ...modeling.expressions.program import Program
@@ -29,7 +30,14 @@ FUNCTIONS: dict[float, Callable[..., float]] = {
     52: math.acosh, 53: math.acos, 54: lambda *terms: math.fsum(terms), 76: math.pow, 77: lambda a: a * a,
     78: math.pow,
 }
-SUMS, PRODUCTS, BY_VALUE = (0, 1, 16, 54), (2, 77), (3, 5, 76, 78)  # the last take their second operand as it is
+#: Σ |term| of what is multiplied out, from operands and their sizes; the value of any other function is one term.
+SIZES: dict[float, Callable[[list[float], list[float]], float]] = {
+    **dict.fromkeys((0, 1, 16, 54), lambda operands, sizes: math.fsum(sizes)),
+    2: lambda operands, sizes: sizes[0] * sizes[1],
+    77: lambda operands, sizes: sizes[0] * sizes[0],
+    3: lambda operands, sizes: sizes[0] / abs(operands[1]),
+    **dict.fromkeys((5, 76, 78), lambda operands, sizes: math.pow(sizes[0], operands[1])),
+}
 
 
 class Evaluation(NamedTuple):
@@ -97,32 +105,27 @@ def _values(
 ) -> tuple[list[float], list[float]]:
     """Return values and sizes of the trees from `first` to `last`, read backwards, operands before operators."""
     begin, end = int(trees.starts[first]), int(trees.starts[last])
-    stack: list[tuple[float, float]] = []
+    stack: list[float] = []
+    own: list[float] = []  # their sizes
     parts = (getattr(trees, name)[begin:end][::-1].tolist() for name in ("kinds", "values", "counts"))
     for kind, value, count in zip(*parts, strict=True):
         if kind == Token.NUMBER:
-            stack.append((value, abs(value)))
+            stack.append(value)
+            own.append(abs(value))
         elif kind == Token.VARIABLE:
-            stack.append((values[int(value)], sizes[int(value)]))
+            stack.append(values[int(value)])
+            own.append(sizes[int(value)])
         else:
-            operands, of_operands = zip(*stack[: -count - 1 : -1], strict=True)
-            del stack[-count:]
+            operands, of_operands = stack[: -count - 1 : -1], own[: -count - 1 : -1]
+            del stack[-count:], own[-count:]
             try:
                 found = FUNCTIONS[value](*operands)
-                stack.append((found, max(abs(found), _size(value, operands, of_operands))))
+                size = abs(found) if value not in SIZES else max(abs(found), SIZES[value](operands, of_operands))
             except (ValueError, ZeroDivisionError, OverflowError):
-                stack.append((math.nan, math.nan))
-    whole = stack[::-1]
-    return [one[0] for one in whole], [one[1] for one in whole]
-
-
-def _size(operator: float, operands: tuple[float, ...], sizes: tuple[float, ...]) -> float:
-    """Return Σ |term| of an operator's value, multiplied out; 0 for a function, whose value is one term."""
-    if operator in SUMS:
-        return math.fsum(sizes)
-    if operator in PRODUCTS:
-        return FUNCTIONS[operator](*sizes)
-    return abs(FUNCTIONS[operator](sizes[0], operands[1])) if operator in BY_VALUE else 0.0
+                found = size = math.nan
+            stack.append(found)
+            own.append(size)
+    return stack[::-1], own[::-1]
 
 
 # --- Side conditions -----------------------------------------------------------------------------------------------
@@ -142,12 +145,10 @@ def pair_bounds(content: NLContent, rows: Indices) -> PairBounds:
     return PairBounds(np.where(told & 1, lower, -np.inf), np.where(told & 2, upper, np.inf))
 
 
-def slopes(content: NLContent, x: FloatVector, rows: Indices) -> FloatVector:
-    """Return Σ |slope| (1 + |x|) over all variables, of each row: how much it changes where they all do."""
+def jacobian(content: NLContent, x: FloatVector, rows: Indices) -> sp.csr_array:
+    """Return the derivatives of rows, then objectives, with these numbers by all variables, shape (k, n)."""
     found = Expressions(content, np.full(x.size, np.nan))
-    jacobian = Program.of(found.compiler, [found.rows(np.asarray(rows))], {UNKNOWNS: 0}, x.size).jacobian(x)
-    sums: FloatVector = abs(jacobian) @ (1.0 + np.abs(x))
-    return sums
+    return Program.of(found.compiler, [found.rows(rows)], {UNKNOWNS: 0}, x.size).jacobian(x)
 
 
 class SideConditions:
@@ -189,20 +190,18 @@ class SideConditions:
         content, inner = self.content, self.inequalities
         if not (names := self.names()):
             return ""
-        units = slopes(content, x, np.append(inner, self.spare))
+        # How much a row changes where all its variables do.
+        units = abs(jacobian(content, x, np.append(inner, self.spare))) @ (1.0 + np.abs(x))
         excesses = np.concatenate([
-            _excess(rows[inner], content.row_lower[inner], content.row_upper[inner], units[: inner.size]),
-            self._pair_excess(x, rows, units[inner.size:]),
-            _excess(*(part[self.bounded] for part in (x, content.lower, content.upper, 1.0 + np.abs(x)))),
+            excess(rows[inner], content.row_lower[inner], content.row_upper[inner], units[: inner.size]),
+            pair_excess(x[content.partners[self.spare]], rows[self.spare], *pair_bounds(content, self.spare),
+                        units[inner.size:]),
+            excess(*(part[self.bounded] for part in (x, content.lower, content.upper, 1.0 + np.abs(x)))),
         ])
-        excesses = np.where(np.isnan(excesses), np.inf, excesses)
-        worst, count = int(np.argmax(excesses)), int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
-        if not count:
-            return ""
-        others = f", nor {count - 1} more" if count > 1 else ""
-        return (
-            f"solved, but {names[worst]} does not hold{others}, off by {excesses[worst]:.2g}: it stands beside the "
-            "complementarities, and no unknown gives way to it; with an objective all solutions are searched"
+        what = worst_violation(names, excesses, tolerance)[1]
+        return what and (
+            f"solved, but {what}: it stands beside the complementarities, and no unknown gives way to it; with an "
+            "objective all solutions are searched"
         )
 
     def at_bounds_of_their_own(self, x: FloatVector) -> str:
@@ -219,18 +218,23 @@ class SideConditions:
                 )
         return ""
 
-    def _pair_excess(self, x: FloatVector, rows: FloatVector, units: FloatVector) -> FloatVector:
-        """Return |x − mid(lower, upper, x − w/unit)| of the pairs that were left out."""
-        own = x[self.content.partners[self.spare]]
-        moved = own - rows[self.spare] / np.where(units > 0.0, np.minimum(units, 1.0), 1.0)
-        bounds = pair_bounds(self.content, self.spare)
-        excess: FloatVector = np.abs(own - np.clip(moved, bounds.lower, bounds.upper)) / np.maximum(1.0, np.abs(own))
-        return excess
 
-
-def _excess(body: FloatVector, lower: FloatVector, upper: FloatVector, units: FloatVector) -> FloatVector:
+def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:
     """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's where that is less."""
     sizes = np.maximum(*(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)))
     scales = np.minimum(np.maximum(1.0, sizes), np.where(units > 0.0, units, np.abs(body)) + sizes)
-    excess: FloatVector = np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(scales > 0.0, scales, 1.0)
-    return excess
+    return np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(scales > 0.0, scales, 1.0)
+
+
+def pair_excess(body: Any, row: Any, lower: Any, upper: Any, units: Any) -> Any:
+    """Return |body − mid(lower, upper, body − row/unit)| of pairs, of the body's size, at least 1; else NaN."""
+    moved = np.where(np.isfinite(row), body - row / np.where(units > 0.0, np.minimum(units, 1.0), 1.0), np.nan)
+    return np.abs(body - np.clip(moved, lower, upper)) / np.maximum(1.0, np.abs(body))
+
+
+def worst_violation(names: Sequence[str], excesses: Any, tolerance: float) -> tuple[int, str]:
+    """Return which excess is the largest, and what does not hold, in words; none where all are at most `FEASIBLE`."""
+    excesses = np.where(np.isnan(excesses), np.inf, excesses)
+    worst, count = int(np.argmax(excesses)), int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
+    others = f", nor {count - 1} more" if count > 1 else ""
+    return worst, f"{names[worst]} does not hold{others}, off by {excesses[worst]:.2g}" if count else ""

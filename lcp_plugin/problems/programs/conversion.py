@@ -368,7 +368,8 @@ class QPOrigin:
 
     def _whole(self, x: FloatVector, multipliers: FloatVector) -> QPSolution:
         """Return the program's solution from x and the multipliers of the rows that are left, and of all bounds."""
-        return QPSolution.of_rows(self.program, *self.reduction.outward(x, multipliers))
+        x, every = self.reduction.outward(x, multipliers)
+        return QPSolution(self.program, x, *self.program.constraints.split(every))
 
     def is_refuted(self, tolerance: float) -> bool:
         """Return whether the program is proved to have no minimum, in units of its own data.

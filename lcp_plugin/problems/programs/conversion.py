@@ -35,7 +35,7 @@ LARGEST_IN_PASSING = 1500  # the same, where the residuals are small as it is
 
 
 def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
-    """Return the optimality conditions of a quadratic program as a linear complementarity problem.
+    """Return the linear complementarity problem that the program's optimality conditions are.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def attempts(program: QuadraticProgram, first: Attempt | None = None) -> Iterato
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
-    """Return a quadratic program with the solutions of a linear complementarity problem.
+    """Return a quadratic program whose optimality conditions, or whose minimum, are the problem.
 
     Parameters
     ----------
@@ -369,9 +369,7 @@ class QPOrigin:
     def _whole(self, x: FloatVector, multipliers: FloatVector) -> QPSolution:
         """Return the program's solution from x and the multipliers of the rows that are left, and of all bounds."""
         x, every = self.reduction.outward(x, multipliers)
-        if np.isinf(every).any():  # divided by a coefficient far from 1, one overflowed
-            return QPSolution(self.program, x, *self.program.constraints.split(every))
-        return QPSolution.of_rows(self.program, x, every)
+        return QPSolution(self.program, x, *self.program.constraints.split(every))
 
     def is_refuted(self, tolerance: float) -> bool:
         """Return whether the program is proved to have no minimum, in units of its own data.

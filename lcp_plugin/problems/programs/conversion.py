@@ -369,7 +369,9 @@ class QPOrigin:
     def _whole(self, x: FloatVector, multipliers: FloatVector) -> QPSolution:
         """Return the program's solution from x and the multipliers of the rows that are left, and of all bounds."""
         x, every = self.reduction.outward(x, multipliers)
-        return QPSolution(self.program, x, *self.program.constraints.split(every))
+        if np.isinf(every).any():  # divided by a coefficient far from 1, one overflowed
+            return QPSolution(self.program, x, *self.program.constraints.split(every))  # which refuses it in words
+        return QPSolution.of_rows(self.program, x, every)
 
     def is_refuted(self, tolerance: float) -> bool:
         """Return whether the program is proved to have no minimum, in units of its own data.

@@ -53,9 +53,9 @@ from .problems.march.march_derivative import MarchGradient as MarchGradient
 from .problems.march.march_many import march_many as march_many
 from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
 from .problems.nonlinear.solving import solve_nonlinear as solve_nonlinear
+from .problems.programs.certification import Certification as Certification
 from .problems.programs.certification import certify as certify
 from .problems.programs.program import QuadraticProgram as QuadraticProgram
-from .problems.programs.program_proofs import Certification as Certification
 from .problems.programs.solving import QuadraticProgramResult as QuadraticProgramResult
 from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
 from .problems.sensitivity import Derivative as Derivative

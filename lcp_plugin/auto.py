@@ -201,6 +201,11 @@ class Auto(Policy):
         first = self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")
 
+    @property
+    def left_out(self) -> Sequence[str]:  # type: ignore[override]
+        """What the direct methods did not try, where it came to them."""
+        return () if self._direct is None else self._direct.left_out
+
     def _seems_unheld(self, problem: LCP, *, by_rows: bool = False) -> bool:
         """Return whether the sums of rows, or one factor, show a direction along which nothing holds z.
 

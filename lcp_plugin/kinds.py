@@ -27,9 +27,9 @@ def solver_of(kind: Kind) -> Callable[..., Any]:
 
         return solve_nonlinear
     if kind is QUADRATIC_PROGRAM:
-        from .problems.programs.solving import judged_program
+        from .problems.programs.solving import solve_program
 
-        return judged_program
+        return solve_program
     if kind is EQUILIBRIUM_PROGRAM:
         from .problems.equilibria.branch_and_bound import minimize_over_solutions
 

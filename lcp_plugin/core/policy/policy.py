@@ -25,6 +25,7 @@ class Policy:
     name: str
     chosen: Any
     algorithm: Algorithm | None = None
+    left_out: Sequence[str] = ()  # what it did not try and why, in words
 
     def first(self, problem: LCP) -> Choice:
         """Return the algorithm to begin with."""

@@ -15,7 +15,7 @@ from ..policy.policy import Policy, name_of, with_reasons
 from ..policy.stages import Choice
 from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO
-from .judge import Judge
+from .judge import End, Judge
 from .result import Result, StageRecord
 from .run import Callback, Run
 from .run_log import Header
@@ -64,7 +64,7 @@ def solved_by(
             if problem.is_distributed:
                 raise  # the second one: the other ranks have not heard of it
             run = run or run_in(units or CommonUnits(problem, problem))
-            return run.judged(start, Status.INTERRUPTED)
+            return run.judged(start, End.INTERRUPTED)
 
 
 def fused(

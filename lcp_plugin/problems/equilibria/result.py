@@ -12,8 +12,8 @@ from ...core.checks import FloatVector
 from ...core.kind import Kind
 from ...core.settings import Status
 from ...core.solving.answer import Answer
+from ..programs.no_minimum import QPInfeasibility, QPUnboundedness
 from ..programs.program import QuadraticProgram
-from ..programs.qp_proofs import QPInfeasibility, QPUnboundedness
 from . import EQUILIBRIUM_PROGRAM
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .lower_level import tightened

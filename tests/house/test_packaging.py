@@ -47,7 +47,7 @@ def sources(folder: str) -> set[str]:
     files = (file for file in ROOT.joinpath(folder).rglob("*") if file.is_file())
     return {
         file.relative_to(ROOT).as_posix() for file in files
-        if "__pycache__" not in file.parts and file.suffix in {".py", ".json", ".html", ".typed", ".jinja2", ".css"}
+        if "__pycache__" not in file.parts and file.suffix in {".py", ".json", ".pyi", ".html", ".typed", ".jinja2", ".css"}
     }
 
 

@@ -881,7 +881,7 @@ def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -
         asked.append(options["tolerance"])
         return solve(problem, *args, **options)
 
-    monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve", counted)
+    monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve_lcp", counted)
     monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_: None)
     program = QuadraticProgram([[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3])
     assert certify(program, ProgramProofs.of(program).own_solution).verdict == "proved"
@@ -896,7 +896,7 @@ def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyP
         limits.append(options["max_seconds"])
         return solve(problem, *args, **options)
 
-    monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve", counted)
+    monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve_lcp", counted)
     monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_: None)
     assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
     assert limits

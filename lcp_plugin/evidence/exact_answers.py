@@ -261,8 +261,8 @@ def lie_in(result: Result, exact: Answer | None) -> str:
 
     Notes
     -----
-    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖ in a part, both exact, a PRECISION_LIMIT with a
-    row that rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is
+    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖ in a component, both exact, a PRECISION_LIMIT
+    with a row that rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is
     exceeded, and a z that is not finite or not within its bounds.
     """
     problem, z = result.certificate.problem, result.z
@@ -298,8 +298,8 @@ def _lie_about_residual(result: Result) -> str:
 
 
 def _references(problem: LCP, at_zero: Sequence[Any]) -> list[Any]:
-    """Return the largest value of the part of each row."""
-    from scipy.sparse.csgraph import connected_components  # not our own parts, which are judged here
+    """Return the largest value of the component of each row."""
+    from scipy.sparse.csgraph import connected_components  # not our own components, which are judged here
 
     pattern = sp.csr_array((np.ones(problem.csr.nnz), problem.csr.indices, problem.csr.indptr), shape=problem.csr.shape)
     labels = connected_components(pattern, directed=True, connection="weak")[1].tolist()

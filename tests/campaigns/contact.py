@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.contact import trajectory
 from contact_families import FAMILIES
 from exact import exact_rows
-from exact_parts import part_of_rows, relative_residual
+from exact_components import component_of_rows, relative_residual
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.core.certificates.criterion import CommonUnits
@@ -44,7 +44,7 @@ def is_false(problem: LCP, z: Any) -> bool:
         for i in range(scaled.n)
     ]
     at_zero = [min(Fraction(0), q[i] / d[i]) for i in range(scaled.n)]
-    return bool(relative_residual(residuals, at_zero, part_of_rows(scaled.csr)) > Fraction(TOLERANCE))
+    return bool(relative_residual(residuals, at_zero, component_of_rows(scaled.csr)) > Fraction(TOLERANCE))
 
 
 def velocities(origin: Any, answer: Any) -> Any:

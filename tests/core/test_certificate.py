@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from drawn_units import matrices_in_units, nearly_semidefinite, nearly_singular, solved_in_units
-from exact_parts import part_of_rows, references_of_rows, relative_residual
+from exact_components import component_of_rows, references_of_rows, relative_residual
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, ConvergenceWarning, Status, UnsuitableMatrix, UnsuitableProblem, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import RowUnits, reference_residual, references_of_parts
+from lcp_plugin.core.certificates.criterion import RowUnits, reference_residual, references_of_components
 from lcp_plugin.core.certificates.row_residuals import scaled_residual
 from lcp_plugin.core.matrix.units import units_of
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
@@ -118,8 +118,8 @@ class Exact:
 
     @property
     def relative(self) -> Any:
-        parts = part_of_rows(self.problem.csr)
-        return relative_residual(self.in_units(self.scaled), self.in_units(self.at_zero), parts)
+        components = component_of_rows(self.problem.csr)
+        return relative_residual(self.in_units(self.scaled), self.in_units(self.at_zero), components)
 
 
 def exactly(problem: LCP, z: object) -> Exact:
@@ -195,7 +195,7 @@ def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> N
     assert problem.residual_scale.tolist() == exact.d
     residual = [abs(r) for r in exact.scaled]
     slip = 4 * float(EPSILON * max(abs(x) + abs(w / d) for x, w, d in zip(exact.z, exact.w, exact.d, strict=True)))
-    references = references_of_rows(exact.at_zero, part_of_rows(problem.csr))
+    references = references_of_rows(exact.at_zero, component_of_rows(problem.csr))
     worst = certificate.worst_index
     assert certificate.scaled_residual == pytest.approx(float(residual[worst]), rel=1e-15, abs=slip)
     if references[worst]:
@@ -471,14 +471,14 @@ def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
     """The relative, natural and euclidean residuals are no smaller than the exact ones, and larger by ulps only."""
     problem, z = drawn
     certificate, exact = Certificate.of(problem, z), exactly(problem, z)
-    least, most = (float(end.max()) for end in references_of_parts(problem))
+    least, most = (float(end.max()) for end in references_of_components(problem))
     assert least <= exact.reference <= most <= least * (1 + 1e-14)
     natural, squares = max(map(abs, exact.natural)), sum(r * r for r in exact.natural)
     assert natural <= Fraction(certificate.natural_residual)
     assert squares <= Fraction(certificate.euclidean_residual) ** 2
     if exact.relative < math.inf:
         assert exact.relative <= Fraction(certificate.relative_residual)
-        references = references_of_rows(exact.in_units(exact.at_zero), part_of_rows(problem.csr))
+        references = references_of_rows(exact.in_units(exact.at_zero), component_of_rows(problem.csr))
         references = [of / weight for of, weight in zip(references, exact.weights, strict=True)]
         rows = zip(exact.z, exact.w, exact.d, references, strict=True)
         size = max(((abs(x) + abs(w / d)) / of for x, w, d, of in rows if of), default=Fraction(0))

@@ -13,7 +13,7 @@ import drawn_units
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact_parts import part_of_rows, relative_residual
+from exact_components import component_of_rows, relative_residual
 from families import BOUNDED, NEEDS_MONOTONE, SPLITTINGS
 from hypothesis import given, settings
 
@@ -61,7 +61,7 @@ def assert_honest(result: Result) -> None:
     rows = exact_residual(problem, result.z)
     if result.status is Status.SOLVED:
         at_zero = [r for r, _ in exact_residual(problem, problem.nearest_to_zero)]
-        exact = relative_residual([r for r, _ in rows], at_zero, part_of_rows(problem.csr))
+        exact = relative_residual([r for r, _ in rows], at_zero, component_of_rows(problem.csr))
         assert exact <= Fraction(result.tolerance)
     if result.status is Status.PRECISION_LIMIT:
         assert all(r <= 5 * floor for r, floor in rows)

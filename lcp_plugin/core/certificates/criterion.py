@@ -1,7 +1,7 @@
 """What SOLVED asks for: small residuals in each connected component of M, after scaling.
 
 In the units R, C of :mod:`lcp_plugin.core.matrix.units`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in each
-part P, a connected component of the graph of M,
+connected component P of the graph of M,
 
     |r̂_i(z)| ≤ tolerance · ‖r̂_P(z°)‖∞ for each row i of P,  r̂_i = ẑ_i − mid(l̂_i, û_i, ẑ_i − ŵ_i / d̂_i),
 
@@ -10,16 +10,16 @@ the caller's units (:mod:`lcp_plugin.core.certificates.own_terms`).
 
 In the caller's units r̂_i is r_i, with d̂_i / 2^(row_i + column_i) for d_i, times the *weight* 2^−column_i: this is how
 a certificate computes it, on the caller's data. A run works on the problem in these units, or, where its algorithm
-wants to see the caller's matrix, on that. In both 2^k_P is chosen for each part, so that 2^k_P ‖r̂_P(z°)‖∞ lies in
-[1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm speaks of every part within a factor 2. Where
-‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where a part falls into several components of the graph of rows and columns
-(zero diagonals: games, linear programs), M̂ leaves the unit of each open, and q̂ at z° decides: its largest entry in the
-rows of each lies in [½, 1). Where it is 0 in all of them, nothing does.
+wants to see the caller's matrix, on that. In both 2^k_P is chosen for each component, so that 2^k_P ‖r̂_P(z°)‖∞ lies in
+[1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm speaks of every component within a factor 2.
+Where ‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where one falls into several components of the graph of rows and
+columns (zero diagonals: games, linear programs), M̂ leaves the unit of each open, and q̂ at z° decides: its largest
+entry in the rows of each lies in [½, 1). Where it is 0 in all of them, nothing does.
 
 What it does not see: units that M does not show (entries within 2¹⁰, none beyond 2⁴ times its diagonal entry, a factor
 of 2⁸ between unknowns, a row of zeros: such keep the units they are given in), and jumps in mixed units, whose stiff
-part counts more than its share. Units are found to a few powers of two, not to one, so that beside the same M in other
-units the residual may differ. Rows over ranks keep their units.
+part counts more than its share. Units are found to a few powers of two, not to one, so that beside the same M in
+other units the residual may differ. Rows over ranks keep their units.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from ..checks import BoolVector, FloatVector, read_only
 from ..kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact
-from ..matrix.structure import IntVector, Parts, parts
+from ..matrix.structure import Components, IntVector, connected_components
 from ..matrix.units import Units, is_representable, times_power, units_of
 from .row_residuals import (
     at_rounding_level,
@@ -92,7 +92,7 @@ class RowUnits(NamedTuple):
 
 @fact
 def _row_units(problem: LCP) -> RowUnits:
-    """Return the units of M with the unit that q gives to components of which a part has several."""
+    """Return the units of M with those that q gives to blocks of which a component of M has several."""
     units = cast(Units, units_of(problem.matrix))
     row, column, scale = units.row, units.column, units.scale
     if np.array_equal(units.of_row, units.of_column):
@@ -103,7 +103,7 @@ def _row_units(problem: LCP) -> RowUnits:
     np.maximum.at(largest, units.of_row, np.where(np.isfinite(slack), slack, 0.0))
     shift = np.where(largest > 0.0, -np.frexp(largest)[1], 0).astype(np.int64)
     has_units = np.maximum(np.abs(units.row), np.abs(units.column)).astype(np.float64)
-    is_open = for_each_row(problem, largest_of_parts(problem, has_units)) > 0.0
+    is_open = for_each_row(problem, largest_of_components(problem, has_units)) > 0.0
     of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
     shifted = times_power(scale, of_column - of_row)
     if is_representable(shifted):
@@ -117,7 +117,7 @@ def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
     Parameters
     ----------
     relative_residual : float or array, shape (k,)
-        The largest of all parts' residuals beside their references, rounded upwards; a NaN is not SOLVED.
+        The largest of all components' residuals beside their references, rounded upwards; a NaN is not SOLVED.
     term_residual : float or array, shape (k,)
         How wrong the worst row is in its own terms.
     tolerance : float
@@ -136,27 +136,27 @@ def residual_scale_of_criterion(problem: LCP) -> FloatVector:
     return problem.residual_scale if units is None else units.scale
 
 
-def largest_of_parts(problem: LCP, values: FloatVector) -> FloatVector:
-    """Return the largest of the values ≥ 0 of each part's rows, shape (parts,); a NaN stays, 0 where there is no row.
+def largest_of_components(problem: LCP, values: FloatVector) -> FloatVector:
+    """Return the largest of the values ≥ 0 of each component's rows, shape (components,); a NaN stays, 0 without rows.
 
     Parameters
     ----------
     values : array, shape (own,)
     """
-    several = parts(problem.matrix)
+    several = connected_components(problem.matrix)
     if several is not None:
         return several.largest(values)
     return np.array([problem.communicator.largest(float(values.max()) if values.size else 0.0)])
 
 
 def for_each_row(problem: LCP, values: Any) -> Any:
-    """Return the value of each own row's part, shape (own,), or (1,) where there is one part."""
-    several = parts(problem.matrix)
+    """Return the value of each own row's component, shape (own,), or (1,) where there is one component."""
+    several = connected_components(problem.matrix)
     return values if several is None else values[several.labels]
 
 
-def references_of_parts(problem: LCP) -> VectorEnds:
-    """Return bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each."""
+def references_of_components(problem: LCP) -> VectorEnds:
+    """Return bounds of ‖r̂_P(z°)‖∞ of each component, shape (components,) each."""
     return _references(problem, RowUnits.of(problem) is not None)
 
 
@@ -170,15 +170,15 @@ def _references(problem: LCP, in_units: bool) -> VectorEnds:
     units = RowUnits.of(problem) if in_units else None
     z, matrix, scale = problem.nearest_to_zero, problem.matrix, problem.residual_scale if units is None else units.scale
 
-    def of_parts(ends: VectorEnds) -> tuple[FloatVector, ...]:
+    def of_components(ends: VectorEnds) -> tuple[FloatVector, ...]:
         weighted = ends if units is None else (units.downwards(ends[0]), units.upwards(ends[1]))
-        return tuple(largest_of_parts(problem, end) for end in weighted)
+        return tuple(largest_of_components(problem, end) for end in weighted)
 
     whole = matrix.whole(z)
-    least, most = of_parts(residual_ends_of(matrix.rows, whole, problem, z, scale))
+    least, most = of_components(residual_ends_of(matrix.rows, whole, problem, z, scale))
     is_open = (least == 0.0) & (most > 0.0)  # is z° the answer?
     if problem.communicator.anywhere(is_open.any()):
-        sharp = of_parts(sharp_residual_ends(problem, z, scale))
+        sharp = of_components(sharp_residual_ends(problem, z, scale))
         least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
     return least, most
 
@@ -193,7 +193,7 @@ def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) 
 
     Parameters
     ----------
-    least, most : arrays, shape (parts,)
+    least, most : arrays, shape (components,)
     tolerance : float
     """
     largest = float(most.max(initial=0.0))
@@ -208,7 +208,7 @@ def reference_residual(problem: LCP) -> float:
 
 
 def measured_in_units(problem: LCP, z: FloatVector) -> float:
-    """Return ‖r̂(z)‖∞ over all parts as double precision gives it."""
+    """Return ‖r̂(z)‖∞ over all components as double precision gives it."""
     units = RowUnits.of(problem)
     if units is None:
         return measured_residual(problem, z)
@@ -228,7 +228,7 @@ def rounding_of_data(problem: LCP) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CommonUnits:
-    """A problem in the units of the criterion, the references of its parts alike, and the way back to the caller's.
+    """A problem in the units of the criterion, references of components alike, and the way back to the caller's.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ class CommonUnits:
     row_exponents : array of int, shape (own,), or None
         ŵ_i = 2^row_exponents_i w_i.
     answered : array of bool, shape (own,), or None
-        The rows of parts that z° solves, as far as double precision can tell; None where there are none.
+        The rows of components that z° solves, as far as double precision can tell; None where there are none.
     least : float
         No other reference counts for less than this, in the caller's units.
     is_scaled : bool
@@ -263,7 +263,7 @@ class CommonUnits:
 
     @classmethod
     def _in(cls, units: RowUnits | None, problem: LCP, least: float) -> CommonUnits:
-        several = parts(problem.matrix)
+        several = connected_components(problem.matrix)
         run, columns, rows = problem, None, None
         if units is not None and (balanced := _scaled(problem, units.row, -units.column, units.matrix)) is not None:
             run, columns, rows = balanced, -units.column, units.row
@@ -283,41 +283,41 @@ class CommonUnits:
 
     @cached_property
     def references(self) -> VectorEnds:
-        """Bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each, raised to `least`; 0 where z° is the answer."""
+        """Bounds of ‖r̂_P(z°)‖∞ of each component, raised to `least`, shape (components,) each; 0 where z° answers."""
         least, most = own_references(self.problem)
         if self.least:
             of_rows = times_power(np.full(self.stated.own, self.least), self.exponents)
-            raised = np.where(most > 0.0, largest_of_parts(self.problem, of_rows), 0.0)
+            raised = np.where(most > 0.0, largest_of_components(self.problem, of_rows), 0.0)
             least, most = np.maximum(least, raised), np.maximum(most, raised)
-        return self.in_open_parts(least), self.in_open_parts(most)
+        return self.in_open_components(least), self.in_open_components(most)
 
-    def in_open_parts(self, values: FloatVector) -> FloatVector:
-        """Return values of parts, shape (parts,), with 0 for those that z° answers."""
-        several = parts(self.problem.matrix)
+    def in_open_components(self, values: FloatVector) -> FloatVector:
+        """Return values of components, shape (components,), with 0 for those that z° answers."""
+        several = connected_components(self.problem.matrix)
         if several is None or self.answered is None:
             return values
         return np.where(several.largest(self.answered.astype(np.float64)) == 0.0, values, 0.0)
 
     @cached_property
     def reference(self) -> float:
-        """The least of them that is not 0, rounded upwards where there is one part; 0 where z° is the answer."""
+        """The least of them that is not 0, rounded upwards where there is one component; 0 where z° is the answer."""
         least, most = self.references
-        if parts(self.problem.matrix) is None:
+        if connected_components(self.problem.matrix) is None:
             return float(most.max(initial=0.0))
         smallest = -self.problem.communicator.largest(-least_reference(least, most))
         return smallest if smallest < np.inf else 0.0
 
     @property
-    def is_one_part(self) -> bool:
+    def is_connected(self) -> bool:
         """Whether all rows have one reference."""
-        return parts(self.problem.matrix) is None
+        return connected_components(self.problem.matrix) is None
 
     def beside_the_largest(self, tolerance: float) -> float:
         """Return the tolerance beside the largest of all references that means this one beside the least."""
         if self.least and self.reference > 0.0:
             share = self.reference / reference_residual(self.problem)
-            return tolerance * share * (1.0 if self.is_one_part else 1.0 - 4.0 * EPSILON)
-        return tolerance if self.is_one_part else beside_the_largest(*self.references, tolerance)
+            return tolerance * share * (1.0 if self.is_connected else 1.0 - 4.0 * EPSILON)
+        return tolerance if self.is_connected else beside_the_largest(*self.references, tolerance)
 
     @cached_property
     def of_caller(self) -> CommonUnits:
@@ -343,7 +343,7 @@ class CommonUnits:
     def inward(self, z: FloatVector) -> FloatVector:
         """Return a point of the caller's in the common units, shape (own,); z° where that is the answer.
 
-        So it is where a number overflows: it is far from anything in its part.
+        So it is where a number overflows: it is far from anything in its component.
         """
         if self.is_identity:
             return z
@@ -364,19 +364,19 @@ class CommonUnits:
 
 
 def hold_at_zero(problem: LCP) -> BoolVector:
-    """Return of which parts z° cannot be told from a solution in double precision, shape (parts,).
+    """Return of which components z° cannot be told from a solution in double precision, shape (components,).
 
     In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
     """
     z, matrix = problem.nearest_to_zero, problem.matrix
     if not problem.communicator.anywhere(z.any()):  # what r(0) is made of is not rounded
-        return np.asarray(references_of_parts(problem)[1] == 0.0)
+        return np.asarray(references_of_components(problem)[1] == 0.0)
     whole = matrix.whole(z)
     residual = residual_ends_of(matrix.rows, whole, problem, z, problem.residual_scale)[1]
     with np.errstate(all="ignore"):
         floor = rounding_floor(problem, magnitude(problem, whole), problem.residual_scale)
         is_rounding = at_rounding_level(np.abs(problem.slack(z)) / problem.residual_scale, floor)
-    is_above = largest_of_parts(problem, ((residual > 0.0) & ~is_rounding).astype(np.float64))
+    is_above = largest_of_components(problem, ((residual > 0.0) & ~is_rounding).astype(np.float64))
     return np.asarray(is_above == 0.0)
 
 
@@ -395,11 +395,11 @@ def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LC
     return scaled
 
 
-def _exponents(problem: LCP, several: Parts, most: FloatVector) -> IntVector:
+def _exponents(problem: LCP, several: Components, most: FloatVector) -> IntVector:
     """Return the binary logarithm of each row's unit, shape (own,): 0 where nothing has to be changed.
 
-    Of a part that z° solves only numbers larger than the others' references are made smaller; no number is made larger
-    than a double is.
+    Of a component that z° solves only numbers larger than the others' references are made smaller; no number is made
+    larger than a double is.
     """
     with np.errstate(all="ignore"):
         sizes = [np.abs(problem.nearest_to_zero), np.abs(problem.q / problem.residual_scale), np.abs(problem.q)]

@@ -86,7 +86,7 @@ def fused(
     found = algorithm.solve_fused(problem, start, tolerance, settings.max_iterations)
     if found is None:
         return None
-    if units.is_one_part and units.is_identity:  # the kernel has enclosed the residual of the whole
+    if units.is_connected and units.is_identity:  # the kernel has enclosed the residual of the whole
         certificate = Certificate.enclosed(units.stated, found.z, found.residual)
     else:
         certificate = Certificate.of(units.stated, units.outward(found.z))

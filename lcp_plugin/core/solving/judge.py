@@ -96,16 +96,16 @@ class Judge:
         return self._relative(measured_residual(self.units.problem, z))
 
     def _relative(self, residual: float) -> float:
-        """Return a residual of the run beside the reference; 0 where z° answers all parts: no step changes that."""
+        """Return a residual of the run beside the reference; 0 where z° answers all of them: no step changes that."""
         if self.reference == 0.0 and self.units.answered is not None:
             return 0.0
         return ratio(residual, self.reference)
 
     def certified(self, z: FloatVector) -> float:
         """Return an upper bound of the relative residual of z; no step changes what z° answers."""
-        return self._relative_in_open_parts(self.certificate_of(z))
+        return self._relative_in_open_components(self.certificate_of(z))
 
-    def _relative_in_open_parts(self, certificate: Certificate) -> float:
+    def _relative_in_open_components(self, certificate: Certificate) -> float:
         return certificate.relative_above(self.settings.least_reference, self.units.answered)
 
     def may_pass(self, residual: float) -> bool:
@@ -186,7 +186,8 @@ class Judge:
 
     def _better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
         """Return the cleaned one unless its residual is larger, or it answers the program no more."""
-        is_no_worse = self._relative_in_open_parts(cleaned) <= self._relative_in_open_parts(certificate) < math.inf
+        before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
+        is_no_worse = after <= before < math.inf
         return cleaned if is_no_worse and cleaned.answers_program(self.settings) is not False else certificate
 
     def is_solved_by(self, certificate: Certificate) -> bool:

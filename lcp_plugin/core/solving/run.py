@@ -36,9 +36,9 @@ DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
 class Run:
     """One run: algorithms yield steps, the judge measures them, and the first reason to end ends it.
 
-    They work in the common units of the problem's parts. A judge of another problem than the one that the algorithms
-    take may be given (see :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which that one is
-    the linearisation at the start. `header` tells what ``verbose=True`` prints of M.
+    They work in the common units of the problem's components. A judge of another problem than the one that the
+    algorithms take may be given (see :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which
+    that one is the linearisation at the start. `header` tells what ``verbose=True`` prints of M.
     """
 
     def __init__(

@@ -13,7 +13,7 @@ from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import largest_ratio
 from ...core.checks import BoolVector, read_only
 from ...core.lcp import LCP
-from ...core.matrix.structure import IntVector, parts
+from ...core.matrix.structure import IntVector, connected_components
 from ...core.matrix.units import are_in_one_unit
 from ...core.settings import Settings
 from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
@@ -71,13 +71,13 @@ def in_one_unit(group: Group) -> Group:
     return group if are.all() else group.chosen(np.flatnonzero(are & np.ones(group.items.size, np.bool_)))
 
 
-def by_parts(group: Group) -> tuple[Group, Group]:
-    """Return the problems of one part, and those that may have several."""
-    is_open = _may_have_parts(group.M) & np.ones(group.items.size, np.bool_)
+def by_components(group: Group) -> tuple[Group, Group]:
+    """Return the problems of one component, and those that may have several."""
+    is_open = _may_have_components(group.M) & np.ones(group.items.size, np.bool_)
     return group.chosen(np.flatnonzero(~is_open)) if is_open.any() else group, group.chosen(np.flatnonzero(is_open))
 
 
-def _may_have_parts(M: Any) -> BoolVector:
+def _may_have_components(M: Any) -> BoolVector:
     """Return where not every row but the first meets one before it, shape (k,)."""
     is_open: BoolVector = ~(M[:, 0, 1:] != 0.0).all(axis=1)
     some = np.flatnonzero(is_open)
@@ -89,13 +89,13 @@ def _may_have_parts(M: Any) -> BoolVector:
 
 
 def answers_in_common_units(group: Group, phases: Phases, settings: Settings) -> Answers:
-    """Return the answers of the compiled loop to problems each part of which is judged by its own reference."""
+    """Return the answers of the compiled loop to problems each component of which is judged by its own reference."""
     (count, n), answers = group.shape, Answers(*group.shape)
     problem = group.block_diagonal()
     units = CommonUnits.of(problem)
-    several = parts(problem.matrix)
+    several = connected_components(problem.matrix)
     labels = np.zeros(count * n, np.int64) if several is None else several.labels
-    ends = np.append(labels[::n], labels.max() + 1)  # parts are numbered in the order of their first rows
+    ends = np.append(labels[::n], labels.max() + 1)  # components are numbered in the order of their first rows
     vectors = [read_only(getattr(units.problem, name).reshape(count, n)) for name in ("q", "lower", "upper")]
     starts = group.starts
     if starts.shape[1]:
@@ -107,7 +107,7 @@ def answers_in_common_units(group: Group, phases: Phases, settings: Settings) ->
         run_phases((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
     certificate = Certificate.of(units.stated, units.outward(answers.z.reshape(-1)))
     answers.z[:] = certificate.z.reshape(count, n)
-    largest, least = certificate.residuals_of_parts
+    largest, least = certificate.residuals_of_components
     for k in np.flatnonzero(answers.has_converged).tolist():
         answers.residual[k] = largest_ratio(largest[ends[k]:ends[k + 1]], least[ends[k]:ends[k + 1]])
     term_residuals = certificate.term_residuals.reshape(count, n).max(axis=1)
@@ -116,7 +116,7 @@ def answers_in_common_units(group: Group, phases: Phases, settings: Settings) ->
 
 
 def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, Any, Any]:
-    """Return the rows of problems of one part that no z solves within the tolerance, their starts and residuals.
+    """Return the rows of problems of one component that no z solves within the tolerance, their starts and residuals.
 
     One compiled pass over all cases in doubles says so: no proof, and none is wanted. A run of each would end STALLED
     at its start.
@@ -142,7 +142,7 @@ def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, A
     rows = rows[(found == kernels.EXCLUDED) & (least > tolerance)]
     points = np.clip(starts, lower, upper)[rows]
     certificate = Certificate.of(group.chosen(rows).block_diagonal(), points.reshape(-1))
-    largest, smallest = certificate.residuals_of_parts
+    largest, smallest = certificate.residuals_of_components
     residual = np.array([largest_ratio(largest[k:k + 1], smallest[k:k + 1]) for k in range(rows.size)])
     kept = residual > tolerance
     return rows[kept], points[kept], residual[kept]

@@ -18,7 +18,7 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kind import refusal
 from ...core.lcp import LCP
-from ...core.matrix.structure import parts
+from ...core.matrix.structure import connected_components
 from ...core.matrix.units import units_of
 from ...core.policy.policy import Policy
 from ...core.settings import OF_SOLVE, Settings, Status
@@ -358,7 +358,7 @@ def _fused(
 
 def has_common_units(problem: LCP) -> bool:
     """Return whether a compiled loop may judge all rows alike: in no units of a step's own, nor of the unknowns."""
-    return parts(problem.matrix) is None and units_of(problem.matrix) is None
+    return connected_components(problem.matrix) is None and units_of(problem.matrix) is None
 
 
 def checked_forcing(

@@ -63,8 +63,8 @@ def solve_nonlinear(
         What solves the linear complementarity problem of each step.
     tolerance : float
         SOLVED means that the measured residual of the returned x is at most this. As for :func:`lcp_plugin.solve`, with
-        F(x) for w, in the units that F is given in: in every part relative to the residual of F at the point of the
-        bounds nearest to 0, which counts for no more than that of an affine F with this derivative could be there
+        F(x) for w, in the units that F is given in: in every component relative to the residual of F at the point of
+        the bounds nearest to 0, which counts for no more than that of an affine F with this derivative could be there
         (``certificate.relative_to``), and every row in its own terms
         (:mod:`lcp_plugin.problems.nonlinear.certificate`).
     max_iterations : int, default 100 000
@@ -191,7 +191,7 @@ class NonlinearJudge(Judge):
         self.points, self.compared_with = points, reference
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
         self.units = CommonUnits(start.lcp, start.lcp)
-        self.reference = 1.0  # the certificate knows what each part is compared with
+        self.reference = 1.0  # the certificate knows what each component is compared with
         self.proof = self._certificate = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:

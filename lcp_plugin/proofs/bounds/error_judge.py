@@ -16,7 +16,7 @@ from ...core.crossovers import SHARP_SAMPLES_UP_TO
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import unit_triangle_sums
-from ...core.matrix.structure import parts
+from ...core.matrix.structure import connected_components
 from ...core.settings import Settings, Status
 from ...core.solving.judge import Judge
 from ...core.solving.result import BoundOrReason
@@ -85,7 +85,7 @@ class ErrorJudge(Judge):
         z, residual, tolerance = self.units.outward(z), residual * self.reference, self.settings.tolerance
         largest = self.problem.communicator.largest(float(np.max(np.abs(z), initial=0.0)))
         is_far = not residual <= self._residual_per_error * tolerance * largest
-        if is_far and parts(self.problem.matrix) is None:  # others have units of their own
+        if is_far and connected_components(self.problem.matrix) is None:  # others have units of their own
             return False
         if residual > self._next_cheap and not (iteration >= self._sharp_from and residual < self._last_sharp):
             return False

@@ -16,11 +16,16 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import RowUnits, references_of_parts, residual_scale_of_criterion, rounding_of_data
+from ...core.certificates.criterion import (
+    RowUnits,
+    references_of_components,
+    residual_scale_of_criterion,
+    rounding_of_data,
+)
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.structure import IntVector, parts
+from ...core.matrix.structure import IntVector, connected_components
 from ...core.settings import Status
 from ...systems.symmetry import is_nearly_symmetric
 from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
@@ -35,20 +40,21 @@ FEW = 500  # rows up to which all of M is kept in integers
 def exact_references(problem: LCP) -> Callable[[int], Fraction]:
     """Return upper bounds of what r_i of an own row i is compared with; fractions reach beyond the range of doubles.
 
-    That is ‖r̂_P(z°)‖∞, P its part, in the caller's unit of z_i.
+    That is ‖r̂_P(z°)‖∞, P its component, in the caller's unit of z_i.
     """
-    units, several, most = RowUnits.of(problem), parts(problem.matrix), references_of_parts(problem)[1]
+    units, several = RowUnits.of(problem), connected_components(problem.matrix)
+    most = references_of_components(problem)[1]
 
     @cache
-    def of_part(part: int) -> Fraction:
-        if most[part] == 0.0 or SAFE_RANGE[0] < most[part] < SAFE_RANGE[1]:
-            return Fraction(float(most[part]))
-        rows = range(problem.own) if several is None else np.flatnonzero(several.labels == part).tolist()
+    def of_component(component: int) -> Fraction:
+        if most[component] == 0.0 or SAFE_RANGE[0] < most[component] < SAFE_RANGE[1]:
+            return Fraction(float(most[component]))
+        rows = range(problem.own) if several is None else np.flatnonzero(several.labels == component).tolist()
         exact = exactly_weighted(problem, problem.nearest_to_zero)
         return max(exact[i] for i in rows)
 
     def of_row(row: int) -> Fraction:
-        reference = of_part(0 if several is None else int(several.labels[row]))
+        reference = of_component(0 if several is None else int(several.labels[row]))
         return reference if units is None else reference * Fraction(2) ** int(units.column[row])
 
     return of_row
@@ -85,7 +91,7 @@ class Closing:
     contradiction : Fraction
         Positive, a lower bound.
     relative : Fraction
-        At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the part of row i.
+        At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the component of row i.
     absolute : Fraction
         At least Σ weight_i.
     weighted : Fraction
@@ -110,8 +116,8 @@ class Refutation:
     -----
     |r_i(z)| ≤ t_i, r the scaled residual, leaves a row three cases: z_i − lower_i ≤ t_i and w_i ≥ 0, or
     |w_i| ≤ d_i t_i, or upper_i − z_i ≤ t_i and w_i ≤ 0; where the case is not chosen, w_i has a wrong sign by d_i t_i
-    at most. With t_i = t ‖r_P(z°)‖∞, P the part of row i, the least t at which what closes a case no longer does so,
-    the least over all cases, bounds the relative residual from below.
+    at most. With t_i = t ‖r_P(z°)‖∞, P the component of row i, the least t at which what closes a case no longer does
+    so, the least over all cases, bounds the relative residual from below.
     """
 
     problem: LCP
@@ -168,7 +174,7 @@ class Refutation:
             return self.exact
         if self.is_rounding or not self.margin > tolerance:
             return False
-        # Rows may use up one tolerance in one part, and the other in another.
+        # Rows may use up one tolerance in one component, and the other in another.
         return not absolute_tolerance or (
             tolerance / self.margin + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
         )
@@ -278,8 +284,8 @@ class Infeasibility(Refutation):
 
     Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
-    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some part P
-    ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r in the
+    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
+    component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r in the
     units of :mod:`lcp_plugin.core.certificates.criterion`). Where Mᵀy should be 0 and is rounding beside its terms, all
     this is said of the z whose entries without bounds are at most `radius` in size.
 

@@ -46,7 +46,7 @@ from ..core.crossovers import (
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
-from ..core.matrix.units import Exponents, scaled
+from ..core.matrix.scaling import Exponents, scaled
 from ..core.policy.stages import Choice, Stage
 from ..core.splittings.projected_relaxation import PSOR
 from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld

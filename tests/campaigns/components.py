@@ -227,7 +227,7 @@ def powers(rng: Generator, size: int, count: int) -> Vector:
     return np.ones(count) if kind == "one" else 2.0 ** (3.3 * exponents).round() if kind == "two" else 10.0**exponents
 
 
-def in_units(component: Component, unit: float, rng: Generator) -> Component:
+def rescaled(component: Component, unit: float, rng: Generator) -> Component:
     n = len(component.q)
     rows = powers(rng, 6, n) if rng.random() < 0.3 else np.full(n, powers(rng, 12, 1)[0])
     columns = 2.0 ** rng.integers(-8, 9, n) if rng.random() < 0.2 else np.ones(n)
@@ -261,7 +261,7 @@ def random_case(rng: Generator, number: int) -> Case:
     else:
         components, is_dense = [random_component(rng) for _ in range(int(rng.integers(2, 7)))], bool(rng.random() < 0.6)
     units = np.concatenate([powers(rng, 12, 1) for _ in components]) * powers(rng, 12, 1)[0] ** (rng.random() < 0.2)
-    scaled = [in_units(component, unit, rng) for component, unit in zip(components, units, strict=True)]
+    scaled = [rescaled(component, unit, rng) for component, unit in zip(components, units, strict=True)]
     return joined(scaled, rng, is_dense=is_dense)
 
 

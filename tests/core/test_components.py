@@ -13,7 +13,7 @@ from collection.truth import ExactData
 
 from lcp_plugin import LCP, Certificate, Status, derivative, error_bound, march, solve, solve_batch, solve_many
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import CommonUnits, references_of_components
+from lcp_plugin.core.certificates.criterion import CommonScaling, references_of_components
 from lcp_plugin.core.matrix.structure import connected_components
 
 TOLERANCE = 1e-8
@@ -234,20 +234,20 @@ def test_derivatives_stay_in_their_component() -> None:
 def test_a_connected_problem_pays_nothing(make: Any) -> None:
     """Whatever its units: there are no components, and the caller's problem is the one that is run."""
     problem = LCP(make([[2.0, 1.0, 0.0], [0.0, 2.0, 1.0], [0.0, 0.0, 2.0]]), [-1e12, 3.0, -1e-12])
-    units = CommonUnits.of(problem)
+    scaling = CommonScaling.of(problem)
     assert connected_components(problem.matrix) is None
-    assert units.problem is problem
-    assert units.is_identity
+    assert scaling.problem is problem
+    assert scaling.is_identity
 
 
 def test_components_are_brought_to_like_references_by_powers_of_two() -> None:
     """M stays as it is, and every reference comes to lie in [1, 2)."""
     problem = two_grids(1e-12, 3.0, 1e12, side=5)[0]
-    units = CommonUnits.of(problem)
-    assert units.problem.matrix is problem.matrix
-    most = references_of_components(units.problem)[1]
+    scaling = CommonScaling.of(problem)
+    assert scaling.problem.matrix is problem.matrix
+    most = references_of_components(scaling.problem)[1]
     assert ((most >= 1.0) & (most < 2.0)).all()
-    assert (np.ldexp(units.problem.q, -units.exponents) == problem.q).all()
+    assert (np.ldexp(scaling.problem.q, -scaling.exponents) == problem.q).all()
 
 
 # --- The campaign ----------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from fractions import Fraction
 from itertools import islice
 from typing import Any
 
-import drawn_units
+import drawn_scaling
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -289,7 +289,7 @@ def test_nearly_singular_matrices_are_never_lied_about(name: str) -> None:
     """On H₊-matrices with ρ up to 1 − 1e-6 the status holds in rational arithmetic, whatever the error of z."""
 
     @settings.get_profile("few")
-    @given(solved_lcps(drawn_units.nearly_singular()))
+    @given(solved_lcps(drawn_scaling.nearly_singular()))
     def check(drawn: tuple[LCP, Any]) -> None:
         problem, _ = drawn
         assert_honest(solve(problem, name, max_iterations=300, **scaled_options(name)))

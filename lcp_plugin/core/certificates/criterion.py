@@ -1,7 +1,7 @@
 """What SOLVED asks for: small residuals in each connected component of M, after scaling.
 
-In the units R, C of :mod:`lcp_plugin.core.matrix.units`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in each
-connected component P of the graph of M,
+With the scaling R, C of :mod:`lcp_plugin.core.matrix.scaling`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in
+each connected component P of the graph of M,
 
     |r̂_i(z)| ≤ tolerance · ‖r̂_P(z°)‖∞ for each row i of P,  r̂_i = ẑ_i − mid(l̂_i, û_i, ẑ_i − ŵ_i / d̂_i),
 
@@ -9,17 +9,17 @@ or |r_i| ≤ absolute tolerance, in the caller's unit of z_i; and every row is r
 the caller's units (:mod:`lcp_plugin.core.certificates.own_terms`).
 
 In the caller's units r̂_i is r_i, with d̂_i / 2^(row_i + column_i) for d_i, times the *weight* 2^−column_i: this is how
-a certificate computes it, on the caller's data. A run works on the problem in these units, or, where its algorithm
+a certificate computes it, on the caller's data. A run works on the scaled problem, or, where its algorithm
 wants to see the caller's matrix, on that. In both 2^k_P is chosen for each component, so that 2^k_P ‖r̂_P(z°)‖∞ lies in
 [1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm speaks of every component within a factor 2.
 Where ‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where one falls into several components of the graph of rows and
 columns (zero diagonals: games, linear programs), M̂ leaves the unit of each open, and q̂ at z° decides: its largest
 entry in the rows of each lies in [½, 1). Where it is 0 in all of them, nothing does.
 
-What it does not see: units that M does not show (entries within 2¹⁰, none beyond 2⁴ times its diagonal entry, a factor
-of 2⁸ between unknowns, a row of zeros: such keep the units they are given in), and jumps in mixed units, whose stiff
-part counts more than its share. Units are found to a few powers of two, not to one, so that beside the same M in
-other units the residual may differ. Rows over ranks keep their units.
+What it does not see: other units where M needs no scaling (entries within 2¹⁰, none beyond 2⁴ times its diagonal entry,
+a factor of 2⁸ between unknowns, a row of zeros: such keep the units they are given in), and jumps in mixed units, whose
+stiff part counts more than its share. The scaling is found to a few powers of two, not to one, so that beside the same
+M in other units the residual may differ. Rows over ranks are not scaled.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from ..checks import BoolVector, FloatVector, read_only
 from ..kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact
+from ..matrix.scaling import Scaling, is_representable, scaling_of, times_power
 from ..matrix.structure import Components, IntVector, connected_components
-from ..matrix.units import Units, is_representable, times_power, units_of
 from .row_residuals import (
     at_rounding_level,
     magnitude,
@@ -56,8 +56,8 @@ SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)
 LARGEST_EXPONENT = 1000  # of two, that other units may give a number
 
 
-class RowUnits(NamedTuple):
-    """What the criterion makes of rows in the caller's units.
+class RowScaling(NamedTuple):
+    """How the criterion scales rows of the caller's.
 
     Attributes
     ----------
@@ -75,12 +75,12 @@ class RowUnits(NamedTuple):
     matrix: Matrix
 
     @classmethod
-    def of(cls, problem: LCP) -> RowUnits | None:
-        """Return those of a problem; None where its own units are those of the criterion, or its origin has one."""
-        return None if problem.criterion is not None or units_of(problem.matrix) is None else _row_units(problem)
+    def of(cls, problem: LCP) -> RowScaling | None:
+        """Return that of a problem; None where it needs none, or where its origin has a criterion of its own."""
+        return None if problem.criterion is not None or scaling_of(problem.matrix) is None else _row_scaling(problem)
 
     def upwards(self, residuals: FloatVector) -> FloatVector:
-        """Return residuals ≥ 0 in the units of the criterion, no smaller, shape (own,)."""
+        """Return residuals ≥ 0 in the scaling of the criterion, no smaller, shape (own,)."""
         weighted = times_power(residuals, -self.column)
         return np.where((weighted < SMALLEST_NORMAL) & (residuals > 0.0), weighted + TINY, weighted)
 
@@ -91,24 +91,24 @@ class RowUnits(NamedTuple):
 
 
 @fact
-def _row_units(problem: LCP) -> RowUnits:
-    """Return the units of M with those that q gives to blocks of which a component of M has several."""
-    units = cast(Units, units_of(problem.matrix))
-    row, column, scale = units.row, units.column, units.scale
-    if np.array_equal(units.of_row, units.of_column):
-        return RowUnits(row, column, scale, units.matrix)
+def _row_scaling(problem: LCP) -> RowScaling:
+    """Return the scaling of M, and by q that of blocks of which a component of M has several."""
+    scaling = cast(Scaling, scaling_of(problem.matrix))
+    row, column, scale = scaling.row, scaling.column, scaling.scale
+    if np.array_equal(scaling.of_row, scaling.of_column):
+        return RowScaling(row, column, scale, scaling.matrix)
     with np.errstate(all="ignore"):
         slack = np.ldexp(np.abs(problem.slack(problem.nearest_to_zero)), row)
     largest = np.zeros(2 * problem.n)
-    np.maximum.at(largest, units.of_row, np.where(np.isfinite(slack), slack, 0.0))
+    np.maximum.at(largest, scaling.of_row, np.where(np.isfinite(slack), slack, 0.0))
     shift = np.where(largest > 0.0, -np.frexp(largest)[1], 0).astype(np.int64)
-    has_units = np.maximum(np.abs(units.row), np.abs(units.column)).astype(np.float64)
-    is_open = for_each_row(problem, largest_of_components(problem, has_units)) > 0.0
-    of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
+    has_scaling = np.maximum(np.abs(scaling.row), np.abs(scaling.column)).astype(np.float64)
+    is_open = for_each_row(problem, largest_of_components(problem, has_scaling)) > 0.0
+    of_row, of_column = (np.where(is_open, shift[side], 0) for side in (scaling.of_row, scaling.of_column))
     shifted = times_power(scale, of_column - of_row)
     if is_representable(shifted):
         row, column, scale = row + of_row, column - of_column, read_only(shifted)
-    return RowUnits(row, column, scale, units.matrix)
+    return RowScaling(row, column, scale, scaling.matrix)
 
 
 def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
@@ -132,8 +132,8 @@ def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
 
 def residual_scale_of_criterion(problem: LCP) -> FloatVector:
     """Return what w is divided by in the residual that SOLVED speaks of, shape (own,)."""
-    units = RowUnits.of(problem)
-    return problem.residual_scale if units is None else units.scale
+    scaling = RowScaling.of(problem)
+    return problem.residual_scale if scaling is None else scaling.scale
 
 
 def largest_of_components(problem: LCP, values: FloatVector) -> FloatVector:
@@ -157,7 +157,7 @@ def for_each_row(problem: LCP, values: Any) -> Any:
 
 def references_of_components(problem: LCP) -> VectorEnds:
     """Return bounds of ‖r̂_P(z°)‖∞ of each component, shape (components,) each."""
-    return _references(problem, RowUnits.of(problem) is not None)
+    return _references(problem, RowScaling.of(problem) is not None)
 
 
 def own_references(problem: LCP) -> VectorEnds:
@@ -166,12 +166,13 @@ def own_references(problem: LCP) -> VectorEnds:
 
 
 @fact
-def _references(problem: LCP, in_units: bool) -> VectorEnds:
-    units = RowUnits.of(problem) if in_units else None
-    z, matrix, scale = problem.nearest_to_zero, problem.matrix, problem.residual_scale if units is None else units.scale
+def _references(problem: LCP, is_scaled: bool) -> VectorEnds:
+    scaling = RowScaling.of(problem) if is_scaled else None
+    scale = problem.residual_scale if scaling is None else scaling.scale
+    z, matrix = problem.nearest_to_zero, problem.matrix
 
     def of_components(ends: VectorEnds) -> tuple[FloatVector, ...]:
-        weighted = ends if units is None else (units.downwards(ends[0]), units.upwards(ends[1]))
+        weighted = ends if scaling is None else (scaling.downwards(ends[0]), scaling.upwards(ends[1]))
         return tuple(largest_of_components(problem, end) for end in weighted)
 
     whole = matrix.whole(z)
@@ -207,28 +208,28 @@ def reference_residual(problem: LCP) -> float:
     return problem.communicator.largest(float(own_references(problem)[1].max(initial=0.0)))
 
 
-def measured_in_units(problem: LCP, z: FloatVector) -> float:
+def measured_scaled_residual(problem: LCP, z: FloatVector) -> float:
     """Return ‖r̂(z)‖∞ over all components as double precision gives it."""
-    units = RowUnits.of(problem)
-    if units is None:
+    scaling = RowScaling.of(problem)
+    if scaling is None:
         return measured_residual(problem, z)
     with np.errstate(all="ignore"):
-        residual = np.abs(scaled_residual(problem, z, problem.slack(z), units.scale))
-    return float(units.upwards(residual).max(initial=0.0))
+        residual = np.abs(scaled_residual(problem, z, problem.slack(z), scaling.scale))
+    return float(scaling.upwards(residual).max(initial=0.0))
 
 
 def rounding_of_data(problem: LCP) -> float:
     """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q̂_i|/d̂_i."""
-    units = RowUnits.of(problem)
+    scaling = RowScaling.of(problem)
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
-    sizes = times_power(sizes, None if units is None else -units.column)
+    sizes = times_power(sizes, None if scaling is None else -scaling.column)
     return DATA_ROUNDING * problem.communicator.largest(float(sizes.max(initial=0.0)))
 
 
 @dataclass(frozen=True, eq=False)
-class CommonUnits:
-    """A problem in the units of the criterion, references of components alike, and the way back to the caller's.
+class CommonScaling:
+    """A problem in the scaling of the criterion, references of components alike, and the way back to the caller's.
 
     Attributes
     ----------
@@ -257,16 +258,18 @@ class CommonUnits:
     is_scaled: bool = False
 
     @classmethod
-    def of(cls, problem: LCP, least: float = 0.0) -> CommonUnits:
+    def of(cls, problem: LCP, least: float = 0.0) -> CommonScaling:
         """Return those of a problem; where a number would overflow in them, the problem's own."""
-        return cls._in(RowUnits.of(problem), problem, least)
+        return cls._in(RowScaling.of(problem), problem, least)
 
     @classmethod
-    def _in(cls, units: RowUnits | None, problem: LCP, least: float) -> CommonUnits:
+    def _in(cls, scaling: RowScaling | None, problem: LCP, least: float) -> CommonScaling:
         several = connected_components(problem.matrix)
         run, columns, rows = problem, None, None
-        if units is not None and (balanced := _scaled(problem, units.row, -units.column, units.matrix)) is not None:
-            run, columns, rows = balanced, -units.column, units.row
+        if scaling is not None:
+            balanced = _scaled(problem, scaling.row, -scaling.column, scaling.matrix)
+            if balanced is not None:
+                run, columns, rows = balanced, -scaling.column, scaling.row
         is_scaled = run is not problem
         if several is None:
             return cls(problem, run, columns, rows, None, least, is_scaled)
@@ -276,8 +279,8 @@ class CommonUnits:
             most = np.maximum(most, least)
         exponents = _exponents(run, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
-        has_units, has_answers = (problem.communicator.anywhere(side.any()) for side in (exponents, answered))
-        if has_units and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
+        has_scaling, has_answers = (problem.communicator.anywhere(side.any()) for side in (exponents, answered))
+        if has_scaling and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
             run, columns, rows = alike, *(exponents if side is None else side + exponents for side in (columns, rows))
         return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least, is_scaled)
 
@@ -320,12 +323,12 @@ class CommonUnits:
         return tolerance if self.is_connected else beside_the_largest(*self.references, tolerance)
 
     @cached_property
-    def of_caller(self) -> CommonUnits:
-        """The same on the caller's matrix; itself where M shows no units."""
+    def of_caller(self) -> CommonScaling:
+        """The same on the caller's matrix; itself where M needs no scaling."""
         return self._in(None, self.stated, self.least) if self.is_scaled else self
 
     def steps(self, choice: Choice, z: FloatVector) -> Iterator[Step]:
-        """Yield the steps of a choice from z in these units, taken where its algorithm wants to take them."""
+        """Yield the steps of a choice from z in this scaling, taken where its algorithm wants to take them."""
         here = self.of_caller
         if here is self or choice.algorithm.takes_scaled:
             yield from choice.iterates(self.problem, z)
@@ -341,7 +344,7 @@ class CommonUnits:
         return self.exponents is None and self.answered is None
 
     def inward(self, z: FloatVector) -> FloatVector:
-        """Return a point of the caller's in the common units, shape (own,); z° where that is the answer.
+        """Return a point of the caller's in the common scaling, shape (own,); z° where that is the answer.
 
         So it is where a number overflows: it is far from anything in its component.
         """
@@ -356,7 +359,7 @@ class CommonUnits:
         return scaled if self.answered is None else np.where(self.answered, origin, scaled)
 
     def outward(self, z: FloatVector) -> FloatVector:
-        """Return a point in the common units in the caller's, shape (own,); z° where that is the answer."""
+        """Return a point in the common scaling in the caller's, shape (own,); z° where that is the answer."""
         if self.is_identity:
             return z
         back = times_power(z, None if self.exponents is None else -self.exponents)

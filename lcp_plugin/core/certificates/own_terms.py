@@ -32,7 +32,7 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..matrix.matrix import largest_in_rows
-from ..matrix.units import energy_scale
+from ..matrix.scaling import energy_scale
 from .criterion import for_each_row, largest_of_components
 from .row_residuals import magnitude
 

@@ -13,11 +13,11 @@ from ..checks import BoolVector, FloatVector, read_only, restored
 from ..errors import InvalidProblem
 from ..kind import refusal
 from ..lcp import LCP
+from ..matrix.scaling import times_power
 from ..matrix.structure import connected_components
-from ..matrix.units import times_power
 from ..rounding import gamma
 from .criterion import (
-    RowUnits,
+    RowScaling,
     VectorEnds,
     for_each_row,
     hold_at_zero,
@@ -69,11 +69,11 @@ class Certificate:
         ‖r(z)‖∞ of the worst component, in mixed units of all rows, in the caller's unit of z, measured.
     relative_residual : float
         The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all connected components P of the graph of M, with
-        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the units
-        that M shows (:mod:`lcp_plugin.core.certificates.criterion`).
+        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the scaling
+        that M needs (:mod:`lcp_plugin.core.certificates.criterion`).
     term_residual : float
-        How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`); 0 where M shows
-        no units, as it is no larger than the relative residual there.
+        How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`); 0 where M needs
+        no scaling, as it is no larger than the relative residual there.
     components : int
         How many components there are.
     natural_residual : float
@@ -134,10 +134,10 @@ class Certificate:
     def enclosed(cls, problem: LCP, z: FloatVector, relative_residual: float) -> Certificate:
         """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed in the same way.
 
-        Of a problem whose matrix shows no units: kernels know of none.
+        Of a problem whose matrix needs no scaling: kernels know of none.
         """
         certificate = cls(problem, read_only(z))
-        certificate.__dict__.update(relative_residual=relative_residual, _units=None)
+        certificate.__dict__.update(relative_residual=relative_residual, _scaling=None)
         return certificate
 
     def _measure_at_once(self) -> None:
@@ -170,14 +170,14 @@ class Certificate:
         several = connected_components(self.problem.matrix)
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            relative = self._in_units(residual)
+            relative = self._scaled(residual)
             if several is not None:  # as the relative residual is proved: its component is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         communicator, is_empty = self.problem.communicator, not relative.size
         row = communicator.worst(0.0 if is_empty else float(relative[worst]), worst)[1]
         is_here = not is_empty and row == self.problem.first + worst
-        shown = float(residual[worst] if self._units is None else residual.max()) if is_here else 0.0
+        shown = float(residual[worst] if self._scaling is None else residual.max()) if is_here else 0.0
         return communicator.largest(shown), row
 
     @property
@@ -207,19 +207,19 @@ class Certificate:
     @property
     def term_residual(self) -> float:
         """How wrong the worst row is in its own terms; 0 where the relative residual says as much."""
-        is_known = self._units is None and not self.is_linearised
+        is_known = self._scaling is None and not self.is_linearised
         return 0.0 if is_known else float(self.term_residuals.max(initial=0.0))
 
     @cached_property
     def term_residuals(self) -> FloatVector:
-        """How wrong each row is in its own terms, shape (n,); 0 where M shows no units (see that module)."""
-        if self._units is None:
+        """How wrong each row is in its own terms, shape (n,); 0 where M needs no scaling (see that module)."""
+        if self._scaling is None:
             return np.zeros(self.z.size)
         return term_residuals(self.problem, self.z, self.w)
 
     def term_above(self, small: float) -> float:
         """Return the term residual without the rows whose own residual is at most `small`, in the unit of z."""
-        if not small or (self._units is None and not self.is_linearised):
+        if not small or (self._scaling is None and not self.is_linearised):
             return self.term_residual
         return float(self.term_residuals.max(initial=0.0, where=self._scaled_ends[1] > small))
 
@@ -267,30 +267,30 @@ class Certificate:
     @property
     def _proved_rows(self) -> FloatVector:
         """An upper bound of every |r_i|, sharp in components that z° solves: there only what is exactly 0 will do."""
-        ends, least = self._in_units(self._scaled_ends[1]), self.references[0]
+        ends, least = self._scaled(self._scaled_ends[1]), self.references[0]
         several = connected_components(self.problem.matrix)
         of_rows = least if several is None else least[several.labels]
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
         if not self.problem.communicator.anywhere(is_exact.any()):
             return ends
-        return np.where(is_exact, self._in_units(self._sharp_ends()), ends)
+        return np.where(is_exact, self._scaled(self._sharp_ends()), ends)
 
     def _sharp_ends(self) -> FloatVector:
         return sharp_residual_ends(self.problem, self.z, self._scale)[1]
 
     @cached_property
-    def _units(self) -> RowUnits | None:
-        """The units of the criterion; None where they are the caller's."""
-        return RowUnits.of(self.problem)
+    def _scaling(self) -> RowScaling | None:
+        """The scaling of the criterion; None where they are the caller's."""
+        return RowScaling.of(self.problem)
 
     @property
     def _scale(self) -> FloatVector:
         """What w is divided by in the residual that SOLVED speaks of."""
-        return self.problem.residual_scale if self._units is None else self._units.scale
+        return self.problem.residual_scale if self._scaling is None else self._scaling.scale
 
-    def _in_units(self, residuals: FloatVector) -> FloatVector:
-        """Return upper bounds of |r| in the units of the criterion."""
-        return residuals if self._units is None else self._units.upwards(residuals)
+    def _scaled(self, residuals: FloatVector) -> FloatVector:
+        """Return upper bounds of |r| in the scaling of the criterion."""
+        return residuals if self._scaling is None else self._scaling.upwards(residuals)
 
     @property
     def references(self) -> VectorEnds:
@@ -369,7 +369,7 @@ class Certificate:
         reference = for_each_row(self.problem, self.references[1])
         with np.errstate(all="ignore"):
             products = self._products / self._scale
-        products = times_power(products, None if self._units is None else -2 * self._units.column)
+        products = times_power(products, None if self._scaling is None else -2 * self._scaling.column)
         return self._largest(over(over(products, reference), reference))
 
     @property
@@ -394,9 +394,9 @@ class Certificate:
 
     @cached_property
     def scale_spread(self) -> float:
-        """The largest d_i divided by the smallest, in the units of the criterion; 1 for an empty problem."""
-        units, scale = self._units, self._scale
-        scale = scale if units is None else np.ldexp(scale, units.row + units.column)
+        """The largest d_i divided by the smallest, in the scaling of the criterion; 1 for an empty problem."""
+        scaling, scale = self._scaling, self._scale
+        scale = scale if scaling is None else np.ldexp(scale, scaling.row + scaling.column)
         extremes = scale.max(initial=-np.inf), -scale.min(initial=np.inf)
         most, minus_least = self.problem.communicator.all_largest(*map(float, extremes))
         with np.errstate(over="ignore"):
@@ -430,7 +430,7 @@ class Certificate:
             return self.relative_residual
         rows = self._proved_rows if answered is None else np.where(answered, 0.0, self._proved_rows)
         floors = np.full(self.z.size, least)
-        floors = floors if self._units is None else self._units.downwards(floors)
+        floors = floors if self._scaling is None else self._scaling.downwards(floors)
         references = np.maximum(for_each_row(self.problem, self.references[0]), floors)
         return self.problem.communicator.largest(largest_ratio(rows, references))
 
@@ -448,7 +448,7 @@ class Certificate:
             ("slack violation", self.slack_violation, ""),
             ("complementarity", self.complementarity, self.large_product),
             ("backward error", self.backward_error, ""),
-            *([("term residual", self.term_residual, "")] if self._units is not None else []),
+            *([("term residual", self.term_residual, "")] if self._scaling is not None else []),
         ]
         return "\n".join(f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines)
 

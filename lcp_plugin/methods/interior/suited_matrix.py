@@ -15,8 +15,8 @@ from ...core.crossovers import DENSE_NEWTON_UP_TO
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.scaling import Exponents, scaled, symmetrising_rows
 from ...core.matrix.structure import IntVector, row_numbers
-from ...core.matrix.units import Exponents, scaled, symmetrising_rows
 from ...systems.equilibration import unit_diagonal
 from ...systems.graph import compressed_rows
 from ...systems.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
@@ -24,7 +24,7 @@ from .dense_ends import analysed
 from .quasidefinite import Symbolic, signs_of
 
 SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
-EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
+WELL_SCALED = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
 SWEEPS, RUIZ_PASSES = 6, 8
 CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
 LARGEST_EXPONENT = 1000
@@ -134,12 +134,12 @@ def equilibration(M: Any, signs: FloatVector | None = None) -> Exponents | None:
         return None
     diagonal = M.diagonal()
     if not sp.issparse(M) and diagonal.min() > 0.0:
-        return None if diagonal.max() <= EVEN * diagonal.min() else unit_diagonal(diagonal)
-    from .kernels.interior_rows import even
+        return None if diagonal.max() <= WELL_SCALED * diagonal.min() else unit_diagonal(diagonal)
+    from .kernels.interior_rows import equilibrate
 
     c = np.ones(diagonal.size)
     is_program = signs is not None and bool((signs < 0.0).any())
-    even(*compressed_rows(M), signs if is_program else c, SWEEPS if is_program else 0, RUIZ_PASSES, c)
+    equilibrate(*compressed_rows(M), signs if is_program else c, SWEEPS if is_program else 0, RUIZ_PASSES, c)
     half = np.clip(np.rint(np.log2(c)), -500, 500).astype(np.int64)
     return Exponents(half, half)
 

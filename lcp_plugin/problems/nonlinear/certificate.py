@@ -151,7 +151,7 @@ class NonlinearCertificate(Certificate):
     """
 
     is_linearised: ClassVar[bool] = True
-    _units: ClassVar[None] = None  # F is judged in the units it is given in
+    _scaling: ClassVar[None] = None  # F is judged in the units it is given in
 
     nonlinear: NonlinearProblem = field(kw_only=True, repr=False)
     value: FloatVector = field(kw_only=True, repr=False)

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ...auto import policy_for
 from ...core.algorithm import Algorithm, Step, without_warnings
-from ...core.certificates.criterion import CommonUnits, largest_of_components
+from ...core.certificates.criterion import CommonScaling, largest_of_components
 from ...core.certificates.row_residuals import largest_ratio, scaled_residual
 from ...core.checks import FloatVector
 from ...core.crossovers import INTERIOR_STEPS
@@ -368,14 +368,14 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
 
     From the projected gradient step: the methods see a start and look for a solution near it.
     """
-    left, clock, units = seconds_left(), Clock(problem.communicator), CommonUnits.of(problem)
+    left, clock, scaling = seconds_left(), Clock(problem.communicator), CommonScaling.of(problem)
     policy = LinearPolicy(algorithm)
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
-    start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
-    if (result := fused(units, policy, first, settings, start, clock)) is not None:
+    start, first = scaling.inward(np.clip(step, problem.lower, problem.upper)), policy.first(scaling.problem)
+    if (result := fused(scaling, policy, first, settings, start, clock)) is not None:
         return result
-    run = Run(units, policy, settings, _Patience() if problem.n > SMALL else None, clock)
+    run = Run(scaling, policy, settings, _Patience() if problem.n > SMALL else None, clock)
     return run.judged(start, run.drive(start, first))
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...auto import Single, policy_for
 from ...core.algorithm import Algorithm
-from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.communicator import ALONE
@@ -137,7 +137,7 @@ def solve_nonlinear(
         asked = settings.goal
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(judge.units, Single(newton, refutes=False), settings, callback, clock, judge)
+        run = Run(judge.scaling, Single(newton, refutes=False), settings, callback, clock, judge)
         try:
             if check_jacobian and problem.jacobian is not None:
                 require_true_jacobian(first)
@@ -190,7 +190,7 @@ class NonlinearJudge(Judge):
     def __init__(self, points: Linearisations, reference: Reference, start: Linearisation, settings: Settings) -> None:
         self.points, self.compared_with = points, reference
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
-        self.units = CommonUnits(start.lcp, start.lcp)
+        self.scaling = CommonScaling(start.lcp, start.lcp)
         self.reference = 1.0  # the certificate knows what each component is compared with
         self.proof = self._certificate = None
 

@@ -26,8 +26,8 @@ from ...core.checks import FloatVector
 from ...core.kernels.floats import TINY, UNIT
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.scaling import Exponents, scaled
 from ...core.matrix.structure import Components, connected_components
-from ...core.matrix.units import Exponents, scaled
 from ...core.rounding import compensated_product, gamma
 from ...systems.equilibration import unit_diagonal
 from ...systems.factors import PositiveFactor, factor_fits, positive_factor
@@ -118,7 +118,7 @@ def _of_solution(matrix: Matrix, size: FloatVector) -> FloatVector:
 
 @fact
 def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
-    """Return a lower bound of the smallest eigenvalue of M's symmetric part in equilibrated units, kept with M.
+    """Return a lower bound of the smallest eigenvalue of M's symmetric part after equilibration, kept with M.
 
     Returns
     -------

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.criterion import (
-    RowUnits,
+    RowScaling,
     references_of_components,
     residual_scale_of_criterion,
     rounding_of_data,
@@ -42,7 +42,7 @@ def exact_references(problem: LCP) -> Callable[[int], Fraction]:
 
     That is ‖r̂_P(z°)‖∞, P its component, in the caller's unit of z_i.
     """
-    units, several = RowUnits.of(problem), connected_components(problem.matrix)
+    scaling, several = RowScaling.of(problem), connected_components(problem.matrix)
     most = references_of_components(problem)[1]
 
     @cache
@@ -55,18 +55,18 @@ def exact_references(problem: LCP) -> Callable[[int], Fraction]:
 
     def of_row(row: int) -> Fraction:
         reference = of_component(0 if several is None else int(several.labels[row]))
-        return reference if units is None else reference * Fraction(2) ** int(units.column[row])
+        return reference if scaling is None else reference * Fraction(2) ** int(scaling.column[row])
 
     return of_row
 
 
 def exactly_weighted(problem: LCP, z: FloatVector) -> list[Fraction]:
     """Return |r̂_i(z)| of every row without any rounding, for a finite z."""
-    units = RowUnits.of(problem)
-    if units is None:
+    scaling = RowScaling.of(problem)
+    if scaling is None:
         return exact_residuals(problem, z)
-    residuals = exact_residuals(problem, z, units.scale)
-    return [r / Fraction(2) ** k for r, k in zip(residuals, units.column.tolist(), strict=True)]
+    residuals = exact_residuals(problem, z, scaling.scale)
+    return [r / Fraction(2) ** k for r, k in zip(residuals, scaling.column.tolist(), strict=True)]
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ class Closing:
     absolute : Fraction
         At least Σ weight_i.
     weighted : Fraction
-        The same in the units of the criterion.
+        The same in the scaling of the criterion.
     """
 
     contradiction: Fraction
@@ -127,7 +127,7 @@ class Refutation:
         """Yield what closes each case, verified; None for a case that is not closed."""
         raise NotImplementedError
 
-    def in_units(self, problem: LCP, exponents: IntVector) -> Refutation:
+    def rescaled(self, problem: LCP, exponents: IntVector) -> Refutation:
         """Return what this proves of the problem in other units of z: q and bounds of row i times 2^exponents_i.
 
         Parameters
@@ -202,7 +202,7 @@ class Refutation:
 
     @cached_property
     def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
-        """The least relative residual, the least one, and that in the units of the criterion; None for ∞."""
+        """The least relative residual, the least one, and that in the scaling of the criterion; None for ∞."""
         found = list(self.closings())
         closings = [closing for closing in found if closing is not None]
         if len(closings) < len(found):
@@ -268,12 +268,12 @@ class Choices(NamedTuple):
         leaving = {i: abs(value) for i, value in found.product.items()
                    if path.get(i) == (LOWER if value > 0 else UPPER)}  # of z_i from its bound
         shares = [*scaled, *leaving.items()]
-        units, reference = RowUnits.of(self.problem), exact_references(self.problem)
+        scaling, reference = RowScaling.of(self.problem), exact_references(self.problem)
         absolute = sum((share for _, share in shares), ZERO)
         return Closing(
             found.size, sum((share * reference(i) for i, share in shares), ZERO), absolute,
-            absolute if units is None else sum(
-                (share * Fraction(2) ** int(units.column[i]) for i, share in shares), ZERO
+            absolute if scaling is None else sum(
+                (share * Fraction(2) ** int(scaling.column[i]) for i, share in shares), ZERO
             ),
         )
 
@@ -339,9 +339,9 @@ class Infeasibility(Refutation):
         """Whether the stored doubles have no solution at all, by however little."""
         return self.radius == np.inf and self.verify()
 
-    def in_units(self, problem: LCP, exponents: IntVector) -> Infeasibility:
-        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
-        return Infeasibility.of(problem, dict(enumerate(in_other_units(self.exact_y, exponents))))
+    def rescaled(self, problem: LCP, exponents: IntVector) -> Infeasibility:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.rescaled`."""
+        return Infeasibility.of(problem, dict(enumerate(rescaled_multipliers(self.exact_y, exponents))))
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
@@ -382,6 +382,6 @@ class Infeasibility(Refutation):
         return f"Infeasibility({self})"
 
 
-def in_other_units(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
+def rescaled_multipliers(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
     """Return the Farkas vector of the problem whose q and bounds are those of row i times 2^exponents_i: D⁻¹ y."""
     return [value / Fraction(2) ** k if value else value for value, k in zip(y, exponents.tolist(), strict=True)]

@@ -1,8 +1,8 @@
-r"""The units of rows and unknowns, where entries of M show them: exact powers of two, found from M alone.
+r"""Row and column scaling of M, where its entries show that it is badly scaled: exact powers of two, from M alone.
 
 M̂ = R M C, R = diag(2^row), C = diag(2^column). An entry far larger than the diagonal entry of its row is evidence of a
 unit; a small one is a weak coupling or a flow, and |m_ij| / |m_ji| may be a unit or a flow: M alone cannot tell. So a
-connected component of M keeps its units where
+connected component of M is not scaled where
 
 - the largest entries of all its rows and columns lie within 2¹⁰ of each other, zeros on the diagonal or not; or
 - no entry exceeds 2⁴ times the diagonal entry of its row, however different these are: dominant rows, grids with jumps,
@@ -65,18 +65,18 @@ class Exponents(NamedTuple):
     column: IntVector
 
 
-class Units(NamedTuple):
-    """What rows and unknowns are measured in, and the matrix there.
+class Scaling(NamedTuple):
+    """Row and column scaling by powers of two, and the scaled matrix.
 
     Attributes
     ----------
     row, column : array of int, shape (n,)
-        w_i is measured in 2^−row, z_j in 2^column; 0 in components that keep their units.
+        w_i is measured in 2^−row, z_j in 2^column; 0 in components that need no scaling.
     of_row, of_column : array of int, shape (n,)
         The connected component of the graph of rows and columns: M̂ stays where 2^k multiplies a component's rows and
         divides its columns.
     matrix : Matrix
-        M̂, in its own units.
+        M̂, which needs no scaling.
     scale : array, shape (n,)
         d̂_i / 2^(row_i + column_i), d̂ the residual scale of M̂: what the caller's w_i is divided by.
     """
@@ -90,33 +90,33 @@ class Units(NamedTuple):
 
 
 @fact
-def units_of(matrix: Matrix) -> Units | None:
-    """Return the units that M shows; None where these are its own, and where rows are spread over ranks.
+def scaling_of(matrix: Matrix) -> Scaling | None:
+    """Return the scaling that M shows a need of; None where it needs none, and where rows are spread over ranks.
 
     Examples
     --------
     >>> columns = np.array([1.0, 2.0**30, 2.0**-30])
-    >>> units_of(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).column.tolist()
+    >>> scaling_of(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).column.tolist()
     [0, 30, -30]
     """
     if not matrix.communicator.is_alone:
         return None
     pivots = np.abs(matrix.diagonal)
     is_led_by_diagonal = pivots.min(initial=np.inf) >= matrix.largest * 2.0**-SPREAD
-    if is_led_by_diagonal or (matrix.is_dense and are_in_one_unit(matrix.array[np.newaxis])[0]):
+    if is_led_by_diagonal or (matrix.is_dense and are_well_scaled(matrix.array[np.newaxis])[0]):
         return None
     several = connected_components(matrix)
     labels = np.zeros(matrix.n, np.int64) if several is None else several.labels
     if several is None and matrix.is_dense and (found := _of_symmetric(matrix.array, matrix.diagonal)) is not None:
-        return _units(matrix, labels, *found)  # as below, for a tenth of the price
+        return _scaling(matrix, labels, *found)  # as below, for a tenth of the price
     M = matrix.csr
-    uneven = _uneven_components(M, labels, pivots)
-    if not uneven.any():
+    badly_scaled = _badly_scaled_components(M, labels, pivots)
+    if not badly_scaled.any():
         return None
     row, column = np.zeros((2, matrix.n), np.int64)
-    some = np.flatnonzero(uneven[labels])
+    some = np.flatnonzero(badly_scaled[labels])
     row[some], column[some] = _balanced(M[some][:, some] if some.size < matrix.n else M, labels[some])
-    return _units(matrix, labels, row, column)
+    return _scaling(matrix, labels, row, column)
 
 
 @fact
@@ -139,8 +139,8 @@ def energy_scale(matrix: Matrix) -> FloatVector | None:
         return read_only(np.where(is_symmetric, np.sqrt(matrix.diagonal) * np.exp2(-0.5 * ratio), np.nan))
 
 
-def are_in_one_unit(matrices: Any) -> BoolVector:
-    """Return which dense matrices, shape (k, n, n), show no units as a whole: shape (k,)."""
+def are_well_scaled(matrices: Any) -> BoolVector:
+    """Return which dense matrices, shape (k, n, n), need no scaling as a whole: shape (k,)."""
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
     most = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD
     are: BoolVector = most <= pivots.min(axis=1, initial=np.inf)
@@ -166,8 +166,8 @@ def _of_symmetric(M: FloatVector, diagonal: FloatVector) -> Exponents | None:
     return found if np.abs(scaled(M, found)).max() <= LARGEST_OFF else None
 
 
-def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector) -> Units | None:
-    """Return the units of these exponents, centred, but 0 in components whose unknowns they leave alike.
+def _scaling(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector) -> Scaling | None:
+    """Return the scaling by these exponents, centred, but 0 in components whose unknowns they leave alike.
 
     None where all are alike, and where an entry or what w is divided by is beyond the range of doubles.
     """
@@ -183,12 +183,12 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
     if not np.isfinite(M.data if sp.issparse(M) else M).all():
         return None
     balanced = Matrix(M)
-    units_of.keep(balanced, None)
+    scaling_of.keep(balanced, None)
     scale = times_power(balanced.residual_scale, -(row + column))
     if not is_representable(scale):
         return None
     row, column, of_row, of_column = (read_only(side) for side in (row, column, of_row, of_column))
-    return Units(row, column, of_row, of_column, balanced, read_only(scale))
+    return Scaling(row, column, of_row, of_column, balanced, read_only(scale))
 
 
 def is_representable(scale: FloatVector) -> bool:
@@ -196,16 +196,16 @@ def is_representable(scale: FloatVector) -> bool:
     return bool(((scale >= np.finfo(float).tiny) & (scale <= np.finfo(float).max)).all())
 
 
-def _uneven_components(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> BoolVector:
+def _badly_scaled_components(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> BoolVector:
     """Return which components, shape (components,), have entries of several sizes, some far beyond their diagonal."""
     rows, columns = largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))
     most, least = np.zeros(labels.max() + 1), np.full(labels.max() + 1, np.inf)
     for side in (rows, columns):
         np.maximum.at(most, labels, side)
         np.minimum.at(least, labels, np.where(side > 0.0, side, np.inf))
-    shows_units = np.zeros(most.size, np.bool_)
-    np.logical_or.at(shows_units, labels, rows * 2.0**-BESIDE_DIAGONAL > pivots)
-    return (most * 2.0**-SPREAD > least) & shows_units
+    is_badly_scaled = np.zeros(most.size, np.bool_)
+    np.logical_or.at(is_badly_scaled, labels, rows * 2.0**-BESIDE_DIAGONAL > pivots)
+    return (most * 2.0**-SPREAD > least) & is_badly_scaled
 
 
 def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:

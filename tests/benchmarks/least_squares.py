@@ -206,9 +206,9 @@ def _chain(n: int) -> tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], A
     A = sp.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1]).tocsr()
     problem = BoundedLeastSquares(A, np.random.default_rng(SEED).standard_normal(n))
 
-    def solved_once(unit: ScaledLeastSquares) -> Any:
-        faces = Faces.of(unit)
-        return faces and faces.correction(FacePoint(unit, unit.lower), np.ones(n, dtype=np.bool_))
+    def solved_once(scaled: ScaledLeastSquares) -> Any:
+        faces = Faces.of(scaled)
+        return faces and faces.correction(FacePoint(scaled, scaled.lower), np.ones(n, dtype=np.bool_))
 
     return ScaledLeastSquares(problem), solved_once, 1.0
 
@@ -216,8 +216,8 @@ def _chain(n: int) -> tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], A
 def _patience(
     name: str, value: float, case: tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], Any], float]
 ) -> str:
-    unit, by_factor, size = case
-    factor = timed(lambda: by_factor(unit)).seconds
-    steps = without_warnings(projected_steps(FacePoint(unit, unit.lower)))
+    scaled, by_factor, size = case
+    factor = timed(lambda: by_factor(scaled)).seconds
+    steps = without_warnings(projected_steps(FacePoint(scaled, scaled.lower)))
     step = timed(lambda: list(islice(steps, STEPS))).seconds / STEPS
     return f"{name} = {value}: a face solved by a factor costs {factor / step / size:.2g} steps of this unit"

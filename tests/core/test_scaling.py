@@ -208,7 +208,7 @@ def planted(seed: int) -> tuple[LCP, np.ndarray]:
     return LCP(M, w - M @ z, upper=np.where(rng.random(n) < 0.2, 2.0 * z + 1.0, np.inf)), z
 
 
-def in_units(problem: LCP, seed: int) -> tuple[LCP, np.ndarray]:
+def rescaled(problem: LCP, seed: int) -> tuple[LCP, np.ndarray]:
     """The same problem in other units of its rows and unknowns, and those of the unknowns."""
     rng = np.random.default_rng([seed, 1])
     rows, columns = np.exp2(rng.integers(-20, 21, (2, problem.n)))
@@ -243,7 +243,7 @@ def test_what_is_solved_in_any_units_is_near_the_answer(algorithm: str) -> None:
     solved = 0
     for seed in (*range(12), 27, 29, 48, 98, 108, 155, 177):
         problem, z = planted(seed)
-        scaled, units = in_units(problem, seed)
+        scaled, units = rescaled(problem, seed)
         result = solve(scaled, algorithm, max_iterations=3000)
         solved += result.is_solved
         assert not result.is_solved or np.abs(result.z / units - z).max() <= 1e-3, seed
@@ -255,7 +255,7 @@ def test_other_units_change_no_status(algorithm: str) -> None:
     """Rows and unknowns multiplied by powers of two: SOLVED as before, and the same z."""
     for seed in range(30):
         problem, z = planted(seed)
-        scaled, units = in_units(problem, seed)
+        scaled, units = rescaled(problem, seed)
         before, after = solve(problem, algorithm), solve(scaled, algorithm)
         assert (before.status, after.status) == (Status.SOLVED, Status.SOLVED), seed
         assert after.z / units == pytest.approx(z, abs=1e-5), seed
@@ -265,7 +265,7 @@ def test_other_units_change_no_status(algorithm: str) -> None:
 def test_the_units_are_found(seed: int) -> None:
     """Balancing finds the units of the unknowns to a few powers of two; of a problem in one unit there are none."""
     problem = planted(seed)[0]
-    scaled, columns = in_units(problem, seed)
+    scaled, columns = rescaled(problem, seed)
     scaling = scaling_of(scaled.matrix)
     assert scaling is not None
     assert np.ptp(scaling.column - np.log2(columns)) <= 8

@@ -196,13 +196,13 @@ def signs_of(M: Any) -> FloatVector | None:
 
 
 def _two_colours(rows: Any, columns: Any, is_same: Any, n: int) -> FloatVector:
-    """Return the signs that each connected part allows, if any: in a graph of every row and its opposite."""
+    """Return the signs that each connected component allows, if any: in a graph of every row and its opposite."""
     from scipy.sparse.csgraph import connected_components
 
     beside = columns + np.where(is_same, 0, n)
     edges = (np.ones(rows.size), (rows, beside))
     twofold = sp.csr_array(edges, shape=(n, 2 * n))
     opposite = sp.csr_array((np.ones(rows.size), (rows, (beside + n) % (2 * n))), shape=(n, 2 * n))
-    _, part = connected_components(sp.vstack([twofold, opposite]), directed=False)
-    signs: FloatVector = np.where(part[:n] <= part[n:], 1.0, -1.0)
+    _, component = connected_components(sp.vstack([twofold, opposite]), directed=False)
+    signs: FloatVector = np.where(component[:n] <= component[n:], 1.0, -1.0)
     return signs

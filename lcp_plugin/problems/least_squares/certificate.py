@@ -269,7 +269,7 @@ def _push(problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector,
 
     Its signs are looked at where it is used.
     """
-    unit, columns, root = problem.scaled, np.flatnonzero(chosen), problem.root_weights
+    scaled, columns, root = problem.scaled, np.flatnonzero(chosen), problem.root_weights
     if not wanted[columns].any():
         return np.zeros(root.size)
     from scipy.sparse.linalg import LinearOperator, lsmr
@@ -279,12 +279,12 @@ def _push(problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector,
     def back(pull: FloatVector) -> FloatVector:
         full = np.zeros(wanted.size)
         full[columns] = pull
-        return np.asarray(unit.product(full))
+        return np.asarray(scaled.product(full))
 
     shape = (columns.size, root.size)
-    across = LinearOperator(shape, lambda push: unit.transposed(push)[columns], back, dtype=np.float64)
+    across = LinearOperator(shape, lambda push: scaled.transposed(push)[columns], back, dtype=np.float64)
     steps = min(REPAIR_STEPS, 2 * columns.size + 1)
     push, reason, *_ = lsmr(across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)
     if reason != IS_NEAR and problem.is_cheap_to_copy:  # however ill-conditioned A is
-        push = least_squares(sp.csr_array(unit.entries()[:, columns]).T, wanted[columns])
+        push = least_squares(sp.csr_array(scaled.entries()[:, columns]).T, wanted[columns])
     return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))

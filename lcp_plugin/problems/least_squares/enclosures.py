@@ -134,10 +134,10 @@ class Enclosures:
         problem, n = self.problem, self.problem.shape[1]
         if not problem.has_entries or not 0 < n <= min(GRAM_UP_TO, problem.shape[0]):
             return None
-        unit = problem.scaled
-        gram = unit.gram()
+        scaled = problem.scaled
+        gram = scaled.gram()
         dense: Any = gram.toarray() if sp.issparse(gram) else gram
-        dense.flat[:: n + 1] += unit.ridge
+        dense.flat[:: n + 1] += scaled.ridge
         if not np.isfinite(dense).all():
             return None
         terms = problem.shape[0] + 16

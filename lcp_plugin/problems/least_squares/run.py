@@ -41,13 +41,13 @@ def run_stages(
 
     A problem is hard that the kernel of small ones did not solve.
     """
-    unit = problem.scaled
+    scaled = problem.scaled
     stages = Stages(problem, is_hard=is_hard)
     judge = LeastSquaresJudge(problem, settings, stages)
     run = Run(judge.scaling, stages, settings, None, clock, judge)
-    begin = unit.nearest_to_zero if start is None else np.clip(unit.from_caller(start), unit.lower, unit.upper)
+    begin = scaled.nearest_to_zero if start is None else np.clip(scaled.from_caller(start), scaled.lower, scaled.upper)
     try:
-        end = run.drive(begin, stages.first(unit))
+        end = run.drive(begin, stages.first(scaled))
     except KeyboardInterrupt:
         end = End.INTERRUPTED
     judged, status = run.ended(begin, end)
@@ -63,10 +63,10 @@ def gap_of(problem: BoundedLeastSquares, x: FloatVector, dual: FloatVector, step
 
 def point_nearer(problem: BoundedLeastSquares, x: FloatVector, steps: int) -> FloatVector:
     """Return a point nearer to the answer than x, which about as many steps led to."""
-    unit = problem.scaled
-    start = FacePoint(unit, np.clip(unit.from_caller(x), unit.lower, unit.upper))
+    scaled = problem.scaled
+    start = FacePoint(scaled, np.clip(scaled.from_caller(x), scaled.lower, scaled.upper))
     points = islice(through_orthants(projected_steps)(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP))
-    return unit.to_caller(min(points, key=lambda point: point.size_of_residual).x)
+    return scaled.to_caller(min(points, key=lambda point: point.size_of_residual).x)
 
 
 @dataclass(slots=True)
@@ -202,14 +202,14 @@ class LeastSquaresJudge(Judge):
 
     def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Any:
         """Return what is certified of the answer: z, the best before, or that one refined."""
-        unit, best = self.asked.scaled, self.best
+        scaled, best = self.asked.scaled, self.best
         if not self.is_solved:
             return self._kept(z) and self.best
         if best is None or last is None or end is not End.CONVERGED or best.is_at_rounding_level:
             return best
-        z = np.clip(unit.from_caller(best.x), unit.lower, unit.upper)
-        refined = last.finish(unit, z)
-        judged = best if refined is z else self._judged(unit.to_caller(refined), None)
+        z = np.clip(scaled.from_caller(best.x), scaled.lower, scaled.upper)
+        refined = last.finish(scaled, z)
+        judged = best if refined is z else self._judged(scaled.to_caller(refined), None)
         return judged if judged.meets(self.settings.tolerance) else best
 
     def verdict(self, certificate: Any, end: End, *, is_chain: bool) -> Status:

@@ -59,6 +59,9 @@ if TYPE_CHECKING:
     from .problems.batches.batch import solve_many as solve_many
     from .problems.batches.batch_run import BatchResult as BatchResult
     from .problems.batches.program_batch import ProgramBatchResult as ProgramBatchResult
+    from .problems.cones.data import ConeProblem as ConeProblem
+    from .problems.cones.data import FrictionalContact as FrictionalContact
+    from .problems.cones.solving import ConeResult as ConeResult
     from .problems.equilibria.branch_and_bound import minimize_over_solutions as minimize_over_solutions
     from .problems.equilibria.equilibrium_program import EquilibriumProgram as EquilibriumProgram
     from .problems.equilibria.result import EquilibriumResult as EquilibriumResult
@@ -93,6 +96,9 @@ _HOME = {
     "LCP": "core.lcp",
     "NonlinearProblem": "problems.nonlinear.data",
     "BoundedLeastSquares": "problems.least_squares.data",
+    "ConeProblem": "problems.cones.data",
+    "FrictionalContact": "problems.cones.data",
+    "ConeResult": "problems.cones.solving",
     "solve_nonlinear": "problems.nonlinear.solving",
     "Certificate": "core.certificates.residuals",
     "ErrorBound": "proofs.bounds.error_bounds",

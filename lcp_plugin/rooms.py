@@ -21,6 +21,8 @@ OFFERS = {
         "QuadraticProgram": "problems.programs.kind:QUADRATIC_PROGRAM",
         "EquilibriumProgram": "problems.equilibria:EQUILIBRIUM_PROGRAM",
         "BoundedLeastSquares": "problems.least_squares:BOUNDED_LEAST_SQUARES",
+        "ConeProblem": "problems.cones:CONE_PROBLEM",
+        "FrictionalContact": "problems.cones:FRICTIONAL_CONTACT",
     },
     "conversion": {
         "from_qp": "problems.programs.conversion:lcp_from_qp",
@@ -37,6 +39,9 @@ OFFERS = {
         "a program in .nl": "doors.nl.model:program_in_nl",
         "a Pyomo model in .nl": "doors.pyomo.answers:content_of",
         "write .nl": "doors.nl.writing:write_nl",
+        "save arrays": "doors.files.files:save_arrays",
+        "arrays of cones": "problems.cones.files:arrays_of",
+        "a problem over cones": "problems.cones.files:problem_of",
     },
     "global solver": {"SCIP": "doors.scip:minimize_or_none"},
     "ranks": {

@@ -26,6 +26,7 @@ PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of
 ALIASES = {"q": "c", "lb": "lower", "ub": "upper"}
 QUADPROG = {"H": "P", "f": "c", "A": "G", "b": "h", "Aeq": "A", "beq": "b", "lb": "lower", "ub": "upper"}
 OF_PROGRAM = ("P", "c", "A", "l", "u", "G", "h", "b", "lower", "upper", "r")
+OF_CONES = ("W", "M", *MATRIX_KEYS, "q", "b", "mu", "friction", "cone_kinds", "cone_rows", "lower", "upper")
 OF_LEAST_SQUARES = ("A", "b", "lower", "upper", "weights", "ridge", "l1")
 MATRICES = ("P", "A", "G", "H", "Aeq")
 MOST_ROWS = 10**8
@@ -58,7 +59,7 @@ class Stated(NamedTuple):
     names: Sequence[str] | None = None
 
 
-def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedLeastSquares:
+def load_problem(path: str | PathLike[str]) -> Any:
     """Return the problem of a file, of the kind that its content states.
 
     Parameters
@@ -66,7 +67,8 @@ def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedL
     path : str or Path
         ``.qps`` and ``.mps`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A, l, u, or
         the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program; with A
-        and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares. Everything else is read by
+        and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares; with mu beside a matrix a
+        FrictionalContact, with cone_kinds a ConeProblem (``.npz`` alone). Everything else is read by
         :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by :func:`lcp_plugin.doors.nl.read_nl`.
 
     Raises
@@ -79,6 +81,8 @@ def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedL
     kind = kind_in(path)
     if kind.__name__ == "QuadraticProgram":
         return load_program(path).program
+    if kind.__name__ in ("ConeProblem", "FrictionalContact"):
+        return ask("file format", "a problem over cones")(read_npz(checked_path(path), OF_CONES), path)
     return load_least_squares(path) if kind.__name__ == "BoundedLeastSquares" else LCP.load(path)
 
 
@@ -94,6 +98,10 @@ def kind_in(path: str | PathLike[str]) -> Any:
     if source.suffix.lower() not in ARRAYS or not is_file:
         return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}
+    if names & {"mu", "friction"} and names & {"W", *MATRIX_KEYS}:
+        return _class_of("FrictionalContact")
+    if "cone_kinds" in names:
+        return _class_of("ConeProblem")
     if "M" in names or names & {*MATRIX_KEYS}:
         return LCP
     if names & {"P", "c", "H", "f"} or {"A", "q"} <= names:

@@ -1,0 +1,179 @@
+"""How wrong a z is for a problem over cones: the criterion of an LCP, block by block.
+
+The residual of a block is the natural map R_k(z) = z_k − P_K(z_k − ŵ_k / d_k), ŵ = w + μ‖w_T‖ e_N with friction, w
+without, and its size is ‖R_k‖₂. Scales d_k, units and parts are those of the LCP of block norms
+(:attr:`~lcp_plugin.problems.cones.data.Blocks.block_norms`), d_k the mean of the block's diagonal: so SOLVED asks for
+‖R̂_k(z)‖ ≤ tolerance · ‖R̂_P(z°)‖ in every part P, z° the point of K nearest to 0, and for every block to be right in its
+own terms to √tolerance, by the functions that an LCP is judged by.
+
+Rounding is enclosed: with |w − w̃|_i ≤ ρ_i, projections being nonexpansive, ‖R_k‖ is off by no more than
+(1 + μ)‖ρ_k‖ / d_k, and what the projection itself rounds is at most 8 (m + 10) u (1 + μ)(‖z_k‖ + (1 + μ)‖w_k‖ / d_k), m
+rows, u = 2⁻⁵³.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.certificates.criterion import VectorEnds, largest_of_parts
+from ...core.certificates.own_terms import term_residuals
+from ...core.certificates.residuals import GAINED, Certificate
+from ...core.certificates.row_residuals import residual_ends_of, rounding_floor, sharp_residual_ends
+from ...core.checks import FloatVector, read_only
+from ...core.kernels.floats import TINY, UNIT
+from ...core.rounding import compensated_product, lower_end
+from .data import Blocks
+
+OUTWARD = 1.0 + 2.0**-48  # of a handful of roundings
+
+
+@dataclass(frozen=True, eq=False)
+class ConeCertificate(Certificate):
+    """Every measure of how far a point is from solving a problem over cones.
+
+    Attributes
+    ----------
+    problem : LCP
+        Of block norms, whose rows are blocks: `worst_index` is the number of a block.
+    cones : Blocks
+        The problem.
+    point : ndarray, shape (n,)
+        z.
+    velocity : ndarray, shape (n,)
+        w = M z + q.
+    """
+
+    is_linearised: ClassVar[bool] = True  # its rows are not those of an LCP
+
+    cones: Blocks = field(kw_only=True, repr=False)
+    point: FloatVector = field(kw_only=True, repr=False)
+    velocity: FloatVector = field(kw_only=True, repr=False)
+    slip: FloatVector = field(kw_only=True, repr=False)
+
+    @classmethod
+    def at(cls, cones: Blocks, z: FloatVector) -> ConeCertificate:
+        """Return the certificate of z, shape (n,)."""
+        point = read_only(np.array(z, dtype=np.float64))
+        with np.errstate(all="ignore"):
+            w, slip = compensated_product(cones.rows.csr, point, cones.q)
+            return cls(cones.block_norms, read_only(cones.norms(point)), cones=cones, point=point,
+                       velocity=read_only(w), slip=slip)
+
+    @cached_property
+    def w(self) -> FloatVector:
+        """Norms of the slack of each block, shape (k,)."""
+        return read_only(self.cones.norms(self.velocity))
+
+    @property
+    def references(self) -> VectorEnds:
+        """Bounds of ‖R_P(z°)‖ of each part, shape (parts,) each."""
+        return self._references
+
+    @cached_property
+    def _references(self) -> VectorEnds:
+        origin = ConeCertificate.at(self.cones, self.cones.nearest_to_zero)
+        least, most = origin._ends(self._scale)
+        is_open = (least == 0.0) & (most > 0.0)
+        if is_open.any():
+            most = np.where(is_open, origin._sharp_ends_at(self._scale), most)
+        units = self._units
+        if units is not None:
+            least, most = units.downwards(least), units.upwards(most)
+        return largest_of_parts(self.problem, least), largest_of_parts(self.problem, most)
+
+    def _ends(self, scale: FloatVector) -> VectorEnds:
+        """Return bounds of every ‖R_k‖; of rows that are no cone's those of an LCP."""
+        cones, is_cone = self.cones, self.cones.sizes > 1
+        mu = np.where(is_cone, cones.slope, 0.0)
+        with np.errstate(all="ignore"):
+            sizes = cones.norms(cones.residual(self.point, self.velocity, scale)[0])
+            stretch = 1.0 + (mu if cones.has_friction else 0.0)
+            moved = stretch * cones.norms(self.slip) / scale
+            terms = self.z + stretch * (self.w + cones.norms(self.slip)) / scale
+            rounded = 8.0 * (cones.sizes + 10.0) * UNIT * (1.0 + mu) * terms
+            off = OUTWARD * (moved + rounded) + 4.0 * TINY
+            is_finite = np.isfinite(sizes) & np.isfinite(off)
+            least = np.where(is_finite, np.maximum(sizes / OUTWARD - off, 0.0), 0.0)
+            most = np.where(is_finite, OUTWARD * (sizes + off), np.inf)
+            most = np.where(self._is_open, 0.0, most)
+        if not is_cone.all() and is_cone.size:
+            of_rows = residual_ends_of(
+                cones.rows.csr, self.point, cones.rows, self.point, scale[cones.block_of_row]
+            )
+            first = cones.starts[:-1]
+            least, most = (np.where(is_cone, end, row[first]) for end, row in zip((least, most), of_rows, strict=True))
+        return least, most
+
+    @cached_property
+    def _is_open(self) -> NDArray[np.bool_]:
+        """Which cones have a point that is 0 and a slack proved to be in the dual cone: their residual is 0."""
+        cones, first = self.cones, self.cones.starts[:-1]
+        normal = lower_end(self.velocity, self.slip)[first]
+        if cones.has_friction:  # û_N ≥ μ‖u_T‖ says u_N ≥ 0
+            is_open: NDArray[np.bool_] = (self.z == 0.0) & (normal >= 0.0)
+            return is_open
+        tangents = np.abs(self.velocity) + self.slip
+        tangents[first] = 0.0
+        enough = normal >= OUTWARD * cones.norms(tangents)
+        for k in np.flatnonzero((self.z == 0.0) & (normal > 0.0) & ~enough & (cones.norms(self.slip) == 0.0)):
+            own = [Fraction(value) for value in self.velocity[cones.starts[k]:cones.starts[k + 1]].tolist()]
+            enough[k] = own[0] ** 2 >= sum(value**2 for value in own[1:])
+        is_open = (self.z == 0.0) & (cones.sizes > 1) & enough
+        return is_open
+
+    def _sharp_ends(self) -> FloatVector:
+        """Return the bounds in parts that z° solves, where only what is exactly 0 will do."""
+        return self._sharp_ends_at(self._scale)
+
+    def _sharp_ends_at(self, scale: FloatVector) -> FloatVector:
+        cones = self.cones
+        rows = sharp_residual_ends(cones.rows, self.point, scale[cones.block_of_row])[1]
+        return np.where(cones.sizes > 1, self._ends(scale)[1], rows[cones.starts[:-1]])
+
+    @cached_property
+    def term_residuals(self) -> FloatVector:
+        """How wrong each block is in its own terms, shape (k,): d_k ‖R_k‖ is its wrong part."""
+        residual = self._ends(self.problem.residual_scale)[1]
+        with np.errstate(all="ignore"):
+            return term_residuals(self.problem, self.z, residual * self.problem.residual_scale)
+
+    @cached_property
+    def _worst(self) -> tuple[float, int]:
+        """The largest residual beside its part's reference, in the unit of z, and its block."""
+        ends = self._scaled_ends[1]
+        with np.errstate(all="ignore"):
+            worst = int(np.argmax(np.where(ends > 0.0, ends * self.cones._weights, 0.0))) if ends.size else -1
+        return (float(ends[worst]), worst) if ends.size else (0.0, -1)
+
+    @cached_property
+    def rounding_floor(self) -> FloatVector:
+        """What rounding alone can make of each block's residual, estimated, shape (k,)."""
+        return 4.0 * self.cones.sizes * rounding_floor(self.problem, self._terms, self._scale)
+
+    @cached_property
+    def is_limited_by_rounding(self) -> bool:
+        """True where no block's residual exceeds four times its rounding floor, and the residual is small."""
+        return self.relative_residual <= GAINED and self.is_at_rounding_level
+
+    @cached_property
+    def natural_residual(self) -> float:
+        """The largest ‖z_k − P_K(z_k − ŵ_k)‖, unscaled."""
+        return float(self._natural.max(initial=0.0))
+
+    @cached_property
+    def dissipation(self) -> float:
+        """−rᵀu of contacts: the work that friction takes, in J; zᵀw of others is its complementarity."""
+        return float(-(self.point @ self.velocity))
+
+    def __str__(self) -> str:
+        lines: list[tuple[str, Any]] = [
+            ("relative residual", self.relative_residual), ("natural residual", self.natural_residual),
+            ("term residual", self.term_residual), ("z · w", -self.dissipation),
+        ]
+        return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)

@@ -115,8 +115,8 @@ class ConeCertificate(Certificate):
         """Which cones have a point that is 0 and a slack proved to be in the dual cone: their residual is 0."""
         cones, first = self.cones, self.cones.starts[:-1]
         normal = lower_end(self.velocity, self.slip)[first]
+        is_open: NDArray[np.bool_] = (self.z == 0.0) & (cones.sizes > 1) & (normal >= 0.0)
         if cones.has_friction:  # û_N ≥ μ‖u_T‖ says u_N ≥ 0
-            is_open: NDArray[np.bool_] = (self.z == 0.0) & (normal >= 0.0)
             return is_open
         tangents = np.abs(self.velocity) + self.slip
         tangents[first] = 0.0
@@ -124,7 +124,7 @@ class ConeCertificate(Certificate):
         for k in np.flatnonzero((self.z == 0.0) & (normal > 0.0) & ~enough & (cones.norms(self.slip) == 0.0)):
             own = [Fraction(value) for value in self.velocity[cones.starts[k]:cones.starts[k + 1]].tolist()]
             enough[k] = own[0] ** 2 >= sum(value**2 for value in own[1:])
-        is_open = (self.z == 0.0) & (cones.sizes > 1) & enough
+        is_open &= enough
         return is_open
 
     def _sharp_ends(self) -> FloatVector:

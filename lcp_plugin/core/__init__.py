@@ -1,4 +1,4 @@
-"""What every solve needs; it imports no room of the package, and every room may import it.
+"""What every solve needs: problem, algorithms, certificate, driver, result.
 
 Read it in this order:
 

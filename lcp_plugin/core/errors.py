@@ -14,7 +14,7 @@ class LCPError(Exception):
 
 
 class InvalidProblem(LCPError, ValueError):
-    """The data do not state a problem of the kind that they are given for."""
+    """The data do not define a problem, as where shapes differ or a lower bound exceeds the upper one."""
 
 
 class InvalidOption(LCPError, TypeError):
@@ -30,7 +30,7 @@ class UnsuitableProblem(LCPError, ValueError):
 
 
 class UnsupportedModel(LCPError, ValueError):
-    """The model is no complementarity problem or quadratic program that this package can state."""
+    """The model cannot be written as a complementarity problem or a quadratic program."""
 
 
 class UnknownAlgorithm(LCPError, LookupError):
@@ -46,7 +46,7 @@ class NotConverged(LCPError, RuntimeError):
 
 
 class ConvergenceWarning(UserWarning):
-    """Nothing proves that the chosen algorithm converges on this matrix."""
+    """No known theorem says that the chosen algorithm converges on this matrix."""
 
 
 class ModelWarning(UserWarning):

@@ -80,17 +80,17 @@ class LCP:
 
     @property
     def own(self) -> int:
-        """How many of the rows are here: all, unless they are spread over the ranks of an MPI job."""
+        """The number of rows that this process holds: all, unless they are spread over the ranks of an MPI job."""
         return self.matrix.own
 
     @property
     def first(self) -> int:
-        """The rows that are here are first ≤ i < last."""
+        """The index of the first row that this process holds."""
         return self.matrix.communicator.first
 
     @property
     def last(self) -> int:
-        """The end of the rows that are here."""
+        """The index after the last row that this process holds."""
         return self.first + self.own
 
     @cached_property
@@ -184,7 +184,7 @@ class LCP:
         return self.communicator.together(lambda: real_vector(z, name, self.own))
 
     def gathered(self, z: ArrayLike) -> FloatVector | None:
-        """Return the parts of all ranks one after the other on rank 0, None on the others.
+        """Return the rows of all ranks as one vector on rank 0, and None on the others.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ class LCP:
         cls, comm: Any, rows: Any, q: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,
         first_row: int | None = None,
     ) -> LCP:
-        """Return the problem whose rows follow each other in the order of the ranks, each of which gives its own.
+        """Return the problem whose rows are spread over MPI ranks; each rank gives its own, in order of ranks.
 
         Every method of such a problem is to be called by all ranks. Its vectors are the own parts.
 
@@ -251,7 +251,7 @@ class LCP:
 
     @classmethod
     def from_problem(cls, problem: LCP, comm: Any = None) -> LCP:
-        """Return the problem cut into equal parts, one a rank; every rank gives the same whole one.
+        """Return the problem with its rows spread evenly over MPI ranks; every rank gives the whole problem.
 
         Parameters
         ----------
@@ -353,7 +353,7 @@ class LCP:
         return cast(LCP, convert(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step))
 
     def to_qp(self) -> Any:
-        """Return a quadratic program that this problem is; see ``problems.programs.conversion.qp_from_lcp``."""
+        """Return a quadratic program with the same solutions; see ``problems.programs.conversion.qp_from_lcp``."""
         return ask("conversion", "to_qp")(self)
 
     @classmethod

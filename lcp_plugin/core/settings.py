@@ -21,7 +21,7 @@ TARGETS = ("residual", "error")
 
 
 class Status(Enum):
-    """Why a run ended, the value of each member in words; `advice` of a result says besides what to do."""
+    """Why a run ended; the value of each member says it in words, `advice` of a result also what to do."""
 
     SOLVED = "the residual is within the tolerance, rounding included, as proved on your data"
     PRECISION_LIMIT = (
@@ -31,7 +31,7 @@ class Status(Enum):
     MAX_ITERATIONS = "the iteration limit came first: raise max_iterations"
     MAX_SECONDS = "the time limit came first: raise max_seconds"
     STALLED = "the residual has stopped falling, or falls too slowly to arrive within max_iterations"
-    DIVERGED = "the iteration left every reasonable range"
+    DIVERGED = "the iterates ran away: the residual grew by a factor of 10⁸, or is not finite"
     INFEASIBLE = (
         "no z within its bounds gives w = M z + q the signs it needs, even with errors as large as the tolerance; "
         "result.proof proves it: check the data"
@@ -41,8 +41,8 @@ class Status(Enum):
         "tolerance, and result.proof proves it"
     )
     UNBOUNDED = (
-        "the objective falls for ever along a direction from a feasible point, and result.proof proves it: bound the "
-        "unknowns where it falls"
+        "the objective falls without end along a direction from a feasible point, and result.proof proves it: bound "
+        "the unknowns where it falls"
     )
     INTERRUPTED = "stopped from outside (Ctrl-C or the callback); z is the best iterate so far"
 

@@ -31,7 +31,7 @@ ELSEWHERE = ("eps_abs", "eps_rel", "feastol", "reltol", "abstol", "max_iter", "m
 
 
 def register_with_qpsolvers() -> None:
-    """Let qpsolvers know the solver "lcp_plugin"; to say it twice changes nothing.
+    """Register the solver "lcp_plugin" with qpsolvers; a second call changes nothing.
 
     Raises
     ------

@@ -10,7 +10,7 @@
 A pair is a special ordered set: of z − lower and w, both ≥ 0, at most one is not zero. A box has two of them, with
 w = w⁺ − w⁻. Smooth terms are expressions of SCIP's, term by term; what occurs twice inside others is a variable.
 
-Where its first relaxation falls for ever, SCIP may cut off children that do, too, and call the rest optimal (release
+Where its first relaxation falls without end, SCIP may cut off children that do, too, and call the rest optimal (release
 10, special ordered sets). Then it is asked again within |x| ≤ 10⁶, and what reaches that far is called unbounded; so it
 is where SCIP itself calls the objective unbounded, for a point that is a number.
 
@@ -44,7 +44,7 @@ from ..problems.equilibria.equilibrium_program import BETWEEN, LOWER, UPPER, Equ
 LARGEST = 1e20  # what is farther is infinite for SCIP
 LONGEST = 1e20  # seconds
 SHARE = 0.25  # of the gap that is asked for
-FAR, INSIDE = 1e6, 1e-3  # a box for what falls for ever, and what is near it, relatively
+FAR, INSIDE = 1e6, 1e-3  # a box for what falls without end, and what is near it, relatively
 FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
 FAILED = "SCIP:"  # what its errors begin with
 LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better

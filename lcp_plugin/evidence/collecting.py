@@ -49,7 +49,7 @@ class Part:
 
 @dataclass
 class Collected:
-    """What the parts of a report hold.
+    """The contents of the sections of a report.
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ SECOND_OPINIONS: dict[str, dict[str, Any]] = {"psor": {}, "npsor": {"scaling": "
 
 @dataclass(frozen=True, eq=False)
 class CrossCheck:
-    """Our answer, the reference's, and whether they are the same as far as both are accurate.
+    """Our answer and that of a convex solver, and whether they agree within the accuracy of both.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ def cross_validate(
     tolerance: float = 1e-9,
     max_seconds: float = 60.0,
 ) -> CrossCheck:
-    """Return our answer compared with that of a convex solver, where that is legitimate.
+    """Return our answer compared with that of a convex solver, where M makes the problem convex.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True)
 class Curve:
-    """One algorithm's way to its answer.
+    """The error of one algorithm against time and work.
 
     Attributes
     ----------

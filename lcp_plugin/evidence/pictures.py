@@ -23,7 +23,7 @@ ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
 
 
 def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence[Result] = ()) -> None:
-    """Save the picture of a result, in the scene's own coordinates where it has a grid.
+    """Save the picture of a result, on the grid of its test problem where there is one.
 
     Parameters
     ----------

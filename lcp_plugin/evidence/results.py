@@ -105,7 +105,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Study:
-    """A table of raw results and its views.
+    """The measurements of several methods on families of problems, with tables and pictures.
 
     Attributes
     ----------

@@ -47,7 +47,7 @@ OUTCOMES = {  # colour and sign
 
 @dataclass(frozen=True)
 class Cell:
-    """One algorithm under one stress.
+    """One algorithm on one kind of difficult data.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Atlas(Exported):
-    """How each algorithm fared under each stress.
+    """How each algorithm coped with each kind of difficult data.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ def stability_atlas(
     quick: bool = False,
     progress: Progress | None = None,
 ) -> Atlas:
-    """Return how each algorithm fares under each stress, judged against exact answers.
+    """Return how each algorithm copes with each kind of difficult data, compared with exact answers.
 
     Parameters
     ----------

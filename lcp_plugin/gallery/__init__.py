@@ -1,4 +1,4 @@
-"""Named, parametrised scenes: problems that know what is known about them.
+"""Named test problems with parameters, each with what is known about its solution.
 
 ``build("obstacle_2d", size=200)``, ``obstacle_2d(size=200)`` and ``parse("obstacle_2d:size=200")`` give the
 same :class:`Scene`; ``describe()`` lists them all. A new scene is one function with ``scene_builder`` in a file of

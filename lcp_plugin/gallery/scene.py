@@ -22,7 +22,7 @@ _VECTORS = ("exact", "continuum", "start")
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Scene:
-    """One named problem with the facts its builder declares.
+    """A test problem with what is known about it.
 
     The facts are declared, not computed: building a scene costs its assembly and nothing else.
 
@@ -163,7 +163,7 @@ Builder = Callable[..., Scene]
 
 
 class Description(NamedTuple):
-    """A scene's name, its one-line description, and its parameters with their defaults."""
+    """The name of a test problem, its one-line description, and its parameters with their defaults."""
 
     name: str
     summary: str
@@ -174,7 +174,7 @@ _SCENES: dict[str, Builder] = {}
 
 
 def scene_builder(builder: Builder) -> Builder:
-    """Register a builder under its own name.
+    """Register the function that builds a test problem, under its own name.
 
     The signature declares the parameters (keyword only, each with a default and, where it needs one, a range
     from :mod:`.parameters`); the first docstring line is the description. The returned function checks every
@@ -214,12 +214,12 @@ def checked_values(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def names() -> list[str]:
-    """Return the names of all scenes, sorted."""
+    """Return the names of all test problems, sorted."""
     return sorted(_SCENES)
 
 
 def describe() -> list[Description]:
-    """Return name, one-line description and parameters with defaults of every scene, sorted by name.
+    """Return name, one-line description and parameters of every test problem, sorted by name.
 
     Examples
     --------
@@ -233,7 +233,7 @@ def describe() -> list[Description]:
 
 
 def build(name: str, /, **parameters: Any) -> Scene:
-    """Return the scene of that name.
+    """Return the test problem of that name.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def build(name: str, /, **parameters: Any) -> Scene:
 
 
 def parse(text: str) -> Scene:
-    """Return the scene written as ``name`` or ``name:parameter=value,parameter=value``.
+    """Return the test problem written as ``name`` or ``name:parameter=value,parameter=value``.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def parse(text: str) -> Scene:
 
 
 def read(text: str) -> tuple[str, dict[str, Any]]:
-    """Return the name of a scene written as text and the parameters that it gives, without building the scene.
+    """Return the name and the parameters of a test problem written as text, without building it.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ class Side:
 
 
 def box(expression: Any, lower: Any, upper: Any) -> Side:
-    """Return the side lower ≤ expression ≤ upper of a complementarity.
+    """Return the condition lower ≤ expression ≤ upper, as one side of a complementarity.
 
     Parameters
     ----------

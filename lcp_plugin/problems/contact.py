@@ -147,7 +147,7 @@ class ContactGradient:
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """What a problem of contacts came from; of a batch with an axis in front.
+    """The contacts from which a problem was made; of a batch with an axis in front.
 
     Attributes
     ----------

@@ -98,7 +98,7 @@ def contradiction() -> QuadraticProgram:
 
 
 def endless_descent() -> QuadraticProgram:
-    """Return a program whose objective falls for ever where two variables grow together."""
+    """Return a program whose objective falls without end where two variables grow together."""
     return QuadraticProgram(np.diag([0.0, 0.0, 1.0]), [1.0, -2.0, 0.0], A=[[1.0, -1.0, 0.0]], b=[0.0], lower=0.0)
 
 

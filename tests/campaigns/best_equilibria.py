@@ -166,7 +166,7 @@ class Pieces:
         return lower, upper
 
     def is_feasible(self, lower: np.ndarray, upper: np.ndarray, cost: np.ndarray | None = None) -> bool | None:
-        """Whether there is a point within; with a cost, None where it falls for ever."""
+        """Whether there is a point within; with a cost, None where it falls without end."""
         if (lower > upper).any():
             return False
         self.model.changeColsBounds(self.columns.size, self.columns, lower, upper)
@@ -197,7 +197,7 @@ class Pieces:
                 yield from self.not_empty([*cases, case])
 
     def least(self, cases: list[int]) -> np.ndarray | None:
-        """The best point of a piece that is not empty; None where its objective falls for ever."""
+        """The best point of a piece that is not empty; None where its objective falls without end."""
         program, (lower, upper) = self.problem.program, self.bounds(cases)
         if self.P.nnz == 0:
             if self.is_feasible(lower, upper, program.c) is None:

@@ -142,7 +142,8 @@ def test_what_the_guard_refuses_is_said_with_its_row() -> None:
     assert f"w[{i}] = " in certificate.wrong_row
     words = advice_beside_a_wrong_row(advice_of_run(problem, create("psor", {}), (), 1e-8, {}), certificate.wrong_row)
     for status in (Status.STALLED, Status.MAX_ITERATIONS, Status.MAX_SECONDS):
-        assert words[status].startswith("the residual is small enough, but a row is wrong in its own terms: w[")
+        begin = "the residual is small enough, but a row is wrong beside its own terms q_i and m_ij z_j: w["
+        assert words[status].startswith(begin)
         assert words[status].endswith('try algorithm="auto"')
         assert "raise the tolerance" not in words[status]
     assert "units" in words[Status.STALLED]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import runpy
+import sys
 import warnings
 from pathlib import Path
 
@@ -64,6 +65,7 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import matplotlib.pyplot as plt
 
     plt.switch_backend("agg")
+    monkeypatch.setattr("sys.path", [*sys.path])
     monkeypatch.setattr("sys.argv", [f"{name}.py", "--out", str(folder)])
     with plt.rc_context(), warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -90,6 +92,16 @@ def test_example_keeps_its_promise(
     picture = (tmp_path / f"{name}.png").read_bytes()
     assert picture.startswith(b"\x89PNG")
     assert len(picture) > 20_000
+
+
+def test_the_command_draws_the_picture_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It solves the three problems, and what it draws is as large as the picture that the README shows."""
+    readme = EXAMPLES.parent.joinpath("README.md").read_text(encoding="utf-8")
+    assert "(examples/pictures/three_problems.png)" in readme
+    assert "`python examples/pictures/three_problems.py`" in readme
+    run("pictures/three_problems", tmp_path, monkeypatch)
+    drawn, shown = (folder.joinpath("three_problems.png").read_bytes() for folder in (tmp_path, EXAMPLES / "pictures"))
+    assert drawn[16:24] == shown[16:24]  # width and height in pixels
 
 
 def test_every_example_is_tested_and_in_the_readme() -> None:

@@ -16,7 +16,7 @@ from manual.docstrings import CODE, render, to_markdown
 from manual.formulas import HIGH, LOW, mathml, set_formulas
 from public_names import PUBLIC
 
-PICTURE = EXAMPLES / "pictures" / "obstacle_problem.png"
+PICTURE = EXAMPLES / "pictures" / "three_problems.png"
 NOT_SHOWN = re.compile(r"[_{}^\s]")
 
 

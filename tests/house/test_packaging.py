@@ -18,7 +18,7 @@ import lcp_plugin
 ROOT = Path(__file__).parents[2]
 TOLD = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))
 BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
-SMALL = 1_250_000  # bytes: nothing but code, which grew by the search for the best of all solutions, and SCIP's door, and by cones
+SMALL = 1_250_000  # bytes: nothing but code, which grew by the search for the best of all solutions, SCIP's door, cones
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_the_source_archive_can_be_tested(built: Path) -> None:
     with tarfile.open(archive) as opened:
         names = {name.partition("/")[2] for name in opened.getnames()}
     needed = sources("lcp_plugin") | sources("tests") | sources("examples")
-    needed |= {"README.md", "LICENSE", "CITATION.cff", "pyproject.toml", "examples/pictures/obstacle_problem.png"}
+    needed |= {"README.md", "LICENSE", "CITATION.cff", "pyproject.toml", "examples/pictures/three_problems.png"}
     assert needed <= names
 
 

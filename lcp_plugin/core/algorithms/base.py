@@ -23,7 +23,7 @@ Phases = tuple[bool, bool, bool]  # sweeps, rounds, pivots
 
 @dataclass(slots=True)
 class Step:
-    """One iterate, handed to the driver.
+    """One iterate of an algorithm.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class FusedSolve:
 
 @dataclass(frozen=True, kw_only=True)
 class Algorithm(ABC):
-    """A frozen dataclass of its own options that can iterate.
+    """An algorithm: a frozen dataclass of its options, with a generator of iterates.
 
     Class attributes describe it to readers: `name` (registry name), `assumption` (what it needs), `converges_on`
     (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;

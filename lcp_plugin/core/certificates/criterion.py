@@ -1,4 +1,4 @@
-"""What SOLVED asks for: residuals in the units that M shows, in each part beside the reference of that part.
+"""What SOLVED asks for: small residuals in each connected component of M, after scaling.
 
 In the units R, C of :mod:`lcp_plugin.core.matrix.units`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in each
 part P, a connected component of the graph of M,

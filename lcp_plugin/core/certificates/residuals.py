@@ -53,7 +53,7 @@ LARGE_PRODUCT, LARGE_BESIDE = 1e-2, 1e4  # of ‖r(z°)‖², and of that times 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Every measure of how far z is from solving the problem; nothing in it comes from an algorithm.
+    """How far z is from solving the problem, measured on the problem's data and z alone.
 
     The relative, natural and euclidean residuals are proved: upper bounds of the exact ones, sharp but for some ulps.
     The others are measured in double precision.

@@ -19,7 +19,7 @@ ROUNDING = 4.0 * EPSILON
 MOST_DIGITS = 308.0  # of a double
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
-EXCLUDED = "no solution was found, and as far as doubles tell there is none near any z"
+EXCLUDED = "no solution was found, and a search of all cases in double precision saw none"
 FAR_OUT = "no start leads to a solution within that size: check the data"
 OVERFLOWS = "M z + q overflows already at the point of the bounds nearest to 0: divide M and q by the same large number"
 ELSEWHERE = "auto has tried what suits this M: another start z0 may lead elsewhere"
@@ -68,7 +68,7 @@ def advice_of_run(
 
 def advice_beside_a_wrong_row(words: Mapping[Status, str], row: str) -> dict[Status, str]:
     """Return the advice where the residual is small enough and a row, told in words, is wrong in its own terms."""
-    wrong = f"the residual is small enough, but a row is wrong in its own terms: {row}"
+    wrong = f"the residual is small enough, but a row is wrong beside its own terms q_i and m_ij z_j: {row}"
     units = "state rows and unknowns in units in which the entries of M are of one size"
     said = {status: f"{wrong}; {words[status]}" for status in LIMITS}
     for status in WITHOUT_END:

@@ -86,7 +86,7 @@ class Answer:
         raise NotImplementedError
 
     def explain(self) -> str:
-        """Return the story of the run in a few lines."""
+        """Return in a few lines how the problem was solved, and how well."""
         return "\n".join([f"{self.status.name}: {self.advice}.", self.reached(), *self._course()])
 
     def _course(self) -> list[str]:

@@ -72,14 +72,14 @@ def solve(
     verbose: bool = False,
     **options: Any,
 ) -> Any:
-    """Return the answer to a problem, judged on the problem's own data.
+    """Return the solution of a problem, with its residual measured on the problem's own data.
 
     Parameters
     ----------
     problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem or BoundedLeastSquares
         Never modified. What follows is said of an LCP; see Notes for the others. Where its rows are spread over ranks
-        (:meth:`LCP.from_rows`), all of them call with the same arguments; z0, z and w are the own parts then, and
-        everything else is the same on every rank.
+        (:meth:`LCP.from_rows`), all of them call with the same arguments; z0, z and w are the rank's own rows then,
+        and everything else is the same on every rank.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
@@ -87,18 +87,20 @@ def solve(
         uses one on dense symmetric M and programs only; ``lemke`` tries its active set, and begins there where its
         residual is a tenth of that point's or less; where it changes nothing ``explain()`` says so.
     tolerance : float
-        SOLVED means that the measured residual of the returned z is at most this: in every part of the problem
-        (connected component of M's pattern) relative to that part's own reference.
+        SOLVED means that in every connected component of M's graph the measured residual of the returned z is at most
+        this times that of the point of [lower, upper] nearest to 0. All of it:
+        ``help("lcp_plugin.core.certificates.criterion")``.
     tolerance_on : {"residual", "error"}
-        With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved of every part, z* the solution.
+        With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved for each of these components; z*
+        is the solution.
     max_iterations : int, default 100 000
     max_seconds : float, optional
-        Wall-clock limit in seconds, set-up included and compilation of kernels excluded; obeyed at the end of
-        the iteration under way, or within a tenth of a second inside a long factorisation, as Ctrl-C is. That goes
-        on in a thread of its own until it is done, and what it finds is dropped.
+        Wall-clock limit in seconds, with set-up and without compilation of kernels. It is obeyed at the end of the
+        iteration under way, or within a tenth of a second inside a long factorisation, as Ctrl-C is. The factorisation
+        then goes on in a thread of its own until it is done, and its result is dropped.
     absolute_tolerance : float
-        In the unit of z: a part with ‖r‖∞ ≤ absolute_tolerance is solved whatever its reference, as a contact at rest
-        is whose gaps are rounding; INFEASIBLE and NO_SOLUTION are proved beyond it.
+        In the unit of z: a component with ‖r‖∞ ≤ absolute_tolerance is solved in any case. Use it for contacts at rest,
+        whose gaps are rounding. INFEASIBLE and NO_SOLUTION are proved beyond it.
     record : bool
         Keep samples of the run at geometric intervals in ``Result.history``.
     callback : callable, optional
@@ -108,8 +110,8 @@ def solve(
         Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
         clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
     refute : bool
-        Look for a proof that there is no solution where none is found. False saves the work: a run that finds none ends
-        STALLED, at the start where a look at all cases of a small problem in doubles has excluded every z.
+        Look for a proof that there is no solution where none is found. False saves the work: a run that finds no
+        solution then ends STALLED.
     threads : int, optional
         How many threads this solve may use; by default all that the process may use, but one where the rows are on
         ranks. The answer is the same bit for bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.

@@ -51,7 +51,7 @@ def told_stages(stages: Sequence[StageRecord]) -> list[str]:
 
 @dataclass(frozen=True)
 class Sample:
-    """One point of a run's history.
+    """One measurement during a run.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Answer):
-    """The answer of a run, judged by its certificate.
+    """The answer to a linear complementarity problem, with its residuals and how it was found.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class Result(Answer):
 
     @property
     def proof(self) -> Any:
-        """`infeasibility` where the status rests on it, otherwise None."""
+        """The proof that there is no solution, `infeasibility`, where the status says so; otherwise None."""
         return self.infeasibility if self.is_refuted else None
 
     @property
@@ -200,7 +200,7 @@ class Result(Answer):
         return [said] if said else []
 
     def explain(self) -> str:
-        """Return the story of the run in a few lines."""
+        """Return in a few lines how the problem was solved, and how well."""
         lines = [
             f"{self.status.name}: {self.advice}.",
             self.reached(),

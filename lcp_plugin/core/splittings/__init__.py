@@ -1,4 +1,4 @@
-"""Splitting methods: projected-type (np*) and projected relaxation (p*, gfp); rooms have others.
+"""Splitting methods: projected-type (np*) and projected relaxation (p*, gfp).
 
 What to expect of sweeps:
 

@@ -36,7 +36,7 @@ P = TypeVar("P", LCP, QuadraticProgram)
 
 
 def prepare(problem: P, *, threads: int | None = None) -> P:
-    """Return the same problem with all that depends on M alone computed: diagonal, bands, row splits, hierarchy.
+    """Return the same problem, prepared for many q: everything that depends on M alone is computed.
 
     ``problem.with_q(q)`` shares it, so that a march in time pays for it once; a solve without it computes what it
     needs when it needs it. Of a program it is what P, G and A say, and ``program.with_vectors(c, h, b)`` shares that.
@@ -281,7 +281,7 @@ def solve_many(
     **options: Any,
 ) -> list[QuadraticProgramResult | LCPError]: ...
 def solve_many(problem: Any, Q: Any, algorithm: str | Algorithm = "auto", **options: Any) -> Any:
-    """Return one entry a column of Q, in order: its Result, or the error that says what is wrong with it.
+    """Return the results for many q and one M: for each column of Q a Result, or the error that refuses it.
 
     Parameters
     ----------

@@ -337,7 +337,7 @@ class BranchAndBound:
         return int(wrong[np.argmax(violations[wrong])])
 
     def _settle(self, piece: Node) -> None:
-        """Close a piece that is neither solved to its bound nor refuted: it falls for ever, or nothing is known."""
+        """Close a piece that is neither solved to its bound nor refuted: it falls without end, or nothing is known."""
         program = self.relaxations.program(piece.cases)
         proof = None if program is None else program.proof_of_no_minimum
         if isinstance(proof, QPUnboundedness):

@@ -39,7 +39,7 @@ FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
 MOST_STEPS = 100  # of interior points, where there may be no solution
 INSIDE = 1e-3  # beside the size of that box
-FAR = 1e4  # times the size of x that the data name, or where a local search begins: what is farther falls for ever
+FAR = 1e4  # times the size of x that the data name, or where a local search begins: what is farther falls without end
 MOST_PROGRAMS = 60  # of a local search in one piece
 FLATTER, STEEPER, STEEPEST = 0.1, 8.0, 1e12  # of σ
 REACHED = 1e-10  # of ‖x‖∞: a step that is none
@@ -136,7 +136,7 @@ class Relaxations:
         if solution is None:
             solution = self._within_a_box(program)
         node.point = np.clip(solution.x, program.lower, program.upper)
-        if solution.program is program:  # otherwise it falls for ever, or nothing is known
+        if solution.program is program:  # otherwise it falls without end, or nothing is known
             node.value = self.problem.objective(node.point)
             node.dual = solution.x, np.concatenate([solution.inequality, solution.equality])
         return node
@@ -150,7 +150,7 @@ class Relaxations:
         found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
 
-    @np.errstate(over="ignore", invalid="ignore")  # of what falls for ever
+    @np.errstate(over="ignore", invalid="ignore")  # of what falls without end
     def local_node(self, cases: Cases, near: FloatVector) -> Node:
         """Return the node of one piece at a local minimum near a point; integers are those of the point, rounded.
 
@@ -209,7 +209,7 @@ class Relaxations:
     def _within_a_box(self, program: QuadraticProgram) -> QPSolution:
         """Return the solution of a program that a first try does not find, or else one within a large box.
 
-        Along what falls for ever that one lies far out.
+        Along what falls without end that one lies far out.
         """
         far = FAR * program.primal_size
         within = program.with_vectors(lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far))

@@ -41,7 +41,7 @@ LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
 SAID = {
     "infeasible": "SCIP, in floating point, finds no solution, and nothing proves that there is none, which INFEASIBLE "
                   "would say: check the data",
-    "unbounded": "SCIP, in floating point, says that the objective falls for ever, and nothing proves it: bound the "
+    "unbounded": "SCIP, in floating point, says that the objective falls without end, and nothing proves it: bound the "
                  "variables",
     "inforunbd": "SCIP, in floating point, says that there is no solution, or none that is least: bound the variables",
     CONTRADICTED: "x is better than SCIP's bound, which is not believed therefore: rescale the data",
@@ -68,7 +68,7 @@ class EquilibriumResult(Answer):
         The same, or with the bounds that its lower level proves: the tree's.
     status : Status
         SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: the linear constraints are refuted by
-        a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls for ever. MAX_ITERATIONS,
+        a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls without end. MAX_ITERATIONS,
         MAX_SECONDS, INTERRUPTED: nodes, time, Ctrl-C or the callback ended the search. STALLED: some piece could be
         neither solved nor refuted, or nothing bounds the objective.
     x : ndarray, shape (n,), or None
@@ -92,7 +92,7 @@ class EquilibriumResult(Answer):
     tree : tuple of Node
         What `verify` checks.
     descent : pair or None
-        The piece that falls for ever, and the proof.
+        The piece that falls without end, and the proof.
     outside : Outside or None
         What SCIP said, where it was asked.
     """

@@ -78,7 +78,7 @@ def lcp_from_least_squares(
     A: Any, b: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *, weights: ArrayLike | None = None,
     ridge: float = 0.0, l1: ArrayLike = 0.0, form: str = "auto",
 ) -> LCP:
-    """Return the complementarity problem that least squares with bounds, weights, a ridge, an l1 penalty are.
+    """Return least squares with bounds, weights, a ridge and an l1 penalty as a complementarity problem.
 
     Parameters
     ----------

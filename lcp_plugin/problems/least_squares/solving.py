@@ -133,7 +133,7 @@ def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clo
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LeastSquaresResult(Answer):
-    """The answer of a least squares run; names as in scipy, but for `status`.
+    """The answer to a least-squares problem; attributes are named as in scipy, except `status`.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing be
 
 
 class March(AnswerSequence[Result]):
-    """The results of a march in time, in order; each is put together when it is looked at.
+    """The results of steps in time, in order; each is built when it is first read.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def march(
     problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
 ) -> March:
-    """Return the result of each step of a march in time, whose q is forcing[k] + carry @ z, z of the step before.
+    """Return the results of steps in time: step k has q = forcing[k] + carry @ z, z being the step before.
 
     Parameters
     ----------

@@ -152,7 +152,7 @@ class CompiledSteps:
 
 
 class MarchGradient:
-    """What a function of the answers of a march has for gradients.
+    """Gradient of a function of all steps in time, with respect to the data.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class MarchGradient:
 
 
 class MarchDerivative:
-    """The derivative of the answers of a march by M, the forcing, the carry, z0 and the bounds.
+    """The derivative of all steps in time with respect to M, forcing, carry, z0 and bounds.
 
     ``found[k]`` is the :class:`~lcp_plugin.Derivative` of step k by its own q, which says what is proved of it.
 

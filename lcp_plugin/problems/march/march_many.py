@@ -33,7 +33,7 @@ def march_many(
     upper: ArrayLike | None = None, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",
     max_seconds: float | None = None, keep_every: int = 1, threads: int | None = None, **wishes: Any,
 ) -> list[March]:
-    """Return the marches in time of several forcings, bounds or states, with one M and one carry.
+    """Return the steps in time of several forcings, bounds or states, with one M and one carry.
 
     Parameters
     ----------

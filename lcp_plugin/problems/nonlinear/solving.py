@@ -51,7 +51,7 @@ def solve_nonlinear(
     threads: int | None = None,
     verbose: bool = False,
 ) -> Result:
-    """Return the best x that Josephy–Newton finds, judged by a certificate on F.
+    """Return the solution of a nonlinear complementarity problem by Josephy–Newton, measured with F itself.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optima
 
 
 def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
-    """Return the linear complementarity problem that the program's optimality conditions are.
+    """Return the optimality conditions of a quadratic program as a linear complementarity problem.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def attempts(program: QuadraticProgram, first: Attempt | None = None) -> Iterato
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
-    """Return a quadratic program whose optimality conditions, or whose minimum, are the problem.
+    """Return a quadratic program with the solutions of a linear complementarity problem.
 
     Parameters
     ----------

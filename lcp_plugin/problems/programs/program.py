@@ -220,7 +220,7 @@ class QuadraticProgram:
 
     @cached_property
     def proof_of_descent(self) -> QPUnboundedness | None:
-        """A proof that the objective falls for ever, whatever else contradicts; looked for once."""
+        """A proof that the objective falls without end, whatever else contradicts; looked for once."""
         own = self.rescaled
         found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.program.proof_of_descent)
         return found if isinstance(found, QPUnboundedness) else None

@@ -71,7 +71,7 @@ def proof_of_no_minimum(
     >>> print(proof_of_no_minimum(program))
     infeasible: 2 of its constraints contradict one another (multipliers checked exactly)
     >>> print(proof_of_no_minimum(QuadraticProgram([[0.0]], [1.0], upper=1.0)))
-    unbounded: the objective falls for ever along a direction from a feasible point (checked exactly)
+    unbounded: the objective falls without end along a direction from a feasible point (checked exactly)
     """
     rows = fold_simple_rows(program)
     row = None if is_met else contradictory_row(rows.folded)

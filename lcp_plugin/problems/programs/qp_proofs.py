@@ -94,7 +94,7 @@ class QPInfeasibility:
 
 @dataclass(frozen=True, eq=False)
 class QPUnboundedness:
-    """A feasible point and a direction along which the objective falls for ever.
+    """A feasible point and a direction along which the objective falls without end.
 
     point satisfies all constraints; point + t direction does so for every t ≥ 0; and directionᵀP direction < 0, or
     P direction = 0 with cᵀ direction < 0.
@@ -147,7 +147,7 @@ class QPUnboundedness:
 
     @cached_property
     def is_exact(self) -> bool:
-        """Whether the objective falls for ever on the stored doubles, within all constraints."""
+        """Whether the objective falls without end on the stored doubles, within all constraints."""
         n, found = self.program.n, self._found
         is_kept = found.has_signs and all(j < n for j in found.left)
         if not is_kept or not self._is_feasible:
@@ -256,7 +256,7 @@ class QPUnboundedness:
         along = "a direction from a feasible point"
         if self.is_free_motion:
             along += f", as nothing holds {moved_unknowns(self.direction)}: P maps it to 0, and no constraint ends it"
-        return f"unbounded: the objective falls for ever along {along} ({how})"
+        return f"unbounded: the objective falls without end along {along} ({how})"
 
 
 def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:

@@ -76,7 +76,7 @@ class AbsoluteValueOrigin:
 
 
 def lcp_from_absolute_value(A: Any, b: ArrayLike, B: Any = None, form: str = "plain") -> LCP:
-    """Return the complementarity problem that A x + B |x| = b is; by default A x − |x| = b.
+    """Return the complementarity problem equivalent to A x + B |x| = b; by default A x − |x| = b.
 
     With x = w − z and |x| = w + z, w and z complementary, the equation says (A + B) w = (A − B) z + b.
 

@@ -47,7 +47,7 @@ from .free_solutions import one_sided, solution, words_on_singular
 
 
 class Gradient(NamedTuple):
-    """What a function of the solution has for gradients.
+    """Gradient of a function of the solution, with respect to the data of the problem.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ def derivative(result: March) -> MarchDerivative: ...
 def derivative(
     result: Result | BatchResult | March
 ) -> Derivative | BatchDerivative | MarchDerivative | ConeDerivative:
-    """Return the derivative of the solution z of an LCP by M, q and the bounds, or those of a batch, or of a march.
+    """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def derivative(
 
 
 class Derivative:
-    """The derivative of z by the data, at one solution.
+    """The derivative of a solution z with respect to the data of its problem.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ class BatchPart:
 
 
 class BatchGradient:
-    """What functions of the solutions of a batch have for gradients.
+    """Gradients of functions of the solutions of a batch, with respect to the data.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class BatchGradient:
 
 
 class BatchDerivative:
-    """The derivatives of z by the data, one of each problem of a batch.
+    """The derivatives of the solutions of a batch with respect to the data, one for each problem.
 
     ``found[k]`` is the :class:`~lcp_plugin.Derivative` of problem k, which says what is proved of it. What the arrays
     say of all problems equals what it says, to rounding.

@@ -45,7 +45,7 @@ Judge = Callable[[RowInequality], FloatVector]
 
 @dataclass(frozen=True, eq=False)
 class ErrorBound:
-    """What is known of |z − z*|.
+    """A bound of |z − z*|, the distance from z to the solution.
 
     Attributes
     ----------

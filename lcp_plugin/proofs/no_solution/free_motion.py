@@ -1,7 +1,7 @@
 """Directions that a positive semidefinite matrix does not resist and along which a linear function falls.
 
 A structure that nothing holds: its stiffness P maps a rigid motion d to 0, no contact is in its way, and the load does
-work along it. Then ½ xᵀP x + cᵀx falls for ever, and no z solves the complementarity problem of P and c.
+work along it. Then ½ xᵀP x + cᵀx falls without end, and no z solves the complementarity problem of P and c.
 """
 
 from __future__ import annotations

@@ -204,7 +204,7 @@ CLAIMS = {name: claim for name, claim in vars(MatrixReport).items() if isinstanc
 
 
 def analyze(M: Any) -> MatrixReport:
-    """Return the report on a matrix, or on the matrix of a problem.
+    """Return which classes a matrix, or the matrix of a problem, belongs to; each verdict is proved.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ def hard() -> NLContent:
     [
         (best([0.0, 1.0]), [], 0, "optimal; objective 0, bound"),
         (best([0.0, 1.0], is_maximized=np.ones(1, dtype=bool)), [], 300, "unbounded; "),
-        (best([0.0, -1.0]), [], 300, "the objective falls for ever"),
+        (best([0.0, -1.0]), [], 300, "the objective falls without end"),
         (best([0.0, 1.0], upper=np.full(2, 0.25)), [], 200, "the linear constraints contradict one another"),
         (best([0.0, 1.0], 2.0), [], 200, "every way to make the pairs complementary is refuted"),
         (best([0.0, 1.0], objective_trees=CONCAVE, upper=np.ones(2)), [], 0, "bound by SCIP, in floating point"),
@@ -273,7 +273,7 @@ def test_a_proof_is_told_as_what_it_proves(tmp_path: Path) -> None:
     """An unbounded program is not called infeasible in the same message; nothing else is said to check."""
     write_nl(UNBOUNDED, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 0
-    assert "unbounded: the objective falls for ever" in (message := read_sol(tmp_path / "m.sol").message)
+    assert "unbounded: the objective falls without end" in (message := read_sol(tmp_path / "m.sol").message)
     assert "no z within" not in message
 
 

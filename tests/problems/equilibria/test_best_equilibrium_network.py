@@ -166,7 +166,7 @@ def test_what_falls_for_ever_without_being_convex_is_said() -> None:
     problem.solve(method="LCP")
     result = problem.solver_stats.extra_stats
     assert (problem.status, result.status) == (cp.settings.USER_LIMIT, Status.STALLED)
-    assert "the objective falls for ever, and nothing proves it: bound the variables" in result.advice
+    assert "the objective falls without end, and nothing proves it: bound the variables" in result.advice
     bounded = cp.Problem(problem.objective, [*rows, x <= 4])  # what is advised
     assert bounded.solve(method="LCP") == pytest.approx(24.0, abs=1e-5)
 

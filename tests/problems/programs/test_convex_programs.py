@@ -578,7 +578,7 @@ def contradicting(n: int) -> QuadraticProgram:
 
 
 def falling(n: int) -> QuadraticProgram:
-    """A dense program with P of half the rank that falls for ever along one direction."""
+    """A dense program with P of half the rank that falls without end along one direction."""
     rng = np.random.default_rng(n)
     factor, G, d = rng.standard_normal((n, n // 2)), rng.standard_normal((n // 2, n)), rng.standard_normal(n)
     Q = np.linalg.qr(factor)[0]

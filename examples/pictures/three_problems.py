@@ -1,0 +1,78 @@
+"""Draw the picture at the top of the README: a membrane, an exercise boundary and a pile, each solved first.
+
+``python examples/pictures/three_problems.py --out FOLDER`` writes ``three_problems.png`` there.
+"""
+
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import typer
+from PIL import Image
+
+from lcp_plugin import gallery, march, solve
+from lcp_plugin.evidence.drawing import STYLE
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from stack_of_blocks import BLOCKS, GRAVITY, INERTIA, contact_problem, draw, tower
+
+
+def membrane(axes: plt.Axes) -> None:
+    """Draw the surface of a membrane over a ball; where it touches, its colour changes."""
+    scene = gallery.obstacle_2d(size=120)
+    result = solve(scene.problem).require_solved()
+    x, y = np.meshgrid(*scene.coordinates, indexing="ij")
+    touches = (result.z == scene.problem.lower).reshape(120, 120)
+    colours = plt.get_cmap("Blues")(0.25 + 0.6 * (x + y - (x + y).min()) / np.ptp(x + y))
+    colours[touches] = plt.get_cmap("Oranges")(0.65)
+    height = result.z.reshape(120, 120)
+    axes.plot_surface(x, y, height, facecolors=colours, rcount=60, ccount=60, linewidth=0, antialiased=False)
+    axes.set_axis_off()
+    axes.set_box_aspect((4, 4, 2.2), zoom=1.2)
+    axes.set_title("A membrane over a ball\norange: it touches")
+
+
+def exercise_boundary(axes: plt.Axes) -> None:
+    """Draw where exercising an American put is best, through its year."""
+    scene = gallery.american_put_march(size=901, volatility=0.3, steps=150)
+    lower, spot = scene.problem.lower, scene.coordinates[0]
+    q = np.broadcast_to(scene.advance.boundary, (scene.steps, scene.n))
+    steps = [step.require_solved() for step in march(scene.problem, q, carry=-1.0, z0=lower)]
+    boundary = [100.0, *(spot[(step.z == lower) & (lower > 0)].max() for step in steps)]
+    years = np.linspace(1, 0, scene.steps + 1)
+    axes.plot(years, boundary, color="#D55E00", linewidth=1.8)
+    axes.fill_between(years, boundary, 60, color="#D55E00", alpha=0.2, linewidth=0, antialiased=False)
+    axes.text(0.4, 66, "exercise", color="#D55E00", fontsize=11)
+    axes.text(0.2, 92, "wait", color="#0072B2", fontsize=11)
+    axes.set(xlim=(0, 1), ylim=(60, 102), xlabel="time (years)", ylabel="price of the share (EUR)")
+    axes.set_title("The right to sell at 100 EUR:\nwhen to use it")
+
+
+def pile(axes: plt.Axes) -> None:
+    """Draw a pile that begins to fall, and the forces between its blocks."""
+    centre, ends = tower(1.15)
+    problem, J = contact_problem(centre, ends)
+    result = solve(problem, tolerance=1e-12).require_solved()
+    motion = (J.T @ result.z).reshape(BLOCKS, 2) / [1.0, INERTIA] - [GRAVITY, 0.0]
+    draw(axes, centre, ends, result.z.reshape(BLOCKS, 2), motion)
+    axes.set_title("A pile that leans too far\norange: forces between blocks")
+
+
+def main(out: Path = Path()) -> None:
+    """Solve the three problems and save their picture into the folder OUT."""
+    plt.style.use(STYLE)
+    figure = plt.figure(figsize=(10.4, 3.5), layout="constrained")
+    places = figure.add_gridspec(1, 3, width_ratios=[1.05, 1, 1])
+    membrane(figure.add_subplot(places[0], projection="3d"))
+    exercise_boundary(figure.add_subplot(places[1]))
+    pile(figure.add_subplot(places[2]))
+    file = out / "three_problems.png"
+    figure.savefig(file, dpi=110)
+    with Image.open(file) as picture:  # 128 colours are a third of the bytes
+        small = picture.convert("RGB").quantize(128)
+    small.save(file, optimize=True)
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -16,12 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.certificates.criterion import VectorEnds, largest_of_parts
+from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_parts
 from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import residual_ends_of, rounding_floor, sharp_residual_ends
@@ -73,19 +73,7 @@ class ConeCertificate(Certificate):
     @property
     def references(self) -> VectorEnds:
         """Bounds of ‖R_P(z°)‖ of each part, shape (parts,) each."""
-        return self._references
-
-    @cached_property
-    def _references(self) -> VectorEnds:
-        origin = ConeCertificate.at(self.cones, self.cones.nearest_to_zero)
-        least, most = origin._ends(self._scale)
-        is_open = (least == 0.0) & (most > 0.0)
-        if is_open.any():
-            most = np.where(is_open, origin._sharp_ends_at(self._scale), most)
-        units = self._units
-        if units is not None:
-            least, most = units.downwards(least), units.upwards(most)
-        return largest_of_parts(self.problem, least), largest_of_parts(self.problem, most)
+        return criterion_of(self.cones).references
 
     def _ends(self, scale: FloatVector) -> VectorEnds:
         """Return bounds of every ‖R_k‖; of rows that are no cone's those of an LCP."""
@@ -148,7 +136,7 @@ class ConeCertificate(Certificate):
         """The largest residual beside its part's reference, in the unit of z, and its block."""
         ends = self._scaled_ends[1]
         with np.errstate(all="ignore"):
-            worst = int(np.argmax(np.where(ends > 0.0, ends * self.cones._weights, 0.0))) if ends.size else -1
+            worst = int(np.argmax(np.where(ends > 0.0, ends * criterion_of(self.cones).weights, 0.0))) if ends.size else -1
         return (float(ends[worst]), worst) if ends.size else (0.0, -1)
 
     @cached_property
@@ -177,3 +165,59 @@ class ConeCertificate(Certificate):
             ("term residual", self.term_residual), ("z · w", -self.dissipation),
         ]
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
+
+
+class Criterion(NamedTuple):
+    """What the residuals of a problem are compared with.
+
+    Attributes
+    ----------
+    references : pair of arrays, shape (parts,) each
+        Bounds of ‖R_P(z°)‖ of each part.
+    weights : ndarray, shape (k,)
+        Of each block's ‖R_k‖, so that they are beside the reference of their part; 0 where z° answers it.
+    answered : array of bool, shape (n,), or None
+        Rows of the parts that z° answers; None where there are none.
+    """
+
+    references: VectorEnds
+    weights: FloatVector
+    answered: NDArray[np.bool_] | None
+
+
+def criterion_of(cones: Blocks) -> Criterion:
+    """Return that of a problem, which keeps it."""
+    known: Criterion | None = cones.__dict__.get("_criterion")
+    if known is None:
+        known = cones.__dict__["_criterion"] = _criterion(cones)
+    return known
+
+
+def _criterion(cones: Blocks) -> Criterion:
+    norms, origin = cones.block_norms, ConeCertificate.at(cones, cones.nearest_to_zero)
+    units, scale = origin._units, origin._scale
+    least, most = origin._ends(scale)
+    if ((least == 0.0) & (most > 0.0)).any():
+        most = np.where(least == 0.0, origin._sharp_ends_at(scale), most)
+    if units is not None:
+        least, most = units.downwards(least), units.upwards(most)
+    references = largest_of_parts(norms, least), largest_of_parts(norms, most)
+    reference = np.broadcast_to(for_each_row(norms, references[1]), least.shape)
+    with np.errstate(all="ignore"):
+        weights = (1.0 if units is None else np.ldexp(1.0, -units.column)) / reference
+    is_answered = (reference == 0.0)[cones.block_of_row]
+    return Criterion(
+        references, np.where(reference == 0.0, 0.0, weights), is_answered if is_answered.any() else None
+    )
+
+
+def relative_residual(cones: Blocks, z: FloatVector) -> float:
+    """Return ‖R(z)‖ of the worst block beside the reference of its part, as double precision gives it."""
+    return float(weighted(cones, cones.residual(z, cones.slack(z))[0]).max(initial=0.0))
+
+
+def weighted(cones: Blocks, residual: FloatVector) -> FloatVector:
+    """Return ‖R_k‖ of each block beside the reference of its part, shape (k,)."""
+    sizes = cones.norms(residual)
+    with np.errstate(all="ignore"):
+        return np.where(sizes == 0.0, 0.0, sizes * criterion_of(cones).weights)

@@ -16,12 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.certificates.criterion import RowUnits, largest_of_parts
 from ...core.checks import FloatVector, checked_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.deadline import Lock
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.lcp import LCP
-from ...core.matrix.structure import parts
 from ...core.registry import ask
 from ..contact import Bodies, contact_data
 
@@ -148,25 +146,6 @@ class Blocks:
         """What w is divided by in the residual of each block, in the caller's units, shape (k,)."""
         return self.block_norms.residual_scale
 
-    @cached_property
-    def _weights(self) -> FloatVector:
-        """1 over the reference of each block's part, in the units of the criterion, shape (k,); ∞ where that is 0."""
-        norms = self.block_norms
-        units, z = RowUnits.of(norms), self.nearest_to_zero
-        with np.errstate(all="ignore"):
-            sizes = self.norms(self.residual(z, self.slack(z))[0])
-            sizes = sizes if units is None else units.upwards(sizes)
-            several, largest = parts(norms.matrix), largest_of_parts(norms, sizes)
-            reference = np.broadcast_to(largest, sizes.shape) if several is None else largest[several.labels]
-            weights: FloatVector = (1.0 if units is None else np.ldexp(1.0, -units.column)) / reference
-        return weights
-
-    def relative_residual(self, residual: FloatVector) -> float:
-        """Return ‖R‖ of the worst block beside the reference of its part, as double precision gives it."""
-        sizes = self.norms(residual)
-        with np.errstate(all="ignore"):
-            return float(np.where(sizes == 0.0, 0.0, sizes * self._weights).max(initial=0.0))
-
     def residual(
         self, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
     ) -> tuple[FloatVector, NDArray[np.int64]]:
@@ -197,7 +176,7 @@ class Blocks:
         ask("file format", "save arrays")(path, ask("file format", "arrays of cones")(self), "a problem over cones")
 
     def __getstate__(self) -> dict[str, Any]:
-        computed = ("block_norms", "_weights", "_facts", "_lock", "sizes", "block_of_row")
+        computed = ("block_norms", "_criterion", "_facts", "_lock", "sizes", "block_of_row")
         return {name: value for name, value in self.__dict__.items() if name not in computed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -352,7 +331,7 @@ class FrictionalContact(Blocks):
 def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:
     other = object.__new__(type(problem))
     other.__dict__.update(problem.__dict__)
-    for computed in ("_weights", "block_norms"):
+    for computed in ("_criterion", "block_norms"):
         other.__dict__.pop(computed, None)
     offset = checked_vector(q, name, problem.n)
     other.rows = problem.rows.with_q(offset, lower=problem.lower, upper=problem.upper)

@@ -18,6 +18,7 @@ from ...core.checks import FloatVector, checked_vector, rectangular_matrix
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix.matrix import Matrix
 from ...systems.free_systems import FreeSystem
+from .certificate import weighted
 from .data import Blocks
 from .methods import NewtonSystem
 
@@ -57,7 +58,7 @@ class ConeDerivative:
             if step is None:
                 break
             new = problem.residual(z + step, problem.slack(z + step))[0]
-            if not problem.relative_residual(new) < problem.relative_residual(R):
+            if not weighted(problem, new).max(initial=0.0) < weighted(problem, R).max(initial=0.0):
                 break
             z, R = z + step, new
         return z

@@ -16,12 +16,14 @@ from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix.matrix import Matrix, fact
 from ...systems.factors import factor_fits
 from ...systems.free_systems import FreeSystem
+from .certificate import relative_residual, weighted
 from .data import Blocks
 
 MEMORY = 5  # residuals that a step of Newton may rise to the largest of
 SHORTEST = 14  # halvings of a step
 DECREASE = 1e-4  # of the residual, times the length of the step
 PATIENCE = 60  # steps of Newton without a new best
+PROGRAMS, GAIN = 5, 0.9  # convex programs without a residual that is so much smaller than the best before
 LEAST_PROXIMAL = 1e-12
 HARDER = 100.0  # times the proximal term where a system is singular
 
@@ -65,10 +67,10 @@ class NPGS(ConeAlgorithm):
 
         z, M = z0, problem.rows.csr
         diagonal, steps = diagonal_blocks(problem)
-        yield Step(z, residual=_measured(problem, z))
+        yield Step(z, residual=relative_residual(problem, z))
         while True:
             moved = sweep(*problem.arrays, M.indptr, M.indices, M.data, problem.q, diagonal, steps, z, self.sweeps)
-            yield Step(z, residual=_measured(problem, z), increment=float(moved), work=self.sweeps + 1.0)
+            yield Step(z, residual=relative_residual(problem, z), increment=float(moved), work=self.sweeps + 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +93,7 @@ class Newton(ConeAlgorithm):
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
     is_monotone = False
 
-    proximal: float = 1e-2
+    proximal: float = 1e-3
 
     def __post_init__(self) -> None:
         check_positive(self, "proximal")
@@ -101,11 +103,12 @@ class Newton(ConeAlgorithm):
         system = NewtonSystem(problem)
         z, w = z0, problem.slack(z0)
         R = problem.residual(z, w)[0]
-        size = _weighted(problem, R)
+        shares = weighted(problem, R)
+        size = float(np.linalg.norm(shares))
         sizes, best, since = [size], size, 0
-        yield Step(z, residual=problem.relative_residual(R))
+        yield Step(z, residual=float(shares.max(initial=0.0)))
         while since < PATIENCE and math.isfinite(size):
-            work, step = system.step(z, w, R, min(self.proximal, 0.1 * problem.relative_residual(R)))
+            work, step = system.step(z, w, R, min(self.proximal, 0.1 * float(shares.max(initial=0.0))))
             if step is None:
                 return
             length, allowed = 1.0, max(sizes[-MEMORY:])
@@ -113,7 +116,8 @@ class Newton(ConeAlgorithm):
                 new = z + length * step
                 w = problem.slack(new)
                 R = problem.residual(new, w)[0]
-                size = _weighted(problem, R)
+                shares = weighted(problem, R)
+                size = float(np.linalg.norm(shares))
                 work += 1.0
                 if size <= (1.0 - DECREASE * length) * allowed:
                     break
@@ -121,7 +125,7 @@ class Newton(ConeAlgorithm):
             z = new
             sizes.append(size)
             best, since = (size, 0) if size < best else (best, since + 1)
-            yield Step(z, residual=problem.relative_residual(R), work=work)
+            yield Step(z, residual=float(shares.max(initial=0.0)), work=work)
 
 
 class NewtonSystem:
@@ -193,19 +197,17 @@ class FixedPoint(ConeAlgorithm):
     cost = "one conic program, some ten to thirty factors"
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
     is_monotone = False
-    is_watched = True
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then a step a program."""
+        """Yield the start, then a step a program; end where five in a row gain nothing."""
         engine = ConvexProgram(problem)
-        z = z0
-        yield Step(z, residual=_measured(problem, z))
-        while True:
-            found = engine.minimised(z)
-            if found is None:
-                return
-            z = found
-            yield Step(z, residual=_measured(problem, z), work=20.0)
+        z, residual = z0, relative_residual(problem, z0)
+        best, since = residual, 0
+        yield Step(z, residual=residual)
+        while since < PROGRAMS and (found := engine.minimised(z)) is not None:
+            z, residual = found, relative_residual(problem, found)
+            best, since = (residual, 0) if residual < GAIN * best else (best, since + 1)
+            yield Step(z, residual=residual, work=20.0)
             if engine.is_final:
                 return
 
@@ -281,18 +283,6 @@ def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[A
 
 
 METHODS: dict[str, type[ConeAlgorithm]] = {one.name: one for one in (NPGS, Newton, FixedPoint)}
-
-
-def _measured(problem: Blocks, z: FloatVector) -> float:
-    return problem.relative_residual(problem.residual(z, problem.slack(z))[0])
-
-
-def _weighted(problem: Blocks, R: FloatVector) -> float:
-    """Return ‖R‖₂ in the units of the criterion, each part beside its reference."""
-    sizes = problem.norms(R)
-    with np.errstate(all="ignore"):
-        shares = np.where(sizes == 0.0, 0.0, sizes * problem._weights)
-        return float(np.sqrt(shares @ shares))
 
 
 @fact

@@ -20,13 +20,13 @@ from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_
 from ...core.kernels.threads import threads_for
 from ...core.policy.choice import Policy, Single
 from ...core.policy.stages import Choice, Stage
-from ...core.settings import Settings, Status, checked_callback
+from ...core.settings import PROVEN, Settings, Status, checked_callback
 from ...core.solving.judge import Judge
 from ...core.solving.result import Result, told_stages
 from ...core.solving.run import Callback, Run
 from ...core.written import in_words
 from ..contact import ContactMotion
-from .certificate import ConeCertificate
+from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
 
@@ -158,10 +158,11 @@ class ConeAuto(Policy):
         else:
             yield Choice(NPGS(), SWEEPS)
         yield Choice(Newton(), "sweeps have found most cases, Newton's steps solve for them")
-        yield Choice(NPGS(), "more sweeps before another start of Newton")
-        yield Choice(Newton(proximal=1e-5), "with less damping")
+        for sweeps in (50, 200):
+            yield Choice(NPGS(sweeps=sweeps), "another start for Newton, after more sweeps", from_start=True)
+            yield Choice(Newton(), "from there")
         yield Choice(FixedPoint(), "convex programs, friction's term held", from_start=True)
-        yield Choice(Newton(), "the last digits are Newton's")
+        yield Choice(Newton(proximal=1e-5), "the last digits are Newton's")
         yield Choice(Newton(proximal=0.1), "with more damping", from_start=True)
 
 
@@ -190,17 +191,30 @@ class ConeJudge(Judge):
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z; the latest one is kept."""
         latest: Any = self._certificate
-        if latest is None or not np.array_equal(latest.point, z):
-            self._certificate = latest = ConeCertificate.at(self.problem, z)
+        answer = self._held(z)
+        if latest is None or not np.array_equal(latest.point, answer):
+            self._certificate = latest = ConeCertificate.at(self.problem, answer)
         return latest  # type: ignore[no-any-return]
 
     def measure(self, z: FloatVector) -> float:
         """Return the relative residual of z."""
-        return float(self.problem.relative_residual(self.problem.residual(z, self.problem.slack(z))[0]))
+        return relative_residual(self.problem, self._held(z))
 
-    def misses_by_rounding(self, z: FloatVector | None) -> bool:
-        """Return False: a proof over cones has no radius."""
-        return False
+    def _held(self, z: FloatVector) -> FloatVector:
+        """Return z with z° in the parts that z° answers."""
+        answered = criterion_of(self.problem).answered
+        return z if answered is None else np.where(answered, self.problem.nearest_to_zero, z)
+
+    def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
+        """Return the status: what the certificate proves, or else why the run ended."""
+        if certificate.meets(self.settings):
+            return Status.SOLVED
+        if reason in PROVEN:
+            return reason
+        if certificate.is_limited_by_rounding:
+            return Status.PRECISION_LIMIT
+        is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT, Status.DIVERGED)
+        return Status.STALLED if is_unfounded else reason
 
 
 @dataclass(frozen=True, eq=False, repr=False)

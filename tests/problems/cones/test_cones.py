@@ -25,6 +25,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
+from lcp_plugin.problems.cones.certificate import criterion_of
 from lcp_plugin.problems.cones.methods import METHODS, Newton
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
@@ -90,7 +91,7 @@ def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
         point = certificate.point
         exact = float(exact_relative_residual(problem, point))
         assert exact <= certificate.relative_residual
-        rounding = (certificate.rounding_floor * problem._weights).max() * 100.0
+        rounding = (certificate.rounding_floor * criterion_of(problem).weights).max() * 100.0
         assert certificate.relative_residual <= exact * (1.0 + 1e-9) + rounding
 
 

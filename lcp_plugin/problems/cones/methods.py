@@ -25,6 +25,7 @@ DECREASE = 1e-4  # of the residual, times the length of the step
 PATIENCE = 60  # steps of Newton without a new best
 PROGRAMS, GAIN = 5, 0.9  # convex programs without a residual that is so much smaller than the best before
 LEAST_PROXIMAL = 1e-12
+SPREAD = 0.3
 HARDER = 100.0  # times the proximal term where a system is singular
 
 
@@ -84,6 +85,8 @@ class Newton(ConeAlgorithm):
     ----------
     proximal : float
         ε at the most; a tenth of the relative residual later on.
+    seed : int
+        With one > 0 the start is moved at random, by SPREAD times the mean of its |z_i|: the same for the same seed.
     """
 
     name = "newton"
@@ -94,14 +97,20 @@ class Newton(ConeAlgorithm):
     is_monotone = False
 
     proximal: float = 1e-3
+    seed: int = 0
 
     def __post_init__(self) -> None:
         check_positive(self, "proximal")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise InvalidOption(f"newton: seed must be a whole number ≥ 0, got {self.seed!r}")
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a system; end where none gains any more."""
-        system = NewtonSystem(problem)
-        z, w = z0, problem.slack(z0)
+        system, z = NewtonSystem(problem), z0
+        if self.seed:
+            spread = SPREAD * float(np.abs(z).mean())
+            z = problem.projected(z + spread * np.random.default_rng(self.seed).standard_normal(z.size))
+        w = problem.slack(z)
         R = problem.residual(z, w)[0]
         shares = weighted(problem, R)
         size = float(np.linalg.norm(shares))

@@ -32,6 +32,8 @@ from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
+LONG = 500  # sweeps a step, of those that nothing cuts short
+STARTS = (1, 2, 3, 4)
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
 
@@ -136,7 +138,7 @@ class ConeAuto(Policy):
         """Return the next stage where one has come to its end, or where sweeps need more work than Newton."""
         stage = stages[-1]
         if not failed:
-            if stage.algorithm.name != "npgs" or stage.iterations < TRIAL:
+            if getattr(stage.algorithm, "sweeps", LONG) >= LONG or stage.iterations < TRIAL:
                 return None
             left = stage.steps_to_go(goal) * 11.0 * self._problem.nonzeros
             if left <= self._newton_operations(stage):
@@ -158,12 +160,14 @@ class ConeAuto(Policy):
         else:
             yield Choice(NPGS(), SWEEPS)
         yield Choice(Newton(), "sweeps have found most cases, Newton's steps solve for them")
-        for sweeps in (50, 200):
-            yield Choice(NPGS(sweeps=sweeps), "another start for Newton, after more sweeps", from_start=True)
-            yield Choice(Newton(), "from there")
+        yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)
+        yield Choice(Newton(), "from there")
+        for seed in STARTS:
+            yield Choice(Newton(seed=seed), "from a point nearby")
         yield Choice(FixedPoint(), "convex programs, friction's term held", from_start=True)
-        yield Choice(Newton(proximal=1e-5), "the last digits are Newton's")
-        yield Choice(Newton(proximal=0.1), "with more damping", from_start=True)
+        yield Choice(Newton(), "the last digits are Newton's")
+        yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still")
+        yield Choice(Newton(proximal=1e-5), "with less damping")
 
 
 class ConeJudge(Judge):

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_parts
 from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
-from ...core.certificates.row_residuals import residual_ends_of, rounding_floor, sharp_residual_ends
+from ...core.certificates.row_residuals import over, residual_ends_of, rounding_floor, sharp_residual_ends
 from ...core.checks import FloatVector, read_only
 from ...core.kernels.floats import TINY, UNIT
 from ...core.rounding import compensated_product, lower_end
@@ -136,7 +136,8 @@ class ConeCertificate(Certificate):
         """The largest residual beside its part's reference, in the unit of z, and its block."""
         ends = self._scaled_ends[1]
         with np.errstate(all="ignore"):
-            worst = int(np.argmax(np.where(ends > 0.0, ends * criterion_of(self.cones).weights, 0.0))) if ends.size else -1
+            shares = np.where(ends > 0.0, ends * criterion_of(self.cones).weights, 0.0)
+            worst = int(np.argmax(shares)) if ends.size else -1
         return (float(ends[worst]), worst) if ends.size else (0.0, -1)
 
     @cached_property
@@ -146,8 +147,9 @@ class ConeCertificate(Certificate):
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
-        """True where no block's residual exceeds four times its rounding floor, and the residual is small."""
-        return self.relative_residual <= GAINED and self.is_at_rounding_level
+        """True at that level, where the residual is small, or in its part z° cannot be told from an answer either."""
+        is_small = over(*self.residuals_of_parts) <= GAINED
+        return self.is_at_rounding_level and bool((is_small | (self.references[0] == 0.0)).all())
 
     @cached_property
     def natural_residual(self) -> float:
@@ -174,6 +176,8 @@ class Criterion(NamedTuple):
     ----------
     references : pair of arrays, shape (parts,) each
         Bounds of ‖R_P(z°)‖ of each part.
+    scale : ndarray, shape (k,)
+        What w is divided by in each block's residual.
     weights : ndarray, shape (k,)
         Of each block's ‖R_k‖, so that they are beside the reference of their part; 0 where z° answers it.
     answered : array of bool, shape (n,), or None
@@ -181,6 +185,7 @@ class Criterion(NamedTuple):
     """
 
     references: VectorEnds
+    scale: FloatVector
     weights: FloatVector
     answered: NDArray[np.bool_] | None
 
@@ -207,7 +212,7 @@ def _criterion(cones: Blocks) -> Criterion:
         weights = (1.0 if units is None else np.ldexp(1.0, -units.column)) / reference
     is_answered = (reference == 0.0)[cones.block_of_row]
     return Criterion(
-        references, np.where(reference == 0.0, 0.0, weights), is_answered if is_answered.any() else None
+        references, scale, np.where(reference == 0.0, 0.0, weights), is_answered if is_answered.any() else None
     )
 
 

@@ -250,11 +250,12 @@ class ConvexProgram:
             w = problem.slack(z)
             w[problem.starts[:-1]] = 0.0
             q[problem.starts[:-1]] += problem.slope * problem.norms(w)
-        found = self._solve(self.upper_half, q, self.rows, self.limits, self.cones)
+        found = self.solve(self.upper_half, q, self.rows, self.limits, self.cones)
         z = np.asarray(found.x)
         return problem.projected(z) if z.size == problem.n and np.isfinite(z).all() else None
 
-    def _solve(self, P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
+    def solve(self, P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
+        """Return what Clarabel makes of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
         settings = self.clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12

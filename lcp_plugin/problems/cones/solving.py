@@ -28,12 +28,13 @@ from ...core.written import in_words
 from ..contact import ContactMotion
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
+from .infeasibility import Refutation
 from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
 LONG = 500  # sweeps a step, of those that nothing cuts short
-STARTS = (1, 2, 3, 4)
+STARTS, LAST_STARTS = (1, 2, 3, 4), tuple(range(5, 17))
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
 
@@ -113,7 +114,7 @@ def _policy(problem: Blocks, algorithm: Any, settings: Settings, *, is_warm: boo
             f"lcp_plugin.problems.cones.methods, got {algorithm!r}"
         )
     if algorithm == "auto":
-        return ConeAuto(problem, is_warm=is_warm)
+        return ConeAuto(problem, is_warm=is_warm, refutes=settings.refute)
     if algorithm not in METHODS:
         raise UnknownAlgorithm(
             f"no algorithm for cones is called {algorithm!r}{did_you_mean(algorithm, {'auto', *METHODS})}"
@@ -126,7 +127,8 @@ class ConeAuto(Policy):
 
     name = chosen = "auto"
 
-    def __init__(self, problem: Blocks, *, is_warm: bool) -> None:
+    def __init__(self, problem: Blocks, *, is_warm: bool, refutes: bool) -> None:
+        self._refutes = refutes
         self._left = self._stages(is_warm)
         self._problem = problem
 
@@ -160,6 +162,8 @@ class ConeAuto(Policy):
         else:
             yield Choice(NPGS(), SWEEPS)
         yield Choice(Newton(), "sweeps have found most cases, Newton's steps solve for them")
+        if self._refutes:
+            yield Choice(Refutation(), "is there an answer at all?")
         yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)
         yield Choice(Newton(), "from there")
         for seed in STARTS:
@@ -168,6 +172,8 @@ class ConeAuto(Policy):
         yield Choice(Newton(), "the last digits are Newton's")
         yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still")
         yield Choice(Newton(proximal=1e-5), "with less damping")
+        for seed in LAST_STARTS:
+            yield Choice(Newton(seed=seed), "from a point nearby")
 
 
 class ConeJudge(Judge):

@@ -26,6 +26,7 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.problems.cones.certificate import criterion_of
+from lcp_plugin.problems.cones.infeasibility import refutation
 from lcp_plugin.problems.cones.methods import METHODS, Newton
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
@@ -197,6 +198,38 @@ def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
             np.testing.assert_array_equal(solve(other).z, solve(problem).z)
     with pytest.raises(LCPError, match="npz"):
         contact.save(tmp_path / "p.nl")
+
+
+SQUEEZED = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+HOPELESS: dict[str, Any] = {
+    "nothing moves the normal": FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5),
+    "between two walls that close": FrictionalContact(SQUEEZED @ SQUEEZED.T, [-1.0, 0, 0, -1.0, 0, 0], 0.5),
+    "beside one that slides": FrictionalContact(np.diag([1.0, 1, 1, 0, 1, 1]), [-1.0, 3, 4, -1.0, 0, 0], 0.5),
+    "no M": ConeProblem(np.zeros((3, 3)), [-1.0, 0.0, 0.0], [("second_order", 3)]),
+}
+
+
+@pytest.mark.parametrize("name", HOPELESS)
+def test_what_has_no_answer_is_refuted(name: str) -> None:
+    """INFEASIBLE with a proof that verifies, and whose margin no point is below."""
+    problem = HOPELESS[name]
+    result = solve(problem)
+    assert result.status is Status.INFEASIBLE, result
+    assert result.proof.verify()
+    assert str(result.proof) in result.explain()
+    rng = np.random.default_rng(0)
+    for size in (0.0, 1.0, 10.0, 1e6):
+        z = problem.projected(size * rng.standard_normal(problem.n))
+        assert solve(problem, z0=z, max_iterations=0).certificate.relative_residual >= result.proof.margin
+    assert solve(problem, refute=False).status is not Status.INFEASIBLE
+
+
+def test_what_has_an_answer_is_not_refuted() -> None:
+    """Planted answers, W of low rank or not: no proof is found."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        assert refutation(planted_contacts(4, 2, 1e3, rng)[0]) is None
+        assert refutation(planted_cones(4, rng, rank=0.4)[0]) is None
 
 
 def test_batches_mix_kinds() -> None:

@@ -304,6 +304,33 @@ class FrictionalContact(Blocks):
         super().__init__(rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True)
         self.dimension, self.bodies = d, bodies
 
+    @classmethod
+    def from_contacts(
+        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, *, gaps: ArrayLike | None = None,
+        time_step: float | None = None,
+    ) -> FrictionalContact:
+        """Return contacts as :meth:`lcp_plugin.LCP.from_contacts` takes them, with cones for pyramids.
+
+        Parameters
+        ----------
+        contacts, friction, velocities, gaps, time_step
+            As there, without `directions`.
+
+        Raises
+        ------
+        InvalidProblem
+            As there.
+        """
+        data = contact_data(contacts, friction, velocities, gaps=gaps, time_step=time_step)
+        if data.W.ndim != 2:
+            raise InvalidProblem("from_contacts makes one problem, got arrays of a batch; write one for each item")
+        b = np.array(data.velocities)
+        if data.gaps is not None and data.time_step is not None:
+            b[:, 0] += data.gaps / data.time_step
+        problem = cls(data.W, b, data.friction)
+        problem.bodies = data.bodies
+        return problem
+
     @property
     def W(self) -> Any:
         """Velocities by impulses, as it is kept: dense or CSR."""

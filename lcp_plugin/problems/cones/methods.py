@@ -13,9 +13,8 @@ import scipy.sparse as sp
 from ...core.algorithms.base import Algorithm, Step, check_positive
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, UnsuitableProblem
-from ...core.matrix.matrix import Matrix, fact
-from ...systems.factors import factor_fits
-from ...systems.free_systems import FreeSystem
+from ...core.matrix.matrix import fact
+from ...systems.factors import factor_fits, factorise
 from .certificate import relative_residual, weighted
 from .data import Blocks
 
@@ -26,6 +25,7 @@ PATIENCE = 60  # steps of Newton without a new best
 PROGRAMS, GAIN = 5, 0.9  # convex programs without a residual that is so much smaller than the best before
 LEAST_PROXIMAL = 1e-12
 SPREAD = 0.3
+ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
 HARDER = 100.0  # times the proximal term where a system is singular
 
 
@@ -158,12 +158,15 @@ class NewtonSystem:
             held = -R  # open blocks: z_k + s_k is the apex, or the bound
             held[rows] = 0.0
             by_held = self.times(self.M @ held) if held.any() else held
-            system = FreeSystem(Matrix(J), np.ones(rows.size, np.bool_), by_factor=True)
-            found = system.solve((-R - by_held)[rows])
-            work += system.work / max(problem.nonzeros, 1)
-            if found is not None:
-                held[rows] = found
-                return work, held
+            factor = factorise(J)
+            if factor is not None:
+                right = (-R - by_held)[rows]
+                found = factor.solve(right)
+                work += (factor.work + factor.solve_work) / max(problem.nonzeros, 1)
+                left = float(np.abs(right - J @ found).max(initial=0.0))
+                if left <= ACCURATE * float(np.abs(right).max(initial=0.0)):
+                    held[rows] = found
+                    return work, held
             epsilon *= HARDER
         return work, None
 

@@ -75,9 +75,9 @@ if TYPE_CHECKING:
     from .problems.march.march_many import march_many as march_many
     from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
     from .problems.nonlinear.solving import solve_nonlinear as solve_nonlinear
+    from .problems.programs.certification import Certification as Certification
     from .problems.programs.certification import certify as certify
     from .problems.programs.conversion import QuadraticProgram as QuadraticProgram
-    from .problems.programs.program_proofs import Certification as Certification
     from .problems.programs.solving import QuadraticProgramResult as QuadraticProgramResult
     from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
     from .problems.sensitivity import Derivative as Derivative
@@ -112,7 +112,7 @@ _HOME = {
     "Status": "core.settings",
     "solve": "core.solving.driver",
     "certify": "problems.programs.certification",
-    "Certification": "problems.programs.program_proofs",
+    "Certification": "problems.programs.certification",
     "derivative": "problems.sensitivity",
     "Derivative": "problems.sensitivity",
     "Gradient": "problems.sensitivity",

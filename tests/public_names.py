@@ -15,7 +15,7 @@ ELSEWHERE = {
     "problems.reformulations.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
     "problems.contact": "ContactMotion Contacts contact_data lcp_from_contacts",
     "problems.least_squares.conversion": "LeastSquaresSolution lcp_from_least_squares",
-    "problems.programs.qp_solution": "QPSolution",
+    "problems.programs.solution": "QPSolution",
     "problems.programs.conversion": "lcp_from_lp lcp_from_qp qp_from_lcp",
     "evidence.curves": "Curve Point Profile Report performance_profile",
     "evidence.pictures": "draw",

@@ -187,7 +187,10 @@ def missed(content: NLContent, x: np.ndarray) -> str:
     if not (np.where(is_limited, excess, 0.0) <= MET).all():
         return f"ROWS MISSED BY {np.nanmax(excess):.1e}"
     pairs = np.flatnonzero(is_pair)
-    z, told = x[content.partners[pairs]], content.partner_bounds[pairs]
+    has_objective = content.objective_linear.nnz or (content.objective_trees.kinds != Token.NUMBER).any()
+    # Without an objective all bounds of a variable belong to its complementarity, stated there or not.
+    told = content.partner_bounds[pairs] if has_objective or content.is_integer.any() else np.full(pairs.size, 3)
+    z = x[content.partners[pairs]]
     low = np.where(told & 1, content.lower[content.partners[pairs]], -INF)
     high = np.where(told & 2, content.upper[content.partners[pairs]], INF)
     residual = np.abs(z - np.clip(z - rows[pairs] / sizes[pairs], low, high)) / (1.0 + np.abs(z))

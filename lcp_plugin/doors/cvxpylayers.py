@@ -27,7 +27,7 @@ from ..core.errors import LCPError, NotConverged, UnsupportedModel
 from ..core.solving.driver import asked_of_solve
 from ..modeling.program_derivative import conditions, in_words_of_programs
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.solving import judged_program
+from ..problems.programs.solving import solve_program
 from ..problems.sensitivity import Derivative
 
 __all__ = ["LCPSolver"]
@@ -180,7 +180,7 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         where = self._SINGLE if count == 1 else f"program {k} of the batch"
         try:
             program = layout.program(*numbers)
-            found = judged_program(program, **options)
+            found = solve_program(program, **options)
         except LCPError as error:
             raise type(error)(f"{where}: {error}") from error
         if not found.is_solved:

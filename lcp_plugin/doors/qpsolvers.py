@@ -21,7 +21,7 @@ from ..core.checks import checked_bound, checked_vector
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm, UnsupportedModel
 from ..core.settings import Status
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.solving import judged_program
+from ..problems.programs.solving import solve_program
 
 if TYPE_CHECKING:
     from qpsolvers import Problem, Solution
@@ -95,7 +95,7 @@ def solve_problem(problem: Problem, initvals: Any = None, verbose: bool = False,
     try:
         program = _program(problem)
         built, guess = time.perf_counter(), _start(initvals, program)
-        found = judged_program(program, guess=guess, verbose=verbose, **_known(options))
+        found = solve_program(program, guess=guess, verbose=verbose, **_known(options))
     except (InvalidOption, UnknownAlgorithm) as error:
         raise ParamError(str(error)) from error
     except (InvalidProblem, UnsupportedModel) as error:

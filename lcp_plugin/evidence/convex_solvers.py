@@ -15,10 +15,9 @@ import numpy as np
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, did_you_mean
-from ..problems.programs.certification import certify
+from ..problems.programs.certification import Certification, certify
 from ..problems.programs.convexity import refuse_nonconvex
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.program_proofs import Certification
 
 OURS = "LCP"
 LEVELS = (1e-6, 1e-3)  # to which an answer may be proved

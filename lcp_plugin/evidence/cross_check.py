@@ -30,9 +30,8 @@ from ..core.lcp import LCP
 from ..core.settings import Settings, Status
 from ..core.solving.driver import solve
 from ..core.solving.result import Result
-from ..problems.programs.certification import certify
+from ..problems.programs.certification import Certification, certify
 from ..problems.programs.conversion import qp_from_lcp
-from ..problems.programs.program_proofs import Certification
 from .qp_reference import ACCURATE, PLAIN, Formulation, ReferenceRun, accuracy, attempts, check_reference
 
 Verdict = Literal["agree", "mismatch", "not comparable"]

@@ -66,9 +66,10 @@ GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bim
 
 def direct_methods(problem: LCP) -> Iterator[Choice]:
     """Yield the methods that factorise, pivot or search, in the order of the table."""
+    left_out: list[str] = []
     yield from _first_look(problem, refutes=True)
-    yield from _by_prospects(problem, refutes=True)
-    yield from _at_last(problem, refutes=True)
+    yield from _by_prospects(problem, True, left_out)
+    yield from _at_last(problem, True, left_out)
 
 
 class Turns:
@@ -76,14 +77,21 @@ class Turns:
 
     Each has at most two turns, so that there is an end. Where `refutes` is False, nothing looks for proofs; where
     `looks_at_cases` is, nothing looks for solutions but those that lie near the start.
+
+    Attributes
+    ----------
+    left_out : list of str
+        What has been left out so far because it takes no problem as large, and up to where it goes.
     """
 
     def __init__(
         self, problem: LCP, retries: Retries, *, refutes: bool = True, looks_at_cases: bool = True
     ) -> None:
         self._problem, self._waiting, self._retries = problem, list[Choice](), retries
-        self._last = _at_last(problem, refutes)
-        self._coming = chain(_first_look(problem, refutes) if looks_at_cases else (), _by_prospects(problem, refutes))
+        self.left_out: list[str] = []
+        by_prospects = _by_prospects(problem, refutes, self.left_out)
+        self._last = _at_last(problem, refutes, self.left_out)
+        self._coming = chain(_first_look(problem, refutes) if looks_at_cases else (), by_prospects)
         self._now: Choice | None = None
 
     def first(self) -> Choice | None:
@@ -177,8 +185,8 @@ def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
         yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), why)
 
 
-def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
-    from ..systems.factors import factor_fits
+def _by_prospects(problem: LCP, refutes: bool, words: list[str]) -> Iterator[Choice]:
+    """Yield the methods in the order of the table; add to the words what is left out for its size."""
     from .search.stages import FeasibilityCheck, LargestPoint
 
     if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
@@ -194,13 +202,9 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
     interior = Choice(create("interior_point", {}), why, reduced, is_made=is_made)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(create("lemke", {}), f"pivoting needs no property of M{about}", reduced)
-    left_out = [] if refutes and problem.n <= LINEAR_PROGRAM_UP_TO else [check.algorithm]
-    left_out += [] if has_parts_that_fit(left) else [lemke.algorithm]
-    # A program has no other method that would be quicker, whatever its factor fills.
-    if not (is_kkt or left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
-        left_out += [newton.algorithm, interior.algorithm]
-    if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
-        left_out.append(newton.algorithm)  # whose active sets change at random there
+    too_large = _too_large(problem, left, is_kkt=is_kkt)
+    left_out = [one.algorithm for one in (check, lemke, newton, interior) if one.algorithm.name in too_large]
+    left_out += [] if refutes else [check.algorithm]
     row = contradictory_row(problem) if refutes else None
     is_contradictory = row is not None and row.excludes(EPSILON)
     if not (is_kkt or is_contradictory) and condensing_passes(left) < _passes_of_factors(left, FEWEST_FACTORS):
@@ -230,15 +234,45 @@ def _by_prospects(problem: LCP, refutes: bool) -> Iterator[Choice]:
             order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]
     chosen = [choice for choice in order if choice.algorithm not in left_out]
     # A factor that fills in is better than no answer.
-    yield from chosen or [choice for choice in order if choice.algorithm in (newton.algorithm, interior.algorithm)]
+    chosen = chosen or [choice for choice in order if choice.algorithm in (newton.algorithm, interior.algorithm)]
+    runs = {choice.algorithm.name for choice in chosen} | ({check.algorithm.name} if not refutes else set())
+    words += [said for name, said in too_large.items() if name not in runs]
+    yield from chosen
 
 
-def _at_last(problem: LCP, refutes: bool) -> Iterator[Choice]:
+def _too_large(problem: LCP, left: LCP, *, is_kkt: bool) -> dict[str, str]:
+    """Return the methods that take no problem as large, by their names, and what to say of each.
+
+    They run on what presolving has `left`. A program has no other method that would be quicker than these of a factor,
+    whatever it fills. Where the diagonal is negative newton's active sets change at random.
+    """
+    from ..systems.factors import factor_fits
+
+    found = {}
+    if problem.n > LINEAR_PROGRAM_UP_TO:
+        found["feasibility"] = _up_to("a look for a proof that there is no solution", LINEAR_PROGRAM_UP_TO, problem)
+    if not has_parts_that_fit(left):
+        found["lemke"] = _up_to("lemke", PIVOTED_UP_TO, left)
+    if not (is_kkt or left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
+        found |= {name: f"{name} (a factor of M is predicted to be too large)" for name in ("newton", "interior_point")}
+    if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
+        found.setdefault("newton", _up_to("newton, where the diagonal is negative,", LINEAR_PROGRAM_UP_TO, problem))
+    return found
+
+
+def _up_to(what: str, most: int, problem: LCP) -> str:
+    return f"{what} (up to n = {most}; n = {problem.n} here)"
+
+
+def _at_last(problem: LCP, refutes: bool, words: list[str]) -> Iterator[Choice]:
+    """Yield what is tried where all else has failed; add to the words as `_by_prospects` does."""
     from .search import LARGEST_SIZE
     from .search.stages import ExhaustiveSearch
 
     if refutes and problem.n <= LARGEST_SIZE:
         yield Choice(ExhaustiveSearch(), "few enough unknowns to try every choice of bounds to the end")
+    elif refutes:
+        words.append(_up_to("the exhaustive search", LARGEST_SIZE, problem))
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
 

@@ -23,7 +23,7 @@ from ..core.errors import UnsupportedModel
 from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ..problems.equilibria.result import EquilibriumResult
-from ..problems.programs.reductions import fold_simple_rows
+from ..problems.programs.reductions import FoldedRows
 from ._compat import CVXPY_STATUS, dense, leaf_value, statistics
 from .builder import (
     Builder,
@@ -158,7 +158,7 @@ def _compiled(problem: Any, pairs: list[StatedPair], others: list[Any]) -> State
     places = reduced.entries.variables
     if places is None:
         raise UnsupportedModel("a variable is not found again in what cvxpy compiled; use plain variables")
-    program = fold_simple_rows(reduced.program).folded
+    program = FoldedRows.of(reduced.program).reduced
     nothing = np.zeros(0, dtype=np.int64)
     found = {side.id: places[side.id].places if side.size else nothing for both in sides for side in both}
     columns = [(found[z.id], found[w.id]) for z, w in sides]

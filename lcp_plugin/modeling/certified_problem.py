@@ -22,11 +22,10 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem, UnsupportedModel
+from ..problems.programs.certification import LOOSE, Certification, ProgramProofs, Proved, multiplier_beside_room
 from ..problems.programs.convexity import refuse_nonconvex
 from ..problems.programs.dual_bounds import DENSE_UP_TO, least_squares_above
-from ..problems.programs.given_multipliers import LOOSE, multiplier_beside_room
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.program_proofs import Certification, ProgramProofs, Proved
 from ._compat import leaf_value, name_of
 from .qp_solver import ProgramEntries, QPSolver, quadratic_program
 from .stated_terms import INEQUALITIES, StatedTerms, attribute_error, dense_value, sense_of, why_not

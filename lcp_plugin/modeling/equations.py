@@ -19,7 +19,7 @@ from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
 from ..core.matrix.matrix import largest_in_rows
 from ..core.matrix.structure import row_numbers
-from ..problems.programs.reductions import put_in
+from ..problems.programs.definitions import put_in
 from ..proofs.no_solution.linear_constraints import activity
 
 Indices = NDArray[np.int64]
@@ -128,6 +128,37 @@ def eliminate_definitions(
     equations = Affine(sp.csr_array(equations.matrix[left][:, kept]), equations.offset[left], equations.owner[left])
     functions = Affine(sp.csr_array(functions.matrix[:, kept]), functions.offset, functions.owner)
     return Elimination(kept, sp.csr_array(back[:, kept]), offset, defining, defined), equations, functions
+
+
+def put_in_all(
+    matrix: sp.csr_array, offset: FloatVector, definitions: Indices, columns: Indices
+) -> tuple[sp.csr_array, FloatVector]:
+    """Return rows matrix · z + offset without the unknowns in the columns, each as one of the rows, being 0, says.
+
+    Definitions may hold unknowns of one another, in any order but a circle: a chain takes as many products of matrices
+    as its length has binary digits.
+
+    Parameters
+    ----------
+    matrix : CSR array
+        All rows, the definitions among them, which become 0.
+    offset : array
+    definitions, columns : array of int, shape (k,)
+        Rows, and the unknown that each defines.
+
+    Notes
+    -----
+    With z_d = H z_d + g, H strictly triangular in some order, z_d = … (I + H⁴)(I + H²)(I + H) g.
+    """
+    own = sp.csr_array(matrix[definitions])
+    scale = sp.diags_array(-1.0 / np.asarray(own[np.arange(columns.size), columns]).ravel())
+    own, shift = sp.csr_array(scale @ own), scale @ offset[definitions]
+    held = sp.csr_array(own[:, columns] + sp.eye_array(columns.size))
+    held.eliminate_zeros()
+    while held.nnz:
+        own, shift, held = sp.csr_array(own + held @ own), shift + held @ shift, sp.csr_array(held @ held)
+    substitution, added = put_in(own, shift, columns)
+    return sp.csr_array(matrix @ substitution), offset + matrix @ added
 
 
 def _pivots(

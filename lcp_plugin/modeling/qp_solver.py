@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector, checked_vector
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.qp_solution import QPSolution
-from ..problems.programs.solving import judged_program
+from ..problems.programs.solution import QPSolution
+from ..problems.programs.solving import solve_program
 from ._compat import CVXPY_STATUS, stand_before, statistics
 from .compiled_program import CompiledProgram
 from .stated_terms import Claim, dense_value, measure, refusal
@@ -127,7 +127,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         compiled = _Solved.of(data, before)
         program, guess = compiled.program, before.z if warm_start and before is not None else None
         algorithm = options.pop("algorithm", "auto")
-        found = judged_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
+        found = solve_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
         if guess is not None and "z0" not in options and not found.is_compiled:
             found = replace(found, begun=BEGUN)
         # What was solved at once begins anew, and is not asked for the z of a problem that nobody has made.

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from lcp_plugin import solve
 from lcp_plugin.doors.files.program_files import load_program
 from lcp_plugin.problems.programs.program import QuadraticProgram
-from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.solution import QPSolution
 
 from .rivals import SEED
 from .timing import medians, rounds, timed

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.programs.program import QuadraticProgram
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.solving import solve_program
 
 from .programs import MOST_ROUNDS, OPTIMAL, SECONDS, SETUPS, Case, controller, portfolio, support_vectors
 from .rivals import SEED
@@ -196,7 +196,7 @@ FAMILIES: dict[Callable[..., Case], Sequence[tuple[int, ...]]] = {
 
 def ours(case: Case) -> FloatVector:
     """Return our x, as of a program that nobody has seen before."""
-    return judged_program(case.program()).solution.x
+    return solve_program(case.program()).solution.x
 
 
 def run(*, quick: bool = False) -> Iterator[str]:

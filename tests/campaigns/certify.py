@@ -143,7 +143,7 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
     if active.size:
         k = int(rng.choice(active))
         kept = np.delete(np.arange(program.h.size), k)
-        from lcp_plugin.problems.programs.program_proofs import ProgramProofs
+        from lcp_plugin.problems.programs.certification import ProgramProofs
 
         other = QuadraticProgram(
             program.P, program.c, program.G[kept], program.h[kept], program.A, program.b, program.lower, program.upper

@@ -2,7 +2,7 @@
 
 Run as ``python tests/campaigns/convex_programs.py --cases 500 --seed 0``; ``--family NAME`` for one, ``--show`` to see
 each failure. Answers come first: x and its multipliers are planted, then c, h and b are computed; but for two kinds of
-duals, which are judged by their conditions alone. Each program is solved both ways, by ``judged_program`` and
+duals, which are judged by their conditions alone. Each program is solved both ways, by ``solve_program`` and
 by ``solve(lcp_from_qp(program))`` with ``recover``. Counted are
 
 - unsolved: not called optimal, of those that have a minimum; of the others, neither proved nor left "unknown";
@@ -26,7 +26,7 @@ import scipy.sparse as sp
 
 from lcp_plugin.core.solving.driver import solve
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.solving import solve_program
 
 TOLERANCE = 1e-6
 STATES, INPUTS = 4, 2  # of a system that is controlled
@@ -418,7 +418,7 @@ def judged(family: str, program: QuadraticProgram, value: float, seconds: float 
         fresh = afresh(program)
         start = time.perf_counter()
         if way == 0:
-            result = judged_program(fresh, max_seconds=seconds)
+            result = solve_program(fresh, max_seconds=seconds)
             answer = result.solution
         else:
             problem = lcp_from_qp(fresh)

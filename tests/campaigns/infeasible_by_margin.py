@@ -38,7 +38,7 @@ from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.criterion import RowUnits
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.solving import solve_program
 
 TOLERANCE = 1e-8  # of a run
 CONSTRAINTS = 1e-7  # of a program that is called optimal
@@ -320,7 +320,7 @@ def program_violations(case: PlantedProgram) -> tuple[list[str], str]:
             bad.append(f"{form}: infeasible without a proof")
         if result.status in REFUTED and case.margin.high <= CONSTRAINTS and solution.status != "unbounded":
             bad.append(f"{form}: the problem {result.status.name} at a margin of {case.margin.high:.3e}")
-    result = judged_program(case.program)
+    result = solve_program(case.program)
     solution = result.solution
     statuses.add("optimal" if solution.is_optimal() else solution.status)
     if "infeasible" in statuses and case.margin.high <= CONSTRAINTS:

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import convex_programs
 
 from lcp_plugin import QuadraticProgram
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.solving import solve_program
 
 KINDS = ("degenerate", "redundant", "linear", "fixed", "decimal")
 MOST = 1e3  # times the multipliers of HiGHS
@@ -45,7 +45,7 @@ def program(kind: str, rng: np.random.Generator, largest: int = 25) -> Quadratic
     if kind != "fixed":
         return convex_programs.planted(kind, rng, largest)[0]
     free, _ = convex_programs.planted(str(rng.choice(["linear", "degenerate"])), rng, largest)
-    x = judged_program(free).solution.x
+    x = solve_program(free).solution.x
     is_fixed = rng.random(free.n) < 0.5
     A, b = sp.csr_array(free.A), free.b
     if b.size:  # once more, summed up
@@ -88,7 +88,7 @@ def main() -> int:
     for k in range(arguments.cases):
         kind = KINDS[k % len(KINDS)]
         case: Any = program(kind, np.random.default_rng([arguments.seed, k, 7]))
-        answer, theirs = judged_program(case).solution, largest_of_highs(case)
+        answer, theirs = solve_program(case).solution, largest_of_highs(case)
         ours = float(np.abs(answer.multipliers).max(initial=0.0))
         if theirs is None or not answer.is_optimal():
             counts[kind, "left out: HiGHS has none" if theirs is None else f"ours is {answer.status}"] += 1

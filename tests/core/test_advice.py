@@ -38,8 +38,15 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class, create
 from lcp_plugin.core.crossovers import PIVOTED_UP_TO
+from lcp_plugin.core.policy.stages import Stage
+from lcp_plugin.core.solving.advice import advice_of_run
+from lcp_plugin.methods.direct import Retries, Turns
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
 
+LEFT_OUT = (
+    "the exhaustive search", "a look for a proof that there is no solution", "newton, where the diagonal is negative,",
+    "lemke",
+)
 CONTACT = LCP(friction(10).M, friction(10).q)
 TRAPPED = LCP(TRAP, [-210.0, -110, 150])  # an H₊-matrix on which unscaled steps run into a cycle
 FAR = LCP([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0])  # a P-matrix, far from H₊
@@ -162,7 +169,24 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert result.status is Status.STALLED
     assert calls_in(result.advice) == []
     assert "another start z0 may lead elsewhere" in result.advice
+    assert "not the exhaustive search (up to n = 60; n = 90 here)" in result.advice
     assert solve(problem, z0=z + 1e-6).is_solved
+
+
+@pytest.mark.parametrize(("n", "named"), [(60, ()), (61, LEFT_OUT[:1]), (5001, LEFT_OUT[:3]), (6001, LEFT_OUT)])
+def test_what_auto_leaves_out_for_its_size_is_told(n: int, named: tuple[str, ...]) -> None:
+    """Each with the size up to which it goes; nothing where all are tried."""
+    M = sp.diags_array([np.full(n - 1, -2.0), np.full(n, -1.0), np.full(n - 1, 3.0)], offsets=(-1, 0, 1)).tocsr()
+    turns = Turns(LCP(M, np.ones(n), lower=-np.ones(n), upper=1.0), Retries())
+    stage = Stage(create("newton", {}))
+    following = turns.first()
+    while following is not None and following.algorithm.name != "psor":
+        following = turns.after([replace(stage, algorithm=following.algorithm)], 1e-8, failed=True)
+    assert {told.partition(" (")[0] for told in turns.left_out} == set(named)
+    assert all(f"n = {n} here" in told for told in turns.left_out)
+    said = advice_of_run(LCP([[1.0]], [1.0]), "auto", (), 1e-8, {}, turns.left_out)[Status.STALLED]
+    assert all(told in said for told in turns.left_out)
+    assert (", but not " in said) == bool(named)
 
 
 def test_a_slack_that_overflows_at_once_is_told() -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,12 @@ from typer.testing import CliRunner
 
 import lcp_plugin
 from lcp_plugin import LCP, QuadraticProgramBatch, Status, bounded_least_squares, gallery, solve, solve_batch
+from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.checks import read_only
 from lcp_plugin.core.communicator import ALONE
 from lcp_plugin.core.deadline import NEW_KERNELS, Clock, compilation
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.core.kernels.compilation import cache_folder, compiled, compiling_at_once
 from lcp_plugin.core.kernels.enclosures import fused, split_sum
 from lcp_plugin.core.solving import run_log
@@ -262,15 +265,41 @@ def test_interpreted_kernels_have_the_bits_of_compiled_ones(monkeypatch: pytest.
     """What a first call answers before anything is compiled is what every later call answers."""
     with compiling_at_once():
         compiled_bits = solutions()
+    assert interpret_all(monkeypatch) > 8
+    assert solutions() == compiled_bits
+
+
+def interpret_all(monkeypatch: pytest.MonkeyPatch) -> int:
+    """Have every kernel run by the interpreter that may be; return how many names of such were found."""
     interpreted = 0
     for name, module in list(sys.modules.items()):
-        has_kernels = name.startswith("lcp_plugin.") and ".kernels." in name
-        for attribute, kernel in list(vars(module).items()) if has_kernels else ():
+        for attribute, kernel in list(vars(module).items()) if name.startswith("lcp_plugin.") else ():
             if getattr(kernel, "is_patient", False):
                 monkeypatch.setattr(module, attribute, np.errstate(all="ignore")(kernel.py_func))
                 interpreted += 1
-    assert interpreted > 8
-    assert solutions() == compiled_bits
+    return interpreted
+
+
+@pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
+def test_a_history_has_floats_whether_kernels_are_compiled_or_not(
+    algorithm: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The interpreter returns scalars of numpy where compiled code returns floats: a method's step has floats."""
+    rng, numbers = np.random.default_rng(0), []
+    band = sp.diags_array([-np.ones(39), np.full(40, 3.0), -np.ones(39)], offsets=(-1, 0, 1))
+    skew = np.triu(rng.normal(size=(30, 30)))
+    problems = (
+        gallery.build("obstacle_2d", size=24, shifted=True).problem, LCP(band, rng.normal(size=40)),
+        LCP(skew - skew.T + 0.1 * np.eye(30), rng.normal(size=30)), gallery.build("bimatrix_game").problem,
+    )
+    for given in problems:
+        with suppress(UnsuitableMatrix, UnsuitableProblem):
+            solve(given, algorithm, record=True, max_iterations=200)  # loads its kernels
+            interpret_all(monkeypatch)
+            for sample in solve(given, algorithm, record=True, max_iterations=200).history:
+                numbers += [sample.residual, sample.work, sample.seconds]
+    assert numbers
+    assert {type(number) for number in numbers} == {float}
 
 
 def test_numba_is_asked_in_one_place() -> None:

@@ -1,22 +1,31 @@
-"""The manual in a browser is made of every public name and example, and each of its links leads somewhere."""
+"""The manual in a browser: every public name and example, guides whose code runs, no broken link, a search."""
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import io
+import json
 import re
 import shutil
+import subprocess
+import textwrap
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 from manual import site
-from manual.contents import EXAMPLES, SUBJECTS, Example, examples, is_member, subject_of
+from manual.contents import EXAMPLES, SUBJECTS, Example, Guide, examples, guides, is_member, subject_of
 from manual.docstrings import CODE, render, to_markdown
 from manual.formulas import HIGH, LOW, mathml, set_formulas
 from public_names import PUBLIC
 
+import lcp_plugin.ranks
+
 PICTURE = EXAMPLES / "pictures" / "three_problems.png"
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.S | re.M)
 NOT_SHOWN = re.compile(r"[_{}^\s]")
 
 
@@ -75,11 +84,97 @@ def test_every_link_leads_to_a_page_and_an_anchor_of_it(pages: dict[Path, Page])
 
 
 def test_no_page_needs_a_network(pages: dict[Path, Page]) -> None:
-    """What a page loads lies beside it, and no script is among it."""
+    """What a page loads lies beside it; the search alone has scripts, and they fetch nothing."""
     for file, page in pages.items():
-        for name in page.loaded:
+        for name in filter(None, page.loaded):
             assert (file.parent / name).is_file(), f"{file.name} loads {name}"
-        assert not re.search(r"<script|@import|url\(", file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        assert not re.search(r"@import|url\(|fetch\(|XMLHttp", text)
+        assert ("<script" in text) == (file.name == "search.html")
+
+
+@pytest.mark.parametrize("guide", guides(), ids=lambda guide: guide.name)
+def test_the_code_of_a_guide_prints_what_stands_below_it(guide: Guide) -> None:
+    """Its blocks run one after the other; a script for ranks is the one that tests/distributed runs."""
+    namespace: dict[str, object] = {"__name__": "guide"}
+    blocks = BLOCK.findall(guide.source)
+    assert blocks
+    for code, printed in blocks:
+        if "mpi4py" in code:
+            assert textwrap.indent(code, "    ") in (lcp_plugin.ranks.__doc__ or "")
+            continue
+        if "import torch" in code:
+            try:
+                import torch  # noqa: F401
+            except ImportError:
+                continue
+        found = io.StringIO()
+        with contextlib.redirect_stdout(found):
+            exec(compile(code, guide.name, "exec", dont_inherit=True), namespace)
+        assert found.getvalue() == printed
+
+
+def test_guides_are_few_and_their_sentences_short() -> None:
+    """At most eight, each with a picture that an example draws; no sentence of more than 25 words."""
+    assert len(guides()) <= 8
+    drawn = {f"examples/{example.name}.png" for example in examples()}
+    for guide in guides():
+        assert guide.picture in drawn
+        prose = re.sub(r"^[|!].*$", "", re.sub(r"^```.*?^```$", "", guide.source, flags=re.S | re.M), flags=re.M)
+        for sentence in re.split(r"(?<=[.!?:;])\s+|\n\n|\n- ", prose):
+            assert len(sentence.split()) <= 25, sentence
+
+
+@pytest.mark.full
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium installed: apt-get install chromium")
+def test_the_manual_in_a_browser(folder: Path, tmp_path: Path) -> None:
+    """In Chromium, 1280 and 390 pixels wide: no page is wider than that, every picture is there; words are found."""
+    names = ["index.html", *(guide.address for guide in guides()), "class.LCP.html", "search.html?q=from_contacts"]
+    script = """
+      const names = NAMES, widths = [1280, 390], found = {};
+      const look = (name, width) => new Promise(done => {
+        const frame = document.createElement("iframe");
+        frame.style.cssText = `width: ${width}px; height: 900px`;
+        frame.onload = () => {
+          const page = frame.contentDocument;
+          page.querySelectorAll("img").forEach(image => image.loading = "eager");
+          setTimeout(() => {
+            found[`${name} ${width}`] = {
+              width: page.documentElement.scrollWidth,
+              missing: [...page.images].filter(image => !image.naturalWidth).length,
+              links: [...page.querySelectorAll("#found a")].map(link => link.getAttribute("href")),
+            };
+            frame.remove();
+            done();
+          }, 300);
+        };
+        frame.src = name;
+        document.body.append(frame);
+      });
+      (async () => {
+        for (const name of names) for (const width of widths) await look(name, width);
+        document.getElementById("answer").textContent = JSON.stringify(found);
+      })();
+    """.replace("NAMES", json.dumps(names))
+    harness = folder / "harness.htm"
+    harness.write_text(f'<!doctype html><body><pre id="answer"></pre><script>{script}</script>', encoding="utf-8")
+    run = subprocess.run(
+        [str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
+         "--disable-background-networking", "--allow-file-access-from-files", f"--user-data-dir={tmp_path}",
+         "--window-size=1400,1000", "--enable-logging=stderr", "--v=0", "--host-resolver-rules=MAP * ~NOTFOUND",
+         "--virtual-time-budget=60000", "--dump-dom", harness.as_uri()],
+        capture_output=True, text=True, timeout=120, check=True,
+    )
+    harness.unlink()
+    answer = re.search(r'<pre id="answer">(.+?)</pre>', run.stdout, re.S)
+    assert answer is not None, run.stdout[-500:]
+    assert [line for line in run.stderr.splitlines() if "CONSOLE" in line] == []
+    found = json.loads(unescape(answer[1]))
+    assert len(found) == 2 * len(names)
+    for name, page in found.items():
+        assert page["width"] <= int(name.rpartition(" ")[2]), name
+        assert page["missing"] == 0, name
+    assert "guide.contact.html" in found["search.html?q=from_contacts 1280"]["links"]
 
 
 def test_every_public_name_has_its_place(folder: Path) -> None:

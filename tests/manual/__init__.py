@@ -1,1 +1,1 @@
-"""The manual as static pages, made from the docstrings, the examples and nothing else."""
+"""The manual as static pages, made from guides, the docstrings, the examples and nothing else."""

@@ -1,4 +1,4 @@
-"""What the manual holds: subjects by room, pages of names and of help, and where each name is found."""
+"""What the manual holds: guides, subjects by room, pages of names and of help, and where each name is found."""
 
 from __future__ import annotations
 
@@ -17,13 +17,17 @@ import lcp_plugin
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+GUIDES = (  # files beside this one, in the order in which they are read
+    "first_model", "which_algorithm", "what_is_proved", "contact", "options_in_time", "equilibria_and_leaders",
+    "layers", "many_machines",
+)
 SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages it shows; the longest match counts
     "solve": ("Solve: problems, methods, what comes back", "core algorithms methods problems"),
     "model": ("Model: in cvxpy, as a program, a game, an equation", "modeling problems.programs "
               "problems.reformulations"),
     "prove": (
         "Prove: a matrix, a method, an error, an answer",
-        "proofs core.certificates methods.search problems.programs.certification problems.programs.program_proofs",
+        "proofs core.certificates methods.search problems.programs.certification problems.programs.certification",
     ),
     "batch": ("Batch: many problems at once", "problems.batches problems.march problems.programs.stacked_programs"),
     "differentiate": ("Differentiate: how the answer changes", "doors.learn problems.sensitivity"),
@@ -144,6 +148,43 @@ def told_on(page: Page) -> Iterator[Any]:
     for thing in page.entries.values() or [page.thing]:
         yield thing
         yield from members_of(thing).values()
+
+
+@dataclass
+class Guide:
+    """A page that leads through a subject, with code that a test runs and what it prints."""
+
+    name: str
+
+    @cached_property
+    def source(self) -> str:
+        """The file, in Markdown."""
+        return Path(__file__).with_name("guides").joinpath(f"{self.name}.md").read_text(encoding="utf-8")
+
+    @property
+    def address(self) -> str:
+        """The file that is written."""
+        return f"guide.{self.name}.html"
+
+    @property
+    def title(self) -> str:
+        """The first line."""
+        return self.source.partition("\n")[0].removeprefix("# ")
+
+    @property
+    def body(self) -> str:
+        """What stands below the title."""
+        return self.source.partition("\n")[2]
+
+    @property
+    def picture(self) -> str:
+        """The first picture's file; a guide without one is none."""
+        return re.findall(r"^!\[.*\]\((\S+)\)$", self.source, re.M)[0]
+
+
+def guides() -> list[Guide]:
+    """Return the guides in their order."""
+    return [Guide(name) for name in GUIDES]
 
 
 @dataclass

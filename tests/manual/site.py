@@ -1,16 +1,20 @@
-"""The pages as files: signatures, docstrings, examples with their pictures, and what leads from one to another."""
+"""The pages as files: guides, signatures, docstrings, examples with their pictures, what links them, and a search."""
 
 from __future__ import annotations
 
 import ast
 import inspect
+import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from html import unescape
 from pathlib import Path
 from typing import Any
 
+import pdoc
 import pygments
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -20,7 +24,18 @@ from pygments.lexers import PythonLexer
 
 import lcp_plugin
 
-from .contents import EXAMPLES, SUBJECTS, Example, Page, examples, is_function, members_of, pages, subject_of
+from .contents import (
+    EXAMPLES,
+    SUBJECTS,
+    Example,
+    Page,
+    examples,
+    guides,
+    is_function,
+    members_of,
+    pages,
+    subject_of,
+)
 from .docstrings import render, summary
 
 HERE = Path(__file__).parent
@@ -61,7 +76,7 @@ class Site:
     """All pages, and where each name stands."""
 
     def __init__(self) -> None:
-        self.front_door, self.pages, self.examples = lcp_plugin, pages(), examples()
+        self.front_door, self.pages, self.examples, self.guides = lcp_plugin, pages(), examples(), guides()
         self.addresses = {name: address for page in reversed(self.pages) for name, address in page.anchors()}
         self.templates = Environment(
             loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
@@ -107,8 +122,13 @@ class Site:
     def files(self, folder: Path) -> Iterator[tuple[str, str]]:
         """Yield the name of each file with its text."""
         make = {name: self.templates.get_template(f"{name}.html.jinja2").render
-                for name in ("start", "subject", "page", "example")}
+                for name in ("start", "guide", "subject", "page", "example", "search")}
         yield "index.html", make["start"](up="", subject=None)
+        yield "search.html", make["search"](up="", subject=None)
+        for k, guide in enumerate(self.guides):
+            yield guide.address, make["guide"](
+                up="", subject=None, guide=guide, text=self.docstring(guide.body), following=self.guides[k + 1 : k + 2]
+            )
         for subject in SUBJECTS:
             yield f"subject.{subject}.html", make["subject"](up="", subject=subject)
         for page in self.pages:
@@ -152,9 +172,22 @@ def run_examples(folder: Path) -> Iterator[str]:
         picture.with_suffix(".txt").write_text(printed, encoding="utf-8")
 
 
+def document(address: str, page: str) -> dict[str, str]:
+    """Return what the search knows of a page: where it is, its title and the words of its main part."""
+    main = page.partition("<main>")[2].partition("</main>")[0]
+    words = " ".join(unescape(re.sub(r"<[^>]*>", "", re.sub(r"(?=<(p|h\d|li|td|pre|div|dt|dd)\b)", " ", main))).split())
+    title = re.search(r"<title>(.*?) · lcp_plugin</title>", page)
+    return {"address": address, "title": unescape(title[1]) if title else address, "text": words}
+
+
 def write(folder: Path) -> int:
-    """Write every page into a folder that holds the pictures; return how many."""
+    """Write every page into a folder that holds the pictures, with the search; return how many pages."""
     files = dict(Site().files(folder))
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
-    return len(files) - 1
+    pages = {name: text for name, text in files.items() if name.endswith(".html")}
+    searched = [document(name, text) for name, text in pages.items() if name not in ("index.html", "search.html")]
+    (folder / "documents.js").write_text(f"const DOCUMENTS = {json.dumps(searched)};\n", encoding="utf-8")
+    shutil.copy(Path(pdoc.__file__).parent / "templates" / "resources" / "elasticlunr.min.js", folder)
+    shutil.copy(EXAMPLES / "pictures" / "three_problems.png", folder)
+    return len(pages)

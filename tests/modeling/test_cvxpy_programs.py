@@ -21,7 +21,7 @@ from lcp_plugin.modeling import qp_solver
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 from lcp_plugin.modeling.stated_terms import EQUATIONS, StatedTerms
 from lcp_plugin.problems.programs.conversion import QuadraticProgram
-from lcp_plugin.problems.programs.reductions import substitute_definitions
+from lcp_plugin.problems.programs.definitions import Substitution
 
 SolverError = cp.error.SolverError
 CASES = 40
@@ -382,7 +382,7 @@ def test_a_direction_that_the_curvature_does_not_see() -> None:
         P[2:, 2:] = factor @ factor.T
         rows, lower = np.hstack([-E, np.eye(3)]), [-1.0, -1.0, *[-np.inf] * 3]
         program = QuadraticProgram(P, np.ones(5), A=rows, b=np.zeros(3), lower=lower)
-        substitution = substitute_definitions(program)
+        substitution = Substitution.of(program)
         assert substitution is not None
         reduced = substitution.reduced.matrices.hessian.csr.toarray()
         np.testing.assert_array_equal(reduced, reduced.T)

@@ -53,7 +53,7 @@ TESTS = {
     **dict.fromkeys(
         [f"{BOUNDS}/curvature.py"]
         + [f"lcp_plugin/problems/programs/{name}.py" for name in ("dual_bounds", "feasible_points")]
-        + ["lcp_plugin/problems/programs/program_proofs.py"], ("tests/problems/programs/test_certify.py",),
+        + ["lcp_plugin/problems/programs/certification.py"], ("tests/problems/programs/test_certify.py",),
     ),
     "lcp_plugin/proofs/exact/rational.py": BOUND_TESTS,
     "lcp_plugin/core/rounding.py": ("tests/core/test_rounding.py", "tests/proofs/test_error_bounds.py"),

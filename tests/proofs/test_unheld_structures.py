@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from unheld import Structure, block, chain, circuit, truss
 
 from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, prepare, solve
-from lcp_plugin.problems.programs.qp_proofs import QPUnboundedness
+from lcp_plugin.problems.programs.no_minimum import QPUnboundedness
 from lcp_plugin.systems.null_space import null_space
 
 UNHELD = {

@@ -97,6 +97,7 @@ class Policy:
 
     name: str
     chosen: Any
+    left_out: Sequence[str] = ()  # what it did not try and why, in words
 
     def first(self, problem: LCP) -> Choice:
         """Return the algorithm to begin with."""
@@ -210,6 +211,11 @@ class Auto(Policy):
         self._direct = self._turns(problem)
         first = None if self._direct is None else self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")
+
+    @property
+    def left_out(self) -> Sequence[str]:  # type: ignore[override]
+        """What the direct methods did not try, where it came to them."""
+        return () if self._direct is None else self._direct.left_out
 
     def _seems_unheld(self, problem: LCP, *, by_rows: bool = False) -> bool:
         """Return whether the sums of rows, or one factor, show a direction along which nothing holds z.

@@ -22,11 +22,13 @@ WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 EXCLUDED = "no solution was found, and a search of all cases in double precision saw none"
 FAR_OUT = "no start leads to a solution within that size: check the data"
 OVERFLOWS = "M z + q overflows already at the point of the bounds nearest to 0: divide M and q by the same large number"
-ELSEWHERE = "auto has tried what suits this M: another start z0 may lead elsewhere"
+TRIED = "auto has tried what suits this M"
+ELSEWHERE = "another start z0 may lead elsewhere"
 
 
 def advice_of_run(
-    problem: LCP, chosen: Any, stages: Sequence[Stage], goal: float, words: Mapping[Status, str]
+    problem: LCP, chosen: Any, stages: Sequence[Stage], goal: float, words: Mapping[Status, str],
+    left_out: Sequence[str] = (),
 ) -> dict[Status, str]:
     """Return the advice of each status with which a run may have ended, what happened and what to do.
 
@@ -42,6 +44,8 @@ def advice_of_run(
         The residual that was asked for.
     words : mapping from Status to str
         What happened, where another than the status's own is right.
+    left_out : sequence of str
+        What auto did not try, and why.
 
     Examples
     --------
@@ -59,11 +63,18 @@ def advice_of_run(
     goes_on = reached is None or chosen.uses_start(problem, reached)
     for status in LIMITS:
         said[status] += ", or go on from z0=result.z" * goes_on + f", or try {other}" * bool(other)
-    end = FAR_OUT if any(stage.refutes_nearby for stage in stages) else f"try {other}" if other else ELSEWHERE
+    is_far_out = any(stage.refutes_nearby for stage in stages)
+    end = FAR_OUT if is_far_out else f"try {other}" if other else _elsewhere(left_out)
     end = beyond_doubles(problem) or end
     for status in WITHOUT_END:
         said[status] = EXCLUDED if is_excluded else f"{said[status]}; {end}"
     return {**words, **said}
+
+
+def _elsewhere(left_out: Sequence[str]) -> str:
+    """Return what is left to do where auto has come to its end, and what it did not try."""
+    but_not = f", but not {', nor '.join(left_out)}" if left_out else ""
+    return f"{TRIED}{but_not}: {ELSEWHERE}"
 
 
 def advice_beside_a_wrong_row(words: Mapping[Status, str], row: str) -> dict[Status, str]:

@@ -21,6 +21,7 @@ from ..policy.stages import Choice
 from ..registry import ask_or_none
 from ..settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
 from .advice import NOTHING_TO_DO
+from .judge import End
 from .result import Result, StageRecord
 from .run import Callback, Run
 
@@ -195,7 +196,7 @@ def solve(
                 if problem.is_distributed:
                     raise  # the second one: the other ranks have not heard of it
                 run = run or Run(units or CommonUnits(problem, problem), policy, settings, callback, clock)
-                return run.judged(start, Status.INTERRUPTED)
+                return run.judged(start, End.INTERRUPTED)
 
 
 def fused(

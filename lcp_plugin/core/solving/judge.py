@@ -1,9 +1,10 @@
-"""The judge of a run: what a residual is, when it is small enough, and what the certificate makes of the end."""
+"""Why the steps of a run ended, and the judge: what a residual is, when it is small enough, what Status an end gets."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from enum import Enum
 from types import MappingProxyType
 from typing import Any
 
@@ -16,11 +17,32 @@ from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
 from ..registry import ask
-from ..settings import PROVEN, Settings, Status
+from ..settings import Settings, Status
 from .result import BoundOrReason
 
 FAR_OUT = 1e-2
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
+
+
+class End(Enum):
+    """Why the steps of a run ended; what that makes of its best z only :meth:`Judge.verdict` says."""
+
+    CONVERGED = "the judge was content with a step"
+    REFUTED = "a step proved that there is no solution"
+    AT_FLOOR = "the residual is no larger than rounding explains"
+    STALLED = "the residual has stopped falling, or falls too slowly"
+    DIVERGED = "the residual left every reasonable range"
+    NOTHING_LEFT = "the last algorithm had no further step"
+    STEP_LIMIT = "max_iterations came first"
+    TIME_LIMIT = "max_seconds came first"
+    INTERRUPTED = "Ctrl-C or the callback came first"
+
+
+FAILED = (End.STALLED, End.DIVERGED, End.NOTHING_LEFT)  # another algorithm may do better
+STATUS_OF = {
+    End.STEP_LIMIT: Status.MAX_ITERATIONS, End.TIME_LIMIT: Status.MAX_SECONDS, End.INTERRUPTED: Status.INTERRUPTED,
+    End.DIVERGED: Status.DIVERGED,
+}  # of a z that nothing is shown of; of any other end it is STALLED
 
 
 class Judge:
@@ -87,16 +109,20 @@ class Judge:
     def _relative_in_open_parts(self, certificate: Certificate) -> float:
         return certificate.relative_above(self.settings.least_reference, self.units.answered)
 
+    def may_pass(self, residual: float) -> bool:
+        """Return whether a relative residual is so small that a certificate is worth its work."""
+        return residual <= self.settings.goal
+
     def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for.
 
         Whether every row is right in its own terms, and whether it answers the program, if there is one, takes longer
         to tell, and is not asked at every step.
         """
-        settings, is_asked_in_vain = self.settings, residual > 0.5 * self._asked_at and iteration < self._ask_again
-        if not residual <= settings.goal or is_asked_in_vain:
+        is_asked_in_vain = residual > 0.5 * self._asked_at and iteration < self._ask_again
+        if not self.may_pass(residual) or is_asked_in_vain:
             return False
-        passes = self.certificate_of(z).ends_a_run(settings, self.units.answered)
+        passes = self.certificate_of(z).ends_a_run(self.settings, self.units.answered)
         if not passes:
             self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
         return passes
@@ -150,10 +176,10 @@ class Judge:
             return False
         return criterion is None or criterion.is_refuted(settings.tolerance)
 
-    def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Certificate:
+    def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
         certificate = self.certificate_of(z)
-        is_cut_short = reason in (Status.INTERRUPTED, Status.MAX_SECONDS)
+        is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT)
         if last is None or is_cut_short or not self.problem.communicator.everywhere(bool(np.isfinite(z).all())):
             return certificate
         finished = last.finish(self.units.problem, z)
@@ -168,16 +194,22 @@ class Judge:
         """Return whether the certificate shows what was asked for; a program, if there is one, is answered as well."""
         return certificate.is_solved(self.settings)
 
-    def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
-        """Return the status: what the certificate proves, or else why the run ended."""
+    def verdict(self, certificate: Certificate, end: End, *, is_chain: bool) -> Status:
+        """Return the status: what the certificate or a proof shows, or else why the run ended.
+
+        Where one step of several algorithms diverged, the best z need not have: that is STALLED.
+        """
+        if end is End.INTERRUPTED and (ended_by := getattr(self.problem.origin, "ended_by", None)):
+            self.proof = ended_by
+            self.words = {**self.words, ended_by.status: f"the program is {ended_by}"}
+            return ended_by.status  # type: ignore[no-any-return]
         if self.is_solved_by(certificate):
             return Status.SOLVED
-        if reason in PROVEN:
-            return reason
+        if end is End.REFUTED:
+            return self.proof.status  # type: ignore[no-any-return]
         if certificate.is_limited_by_rounding or self.misses_by_rounding(self.units.inward(certificate.z)):
             return Status.PRECISION_LIMIT
-        is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT)
-        return Status.STALLED if is_unfounded or (reason is Status.DIVERGED and is_chain) else reason
+        return Status.STALLED if end is End.DIVERGED and is_chain else STATUS_OF.get(end, Status.STALLED)
 
 
 def judge_of(units: CommonUnits, settings: Settings) -> Judge:

@@ -22,14 +22,14 @@ from ..policy.choice import Policy, name_of, with_reasons
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage
 from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO, advice_beside_a_wrong_row, advice_of_run, unused_start
-from .judge import Judge, judge_of
+from .judge import FAILED, End, Judge, judge_of
 from .result import BoundOrReason, Result, Sample, StageRecord
 from .run_log import RunLog
 
 Callback = Callable[[Sample, FloatVector], Any]
 
 SAMPLE_GROWTH = 1.05
-END = object()  # of the steps of an algorithm
+NO_STEP = object()  # an algorithm has no further one
 DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
 
 
@@ -56,7 +56,7 @@ class Run:
         self._is_watched = settings.record or settings.verbose or not problem.communicator.everywhere(callback is None)
         self._next_sample = 0
 
-    def drive(self, start: FloatVector, first: Choice) -> Status:
+    def drive(self, start: FloatVector, first: Choice) -> End:
         """Run the chain of algorithms within the time that is left; return why it ended."""
         self.judge.require_rigorous_bounds()
         following: Choice | None = first
@@ -74,45 +74,43 @@ class Run:
                     from_start = following.from_start or self.incumbent.z is None
                     self.state.open(Stage(following.algorithm, following.because, from_start))
                     z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
-                    reason, following = self._follow(self.units.steps(following, z))
+                    end, following = self._follow(self.units.steps(following, z))
         except OutOfTimeError:
-            return Status.MAX_SECONDS
-        return reason
+            return End.TIME_LIMIT
+        return end
 
-    def _follow(self, steps: Iterator[Step]) -> tuple[Status, Choice | None]:
+    def _follow(self, steps: Iterator[Step]) -> tuple[End, Choice | None]:
         """Take the steps of one algorithm until the run or the policy wants an end; return why, and what comes next."""
         self.progress.restart(max(self.state.iteration, 0), self.incumbent.residual)
-        reason: Status | None = None
-        while reason is None and (step := self._step_of(steps)) is not END:
-            reason = self._observe(step)
-            if reason is None and (following := self._next(has_failed=False)) is not None:
-                return Status.STALLED, following
+        end: End | None = None
+        while end is None and (step := self._step_of(steps)) is not NO_STEP:
+            end = self._observe(step)
+            if end is None and (following := self._next(has_failed=False)) is not None:
+                return End.STALLED, following
         self.clock.read()  # what ends by itself may have done so because time is over
         is_late = self.clock.elapsed >= self.settings.max_seconds
-        reason = reason or (Status.MAX_SECONDS if is_late else Status.STALLED)
-        if reason in (Status.STALLED, Status.DIVERGED) and self.judge.is_at_floor(self.incumbent.z):
-            reason = Status.PRECISION_LIMIT
-        if reason is Status.PRECISION_LIMIT and self.judge.is_limited_by_size(self.incumbent.z):
-            return reason, self.policy.another_start(self.problem, self.state.stages)
-        if reason not in (Status.STALLED, Status.DIVERGED):
-            return reason, None
-        return reason, self._next(has_failed=True)
+        end = end or (End.TIME_LIMIT if is_late else End.NOTHING_LEFT)
+        if end in FAILED and self.judge.is_at_floor(self.incumbent.z):
+            end = End.AT_FLOOR
+        if end is End.AT_FLOOR and self.judge.is_limited_by_size(self.incumbent.z):
+            return end, self.policy.another_start(self.problem, self.state.stages)
+        return end, self._next(has_failed=True) if end in FAILED else None
 
     def _step_of(self, steps: Iterator[Step]) -> Any:
-        """Return the next step, END where there is none, or where auto tried what does not take this problem."""
+        """Return the next step, NO_STEP where there is none, or where auto tried what does not take this problem."""
         stages = self.state.stages
         try:
-            return next(steps, END)
+            return next(steps, NO_STEP)
         except (UnsuitableMatrix, UnsuitableProblem):
             if len(stages) == 1 or stages[-1].iterations > 0 or self.problem.is_distributed:
                 raise
-            return END
+            return NO_STEP
 
     def _next(self, *, has_failed: bool) -> Choice | None:
         return self.policy.next_step(self.problem, self.state.stages, self.settings.goal, has_failed)
 
-    def _observe(self, step: Any) -> Status | None:
-        """Take note of one step; return the reason to end, if there is one."""
+    def _observe(self, step: Any) -> End | None:
+        """Take note of one step; return why the run ends with it, if it does."""
         state, incumbent = self.state, self.incumbent
         if not isinstance(step, Step):  # as an algorithm of somebody else's may yield
             name = state.stages[-1].algorithm.name
@@ -125,7 +123,7 @@ class Run:
         if known is None and (is_first or self.checks.is_due(state.iteration, step.increment)):
             residual = self.judge.measure(step.z)
             state.work += 1.0 if state.iteration > 0 else 0.0  # the start is measured for every problem
-        is_within = residual is not None and residual <= self.settings.goal
+        is_within = residual is not None and self.judge.may_pass(residual)
         if residual is not None:
             if is_within:  # measured, not proved
                 residual = self.judge.certified(step.z)
@@ -135,20 +133,20 @@ class Run:
             state.stages[-1].note(residual)
             if state.iteration == 0:
                 self.start_residual = residual
-        reason = self._reason_to_end(step, residual)
-        if reason is None and self.clock.is_interrupted:
-            reason = Status.INTERRUPTED
-        if self._is_watched and self._report(step, residual, reason is not None):
-            reason = reason or Status.INTERRUPTED
-        if step.proof is not None and reason is None:
+        end = self._end_with(step, residual)
+        if end is None and self.clock.is_interrupted:
+            end = End.INTERRUPTED
+        if self._is_watched and self._report(step, residual, end is not None):
+            end = end or End.INTERRUPTED
+        if step.proof is not None and end is None:
             if self.judge.counts(step.proof):
-                return step.proof.status  # type: ignore[no-any-return]
+                return End.REFUTED
             state.stages[-1].refutes_nearby = getattr(self.judge.proof, "radius", math.inf) < math.inf
             if self.judge.misses_by_rounding(self.incumbent.z):
-                return Status.PRECISION_LIMIT
-        return reason
+                return End.AT_FLOOR
+        return end
 
-    def _reason_to_end(self, step: Step, residual: float | None) -> Status | None:
+    def _end_with(self, step: Step, residual: float | None) -> End | None:
         """Return why the run ends with this step, or None."""
         iteration, best = self.state.iteration, self.incumbent.residual
         progress, settings = self.progress, self.settings
@@ -157,25 +155,25 @@ class Run:
         if residual is not None:
             if self.judge.passes(step.z, residual, iteration):
                 self.incumbent.take(step.z, residual)
-                return Status.SOLVED
+                return End.CONVERGED
             is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
             is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
             if is_beyond and not residual <= DIVERGED_BEYOND:
-                return Status.DIVERGED
+                return End.DIVERGED
         elif step.increment is not None and not math.isfinite(step.increment):
-            return Status.DIVERGED
+            return End.DIVERGED
         if iteration >= settings.max_iterations:
-            return Status.MAX_ITERATIONS
+            return End.STEP_LIMIT
         if self.clock.elapsed >= settings.max_seconds:
-            return Status.MAX_SECONDS
+            return End.TIME_LIMIT
         if step.is_settling:
             progress.restart(iteration, best)
         if residual is None:
             return None
         if progress.is_flat(iteration, best) and self.judge.is_at_floor(self.incumbent.z):
-            return Status.PRECISION_LIMIT
+            return End.AT_FLOOR
         is_stalled = (is_monotone or algorithm.is_watched) and progress.is_stalled(iteration, best, settings.goal)
-        return Status.STALLED if is_stalled else None
+        return End.STALLED if is_stalled else None
 
     # --- telling ----------------------------------------------------------------------------------------
 
@@ -184,13 +182,12 @@ class Run:
         state, stage, log = self.state, self.state.stages[-1], self.log
         is_due = self.settings.record and (is_last or state.iteration >= self._next_sample)
         with self.clock.paused():
-            known = None if residual is None else float(residual)  # no numpy scalar, as interpreted kernels return
-            sample = Sample(state.iteration, state.work, state.seconds, known, stage.algorithm.name)
+            sample = Sample(state.iteration, state.work, state.seconds, residual, stage.algorithm.name)
             wants_to_stop = self._called_back(sample, step.z)
             is_due |= self.settings.record and wants_to_stop
             is_printed = log is not None and log.is_due(stage)
             if is_due or is_printed:
-                sample = replace(sample, residual=float(self.judge.measure(step.z)) if known is None else known)
+                sample = replace(sample, residual=self.judge.measure(step.z) if residual is None else residual)
             if log is not None and is_printed:
                 log.step(stage, sample)
             if is_due:
@@ -206,26 +203,23 @@ class Run:
         wants_to_stop = communicator.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
         return communicator.anywhere(wants_to_stop)
 
-    def ended(self, start: FloatVector, reason: Status) -> tuple[Certificate, Status]:
-        """Return what the judge makes of the best iterate, cleaned up, and of the reason why the run ended."""
+    def ended(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
+        """Return what the judge makes of the best iterate, cleaned up, and of why the run ended."""
         incumbent, state = self.incumbent, self.state
         if incumbent.unmeasured is not None:
             incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
         last = state.stages[-1] if state.stages else None
         # Where no z is near a solution, what is given back is the start, as in a batch.
-        is_excluded = last is not None and last.least_residual > self.settings.goal and reason is not Status.SOLVED
+        is_excluded = last is not None and last.least_residual > self.settings.goal and end is not End.CONVERGED
         best = start if incumbent.z is None or is_excluded else incumbent.z
-        certificate = self.judge.final(best, reason, None if last is None else last.algorithm)
-        return certificate, self.judge.verdict(certificate, reason, is_chain=len(state.stages) > 1)
+        certificate = self.judge.final(best, end, None if last is None else last.algorithm)
+        return certificate, self.judge.verdict(certificate, end, is_chain=len(state.stages) > 1)
 
-    def judged(self, start: FloatVector, reason: Status) -> Result:
+    def judged(self, start: FloatVector, end: End) -> Result:
         """Return the result, whose status the certificate names."""
         state, settings, stages = self.state, self.settings, self.state.records()
-        certificate, status = self.ended(start, reason)
+        certificate, status = self.ended(start, end)
         words, proof = dict(self.judge.words), self.judge.proof
-        if reason is Status.INTERRUPTED and (ended_by := getattr(self.judge.problem.origin, "ended_by", None)):
-            status, proof = ended_by.status, ended_by
-            words = {**words, status: f"the program is {proof}"}
         is_over_at_once = status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None
         if is_over_at_once:
             stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
@@ -233,7 +227,10 @@ class Run:
             if not is_over_at_once and (unused := unused_start(self.problem, self.policy.chosen, start)):
                 stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
             if status is not Status.SOLVED:
-                words = advice_of_run(self.problem, self.policy.chosen, state.stages, settings.goal, words)
+                policy = self.policy
+                words = advice_of_run(
+                    self.problem, policy.chosen, state.stages, settings.goal, words, policy.left_out
+                )
                 goal, least = settings.goal, settings.least_reference
                 if certificate.relative_above(least) <= goal < certificate.term_above(goal * least):
                     words = advice_beside_a_wrong_row(words, certificate.wrong_row)

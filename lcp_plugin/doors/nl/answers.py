@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ... import __version__
 from ...core.checks import BoolVector, FloatVector
@@ -20,8 +21,8 @@ from ...modeling.assembly import Arrangement, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
-from ...problems.programs.solving import QuadraticProgramResult, judged_program
-from .checks import SideConditions, contradiction, evaluated
+from ...problems.programs.solving import QuadraticProgramResult, solve_program
+from .checks import FEASIBLE, Evaluation, SideConditions, contradiction, evaluated
 from .content import Indices, NLContent
 
 #: AMPL's numbers for the ways a run may end.
@@ -32,7 +33,6 @@ CODES = {
 }
 OUTSIDE = 1e-8  # of 1 + |x|
 ROUNDINGS = 100.0  # times what rounding alone leaves open
-PROGRAM_GOAL = 1e-6  # of the terms of a row
 OBJECTIVE = 1e-3  # of what the objective may differ by: one that is expanded has lost digits
 TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads", "prove")  # beside an objective
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
@@ -192,11 +192,9 @@ class ComplementarityModel(NLModel):
         """Return what the rows of the file, evaluated as they stand, say against the answer; else nothing."""
         values = evaluated(self.content, x)
         tolerance = options.get("tolerance", Settings.tolerance)
-        return self._contradiction(x, duals, values, result) or self.beside.violated(x, values[0], tolerance)
+        return self._contradiction(duals, values, result) or self.beside.violated(x, values.rows, tolerance)
 
-    def _contradiction(
-        self, x: FloatVector, duals: FloatVector, values: tuple[FloatVector, FloatVector], result: Result
-    ) -> str:
+    def _contradiction(self, duals: FloatVector, values: Evaluation, result: Result) -> str:
         """Return what the values of the rows say against those computed; else nothing."""
         content, widths = self.content, np.zeros(self._size)
         if isinstance(self.problem, NonlinearProblem) and self.problem.enclosure is not None:
@@ -209,7 +207,7 @@ class ComplementarityModel(NLModel):
         allowed[is_pair] = ROUNDINGS * widths[content.partners[is_pair]]
         expected = np.where(is_pair, duals, content.row_lower)
         expected = np.where(is_pair | is_equation, expected, np.nan)
-        return contradiction(content, x, values, expected, allowed)
+        return contradiction(content, values, expected, allowed)
 
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
@@ -257,22 +255,28 @@ class ProgramModel(NLModel):
         −1 where the objective of the file is to be maximised.
     constant : float
         What the objective adds.
+    matrix : CSR array, shape (m, unknowns)
+        The rows of the file are matrix · unknowns + offset.
+    offset : ndarray, shape (m,)
+        NaN for a row without limits, which is left out.
     """
 
     problem: QuadraticProgram
     sign: float
     constant: float
+    matrix: sp.csr_array
+    offset: FloatVector
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
         """Return the answer; infeasible and unbounded are said only with a proof, ``answer.result.proof``."""
-        found = judged_program(self.problem, algorithm, **options)
+        found = solve_program(self.problem, algorithm, **options)
         status = found.status
         x = self.variables(found.solution.x)
         values = evaluated(self.content, x)
         # As the file states it: expanded, (x - 10⁶)² has lost ten digits.
-        objective = float(values[1][0]) if values[1].size else 0.0
+        objective = float(values.objectives[0]) if values.objectives.size else 0.0
         words, code = "optimal" if found.is_solved else status.name.lower(), CODES[status]
-        if status is Status.SOLVED and (wrong := self._contradiction(x, values, found)):
+        if status is Status.SOLVED and (wrong := self._contradiction(values, found)):
             status, words, code = Status.STALLED, wrong, CODES[Status.STALLED]
         is_told = found.proof is None
         words += f", objective {objective:.9g}" if is_told else ""
@@ -281,16 +285,13 @@ class ProgramModel(NLModel):
         duals = -self.sign * found.solution.row_multipliers + 0.0
         return NLAnswer(x, duals, status, message, found, objective if is_told else None, code)
 
-    def _contradiction(
-        self, x: FloatVector, values: tuple[FloatVector, FloatVector], found: QuadraticProgramResult
-    ) -> str:
-        """Return which row of the file does not hold at x, or that its objective is another; else nothing."""
-        content, program, own = self.content, self.problem, np.abs(found.solution.x)
-        within = np.clip(values[0], content.row_lower, content.row_upper)
+    def _contradiction(self, values: Evaluation, found: QuadraticProgramResult) -> str:
+        """Return which row, or the objective, is another in the file than in the program; else nothing."""
+        program, own = self.problem, np.abs(found.solution.x)
+        rows = self.matrix @ found.solution.x + self.offset
         terms = own @ (0.5 * (abs(program.P) @ own) + np.abs(program.c)) + abs(self.constant)
         objective = self.sign * found.solution.objective + self.constant, float(terms)
-        goal = max(found.goal, PROGRAM_GOAL)
-        return contradiction(content, x, values, within, objective=objective, relative=goal)
+        return contradiction(self.content, values, rows, objective=objective)
 
 
 @dataclass(eq=False, repr=False)
@@ -314,7 +315,7 @@ class EquilibriumModel(NLModel):
         """Return the start in the unknowns of the problem; None where the file names none, or a row has no value."""
         x = np.zeros(self.problem.program.n)
         x[: self.unknowns.size] = self.content.start[self.unknowns]
-        x[self.columns] = evaluated(self.content, self.variables(x[: self.unknowns.size]))[0][self.pairs]
+        x[self.columns] = evaluated(self.content, self.variables(x[: self.unknowns.size])).rows[self.pairs]
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
@@ -365,11 +366,8 @@ class EquilibriumModel(NLModel):
     def _as_stated(self, x: FloatVector, duals: FloatVector, value: float) -> tuple[float, str]:
         """Return the objective as the file states it, and what its rows say against the answer, if anything."""
         content, values = self.content, evaluated(self.content, x)
-        within = np.clip(values[0], content.row_lower, content.row_upper)
+        within = np.clip(values.rows, content.row_lower, content.row_upper)
         within[self.pairs] = duals[self.pairs]
-        objective = float(values[1][0]) if values[1].size else 0.0
-        stated = self.sign * value + 0.0
-        terms = abs(value) + (float((abs(content.objective_linear) @ np.abs(x))[0]) if values[1].size else 0.0)
-        bound = stated, terms / OBJECTIVE
-        wrong = contradiction(content, x, values, within, objective=bound, relative=PROGRAM_GOAL)
-        return objective, wrong
+        objective = float(values.objectives[0]) if values.objectives.size else 0.0
+        bound = self.sign * value + 0.0, (abs(value) + float(values.objective_sizes[:1].sum())) / OBJECTIVE
+        return objective, contradiction(content, values, within, FEASIBLE, objective=bound, relative=FEASIBLE)

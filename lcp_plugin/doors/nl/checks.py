@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
 from ...modeling.expressions.program import Program
@@ -29,76 +30,102 @@ FUNCTIONS: dict[float, Callable[..., float]] = {
     52: math.acosh, 53: math.acos, 54: lambda *terms: math.fsum(terms), 76: math.pow, 77: lambda a: a * a,
     78: math.pow,
 }
+#: Σ |term| of what is multiplied out, from operands and their sizes; the value of any other function is one term.
+SIZES: dict[float, Callable[[list[float], list[float]], float]] = {
+    **dict.fromkeys((0, 1, 16, 54), lambda operands, sizes: math.fsum(sizes)),
+    2: lambda operands, sizes: sizes[0] * sizes[1],
+    77: lambda operands, sizes: sizes[0] * sizes[0],
+    3: lambda operands, sizes: sizes[0] / abs(operands[1]),
+    **dict.fromkeys((5, 76, 78), lambda operands, sizes: math.pow(sizes[0], operands[1])),
+}
 
 
-def evaluated(content: NLContent, x: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return the values of the rows and of the objectives at x, shapes (m,) and (o,); NaN where there is none."""
-    values: list[float] = x.tolist()
+class Evaluation(NamedTuple):
+    """Rows and objectives at a point, NaN where they have no value, and the sizes of both: Σ |term|."""
+
+    rows: FloatVector
+    objectives: FloatVector
+    row_sizes: FloatVector
+    objective_sizes: FloatVector
+
+
+def evaluated(content: NLContent, x: FloatVector) -> Evaluation:
+    """Return the values of the rows and of the objectives at x, shapes (m,) and (o,), with their sizes."""
+    values, sizes = x.tolist(), np.abs(x).tolist()  # type: list[float], list[float]
     linear, trees = content.defined_linear, content.defined_trees
     for k in range(trees.size):
         entries = slice(linear.indptr[k], linear.indptr[k + 1])
-        terms = zip(linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True)
-        values.append(sum(factor * values[column] for column, factor in terms) + _values(trees, values, k, k + 1)[0])
-    rows, objectives = (
-        matrix @ x + np.array(_values(own, values, 0, own.size), dtype=np.float64)
-        for matrix, own in ((content.linear, content.trees), (content.objective_linear, content.objective_trees))
-    )
-    return rows, objectives
+        columns, factors = linear.indices[entries].tolist(), linear.data[entries].tolist()
+        (value,), (size,) = _values(trees, values, sizes, k, k + 1)
+        values.append(sum(factor * values[j] for j, factor in zip(columns, factors, strict=True)) + value)
+        sizes.append(sum(abs(factor) * sizes[j] for j, factor in zip(columns, factors, strict=True)) + size)
+    found = []
+    for matrix, own in ((content.linear, content.trees), (content.objective_linear, content.objective_trees)):
+        of_trees = np.array(_values(own, values, sizes, 0, own.size), dtype=np.float64)
+        found.append((matrix @ x + of_trees[0], abs(matrix) @ np.abs(x) + of_trees[1]))
+    (rows, row_sizes), (objectives, objective_sizes) = found
+    return Evaluation(rows, objectives, row_sizes, objective_sizes)
 
 
 def contradiction(
-    content: NLContent, x: FloatVector, found: tuple[FloatVector, FloatVector], expected: FloatVector,
-    allowed: Any = 0.0, objective: tuple[float, float] | None = None, relative: float = 0.0,
+    content: NLContent, found: Evaluation, expected: FloatVector, allowed: Any = 0.0,
+    objective: tuple[float, float] | None = None, relative: float = 0.0,
 ) -> str:
-    """Return which row, or the objective, is something else at x than was computed; nothing where all agree.
+    """Return which row, or the objective, is something else at the answer than was computed; nothing where all agree.
 
     Parameters
     ----------
     content : NLContent
-    x : ndarray, shape (n,)
-    found : tuple of ndarray
-        What `evaluated` says of x.
+    found : Evaluation
+        At the answer.
     expected : ndarray, shape (m,)
         NaN for a row that is not asked.
     allowed : number or ndarray, shape (m,)
-        What a row may differ by, beside the rounding of its linear terms.
+        What a row may differ by, beside the rounding of its terms.
     objective : tuple of float, optional
         The first objective, and the sum of the absolute values of its terms.
     relative : float
-        What a row may differ by beside the sum of its linear terms, as well.
+        What a row may differ by beside its size, as well.
     """
-    rows, objectives = found
-    size = 1.0 + np.abs(expected) + abs(content.linear) @ np.abs(x)
-    allowed = (DISAGREEMENT + relative) * size + allowed
+    rows, objectives = found.rows, found.objectives
+    allowed = (DISAGREEMENT + relative) * (np.abs(expected) + found.row_sizes) + allowed
     wrong = np.flatnonzero(~np.isnan(expected) & ~(np.abs(rows - expected) <= allowed))
     if wrong.size:
         k = int(wrong[0])
         return f"{content.row(k)} is {rows[k]:.9g} at the answer, where {expected[k]:.9g} was computed"
     if objective is not None and objectives.size:
         computed, terms = objective
-        if not abs(objectives[0] - computed) <= DISAGREEMENT * (1.0 + terms):
+        if not abs(objectives[0] - computed) <= DISAGREEMENT * (terms + found.objective_sizes[0]):
             return f"the objective is {objectives[0]:.9g} at the answer, where {computed:.9g} was computed"
     return ""
 
 
-def _values(trees: Trees, values: list[float], first: int, last: int) -> list[float]:
-    """Return the values of the trees from `first` to `last`, read backwards, operands before operators."""
+def _values(
+    trees: Trees, values: list[float], sizes: list[float], first: int, last: int
+) -> tuple[list[float], list[float]]:
+    """Return values and sizes of the trees from `first` to `last`, read backwards, operands before operators."""
     begin, end = int(trees.starts[first]), int(trees.starts[last])
-    stack: list[Any] = []
+    stack: list[float] = []
+    own: list[float] = []  # their sizes
     parts = (getattr(trees, name)[begin:end][::-1].tolist() for name in ("kinds", "values", "counts"))
     for kind, value, count in zip(*parts, strict=True):
         if kind == Token.NUMBER:
             stack.append(value)
+            own.append(abs(value))
         elif kind == Token.VARIABLE:
             stack.append(values[int(value)])
+            own.append(sizes[int(value)])
         else:
-            operands = stack[: -count - 1 : -1]
-            del stack[-count:]
+            operands, of_operands = stack[: -count - 1 : -1], own[: -count - 1 : -1]
+            del stack[-count:], own[-count:]
             try:
-                stack.append(FUNCTIONS[value](*operands))
+                found = FUNCTIONS[value](*operands)
+                size = abs(found) if value not in SIZES else max(abs(found), SIZES[value](operands, of_operands))
             except (ValueError, ZeroDivisionError, OverflowError):
-                stack.append(math.nan)
-    return stack[::-1]
+                found = size = math.nan
+            stack.append(found)
+            own.append(size)
+    return stack[::-1], own[::-1]
 
 
 # --- Side conditions -----------------------------------------------------------------------------------------------
@@ -118,12 +145,10 @@ def pair_bounds(content: NLContent, rows: Indices) -> PairBounds:
     return PairBounds(np.where(told & 1, lower, -np.inf), np.where(told & 2, upper, np.inf))
 
 
-def slopes(content: NLContent, x: FloatVector, rows: Indices) -> FloatVector:
-    """Return Σ |slope| (1 + |x|) over all variables, of each row: how much it changes where they all do."""
+def jacobian(content: NLContent, x: FloatVector, rows: Indices) -> sp.csr_array:
+    """Return the derivatives of rows, then objectives, with these numbers by all variables, shape (k, n)."""
     found = Expressions(content, np.full(x.size, np.nan))
-    jacobian = Program.of(found.compiler, [found.rows(np.asarray(rows))], {UNKNOWNS: 0}, x.size).jacobian(x)
-    sums: FloatVector = abs(jacobian) @ (1.0 + np.abs(x))
-    return sums
+    return Program.of(found.compiler, [found.rows(rows)], {UNKNOWNS: 0}, x.size).jacobian(x)
 
 
 class SideConditions:
@@ -165,20 +190,18 @@ class SideConditions:
         content, inner = self.content, self.inequalities
         if not (names := self.names()):
             return ""
-        units = slopes(content, x, np.append(inner, self.spare))
+        # How much a row changes where all its variables do.
+        units = abs(jacobian(content, x, np.append(inner, self.spare))) @ (1.0 + np.abs(x))
         excesses = np.concatenate([
-            _excess(rows[inner], content.row_lower[inner], content.row_upper[inner], units[: inner.size]),
-            self._pair_excess(x, rows, units[inner.size:]),
-            _excess(*(part[self.bounded] for part in (x, content.lower, content.upper, 1.0 + np.abs(x)))),
+            excess(rows[inner], content.row_lower[inner], content.row_upper[inner], units[: inner.size]),
+            pair_excess(x[content.partners[self.spare]], rows[self.spare], *pair_bounds(content, self.spare),
+                        units[inner.size:]),
+            excess(*(part[self.bounded] for part in (x, content.lower, content.upper, 1.0 + np.abs(x)))),
         ])
-        excesses = np.where(np.isnan(excesses), np.inf, excesses)
-        worst, count = int(np.argmax(excesses)), int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
-        if not count:
-            return ""
-        others = f", nor {count - 1} more" if count > 1 else ""
-        return (
-            f"solved, but {names[worst]} does not hold{others}, off by {excesses[worst]:.2g}: it stands beside the "
-            "complementarities, and no unknown gives way to it; with an objective all solutions are searched"
+        what = worst_violation(names, excesses, tolerance)[1]
+        return what and (
+            f"solved, but {what}: it stands beside the complementarities, and no unknown gives way to it; with an "
+            "objective all solutions are searched"
         )
 
     def at_bounds_of_their_own(self, x: FloatVector) -> str:
@@ -195,18 +218,23 @@ class SideConditions:
                 )
         return ""
 
-    def _pair_excess(self, x: FloatVector, rows: FloatVector, units: FloatVector) -> FloatVector:
-        """Return |x − mid(lower, upper, x − w/unit)| of the pairs that were left out."""
-        own = x[self.content.partners[self.spare]]
-        moved = own - rows[self.spare] / np.where(units > 0.0, np.minimum(units, 1.0), 1.0)
-        bounds = pair_bounds(self.content, self.spare)
-        excess: FloatVector = np.abs(own - np.clip(moved, bounds.lower, bounds.upper)) / np.maximum(1.0, np.abs(own))
-        return excess
 
-
-def _excess(body: FloatVector, lower: FloatVector, upper: FloatVector, units: FloatVector) -> FloatVector:
+def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:
     """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's where that is less."""
     sizes = np.maximum(*(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)))
     scales = np.minimum(np.maximum(1.0, sizes), np.where(units > 0.0, units, np.abs(body)) + sizes)
-    excess: FloatVector = np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(scales > 0.0, scales, 1.0)
-    return excess
+    return np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(scales > 0.0, scales, 1.0)
+
+
+def pair_excess(body: Any, row: Any, lower: Any, upper: Any, units: Any) -> Any:
+    """Return |body − mid(lower, upper, body − row/unit)| of pairs, of the body's size, at least 1; else NaN."""
+    moved = np.where(np.isfinite(row), body - row / np.where(units > 0.0, np.minimum(units, 1.0), 1.0), np.nan)
+    return np.abs(body - np.clip(moved, lower, upper)) / np.maximum(1.0, np.abs(body))
+
+
+def worst_violation(names: Sequence[str], excesses: Any, tolerance: float) -> tuple[int, str]:
+    """Return which excess is the largest, and what does not hold, in words; none where all are at most `FEASIBLE`."""
+    excesses = np.where(np.isnan(excesses), np.inf, excesses)
+    worst, count = int(np.argmax(excesses)), int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
+    others = f", nor {count - 1} more" if count > 1 else ""
+    return worst, f"{names[worst]} does not hold{others}, off by {excesses[worst]:.2g}" if count else ""

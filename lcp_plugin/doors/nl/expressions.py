@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
+from ...modeling.equations import put_in_all
 from ...modeling.expressions import functions
 from ...modeling.expressions.rows import Compiler, Rows
 from .content import Indices, NLContent
@@ -74,7 +75,7 @@ class Combinations:
             target, factor = self._held_by[number] if is_inline else (tokens.results + number, 1.0)
             if target == NONE or not tokens.uses[number]:
                 return
-            if tokens.ways[number] == UNKNOWN:
+            if tokens.ways[number] in (PUT_IN, UNKNOWN):
                 self._add(target, tokens.n + number, -1.0)
             self._add_linear(number, target, factor)
         place, stop, waiting = tokens.starts[tree], tokens.starts[tree + 1], self._waiting
@@ -159,8 +160,6 @@ class Expressions:
     content : NLContent
     known : ndarray, shape (n,)
         The values of the variables that have one, NaN for the unknowns.
-    lifts : bool
-        Whether affine defined variables may become unknowns where to put them in would cost much.
 
     Attributes
     ----------
@@ -173,10 +172,10 @@ class Expressions:
     offset : ndarray
     """
 
-    def __init__(self, content: NLContent, known: FloatVector, *, lifts: bool = True) -> None:
+    def __init__(self, content: NLContent, known: FloatVector) -> None:
         is_known = ~np.isnan(known)
         values = [value if one else None for value, one in zip(known.tolist(), is_known, strict=True)]
-        tokens = Tokens(content, values, lifts=lifts)
+        tokens = Tokens(content, values)
         found = Combinations(tokens)
         defined = np.array([k for k, way in enumerate(tokens.ways) if way == UNKNOWN], dtype=np.int64)
         self.definitions = tokens.results + defined
@@ -214,20 +213,17 @@ class Expressions:
             compiler.emit(function, *own)
         return compiler
 
-    def put_in(self, rows: Indices, definitions: Indices, columns: Indices, factors: FloatVector) -> None:
-        """Add multiples of definitions to rows so that unknowns vanish from these, and forget the unknowns.
+    def put_in(self, definitions: Indices, columns: Indices) -> None:
+        """Put unknowns in wherever they stand, each by the combination that is 0 and defines it, and forget them.
 
         Parameters
         ----------
-        rows, definitions : ndarray of int, shape (k,)
-            Combinations; nothing else holds the unknowns.
+        definitions : ndarray of int, shape (k,)
+            Combinations.
         columns : ndarray of int, shape (k,)
             Of the unknowns.
-        factors : ndarray, shape (k,)
         """
-        share = sp.csr_array((factors, (rows, definitions)), shape=(self.matrix.shape[0],) * 2)
-        whole = sp.csr_array(self.matrix + share @ self.matrix)
-        self.offset = self.offset + share @ self.offset
+        whole, self.offset = put_in_all(self.matrix, self.offset, definitions, columns)
         keep = np.delete(np.arange(whole.shape[1]), columns)
         self.matrix = sp.csr_array(whole[:, keep])
         self.matrix.eliminate_zeros()
@@ -299,37 +295,7 @@ def _summed(found: Combinations, content: NLContent) -> tuple[sp.csr_array, Floa
     offset: FloatVector = np.zeros(found.size)
     np.add.at(offset, np.array(found.constant_rows, dtype=np.int64), found.constants)
     matrix = sp.csr_array(sp.coo_array((data, (rows, columns)), shape=shape))
-    put_in = [k for k, way in enumerate(tokens.ways) if way == PUT_IN and tokens.uses[k]]
-    if not put_in:
+    numbers = np.array([k for k, way in enumerate(tokens.ways) if way == PUT_IN and tokens.uses[k]], dtype=np.int64)
+    if not numbers.size:
         return matrix, offset
-    whole, added = _put_into_each_other(matrix, offset, put_in, tokens)
-    share = matrix[:, n : n + tokens.defined]
-    keep = np.ones(shape[1])
-    keep[n + np.array(put_in)] = 0.0
-    return sp.csr_array(matrix @ sp.diags_array(keep) + share @ whole), offset + share @ added
-
-
-def _put_into_each_other(
-    matrix: sp.csr_array, offset: FloatVector, numbers: list[int], tokens: Tokens
-) -> tuple[sp.csr_array, FloatVector]:
-    """Return the defined variables with these numbers, one after the other, over all that is none of them."""
-    n, is_put_in = tokens.n, np.zeros(matrix.shape[1], dtype=bool)
-    is_put_in[n + np.array(numbers)] = True
-    found: dict[int, tuple[Any, Any, float]] = {}
-    for k in numbers:
-        entries = slice(matrix.indptr[tokens.results + k], matrix.indptr[tokens.results + k + 1])
-        columns, data, shift = matrix.indices[entries], matrix.data[entries], float(offset[tokens.results + k])
-        is_defined = is_put_in[columns]
-        if is_defined.any():
-            below = [(found[j - n], factor) for j, factor in zip(columns[is_defined], data[is_defined], strict=True)]
-            shift += sum(factor * one[2] for one, factor in below)
-            columns = np.concatenate([columns[~is_defined], *(one[0] for one, _ in below)])
-            data = np.concatenate([data[~is_defined], *(factor * one[1] for one, factor in below)])
-        found[k] = columns, data, shift
-    counts = np.zeros(tokens.defined, dtype=np.int64)
-    counts[numbers] = [found[k][0].size for k in numbers]
-    shifts = np.zeros(tokens.defined)
-    shifts[numbers] = [found[k][2] for k in numbers]
-    columns, data = (np.concatenate([found[k][part] for k in numbers]) for part in (0, 1))
-    indptr = np.concatenate([[0], np.cumsum(counts)])
-    return sp.csr_array((data, columns, indptr), shape=(tokens.defined, matrix.shape[1])), shifts
+    return put_in_all(matrix, offset, tokens.results + numbers, n + numbers)

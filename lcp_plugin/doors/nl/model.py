@@ -21,14 +21,14 @@ from ...modeling.equilibrium_rows import EquilibriumRows
 from ...modeling.expressions.rows import Rows
 from ...problems.programs.program import QuadraticProgram
 from .answers import ComplementarityModel, EquilibriumModel, NLModel, PairRows, ProgramModel
-from .checks import SideConditions, pair_bounds
+from .checks import SideConditions, evaluated, pair_bounds
 from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
 from .reading import read_content
 
 MOST_NAMES = 5
 KINDS = {"QuadraticProgram": "a quadratic program", "EquilibriumProgram": "an objective beside complementarities"}
-ROUNDING = 2.0**-40  # of a row without variables
+ROUNDING = 2.0**-40  # of the terms of a row without unknowns
 
 
 def read_nl(path: str | PathLike[str]) -> NLModel:
@@ -113,8 +113,7 @@ class FileStatement:
         if self.pairs.size:
             self._check_partners()
         self.known = self._known(self.says_nothing)
-        lifts = bool(self.pairs.size) or not (self.inequalities.size or content.is_maximized.size)
-        self.expressions = Expressions(content, self.known, lifts=lifts)
+        self.expressions = Expressions(content, self.known)
         self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
 
     def _refuse_discrete(self) -> None:
@@ -194,11 +193,6 @@ class FileStatement:
         row = self.expressions.matrix[[self.m]] if self.content.is_maximized.size else None
         return row is not None and row.nnz > 0
 
-    def program(self) -> ProgramModel:
-        """Return the quadratic program."""
-        program, sign, constant = self._program_of(np.arange(self.m))
-        return ProgramModel(self.content, program, self.expressions.unknowns, self.known, sign, constant)
-
     def equilibrium_program(self) -> EquilibriumModel:
         """Return the program with complementarity constraints."""
         self._put_in_definitions()
@@ -230,11 +224,12 @@ class FileStatement:
 
     def _put_in_definitions(self) -> None:
         """Let no defined variable be an unknown."""
-        if self.expressions.definitions.size:
-            self.expressions = Expressions(self.content, self.known, lifts=False)
+        found = self.expressions
+        if found.definitions.size:
+            found.put_in(found.definitions, np.flatnonzero(found.unknowns >= self.n))
 
-    def _program_of(self, rows: Indices) -> tuple[QuadraticProgram, float, float]:
-        """Return the program of some rows, to be minimised, its sign and the constant of the objective."""
+    def program(self) -> ProgramModel:
+        """Return the quadratic program, to be minimised."""
         self._put_in_definitions()
         content, found, m = self.content, self.expressions, self.m
         if not self.is_affine.all():
@@ -253,12 +248,13 @@ class FileStatement:
             if quadratic is None:
                 raise UnsupportedModel("the objective is neither linear nor quadratic; convex quadratic ones are taken")
             P, c, constant = quadratic
-        A, shift = found.matrix[rows][:, : unknowns.size], found.offset[rows]
-        limits, bounds = (content.row_lower[rows], content.row_upper[rows]), (content.lower, content.upper)
+        A, shift = sp.csr_array(found.matrix[:m, : unknowns.size]), found.offset[:m]
+        limits, bounds = (content.row_lower, content.row_upper), (content.lower, content.upper)
         program = QuadraticProgram.from_ranges(
             sign * P, sign * c, A, *(limit - shift for limit in limits), *(bound[unknowns] for bound in bounds)
         )
-        return program, sign, constant
+        rows = A, np.where(self.says_nothing, np.nan, shift)
+        return ProgramModel(content, program, unknowns, self.known, sign, constant, *rows)
 
     def complementarities(self) -> ComplementarityModel:
         """Return the complementarity problem."""
@@ -306,14 +302,16 @@ class FileStatement:
         """Leave out the equations that hold no unknown; raise where they do not hold."""
         content, found = self.content, self.expressions
         is_empty = np.diff(found.matrix.indptr)[equations] == 0
-        offsets, right = found.offset[equations], self.right[equations]
-        wrong = np.flatnonzero(is_empty & (np.abs(offsets) > ROUNDING * (1.0 + np.abs(right))))
-        if wrong.size:
-            raise UnsupportedModel(
-                f"{content.row(equations[wrong[0]])} holds no unknown, and its sides differ by {offsets[wrong[0]]:g}: "
-                "no point satisfies the model; correct it"
-            )
+        empty: Indices = equations[is_empty]
         left: Indices = equations[~is_empty]
+        if empty.size:
+            sizes = np.nan_to_num(evaluated(content, np.nan_to_num(self.known)).row_sizes[empty])
+            wrong = np.abs(found.offset[empty]) > ROUNDING * (sizes + np.abs(self.right[empty]))
+            for row in empty[wrong][:1]:
+                raise UnsupportedModel(
+                    f"{content.row(row)} holds no unknown, and its sides differ by {found.offset[row]:g}: no point "
+                    "satisfies the model; correct it"
+                )
         return left
 
     def _put_in_auxiliaries(self) -> tuple[Indices, Indices, tuple[Any, Any, Any, Any]]:
@@ -352,7 +350,7 @@ class FileStatement:
         variables, offsets = found.unknowns[own], found.offset[rows]
         found.offset[definitions] -= self.right[definitions]
         if taken.size:
-            found.put_in(rows, definitions, own, -weights / pivots)
+            found.put_in(definitions, own)
         left = np.setdiff1d(np.append(self.equations, found.definitions), definitions)
         return self.pairs, left, (rows, variables, weights, offsets)
 

@@ -93,8 +93,6 @@ class Tokens:
     content : NLContent
     known : list of float or None
         The values of the variables that have one.
-    lifts : bool
-        Whether there may be more unknowns; otherwise affine defined variables are put in at any cost.
 
     Attributes
     ----------
@@ -122,8 +120,8 @@ class Tokens:
         Naming the row and the operator that is not taken.
     """
 
-    def __init__(self, content: NLContent, known: list[float | None], *, lifts: bool) -> None:
-        self.content, self.n, self._known, self._lifts = content, content.lower.size, known, lifts
+    def __init__(self, content: NLContent, known: list[float | None]) -> None:
+        self.content, self.n, self._known = content, content.lower.size, known
         self.results, self.defined = content.trees.size + content.objective_trees.size, content.defined_trees.size
         self._flatten()
         size = len(self.kinds)
@@ -227,9 +225,7 @@ class Tokens:
         uses = self.uses[number]
         if uses > 1:
             added = (uses - 1) * terms
-            if level == 0 and not self._lifts:
-                self.ways[number] = PUT_IN
-            elif added <= self._room and (level == 0 or terms <= 1):
+            if added <= self._room and (level == 0 or terms <= 1):
                 self.ways[number] = PUT_IN
                 self._room -= added
             elif level == 0:

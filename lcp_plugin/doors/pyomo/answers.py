@@ -33,16 +33,14 @@ from ... import __version__
 from ...core.checks import FloatVector
 from ...core.errors import ModelWarning, UnsupportedModel
 from ...core.settings import Settings, Status
-from ...modeling.expressions.program import Program
 from ..nl.answers import NLAnswer, NLModel, ProgramModel
+from ..nl.checks import jacobian, worst_violation
 from ..nl.content import NLContent
-from ..nl.expressions import UNKNOWNS, Expressions
 from ..nl.model import model_of
 from ..nl.writing import write_nl
 from .model import SOME, Statement, stated
 from .pairs import Pair
 
-FEASIBLE = 1e-6  # what holds beside the rows of the problem may be violated by that, or by ten times the tolerance
 NO_POINT = (Status.INFEASIBLE, Status.NO_SOLUTION)
 ENDS = {
     Status.SOLVED: TerminationCondition.convergenceCriteriaSatisfied,
@@ -157,7 +155,7 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
             for row, dual in zip(statement.rows, found.duals, strict=True) if row is not None
         )
     if values and found.status not in NO_POINT:
-        tolerance = max(FEASIBLE, 10.0 * Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance)
+        tolerance = Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance
         violated = _violated(statement, values, tolerance)
     return PyomoAnswer(statement, found, problem, values, duals, violated)
 
@@ -181,12 +179,8 @@ def _slopes(content: NLContent, x: FloatVector, duals: FloatVector) -> FloatVect
 
     By all variables, also those whose equal bounds make them numbers in the program.
     """
-    n, m = content.lower.size, content.row_lower.size
-    rows = Expressions(content, np.full(n, np.nan))
-    results = np.arange(m + content.is_maximized.size)
-    jacobian = Program.of(rows.compiler, [rows.rows(results)], {UNKNOWNS: 0}, n).jacobian(x)
     weights = np.append(-duals, np.ones(content.is_maximized.size))
-    slopes: FloatVector = jacobian.T @ weights
+    slopes: FloatVector = jacobian(content, x, np.arange(weights.size)).T @ weights
     return slopes
 
 
@@ -196,12 +190,8 @@ def _violated(statement: Statement, values: ComponentMap, tolerance: float) -> s
         return ""
     with _set_to(values):
         excesses = [beside.excess() for beside in statement.beside]
-    worst = int(np.argmax(excesses))
-    count = sum(excess > tolerance for excess in excesses)
-    if not count:
-        return ""
-    beside, others = statement.beside[worst], f", nor {count - 1} more" if count > 1 else ""
-    return f"{beside.name} does not hold{others}, off by {excesses[worst]:.2g}; it {beside.why}"
+    worst, what = worst_violation([beside.name for beside in statement.beside], excesses, tolerance)
+    return what and f"{what}; it {statement.beside[worst].why}"
 
 
 @contextmanager

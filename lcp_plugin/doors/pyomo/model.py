@@ -36,6 +36,7 @@ from pyomo.repn.util import categorize_valid_components
 
 from ...core.checks import FloatVector
 from ...core.errors import InvalidProblem, UnsupportedModel
+from ..nl.checks import excess, pair_excess
 from ..nl.content import NLContent, Token, Trees
 from ..nl.reading import read_content
 from .pairs import Pair, PairSide, cannot_vary, difference, number, paired, sides_of, unit
@@ -186,9 +187,8 @@ class _Draft:
     def look_at(self, name: str, body: Any, lower: float | None, upper: float | None) -> None:
         """Remember bounds that are looked at afterwards."""
         least, most = -math.inf if lower is None else lower, math.inf if upper is None else upper
-        sizes = [abs(bound) for bound in (least, most) if math.isfinite(bound)]
-        if sizes:
-            self.beside.append(Beside(name, lambda: _excess(body, least, most, max(sizes))))
+        if math.isfinite(least) or math.isfinite(most):
+            self.beside.append(Beside(name, lambda: _excess(body, least, most)))
 
     def pair(self, conditions: Sequence[Any], sides: Sequence[tuple[PairSide, PairSide]]) -> None:
         """Take the complementarities, first those that leave no choice of a partner."""
@@ -268,7 +268,7 @@ class _Draft:
         return content, list(information.variables), rows
 
     def _write(self, path: Path, exported: list[Any]) -> Any:
-        with path.open("w", newline="") as file:
+        with path.open("w", newline="", encoding="utf-8") as file:
             try:
                 return NLWriter().write(
                     self.model, file, linear_presolve=False, scale_model=False, skip_trivial_constraints=False,
@@ -343,16 +343,14 @@ def _name(state: Any) -> str:
     return state if isinstance(state, str) else str(getattr(state, "stated", state).name)
 
 
-def _excess(body: Any, lower: float, upper: float, size: float) -> float:
-    """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's where that is less."""
+def _excess(body: Any, lower: float, upper: float) -> float:
     found = number(body)
-    excess = math.inf if math.isnan(found) else max(lower - found, found - upper, 0.0)
-    return excess / min(max(1.0, size), unit(body) + size) if excess else 0.0
+    return 0.0 if lower <= found <= upper else float(excess(found, lower, upper, unit(body)))
 
 
 def _pair_excess(pair: Pair) -> float:
-    residual = abs(pair.residual_in(min(1.0, unit(pair.row)) or 1.0))
-    return math.inf if math.isnan(residual) else residual / max(1.0, abs(number(pair.held.body)))
+    row, held = pair.row, pair.held
+    return float(pair_excess(number(held.body), number(row), held.lower, held.upper, unit(row)))
 
 
 def with_constants(trees: Trees, constants: FloatVector) -> Trees:

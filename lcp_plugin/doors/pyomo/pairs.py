@@ -76,11 +76,6 @@ class Pair:
         """True where the held body is not between its bounds at the present values."""
         return not self.held.lower < number(self.held.body) < self.held.upper
 
-    def residual_in(self, unit: float) -> float:
-        """Return body − mid(lower, upper, body − row/unit) at the present values, NaN where undefined."""
-        body, row = number(self.held.body), number(self.row) / unit
-        return body - min(max(body - row, self.held.lower), self.held.upper) if math.isfinite(row) else math.nan
-
 
 def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
     """Return both sides of a ComplementarityData, checked.

@@ -174,7 +174,8 @@ class Search:
             z[self.kept] = self.unit * y
         np.minimum(np.maximum(z, problem.lower, out=z), problem.upper, out=z)
         w = problem.slack(z)
-        largest, product = box_residual(z, w, problem.lower, problem.upper, problem.residual_scale)
+        found = box_residual(z, w, problem.lower, problem.upper, problem.residual_scale)
+        largest, product = map(float, found)  # the interpreter leaves scalars of numpy
         product = product if self.suited.is_program else 0.0
         if largest < self._allowed(product):
             self.best, self.product, self.best_z = largest, product, z

@@ -24,9 +24,8 @@ from ...methods.banded import Banded
 from ...systems.factors import bands
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
-from ..programs.other_vectors import prepare_program, solve_programs
 from ..programs.program import QuadraticProgram
-from ..programs.solving import QuadraticProgramResult
+from ..programs.solving import QuadraticProgramResult, prepare_program, solve_programs
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun, CallersOwn

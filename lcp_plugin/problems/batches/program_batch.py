@@ -9,13 +9,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.settings import Status
-from ..programs.compiled_call import ACTIVE_SET
 from ..programs.criterion import PROGRAM_TOLERANCE, Errors, program_goal
-from ..programs.own_units import units_of_stacks
-from ..programs.qp_solution import QPSolution
-from ..programs.small_programs import MOST_STEPS, SmallAnswers, SmallPrograms, may_be_small
-from ..programs.solving import QuadraticProgramResult, judged_program
+from ..programs.small_programs import ACTIVE_SET, MOST_STEPS, SmallAnswers, SmallPrograms, may_be_small
+from ..programs.solution import QPSolution
+from ..programs.solving import QuadraticProgramResult, solve_program
 from ..programs.stacked_programs import QuadraticProgramBatch
+from ..programs.units import units_of_stacks
 from .batch_run import BatchAnswers, BatchLoop
 
 
@@ -74,7 +73,7 @@ class ProgramBatchRun(BatchLoop):
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         self._forget(k)
-        result = self.results[k] = judged_program(self.programs[k], self.algorithm, **wishes)
+        result = self.results[k] = solve_program(self.programs[k], self.algorithm, **wishes)
         found = result.solution
         self.answers.x[k], self.answers.steps[k] = found.x, result.iterations
         self.answers.y[k] = np.concatenate([found.inequality, found.equality])

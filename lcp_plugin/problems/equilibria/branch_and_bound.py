@@ -29,7 +29,7 @@ from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ...core.registry import ask_or_none
 from ...core.settings import Status
-from ..programs.qp_proofs import QPUnboundedness
+from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .incumbents import LocalSearch
 from .lower_level import tightened

@@ -17,7 +17,7 @@ from ...core.checks import FloatVector, check_order, checked_bound, checked_vect
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
-from ..programs.reductions import fold_simple_rows
+from ..programs.reductions import FoldedRows
 
 Indices = NDArray[np.int64]
 #: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
@@ -223,7 +223,7 @@ class EquilibriumProgram:
         if self.smooth is not None:
             columns.append(np.unique(sp.csr_array(self.smooth.map.jacobian(np.zeros(program.n))).indices))
         of_pairs = np.isin(np.arange(program.n), np.concatenate(columns[:2]))
-        stated = fold_simple_rows(program).folded  # bounds are rows, too
+        stated = FoldedRows.of(program).reduced  # bounds are rows, too
         lacks = np.isposinf(stated.upper) & ~(of_pairs & np.isneginf(stated.lower))
         names = self.names or [f"x[{j}]" for j in range(program.n)]
         return [names[j] for j in np.unique(np.concatenate(columns)) if lacks[j] and j < len(names) and names[j]]

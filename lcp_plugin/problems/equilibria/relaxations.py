@@ -25,13 +25,12 @@ from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.settings import Status
 from ...proofs.bounds.curvature import Curvature, constrained_curvature
-from ..programs.compiled_call import solved_at_once
 from ..programs.dual_bounds import DualBounds, implied_box
+from ..programs.no_minimum import QPInfeasibility, prove_infeasible
 from ..programs.program import QuadraticProgram
-from ..programs.qp_certificates import prove_infeasible
-from ..programs.qp_proofs import QPInfeasibility
-from ..programs.qp_solution import QPSolution
-from ..programs.solving import judged_program
+from ..programs.small_programs import solved_at_once
+from ..programs.solution import QPSolution
+from ..programs.solving import solve_program
 from .equilibrium_program import Cases, EquilibriumProgram, case_counts
 
 TOLERANCE = 1e-9
@@ -254,7 +253,7 @@ class _Around:
 
 def _by_steps(program: QuadraticProgram, **options: Any) -> QPSolution:
     """Return what a run of steps finds; Ctrl-C, which ends it with a status, ends the search, too."""
-    result = judged_program(program, tolerance=TOLERANCE, refute=False, **options)
+    result = solve_program(program, tolerance=TOLERANCE, refute=False, **options)
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return result.solution

@@ -11,8 +11,8 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.settings import Status
 from ...core.solving.answer import Answer
+from ..programs.no_minimum import QPInfeasibility, QPUnboundedness
 from ..programs.program import QuadraticProgram
-from ..programs.qp_proofs import QPInfeasibility, QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .lower_level import tightened
 from .relaxations import FEASIBLE, Node, Relaxations

@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.certificates.criterion import within
 from ...core.checks import BoolVector, FloatVector
 from ...core.kernels.floats import TINY
 from .data import BoundedLeastSquares
@@ -74,6 +75,10 @@ class Optimality:
     steepness: float
     is_at_rounding_level: bool
     dual: FloatVector
+
+    def meets(self, tolerance: float) -> bool:
+        """Return whether x is SOLVED; an operator's asks for a small gap besides."""
+        return bool(within(self.value, 0.0, tolerance))
 
     @classmethod
     def of(

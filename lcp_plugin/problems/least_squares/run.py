@@ -17,7 +17,7 @@ from ...core.deadline import Clock
 from ...core.policy.choice import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.settings import Settings, Status
-from ...core.solving.judge import Judge
+from ...core.solving.judge import STATUS_OF, End, Judge
 from ...core.solving.run import Run
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
@@ -47,10 +47,10 @@ def run_stages(
     run = Run(judge.units, stages, settings, None, clock, judge)
     begin = unit.nearest_to_zero if start is None else np.clip(unit.from_caller(start), unit.lower, unit.upper)
     try:
-        reason = run.drive(begin, stages.first(unit))
+        end = run.drive(begin, stages.first(unit))
     except KeyboardInterrupt:
-        reason = Status.INTERRUPTED
-    judged, status = run.ended(begin, reason)
+        end = End.INTERRUPTED
+    judged, status = run.ended(begin, end)
     return cast(Any, judged), status, max(run.state.iteration, 0)
 
 
@@ -200,32 +200,32 @@ class LeastSquaresJudge(Judge):
         """Return False."""
         return False
 
-    def final(self, z: FloatVector, reason: Status, last: Algorithm | None) -> Any:
+    def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Any:
         """Return what is certified of the answer: z, the best before, or that one refined."""
         unit, best = self.asked.unit, self.best
         if not self.is_solved:
             return self._kept(z) and self.best
-        if best is None or last is None or reason is not Status.SOLVED or best.is_at_rounding_level:
+        if best is None or last is None or end is not End.CONVERGED or best.is_at_rounding_level:
             return best
         z = np.clip(unit.from_caller(best.x), unit.lower, unit.upper)
         refined = last.finish(unit, z)
         judged = best if refined is z else self._judged(unit.to_caller(refined), None)
-        return judged if judged.value <= self.settings.tolerance else best
+        return judged if judged.meets(self.settings.tolerance) else best
 
-    def verdict(self, certificate: Any, reason: Status, *, is_chain: bool) -> Status:
+    def verdict(self, certificate: Any, end: End, *, is_chain: bool) -> Status:
         """Return the status: what is certified, or else why the run ended."""
         if self.is_solved:
             return Status.SOLVED
-        if certificate.is_at_rounding_level:
+        if certificate.is_at_rounding_level or end is End.AT_FLOOR:
             return Status.PRECISION_LIMIT
-        return Status.STALLED if reason is Status.DIVERGED else reason
+        return Status.STALLED if end is End.DIVERGED else STATUS_OF.get(end, Status.STALLED)
 
     def _kept(self, z: FloatVector) -> Optimality:
         """Return how optimal z is, the best so far kept; take note of whether it is what was asked for."""
         judged, before = self._judged(self.asked.unit.to_caller(z), self._dual), self.best
         if before is None or (judged.value, judged.steepness) < (before.value, before.steepness):
             self.best = judged
-        is_small = judged.value <= self.settings.tolerance
+        is_small = judged.meets(self.settings.tolerance)
         self.is_solved = is_small and (self.asked.has_entries or self._has_small_gap(judged))
         return judged
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.certificates.criterion import within
 from ...core.checks import FloatVector, read_only, restored
 from ...core.deadline import Clock
 from ...core.settings import Settings, Status
@@ -126,7 +127,7 @@ def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clo
     x, residual, optimality, faces = solve_small(
         A, problem.b, weights, problem.ridge, problem.l1, problem.lower, problem.upper, most, settings.tolerance
     )
-    is_solved = faces >= 0 and optimality <= settings.tolerance
+    is_solved = faces >= 0 and within(optimality, 0.0, settings.tolerance)
     status = Status.SOLVED if is_solved else Status.STALLED
     return _result_of(problem, settings, x, residual, residual, optimality, status, abs(faces), clock)
 

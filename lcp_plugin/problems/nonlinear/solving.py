@@ -21,7 +21,7 @@ from ...core.kernels.threads import threads_for
 from ...core.policy.choice import Single, policy_for
 from ...core.policy.stages import Choice
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.judge import Judge
+from ...core.solving.judge import End, Judge
 from ...core.solving.result import BoundOrReason, Result
 from ...core.solving.run import Callback, Run
 from .certificate import NonlinearCertificate, Reference
@@ -143,7 +143,7 @@ def solve_nonlinear(
                 require_true_jacobian(first)
             return replace(run.judged(start, run.drive(start, Choice(newton, TANGENTS))), begun=begun)
         except KeyboardInterrupt:
-            return replace(run.judged(start, Status.INTERRUPTED), begun=begun)
+            return replace(run.judged(start, End.INTERRUPTED), begun=begun)
 
 
 def begun_at(points: Linearisations, start: FloatVector) -> tuple[FloatVector, str]:

@@ -1,8 +1,18 @@
 """Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
 
-``solve(QuadraticProgram(…))`` takes a program as it is, whoever asks: a small one is solved on its own arrays in one
-compiled call (`compiled_call`, `small_programs`, `kernels`), any other in one of its forms (`solving`, `conversion`,
-`qp_forms`); what is optimal says one criterion (`criterion`), what has no minimum a proof (`qp_certificates`).
+``solve(QuadraticProgram(…))`` is `solving.solve_program`, whoever calls it:
+
+| file | what is in it |
+|---|---|
+| `program`, `program_matrices`, `constraints`, `units`, `convexity` | the data, and what they alone say |
+| `reductions`, `definitions` | smaller programs, step by step, and the way back |
+| `small_programs`, `interior_points`, `kernels` | the two ways to an answer without a run |
+| `conversion`, `least_multipliers` | the complementarity problem of a program, and the answer that its z is |
+| `criterion`, `solution` | what is optimal, and by how much an answer misses it |
+| `no_minimum` | proofs that a program is infeasible or unbounded |
+| `certification`, `dual_bounds`, `feasible_points`, `sharp_distances` | what is proved of anybody's answer |
+| `stacked_programs` | many programs of one shape |
+
 Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` remembers where it came
 from: ``origin.recover(result)``, with a result of ``solve`` or any z, gives the answer in the terms of the problem that
 was asked, together with a measure of how wrong it is there.

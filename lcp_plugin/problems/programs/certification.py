@@ -9,23 +9,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import FloatVector, checked_vector, is_number
-from ...core.deadline import time_limit
-from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
+from ...core.deadline import is_over, seconds_left, time_limit
+from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
+from ...core.kernels.floats import EPSILON
 from ...core.kinds import kind_of, refusal
 from ...core.registry import ask
+from ...core.rounding import compensated_product, gamma
 from ...core.solving.answer import Answer
+from ...proofs.bounds.curvature import constrained_curvature
+from ...proofs.bounds.solution_bounds import norm_above
+from ...proofs.exact.rational import enclosures
+from ...proofs.exact.upward import quotient_above, sum_above
 from .convexity import refuse_nonconvex
+from .dual_bounds import DualBounds, implied_box
+from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
+from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
-from .program_proofs import Certification, ProgramProofs
-from .qp_solution import QPSolution
-from .solving import QuadraticProgramResult
+from .sharp_distances import sharp_distance
+from .small_programs import solved_at_once
+from .solution import QPSolution
+from .solving import QuadraticProgramResult, program_runs
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
+OWN_TOLERANCE = 1e-12  # residuals of a program that multipliers are sharp at, and of its complementarity problem
+SHARE = 0.5  # of a time limit: what multipliers may take, so that what they prove is left as much
+ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
+SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
+OUTWARD = 1.0 + 2.0**-30
+NOTHING = "nothing can be proved"
+LOOSE = 10.0  # times the tolerance: errors of x beside its unit and ‖x‖∞, of multipliers beside their column's terms
 
 
 @np.errstate(all="ignore")  # what overflows proves nothing
@@ -44,7 +65,7 @@ def certify(
     multipliers : array, pair of arrays or QPSolution, optional
         Those of G and A that came with x: one array of them, with those of the lower and upper bounds behind them if
         you like, or a pair, or all four. Shapes (rows of G,), (rows of A,), (n,), (n,), signs as in
-        :class:`~lcp_plugin.problems.programs.qp_solution.QPSolution`. They are a part of the answer: wrong ones are
+        :class:`~lcp_plugin.problems.programs.solution.QPSolution`. They are a part of the answer: wrong ones are
         never proved. Without them those of a solution of our own serve.
     claim : str, optional
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
@@ -167,3 +188,396 @@ def _check_options(tolerance: Any, max_seconds: Any) -> None:
         raise InvalidOption(f"tolerance must be a number > 0, got {tolerance!r}")
     if max_seconds is not None and (not is_number(max_seconds) or not max_seconds > 0.0):
         raise InvalidOption(f"max_seconds must be a number > 0 or None, got {max_seconds!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Certification:
+    """What is proved about an answer to a program.
+
+    Attributes
+    ----------
+    verdict : str
+        "proved": the claim holds to the tolerance. "refuted": it is proved to be false. "unproved": neither.
+    claim : str
+        "optimal", "infeasible" or "unbounded".
+    violation : float or None
+        The largest violation of a constraint, in its own unit; None where there is no x.
+    lower, upper : float or None
+        Proved bounds of the optimal value, None where nothing is proved.
+    gap : float or None
+        A bound of the distance of f(x) from `lower`; None without an x or a lower bound.
+    distance : float or None
+        A proved bound of ‖x − x*‖₂, where the optimal x* is proved to be the only one.
+    reason : str
+        Why this is the verdict.
+    """
+
+    verdict: str
+    claim: str
+    violation: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+    gap: float | None = None
+    distance: float | None = None
+    reason: str = ""
+
+    def __str__(self) -> str:
+        numbers = (f"{name} {value:.3g}" for name in ("violation", "gap", "distance")
+                   if (value := getattr(self, name)) is not None)
+        return f"{self.claim}: {self.verdict} ({', '.join([*numbers, self.reason])})"
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramProofs:
+    """A convex program with all that is proved about its optimal value."""
+
+    program: QuadraticProgram
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> ProgramProofs:
+        """Return the proofs that are kept with a program: the answers of several solvers need them once."""
+        kept: ProgramProofs = program.__dict__.setdefault("_proofs", cls(program))
+        return kept
+
+    @cached_property
+    def bounds(self) -> DualBounds:
+        """What lower bounds are made of."""
+        form = constrained_curvature(self.program.P, self.program.A)
+        return DualBounds(self.program, form, implied_box(self.program))
+
+    @cached_property
+    def points(self) -> FeasiblePoints:
+        """Where feasible points come from."""
+        return FeasiblePoints(self.program)
+
+    @cached_property
+    def own_solution(self) -> QPSolution | None:
+        """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
+        if (at_once := solved_at_once(self.program, ALMOST)) is not None:
+            return at_once.solution
+        found: list[QPSolution] = []
+        # What it is to prove takes time as well; a form may overflow.
+        with suppress(LCPError), time_limit(SHARE * seconds_left()):
+            # A tolerance beside what acts in the complementarity problem may be far below the program's own.
+            for run in program_runs(self.program, "auto", *[(ALMOST, OWN_TOLERANCE)] * 2):
+                found.append(run.solution)
+        return min(found, key=lambda solution: solution.error, default=None)
+
+    @cached_property
+    def own_lower(self) -> float:
+        """The lower bound by the multipliers of our own solution."""
+        own = self.own_solution
+        return -np.inf if own is None else self.lower(own.x, own.inequality, own.equality, own.objective)
+
+    def lower(
+        self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float, tolerance: float = ALMOST
+    ) -> float:
+        """Return the lower bound by some multipliers, repaired where they prove less than the value to a tolerance."""
+        enough = value - tolerance * (self.program.units.objective + abs(value))
+        return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
+
+    def upper(self, *near: FloatVector, exactly: bool = True) -> list[FeasiblePoint]:
+        """Return points that are proved to be feasible, near those given and our own solution, or else any.
+
+        Rational arithmetic looks for one where doubles prove none, unless it is not to.
+        """
+        found = [point for x in near if (point := self.points.near(x)) is not None]
+        if self.is_small or "own_solution" in self.__dict__:
+            found += self._own_point
+            near = near if self.own_solution is None else (*near, self.own_solution.x)
+        if found or not exactly:
+            return found
+        found = [point for x in near if (point := self.points.exactly_near(x)) is not None]
+        return found or self._inside
+
+    @cached_property
+    def _own_point(self) -> list[FeasiblePoint]:
+        own = None if self.own_solution is None else self.points.near(self.own_solution.x)
+        return [] if own is None else [own]
+
+    @cached_property
+    def _inside(self) -> list[FeasiblePoint]:
+        inside = self.points.inside
+        return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
+
+    def sharpened(
+        self, distance: float, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
+    ) -> float:
+        """Return a bound of ‖x − x*‖₂ by residuals, of our own solution where there is one, or else the distance."""
+        own = self.__dict__.get("own_solution")
+        for near in [x] if own is None else [own.x, x]:
+            blur = float(norm_above(np.abs((x - near)[columns])))
+            left = sharp_distance(self.program, self.bounds.curvature, near, points, lower, columns)
+            if (found := OUTWARD**2 * (blur + left)) < distance:
+                return found
+        return distance
+
+    @cached_property
+    def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
+        """An exact proof that the program has no minimum; None where none was found."""
+        proof = self.program.proof_of_no_minimum
+        if proof is not None and not proof.is_exact:  # what a solve keeps need not be
+            proof = proof_of_no_minimum(self.program, exactly=True)
+        return proof if proof is not None and proof.is_exact and proof.verify() else None
+
+    @property
+    def is_small(self) -> bool:
+        """Whether a solution of our own is worth its time where nothing depends on it."""
+        return self.program.n + self.program.h.size + self.program.b.size <= SMALL
+
+    # --- Claims -------------------------------------------------------------------------------------------------
+
+    def of_claim(self, claim: str, tolerance: float) -> Certification:
+        """Return what is proved about "infeasible" or "unbounded"."""
+        if (proof := self.no_minimum) is not None:
+            if proof.verdict != claim:
+                return Certification("refuted", claim, reason=f"the program is {proof}")
+            if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
+                return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")
+            return Certification("proved", claim, reason=str(proof))
+        points = self.upper()
+        upper = min((point.value for point in points), default=math.inf)
+        lower = self.own_lower
+        numbers = {"lower": _if_finite(lower), "upper": _if_finite(upper)}
+        if claim == "infeasible" and points:
+            return Certification("refuted", claim, **numbers, reason="a feasible point is proved")
+        if claim == "unbounded" and lower > -np.inf:
+            return Certification("refuted", claim, **numbers, reason=f"no feasible x is below {lower:.9g}")
+        return Certification("unproved", claim, **numbers, reason=NOTHING)
+
+    def of_answer(
+        self, x: FloatVector, given: list[FloatVector] | None, tolerance: float
+    ) -> Certification:
+        """Return what is proved about a point, and the multipliers that came with it."""
+        value = objective_bounds(self.program, x)
+        violation = _violation(self.program, x)
+        lower, complaint = -math.inf, ""
+        if given is not None:
+            lower = self.lower(x, given[0], given[1], value[0], tolerance)
+            complaint = multiplier_error(self.program, x, given, tolerance)
+        unit = self.program.units.objective
+        found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, unit)
+        if self.is_small or not found.is_proved() or found.may_have_bought():
+            lower = max(lower, self.own_lower)
+            points = found.points or self.upper(x, exactly=not violation[0] > tolerance)  # or it is refuted anyway
+            found = replace(found, lower=lower, points=points)
+            if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
+                complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
+        return found.certification(self, x, complaint)
+
+
+@dataclass(frozen=True, eq=False)
+class Proved:
+    """The numbers that a verdict on an answer is made of.
+
+    Attributes
+    ----------
+    value : pair of float
+        Doubles below and above f(x).
+    violation : pair of float
+        Likewise of the largest violation.
+    lower : float
+        Of the optimal value; −∞ where there is none.
+    points : list of FeasiblePoint
+    tolerance : float
+    unit : float
+        Of the objective: errors of values are measured beside that and the value.
+    """
+
+    value: tuple[float, float]
+    violation: tuple[float, float]
+    lower: float
+    points: list[FeasiblePoint] = field(repr=False)
+    tolerance: float
+    unit: float
+
+    @property
+    def upper(self) -> float:
+        """Of the optimal value; ∞ where there is none."""
+        return min((point.value for point in self.points), default=math.inf)
+
+    @property
+    def gap(self) -> float:
+        """A bound of |f(x) − lower|."""
+        return math.nextafter(max(self.value[1] - self.lower, self.lower - self.value[0], 0.0), math.inf)
+
+    def refutation(self) -> str:
+        """Return what refutes the answer, or nothing."""
+        below, above = self.value
+        allowed = self.tolerance * (self.unit + max(abs(below), abs(above))) * OUTWARD
+        if self.violation[0] > self.tolerance:
+            return f"a constraint is violated by {self.violation[0]:.3g}"
+        if self.upper < below - allowed:
+            return f"a feasible point has the objective {self.upper:.9g}, below {below:.9g}"
+        if self.lower > above + allowed:
+            return f"no feasible x is below {self.lower:.9g}, and this one has {above:.9g}"
+        return ""
+
+    def is_proved(self) -> bool:
+        """Return whether the answer is optimal to the tolerance, by its value."""
+        size = self.unit + max(self.value[0], -self.value[1], 0.0)
+        return self.violation[1] <= self.tolerance and self.gap <= self.tolerance * size / OUTWARD
+
+    def may_have_bought(self) -> bool:
+        """Return whether no feasible point shows that the violation, however small, buys less than the tolerance.
+
+        Then a bound by multipliers that came with x may be as far below the optimal value as f(x) is.
+        """
+        allowed = self.tolerance * (self.unit + abs(self.value[0]))
+        return self.violation[1] > 0.0 and self.upper > self.value[1] + allowed
+
+    def certification(
+        self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
+    ) -> Certification:
+        """Return the verdict and its numbers; distances in some of the columns."""
+        near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
+        near = proofs.sharpened(near, x, self.points, self.lower, columns)
+        refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
+        size = float(np.maximum(proofs.program.units.unknown, np.abs(x)).max(initial=0.0))
+        refuted = refuted or self._error_of_x(size, far_in_columns, "x")
+        verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
+        reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
+        complaint = self._error_of_x(size, far, "x, with the variables that cvxpy added,") or complaint
+        if verdict == "proved" and complaint:
+            verdict, reason = "unproved", complaint
+        if is_proved and verdict != "proved":
+            reason += ", though the objective is proved to be optimal"
+        return Certification(
+            verdict, "optimal", self.violation[1], _if_finite(self.lower), _if_finite(self.upper),
+            _if_finite(self.gap), _if_finite(near), reason,
+        )
+
+    def _no_minimum(self, proofs: ProgramProofs) -> str:
+        """Return what refutes every answer, whatever its numbers are; looked for where there is no lower bound."""
+        proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
+        is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
+        return f"the program is {proof}" if is_endless else ""
+
+    def _error_of_x(self, size: float, far: float, what: str) -> str:
+        """Return what proves that an x of that size is not optimal although its value may be, or nothing."""
+        is_far = far > LOOSE * self.tolerance * size
+        return f"{what} is proved to be at least {far:.3g} from every optimal one" if is_far else ""
+
+    def _reason(self, evidence: str, is_proved: bool) -> str:
+        if is_proved:
+            return (f"no feasible x has an objective lower than this one's by more than {self.gap:.2g}, which the "
+                    f"multipliers prove by weak duality: {evidence}")
+        if not math.isfinite(self.lower):
+            return f"{NOTHING}: {evidence}, and no multipliers give a finite bound"
+        if self.violation[1] > self.tolerance:
+            return f"a constraint is violated by up to {self.violation[1]:.3g}"
+        return f"the objective is only proved to be within {self.gap:.3g} of the optimum"
+
+
+@np.errstate(all="ignore")  # what overflows bounds nothing
+def distances(
+    proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
+) -> tuple[float, float, float]:
+    """Return bounds, from above and from below, of ‖x − x*‖₂ for every optimal x*; ∞ where that is not the only one.
+
+    The bound from above is that of some columns, and a third one bounds these from below.
+
+    Notes
+    -----
+    Let y be feasible and g = 2 (f(y) − lower). Then Σ μ_i (y_i − x*_i)² ≤ g: a value that is optimal to t leaves x an
+    error of √t. With Q = P + ρ AᵀA, the form of the curvature, u = x − y and e = x − x*, also where some μ_i are 0,
+
+        ‖Q u‖‖e‖ ≥ uᵀQ e = uᵀQ u + uᵀQ (y − x*) ≥ uᵀQ u − √(uᵀQ u · g).
+    """
+    curvature, near, far, far_in_columns = proofs.bounds.curvature, math.inf, 0.0, 0.0
+    if lower == -math.inf or not curvature.is_semidefinite:
+        return near, far, far_in_columns
+    least = float(curvature.weights[columns].min(initial=math.inf))
+    for point in points:
+        u, gap = x - point.near, 2.0 * max(float(sum_above(point.value, -lower)), 0.0)
+        blur = float(norm_above(point.radius + EPSILON * np.abs(u)))
+        far = max(far, _length_below(proofs, u, gap) / OUTWARD - blur * OUTWARD)
+        if 0.0 < least < math.inf:
+            blur += math.sqrt(float(quotient_above(gap, least))) * OUTWARD
+            length = float(norm_above(np.abs(u[columns])))
+            near = min(near, (length + blur) * OUTWARD)
+            far_in_columns = max(far_in_columns, length / OUTWARD**2 - blur * OUTWARD)
+    is_all = np.unique(np.arange(x.size)[columns]).size == x.size
+    far = max(far, far_in_columns)
+    return near, far, far if is_all else far_in_columns
+
+
+def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
+    """Return (uᵀQ u − √(uᵀQ u · gap)) / ‖Q u‖, rounded down; 0 where rounding hides it."""
+    P, A, penalty = sp.csr_array(proofs.program.P), sp.csr_array(proofs.program.A), proofs.bounds.curvature.penalty
+    bent = P @ u + penalty * (A.T @ (A @ u))
+    terms = abs(P) @ np.abs(u) + penalty * (abs(A).T @ (abs(A) @ np.abs(u)))
+    share = gamma(2 * u.size + A.shape[0] + 8)
+    square, rounding = float(u @ bent), share * float(np.abs(u) @ terms)
+    length = float(np.linalg.norm(bent) + share * np.linalg.norm(terms))
+    if not (square > rounding and 0.0 < length < math.inf):
+        return 0.0
+    return (square - rounding - math.sqrt((square + rounding) * gap)) / length
+
+
+def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
+    """Return doubles below and above the largest violation of a constraint by x."""
+    rows = program.constraints
+    finite = rows.finite
+    with np.errstate(all="ignore"):
+        value, radius = compensated_product(rows.matrix[finite], x, -rows.limit[finite])
+        value = np.where(rows.is_equality[finite], np.abs(value), value)
+    return float((value - radius).max(initial=0.0)) / OUTWARD, float(rows.excess(x).max(initial=0.0))
+
+
+def _if_finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float) -> str:
+    """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing."""
+    names, (coefficient, unknown, objective, _, _) = ("inequality", "equality", "lower", "upper"), program.units
+    every = np.concatenate(given)
+    pulls = every * coefficient[: every.size]  # what each is, in the unit of the objective
+    is_wrong = ~program.constraints.is_equality[: every.size]
+    is_wrong &= pulls < -LOOSE * tolerance * (objective + float(np.abs(pulls).max(initial=0.0)))
+    if is_wrong.any():
+        ends = np.cumsum([0, *(part.size for part in given)])
+        worst = int(np.where(is_wrong, pulls, 0.0).argmin())
+        k = int(np.searchsorted(ends, worst, side="right")) - 1
+        return f"the multiplier {names[k]}[{worst - ends[k]}] = {every[worst]:.3g} has the wrong sign"
+    if idle := multiplier_beside_room(program, x, every, tolerance):
+        return idle
+    inequality, equality = given[:2]
+    terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c)]
+    terms += [abs(sp.csr_array(rows)).T @ np.abs(y) for rows, y in ((program.G, inequality), (program.A, equality))]
+    s = program.P @ x + program.c + program.G.T @ inequality + program.A.T @ equality
+    allowed = LOOSE * tolerance * (objective / unknown + np.max(terms, axis=0))
+    if len(given) == len(names):
+        s, low, high = s - given[2] + given[3], 0.0 * s, 0.0 * s
+    else:  # a bound takes up what its sign allows, at the x that holds it
+        with np.errstate(invalid="ignore"):
+            reach = tolerance * (unknown + np.abs(x)) * LOOSE
+            low = np.where(x - program.lower <= reach, np.inf, 0.0)
+            high = np.where(program.upper - x <= reach, np.inf, 0.0)
+    wrong = np.maximum(np.maximum(s - low, -s - high), 0.0) - allowed
+    if wrong.max(initial=0.0) > 0.0:
+        j = int(wrong.argmax())
+        return f"the multipliers leave {abs(s[j]):.3g} of the gradient in component {j}"
+    return ""
+
+
+def multiplier_beside_room(program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float) -> str:
+    """Return which of the first multipliers is not 0 although x leaves room at its inequality, or nothing.
+
+    Others may balance it in the gradient. Their product is a part of the gap, and beside f(x) and its own terms here.
+    """
+    rows, k = program.constraints, y.size
+    matrix, limit = rows.matrix[:k], rows.limit[:k]
+    is_finite = np.isfinite(limit)
+    coefficient, objective = program.units.coefficient[:k], program.units.objective
+    room = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), coefficient)  # y itself has to be 0 at no limit
+    terms = np.where(is_finite, np.maximum(np.abs(limit), abs(matrix) @ np.abs(x)), coefficient)
+    value = np.where(is_finite, abs(program.objective(x)), 0.0)
+    excess = np.abs(y * room) - LOOSE * tolerance * (objective + np.maximum(value, np.abs(y) * terms))
+    excess[rows.is_equality[:k]] = 0.0
+    if excess.max(initial=0.0) > 0.0:
+        i = int(excess.argmax())
+        what = f"{room[i]:.3g} of room" if is_finite[i] else "no limit"
+        return f"a multiplier {y[i]:.3g} stands where there is {what}"
+    return ""

@@ -3,27 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import checked_vector
+from ...core.checks import BoolVector, FloatVector, checked_answer, checked_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
+from .criterion import PROGRAM_TOLERANCE, program_goal
+from .definitions import Substitution
+from .least_multipliers import CANCELS, least_multipliers
 from .program import QuadraticProgram, asymmetry_of
-from .qp_forms import QPOrigin
-from .reductions import Substitution, fold_simple_rows, substitute_definitions
+from .program_matrices import sums_and_terms
+from .reductions import FoldedRows, Reduction
+from .solution import QPSolution
+
+if TYPE_CHECKING:
+    from .no_minimum import QPInfeasibility, QPUnboundedness
+    from .program import QuadraticProgram
 
 FORMS = ("auto", "direct", "kkt")
 __all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
+WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
+CANCELS_MUCH = 1e3  # the same, where the residuals are small as it is: the search takes as long as the run
+LARGEST_IN_PASSING = 1500  # the same, where the residuals are small as it is
 
 
 def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
-    """Return the optimality conditions of a quadratic program as a linear complementarity problem.
+    """Return the linear complementarity problem that the program's optimality conditions are.
 
     Parameters
     ----------
@@ -42,7 +54,7 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     Returns
     -------
     LCP
-        Its ``origin.recover(result)`` gives the :class:`~lcp_plugin.problems.programs.qp_solution.QPSolution`, with the
+        Its ``origin.recover(result)`` gives the :class:`~lcp_plugin.problems.programs.solution.QPSolution`, with the
         multipliers of all rows and bounds, folded ones included.
 
     Raises
@@ -82,9 +94,9 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     refuse_nonconvex(program)
     if form not in FORMS:
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
-    cheap = substitute_definitions(program, saves_work=True) if form == "auto" else None
-    problem = optimality_conditions(program, cheap)
-    if form == "direct" and (left := problem.origin.rows.left.size):
+    reduction = Reduction(program)
+    problem = optimality_conditions(reduction.then(Substitution.of, saves_work=True) if form == "auto" else reduction)
+    if form == "direct" and (left := problem.origin.rows):
         raise UnsuitableProblem(
             f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
             'nonzero (or contradict one another); use form="kkt"'
@@ -110,7 +122,7 @@ def lcp_from_lp(
     LCP
         The program of the form "kkt" with P = 0 (form "direct", M = 0, where all constraints are bounds): monotone
         with M = −Mᵀ, and a diagonal of zeros, on which relaxation methods cannot run. ``origin.recover(result)``
-        gives a :class:`~lcp_plugin.problems.programs.qp_solution.QPSolution`.
+        gives a :class:`~lcp_plugin.problems.programs.solution.QPSolution`.
 
     Raises
     ------
@@ -136,9 +148,9 @@ def lcp_from_lp(
     return lcp_from_qp(QuadraticProgram(sp.csr_array((n, n)), c, G, h, A, b, lower, upper))
 
 
-def optimality_conditions(program: QuadraticProgram, substitution: Substitution | None = None) -> LCP:
-    """Return the conditions of a program known to be convex, or of what a substitution leaves of it."""
-    origin = QPOrigin(fold_simple_rows(program if substitution is None else substitution.reduced), substitution)
+def optimality_conditions(reduction: Reduction) -> LCP:
+    """Return the conditions of a program known to be convex, of what a reduction leaves of it, simple rows folded."""
+    origin = QPOrigin(reduction.then(FoldedRows.of))
     problem = origin.problem()
     problem.origin = problem.criterion = origin
     return problem
@@ -166,20 +178,21 @@ def attempts(program: QuadraticProgram, first: Attempt | None = None) -> Iterato
     >>> [attempt.because for attempt in attempts(program)]
     ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
     """
+    as_it_stands = Reduction(program)
     if first is None:
-        cheap = substitute_definitions(program, saves_work=True)
-        problem = optimality_conditions(program, cheap)
+        cheap = as_it_stands.then(Substitution.of, saves_work=True)
+        problem = optimality_conditions(cheap)
         form = f"the {problem.origin.form} form"
-        first = Attempt(problem, form if cheap is None else f"{form}, defined variables put in")
+        first = Attempt(problem, f"{form}, defined variables put in" if cheap.steps else form)
     yield first
-    if first.problem.origin.substitution is not None:
-        yield Attempt(optimality_conditions(program), "the KKT form of the program as it stands")
-    elif (substitution := substitute_definitions(program)) is not None:
-        yield Attempt(optimality_conditions(program, substitution), "defined variables put in")
+    if first.problem.origin.reduction.reduced.n < program.n:
+        yield Attempt(optimality_conditions(as_it_stands), "the KKT form of the program as it stands")
+    elif (whole := as_it_stands.then(Substitution.of)).steps:
+        yield Attempt(optimality_conditions(whole), "defined variables put in")
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
-    """Return a quadratic program with the solutions of a linear complementarity problem.
+    """Return a quadratic program whose optimality conditions, or whose minimum, are the problem.
 
     Parameters
     ----------
@@ -238,3 +251,171 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
         G=sp.diags_array(sign) @ M[rows] if sp.issparse(M) else sign[:, None] * M[rows], h=-sign * q[rows],
         A=M[free], b=-q[free], lower=lower, upper=upper,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class QPOrigin:
+    """Where a problem came from: a quadratic program, and the way back to its primal and dual values.
+
+    Attributes
+    ----------
+    reduction : Reduction
+        The program, and what is left of it, whose conditions the problem states: variables that are only defined put
+        in, or not, and simple rows folded into bounds.
+
+    Notes
+    -----
+    z = (x, λ, ν) with w = (P x + c + Gᵀλ + Aᵀν, h − G x, b − A x), of the rows that are left; where none are, that is
+    the direct form: M = P, q = c, the bounds as they are.
+    """
+
+    reduction: Reduction
+    is_of_convex_program: ClassVar[bool] = True
+    _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
+    _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
+    _attempted: list[str] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def program(self) -> QuadraticProgram:
+        """The program that was given."""
+        return self.reduction.program
+
+    @property
+    def rows(self) -> int:
+        """How many rows of G and A are left."""
+        return self.reduction.reduced.constraints.rows
+
+    @property
+    def form(self) -> str:
+        """"direct" where bounds are all that is left, else "kkt"."""
+        return "kkt" if self.rows else "direct"
+
+    def problem(self) -> LCP:
+        """Return the problem of n + m + p rows; its symmetric part is P beside zeros."""
+        program, rows = self.reduction.reduced, self.rows
+        multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
+        return LCP(
+            program.matrices.kkt if rows else program.matrices.hessian,
+            np.concatenate([program.c, program.constraints.limit[:rows]]),
+            lower=np.concatenate([program.lower, multiplier]), upper=np.append(program.upper, np.full(rows, np.inf)),
+        )
+
+    def stated(self, x: FloatVector, multipliers: FloatVector) -> FloatVector:
+        """Return z of an x and multipliers of all constraints of the program; NaN counts as 0."""
+        x, multipliers = self.reduction.inward(x, np.nan_to_num(multipliers))
+        return np.append(x, multipliers[: self.rows])
+
+    def recover(self, answer: Any) -> QPSolution:
+        """Return the program's solution that an answer of the complementarity problem stands for.
+
+        Parameters
+        ----------
+        answer : Result or array, shape (rows of the problem,)
+            Right or wrong: the solution's residuals say which. Multipliers of inequalities lose a wrong sign here. A
+            result with a proof that there is no solution has no multipliers, NaN, where the program is refuted too:
+            what is a contradiction beside the problem's data may be none beside the program's.
+
+        Raises
+        ------
+        InvalidProblem
+            Where it is no finite vector of that length.
+        """
+        x, y = self._split(answer)
+        if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
+            return QPSolution.without_multipliers(self.program, self.reduction.point(x))
+        key = x.tobytes() + y.tobytes()
+        solution = self._latest.get(key)  # a run's judge may have asked for it
+        if solution is None:
+            solution = self._solution(x, y)
+            self._latest.clear()
+            self._latest[key] = solution
+        return solution
+
+    def is_answered(self, z: FloatVector, tolerance: float) -> bool:
+        """Return whether the program's own criteria hold at what z stands for, where a run has this tolerance."""
+        goal = program_goal(tolerance)
+        if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
+            return False
+        return solution.is_sure(goal) or self.program.refutation(goal, is_met=True) is None
+
+    def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
+        """Return the solution of x and multipliers y, or of smaller ones that are as good."""
+        folded = self.reduction.reduced
+        y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
+        found = self._with_bounds(x, y)
+        is_small = found.error <= WORTH
+        if is_small and folded.n + y.size > LARGEST_IN_PASSING:
+            return found
+        smaller = least_multipliers(folded, x, y, CANCELS_MUCH if is_small else CANCELS)
+        if smaller is None:
+            return found
+        other = self._with_bounds(x, smaller)
+        return other if other.error <= max(found.error, WORTH) else found
+
+    def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
+        """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
+        folded = self.reduction.reduced
+        if not (np.isfinite(folded.lower) | np.isfinite(folded.upper)).any():
+            return self._whole(x, np.append(y, np.zeros(2 * x.size)))
+        # What the bounds have to balance, μ_lower − μ_upper.
+        of_rows, sizes = sums_and_terms(folded.matrices.rows, y)
+        reduced_cost = folded.P @ x + folded.c + of_rows
+        terms = folded.matrices.magnitudes @ np.abs(x) + np.abs(folded.c) + sizes
+        reduced_cost[_is_better_left(folded, x, reduced_cost, terms)] = 0.0
+        at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
+        at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
+        return self._whole(x, np.concatenate([y, at_lower, at_upper]))
+
+    def _whole(self, x: FloatVector, multipliers: FloatVector) -> QPSolution:
+        """Return the program's solution from x and the multipliers of the rows that are left, and of all bounds."""
+        x, every = self.reduction.outward(x, multipliers)
+        if np.isinf(every).any():  # divided by a coefficient far from 1, one overflowed
+            return QPSolution(self.program, x, *self.program.constraints.split(every))  # which refuses it in words
+        return QPSolution.of_rows(self.program, x, every)
+
+    def is_refuted(self, tolerance: float) -> bool:
+        """Return whether the program is proved to have no minimum, in units of its own data.
+
+        A contradiction of the problem alone may be one of rounding: an equation 1e-16 = 0 may be all that acts there.
+        A tolerance of the problem below 1e-6 is none of the program.
+        """
+        return self.program.refutation(max(tolerance, PROGRAM_TOLERANCE)) is not None
+
+    def end_by(self, proof: QPInfeasibility | QPUnboundedness) -> None:
+        """Take note of the proof that ends a run."""
+        self._proofs[:] = [proof]
+
+    @property
+    def ended_by(self) -> QPInfeasibility | QPUnboundedness | None:
+        """The proof that has ended a run, if one has."""
+        return self._proofs[0] if self._proofs else None
+
+    def note_attempt(self, name: str) -> None:
+        """Take note of an algorithm that has ended without an answer before there is a run, which starts there."""
+        self._attempted.append(name)
+
+    @property
+    def attempted(self) -> tuple[str, ...]:
+        """The algorithms that have ended without an answer before there is a run, which starts where they ended."""
+        return tuple(self._attempted)
+
+    def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
+        """Return x and the multipliers of the rows of G and A that are left."""
+        n = self.reduction.reduced.n
+        z = checked_answer(answer, n + self.rows)
+        return z[:n], z[n:].copy()
+
+
+def _is_better_left(
+    program: QuadraticProgram, x: FloatVector, reduced_cost: FloatVector, terms: FloatVector
+) -> BoolVector:
+    """Return where a reduced cost is a smaller error as a dual residual than as a multiplier of a bound not reached.
+
+    As a residual it is relative to its terms; as a multiplier, times the distance from the bound, to those of that row.
+    """
+    size, bound = np.abs(reduced_cost), np.where(reduced_cost > 0.0, program.lower, program.upper)
+    with np.errstate(invalid="ignore", over="ignore"):  # an infinite bound has no multiplier anyway
+        unknown, objective = program.units.unknown, program.units.objective
+        as_multiplier = size * np.abs(x - bound) / (objective + size * np.maximum(np.abs(x), np.abs(bound)))
+        as_residual = size / np.minimum(objective / unknown + terms, program.dual_unit)
+        return (program.lower < x) & (x < program.upper) & (as_residual < as_multiplier)

@@ -34,7 +34,7 @@ from ...proofs.exact.linear_systems import independent_rows, solved_nearby
 from ...proofs.exact.rational import ZERO, Row, Vector, enclosures, products, rational, rational_rows
 from ...proofs.exact.upward import product_above, quotient_above, sum_above
 from .program import QuadraticProgram
-from .reductions import fold_simple_rows
+from .reductions import FoldedRows
 
 ROOMS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, beyond what least squares round
 NOISE = 2.0**-44  # of the largest multiplier
@@ -234,7 +234,7 @@ class DualBounds:
 
         A side that only the rows together close may be far away.
         """
-        is_flat, folded = self.curvature.weights <= 0.0, fold_simple_rows(self.program).folded
+        is_flat, folded = self.curvature.weights <= 0.0, FoldedRows.of(self.program).reduced
         return is_flat & np.isinf(folded.upper), is_flat & np.isinf(folded.lower)
 
     @property

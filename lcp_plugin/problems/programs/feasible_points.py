@@ -23,9 +23,8 @@ from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import Vector, enclosures, products, rational
 from ...proofs.exact.upward import product_above, sum_above
 from .dual_bounds import ROOMS, least_squares
+from .no_minimum import feasible_point, losses
 from .program import QuadraticProgram
-from .qp_certificates import feasible_point
-from .qp_proofs import losses
 
 TIGHT = (0.0, 1e-9, 1e-6, -np.inf)  # of a row's unit: rows that are solved for as if they were equations; then none
 EXACT_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200

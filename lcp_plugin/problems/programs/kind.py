@@ -3,7 +3,7 @@
 from ...core.kinds import LANGUAGES, Kind
 
 QUADRATIC_PROGRAM = Kind(
-    "quadratic program", "problems.programs.program:QuadraticProgram", "problems.programs.solving:judged_program",
+    "quadratic program", "problems.programs.program:QuadraticProgram", "problems.programs.solving:solve_program",
     "problems.programs.solving:QuadraticProgramResult",
     ("solve", "solve_batch", "solve_many", "prepare", "certify", "pickle", *LANGUAGES, "lcp-plugin solve",
      "lcp-plugin certify"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from ...core.checks import (
     check_order,
     checked_bound,
     checked_vector,
-    frozen,
     read_only,
     rectangular_matrix,
     restored,
@@ -27,11 +26,9 @@ from ...core.matrix.matrix import largest_in_rows
 from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
-from .own_units import OwnUnits
-from .program_matrices import ProgramMatrices, as_csr, or_one
-from .qp_certificates import proof_of_no_minimum
-from .qp_proofs import QPInfeasibility, QPUnboundedness
-from .rescaled import Rescaled
+from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
+from .program_matrices import ProgramMatrices, as_csr, no_rows, or_one
+from .units import OwnUnits, Rescaled
 
 SYMMETRIC_TO = 1e-12
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
@@ -207,11 +204,23 @@ class QuadraticProgram:
         """
         if "_proof" not in self.__dict__:
             own = self.rescaled
-            found = proof_of_no_minimum(self) if own is None else own.proof(own.program.proof_of_no_minimum)
+            found = proof_of_no_minimum(self) if own is None else own.proof(own.reduced.proof_of_no_minimum)
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
         return self.known_proof
+
+    def accept_proof(
+        self, proof: QPInfeasibility | QPUnboundedness | None, tolerance: float | None = None
+    ) -> QPInfeasibility | QPUnboundedness | None:
+        """Keep a proof of this program and return it, None where it does not hold, or excludes too little to count.
+
+        Without a tolerance it counts by however little.
+        """
+        if proof is None or not proof.verify() or not (tolerance is None or proof.excludes(tolerance)):
+            return None
+        self.__dict__["_proof"] = proof
+        return proof
 
     @property
     def known_proof(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -222,7 +231,7 @@ class QuadraticProgram:
     def proof_of_descent(self) -> QPUnboundedness | None:
         """A proof that the objective falls without end, whatever else contradicts; looked for once."""
         own = self.rescaled
-        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.program.proof_of_descent)
+        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.reduced.proof_of_descent)
         return found if isinstance(found, QPUnboundedness) else None
 
     def refutation(
@@ -402,15 +411,9 @@ def _checked_rows(
     """Return the checked matrix and right-hand side; none of either is no rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
-        return _no_rows(n), read_only(np.zeros(0))
+        return no_rows(n), read_only(np.zeros(0))
     checked = rectangular_matrix(matrix, name, None, n)
     return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
-
-
-@lru_cache(maxsize=64)
-def _no_rows(n: int) -> sp.csr_array:
-    """Return the same read-only matrix without rows for all: to make one takes longer than a small program."""
-    return frozen(sp.csr_array((0, n)))
 
 
 def symmetric(P: Any) -> tuple[Any, float]:

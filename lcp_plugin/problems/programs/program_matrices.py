@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, read_only
+from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, frozen, read_only
 from ...core.communicator import ALONE
 from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
@@ -188,6 +188,11 @@ class ProgramMatrices:
         M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
         return Matrix.of_own_rows(M, ALONE)  # canonical, as its blocks are
 
+    def sum_of_rows(self, y: FloatVector) -> FloatVector:
+        """Return [Gᵀ Aᵀ] y; nothing is transposed."""
+        terms = self.rows.data * y[row_numbers(self.rows)]
+        return np.asarray(np.bincount(self.rows.indices, terms, self.P.shape[0]), dtype=np.float64)
+
     def of_rows(self, left: Indices) -> ProgramMatrices:
         """Return the matrices with these rows of [G; A] only."""
         m, p = self.sizes[:2]
@@ -256,7 +261,9 @@ def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
            [4., 5.]])
     """
     if not sp.issparse(matrix):
-        return read_only(matrix[np.ix_(rows, columns)])
+        return read_only(matrix[rows][:, columns])
+    if not len(rows):
+        return no_rows(len(columns))
     stays, place = np.zeros(matrix.shape[0], dtype=bool), np.full(matrix.shape[1], -1, dtype=matrix.indices.dtype)
     stays[rows], place[columns] = True, np.arange(len(columns))
     moved = place[matrix.indices]
@@ -265,6 +272,12 @@ def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
     np.cumsum(is_inside, out=before[1:])
     starts = np.append(before[matrix.indptr[:-1][stays]], before[-1:])
     return assembled(matrix.data[is_inside], moved[is_inside], starts, (len(rows), len(columns)))
+
+
+@lru_cache(maxsize=64)
+def no_rows(n: int) -> sp.csr_array:
+    """Return the same read-only matrix without rows for all: to make one takes longer than a small program."""
+    return frozen(sp.csr_array((0, n)))
 
 
 def as_csr(matrix: Any) -> sp.csr_array:

@@ -1,245 +1,152 @@
-"""Programs made smaller, and the way back for x and for multipliers.
+"""Programs made smaller by one stack of steps, each with its way back for x, multipliers and proofs.
 
-Equations that only define a variable go with it, as cvxpy writes sum_squares(A x − b) as t = A x − b; then rows that
-are only bounds become bounds.
+A step is a class: how it makes the smaller program (`of`), and its way back (`inward`, `point`, `multipliers`). One
+that drops rows which are stated twice, say, keeps the variables and needs no `point`; in a stack it stands as
+``Reduction(program).then(DistinctRows.of)``. Whether a contradiction or a direction of descent of the smaller program
+is one of the program is checked on the program's own numbers, whatever the step says.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
 
-from ...core.checks import FloatVector, assembled, rectangular_matrix
-from ...core.matrix.structure import row_numbers
+from ...core.checks import FloatVector
 from ...methods.presolve import like
-from ...systems.definiteness import is_diagonal
-from ...systems.symmetry import is_its_mirror
-from .own_units import OwnUnits
-from .predicted_work import worth_putting_in
-from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
+from .program_matrices import Indices, ProgramMatrices, block
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 OWN = -1  # the variable's own bound, not a row's
-EVERY = slice(None)
-
-
-def put_in(matrix: Any, offset: FloatVector, columns: Indices) -> tuple[sp.csr_array, FloatVector]:
-    """Return R and r of z ← R z + r, which puts in what matrix · z + offset = 0 says of the unknowns in the columns.
-
-    Parameters
-    ----------
-    matrix : CSR array, shape (k, n)
-        Row i defines the unknown ``columns[i]``, and none of the others.
-    offset : ndarray, shape (k,)
-    columns : ndarray of int, shape (k,)
-    """
-    k, n = matrix.shape
-    pivots = np.asarray(matrix[np.arange(k), columns]).ravel()
-    keep, shift = np.ones(n), np.zeros(n)
-    keep[columns], shift[columns] = 0.0, -offset / pivots
-    definition = sp.diags_array(-1.0 / pivots) @ matrix @ sp.diags_array(keep)
-    place = sp.csr_array((np.ones(k), (columns, np.arange(k))), shape=(n, k))
-    substitution = sp.csr_array(sp.diags_array(keep) + place @ definition)
-    substitution.eliminate_zeros()
-    return substitution, shift
 
 
 @dataclass(frozen=True, eq=False)
-class Definitions:
-    """Which equations define a variable each, and the matrices of the program without them: no vector is in it.
-
-    A variable is only defined where it is free, stands in one row of A and in no row of G. With K the variables that
-    stay, x_defined = D x_K + f leaves P_KK + P_Kd D + Dᵀ P_dK + Dᵀ P_dd D of P, and of G and the other rows of A the
-    columns K.
-
-    Attributes
-    ----------
-    rows, defined : ndarray of int
-        Rows of A, and the variable that each defines.
-    pivots : ndarray
-        The entries of A there.
-    kept, kept_rows : ndarray of int
-        The variables and the rows of A that stay.
-    columns : ndarray of int
-        Of the variables that stay, those that D is kept for: where it is an ndarray, those that define something.
-    D : ndarray or CSR array
-    reduced : ProgramMatrices
-    """
-
-    rows: Indices
-    defined: Indices
-    pivots: FloatVector
-    kept: Indices
-    kept_rows: Indices
-    columns: Indices
-    D: Any
-    reduced: ProgramMatrices
-
-    @classmethod
-    def of(cls, matrices: ProgramMatrices, candidates: Indices, saves_work: bool) -> Definitions | None:
-        """Return what the equations define of these variables, each of which stands in one row of A only.
-
-        With `saves_work` only of those that are predicted to be worth it; None where there are none.
-        """
-        A, is_kept = as_csr(matrices.A), np.zeros(matrices.P.shape[0], dtype=bool)
-        is_kept[candidates] = True
-        places = np.flatnonzero(is_kept[A.indices])
-        rows, entries = row_numbers(A)[places], A.data[places]
-        # The largest entry of a row is the safest pivot.
-        order = np.lexsort((-np.abs(entries), rows))
-        rows, first = np.unique(rows[order], return_index=True)
-        places = places[order[first]]
-        is_kept[:] = True
-        is_kept[A.indices[places]] = False
-        kept = np.flatnonzero(is_kept)
-        D = block(A, rows, kept)
-        chosen = worth_putting_in(D) if saves_work else np.arange(rows.size)
-        if not chosen.size:
-            return None
-        if chosen.size < rows.size:
-            is_kept[:] = True
-            rows, places = rows[chosen], places[chosen]
-            is_kept[A.indices[places]] = False
-            kept = np.flatnonzero(is_kept)
-            D = block(A, rows, kept)
-        defined, pivots, stays = A.indices[places].astype(np.intp), A.data[places], np.ones(A.shape[0], dtype=bool)
-        stays[rows] = False
-        kept_rows, every_row = np.flatnonzero(stays), np.arange(matrices.G.shape[0])
-        columns, used = np.arange(kept.size), np.flatnonzero(np.bincount(D.indices, minlength=kept.size))
-        D = assembled(D.data / -pivots[row_numbers(D)], D.indices, D.indptr, D.shape)
-        if is_full(D.nnz, (defined.size, used.size)):
-            columns, D = used, (D if used.size == kept.size else block(D, np.arange(rows.size), used)).toarray()
-        P = _without(matrices.P, kept, defined, columns, D)
-        G, others = block(matrices.G, every_row, kept), block(A, kept_rows, kept)
-        return cls(rows, defined, pivots, kept, kept_rows, columns, D, ProgramMatrices(P, G, others))
-
-
-@dataclass(frozen=True, eq=False)
-class Substitution:
-    """A program and the smaller one without the variables that an equation of their own defines.
+class Step(ABC):
+    """A program and a smaller one that stands for it.
 
     Attributes
     ----------
     program, reduced : QuadraticProgram
         Before and after.
-    definitions : Definitions
-    offset : ndarray, shape (rows that define,)
-        f.
     """
 
     program: QuadraticProgram
     reduced: QuadraticProgram
-    definitions: Definitions
-    offset: FloatVector
 
-    def expanded(self, y: FloatVector) -> FloatVector:
-        """Return x of the variables that stay."""
-        found, x = self.definitions, np.zeros(self.program.n)
-        x[found.kept], x[found.defined] = y, found.D @ y[found.columns] + self.offset
+    @abstractmethod
+    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return x and the multipliers of all constraints of the smaller program, from those of the program."""
+
+    def point(self, x: Any, *, is_direction: bool = False) -> Any:
+        """Return x of the program, of doubles or of Fractions; of a direction, the one that it is."""
         return x
 
-    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return the variables that stay, and the multipliers of all constraints of the smaller program."""
-        return x[self.definitions.kept], np.delete(multipliers, self._gone)
+    @abstractmethod
+    def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
+        """Return the multipliers of all constraints of the program, from those of the smaller one.
 
-    @property
-    def _gone(self) -> Indices:
-        """The constraints of the program that the smaller one has not."""
-        rows, n, found = self.program.constraints.rows, self.program.n, self.definitions
-        return np.concatenate([self.program.h.size + found.rows, rows + found.defined, rows + n + found.defined])
+        Of doubles, at x, a point of the program, or of Fractions that contradict each other, where x is None: the
+        gradient that these leave is 0.
+        """
 
-    def restored(self, y: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+    def outward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of all constraints of the program, from those of the smaller one."""
-        program, x, found = self.program, self.expanded(y), self.definitions
-        whole = np.zeros(program.constraints.rows + 2 * program.n)
-        whole[np.delete(np.arange(whole.size), self._gone)] = multipliers
-        # Each defined column meets its own equation only, whose multiplier is what stationarity leaves to it.
-        whole[program.h.size + found.rows] = -(program.P @ x + program.c)[found.defined] / found.pivots
-        return x, whole
+        whole = self.point(x)
+        return whole, self.multipliers(multipliers, whole)
 
+    def proof(self, found: Any) -> Any:
+        """Return the same proof that there is no minimum, of the program; None where it does not hold there.
 
-def substitute_definitions(program: QuadraticProgram, *, saves_work: bool = False) -> Substitution | None:
-    """Return the substitution of all variables that are only defined, or None where there are none.
-
-    With `saves_work` of those that are predicted to make the program less work.
-
-    Examples
-    --------
-    min t² with t = x − 1 and x ≥ 0 is min (x − 1)²:
-
-    >>> from lcp_plugin import QuadraticProgram
-    >>> program = QuadraticProgram([[0, 0], [0, 2]], [0, 0], A=[[1, -1]], b=[1], lower=[0, -np.inf])
-    >>> substitute_definitions(program).reduced.P
-    array([[2.]])
-    """
-    matrices = program.matrices
-    is_free = (program.lower == -np.inf) & (program.upper == np.inf)
-    candidates = np.flatnonzero(is_free & matrices.is_definable)
-    if not candidates.size:
-        return None
-    name = "cheap definitions" if saves_work else "definitions"
-    found = matrices.kept(name, (candidates,), lambda: Definitions.of(matrices, candidates, saves_work))
-    if found is None:
-        return None
-    shift, offset = np.zeros(program.n), program.b[found.rows] / found.pivots
-    shift[found.defined] = offset
-    gradient = program.P @ shift + program.c
-    c = gradient[found.kept]
-    c[found.columns] += found.D.T @ gradient[found.defined]
-    reduced = _in_units_of(program, program.with_matrices(
-        found.reduced, c, program.h, program.b[found.kept_rows], program.lower[found.kept], program.upper[found.kept]
-    ), found.kept)
-    return Substitution(program, reduced, found, offset)
-
-
-def _without(P: Any, kept: Indices, defined: Indices, columns: Indices, D: Any) -> Any:
-    """Return P in the variables that stay."""
-    if is_diagonal(P):
-        d = P.diagonal()
-        added, mixed = D.T @ _rows_scaled(d[defined], D), None
-        of_kept = diagonal_array(d[kept], kept.size) if d[kept].any() else None
-    else:
-        order = np.argsort(defined)
-        defined, D = defined[order], D[order]
-        of_kept, across, of_defined = block(P, kept, kept), block(P, kept, defined), block(P, defined, defined)
-        added = D.T @ (of_defined @ D)
-        mixed = across @ D if np.count_nonzero(across.data if sp.issparse(across) else across) else None
-    if columns.size < kept.size:
-        count = columns.size
-        place = assembled(np.ones(count), columns, np.arange(count + 1), (count, kept.size))
-        added, mixed = place.T @ as_csr(added) @ place, None if mixed is None else as_csr(mixed) @ place
-    if mixed is not None:
-        added = added + (mixed + mixed.T)
-    # What cancels leaves rounding errors, which differ on the two sides of the diagonal.
-    if sp.issparse(added) and added.format == "csc":  # by columns what is, but for these, its rows
-        added.sort_indices()
-        added = sp.csr_array((added.data, added.indices, added.indptr), shape=added.shape)
-    if not (sp.issparse(added) and is_its_mirror(added)):
-        added = (added + added.T) * 0.5
-    whole = added if of_kept is None else of_kept + added
-    return rectangular_matrix(whole, "P", None, None, is_copied=False)
-
-
-def _rows_scaled(scale: FloatVector, matrix: Any) -> Any:
-    """Return diag(scale) times an ndarray or a CSR array."""
-    if not sp.issparse(matrix):
-        return scale[:, None] * matrix
-    return assembled(scale[row_numbers(matrix)] * matrix.data, matrix.indices, matrix.indptr, matrix.shape)
+        What a step has rounded, a limit over a coefficient, is no number of the program.
+        """
+        if found is None or self.reduced is self.program:
+            return found
+        if found.verdict == "infeasible":
+            whole = self.multipliers(np.array(found.multipliers, dtype=object), None)
+            parts = {"multipliers": tuple(map(Fraction, whole))}
+        else:
+            point, direction = (np.array(one, dtype=object) for one in (found.point, found.direction))
+            ends = self.point(point), self.point(direction, is_direction=True)
+            parts = dict(zip(("point", "direction"), (tuple(map(Fraction, end)) for end in ends), strict=True))
+        proof = replace(found, program=self.program, **parts)
+        return proof if proof.verify() else None
 
 
 @dataclass(frozen=True, eq=False)
-class FoldedRows:
-    """A program with its singleton rows folded into its bounds, and the way back for multipliers.
+class Reduction:
+    """Steps after each other, none at first: a program, what they leave of it, and the way back through all.
 
     Attributes
     ----------
-    program, folded : QuadraticProgram
-        Before and after; the same object where no row went.
+    program : QuadraticProgram
+    steps : tuple of Step
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[0, 2]], h=[2], lower=[3, 0], upper=[3, 9])
+    >>> smaller = Reduction(program).then(FoldedRows.of).then(FixedVariables.of)
+    >>> print(smaller.reduced)
+    QuadraticProgram(n=1, 0 inequalities, 0 equalities)
+    >>> smaller.outward(np.array([1.0]), np.array([0.0, 2.0]))
+    (array([3., 1.]), array([1., 4., 0., 0., 0.]))
+    """
+
+    program: QuadraticProgram
+    steps: tuple[Step, ...] = ()
+
+    def then(self, step: Callable[..., Step | None], **options: Any) -> Reduction:
+        """Return the reduction with one more step, or as it is where that does nothing."""
+        found = step(self.reduced, **options)
+        if found is None or found.reduced is self.reduced:
+            return self
+        return Reduction(self.program, (*self.steps, found))
+
+    @property
+    def reduced(self) -> QuadraticProgram:
+        """What is left of the program."""
+        return self.steps[-1].reduced if self.steps else self.program
+
+    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return x and the multipliers of all constraints of what is left."""
+        for step in self.steps:
+            x, multipliers = step.inward(x, multipliers)
+        return x, multipliers
+
+    def point(self, x: Any) -> Any:
+        """Return x of the program."""
+        for step in reversed(self.steps):
+            x = step.point(x)
+        return x
+
+    def outward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return x and the multipliers of all constraints of the program."""
+        for step in reversed(self.steps):
+            x, multipliers = step.outward(x, multipliers)
+        return x, multipliers
+
+    def proof(self, found: Any) -> Any:
+        """Return the same proof of the program; None where it does not hold there."""
+        for step in reversed(self.steps):
+            found = step.proof(found)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class FoldedRows(Step):
+    """The program's bounds and rows with singleton, empty and unlimited rows gone.
+
+    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
+    singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
+
+    Attributes
+    ----------
     left : ndarray of int
         Rows of [G; A] that remain.
     lower_row, upper_row : ndarray of int, shape (n,)
@@ -248,79 +155,135 @@ class FoldedRows:
         The only entry of a singleton row; 1 elsewhere.
     """
 
-    program: QuadraticProgram
-    folded: QuadraticProgram
     left: Indices
     lower_row: Indices
     upper_row: Indices
     coefficient: FloatVector
 
-    def unfold(self, multipliers: Any) -> Any:
-        """Return the multipliers of all constraints of the program, from those of the folded one.
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> FoldedRows:
+        """Return that of a program, the same object left where no row went; done once for a program."""
+        known: FoldedRows | None = program.__dict__.get("_folded")
+        if known is None:
+            known = program.__dict__["_folded"] = cls._of(program)
+        return known
 
-        What a bound has, its row gets. Of doubles, or of Fractions: these without rounding.
-        """
-        rows, lower, upper = np.split(multipliers, [self.left.size, self.left.size + self.program.n])
-        every = np.zeros(self.coefficient.size, dtype=multipliers.dtype)
+    @classmethod
+    def _of(cls, program: QuadraticProgram) -> FoldedRows:
+        matrices, right = program.matrices, np.concatenate([program.h, program.b])
+        is_equality, (rows, columns, coefficient) = matrices.is_equality[: right.size], matrices.singletons
+        with np.errstate(over="ignore"):
+            limits = right[rows] / coefficient[rows]
+        is_finite = np.isfinite(limits)
+        rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
+        above, below = (is_equality[rows] | (sign * coefficient[rows] > 0.0) for sign in (1.0, -1.0))
+        upper, upper_row = _tightest(program.upper, limits[above], columns[above], rows[above])
+        negated, lower_row = _tightest(-program.lower, -limits[below], columns[below], rows[below])
+        lower = -negated + 0.0  # no negative zeros
+        contradicts = lower > upper
+        lower[contradicts], upper[contradicts] = program.lower[contradicts], program.upper[contradicts]
+        lower_row[contradicts] = upper_row[contradicts] = OWN
+
+        is_empty = np.diff(matrices.rows.indptr) == 0
+        stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & is_empty | (right == np.inf))
+        stays[rows[~contradicts[columns]]] = False
+        left = np.flatnonzero(stays)
+        folded = program
+        if left.size < right.size:
+            folded = program.with_matrices(
+                matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
+                right[left[left >= program.h.size]], lower, upper,
+            )
+            folded.__dict__["units"] = program.units.of_rows(left)  # what a row says does not depend on where it stands
+        return cls(program, folded, left, lower_row, upper_row, coefficient)
+
+    @property
+    def _moved(self) -> Iterator[tuple[int, Indices, Indices]]:
+        """The sign of each kind of bound, which of them rows give, and which rows."""
+        for sign, owner in ((-1, self.lower_row), (1, self.upper_row)):
+            moved = np.flatnonzero(owner != OWN)
+            yield sign, moved, owner[moved]
+
+    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return x, and with the multiplier of each bound what the row has that gives it."""
+        rows, *bounds = np.split(multipliers.copy(), [self.coefficient.size, self.coefficient.size + x.size])
+        for (sign, moved, owner), values in zip(self._moved, bounds, strict=True):
+            values[moved] += np.maximum(sign * self.coefficient[owner] * rows[owner], 0.0)
+        return x, np.concatenate([rows[self.left], *bounds])
+
+    def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
+        """Return the multipliers of all constraints: what a bound has, its row gets."""
+        rows, *bounds = np.split(reduced, [self.left.size, self.left.size + self.program.n])
+        every = np.zeros(self.coefficient.size, dtype=reduced.dtype)
         every[self.left] = rows
         own = []
-        for owner, share, sign in ((self.lower_row, lower, -1), (self.upper_row, upper, 1)):
+        for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
             moved = np.flatnonzero((owner != OWN) & (share != 0))
-            every[owner[moved]] += sign * share[moved] / like(self.coefficient[owner[moved]], multipliers)
+            every[owner[moved]] += sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
             own.append(np.where(owner == OWN, share, 0))
         return np.concatenate([every, *own])
 
 
-def fold_simple_rows(program: QuadraticProgram) -> FoldedRows:
-    """Return the program's bounds and rows with singleton, empty and unlimited rows gone.
+@dataclass(frozen=True, eq=False)
+class FixedVariables(Step):
+    """The program in the variables whose bounds differ.
 
-    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
-    singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
-    Done once for a program.
+    Attributes
+    ----------
+    free : ndarray of int
+        The variables that are left.
+    x : ndarray, shape (n,)
+        The values of the others, 0 elsewhere.
     """
-    known: FoldedRows | None = program.__dict__.get("_folded")
-    if known is None:
-        known = program.__dict__["_folded"] = _folded(program)
-    return known
 
+    free: Indices
+    x: FloatVector
 
-def _folded(program: QuadraticProgram) -> FoldedRows:
-    matrices, right = program.matrices, np.concatenate([program.h, program.b])
-    is_equality, (rows, columns, coefficient) = matrices.is_equality[: right.size], matrices.singletons
-    with np.errstate(over="ignore"):
-        limits = right[rows] / coefficient[rows]
-    is_finite = np.isfinite(limits)
-    rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
-    above, below = (is_equality[rows] | (sign * coefficient[rows] > 0.0) for sign in (1.0, -1.0))
-    upper, upper_row = _tightest(program.upper, limits[above], columns[above], rows[above])
-    negated, lower_row = _tightest(-program.lower, -limits[below], columns[below], rows[below])
-    lower = -negated + 0.0  # no negative zeros
-    contradicts = lower > upper
-    lower[contradicts], upper[contradicts] = program.lower[contradicts], program.upper[contradicts]
-    lower_row[contradicts] = upper_row[contradicts] = OWN
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> FixedVariables | None:
+        """Return that of a program; None where no variable is fixed."""
+        is_free = program.lower < program.upper
+        if is_free.all():
+            return None
+        free, x, matrices = np.flatnonzero(is_free), np.where(is_free, 0.0, program.lower), program.matrices
+        smaller = matrices.kept("free variables", (free,), lambda: ProgramMatrices(
+            block(program.P, free, free), *(
+                block(rows, np.arange(rows.shape[0]), free) for rows in (program.G, program.A)
+            )
+        ))
+        h = program.h - program.G @ x if program.h.size else program.h
+        b = program.b - program.A @ x if program.b.size else program.b
+        c, lower, upper = (one[free] for one in (program.c + program.P @ x, program.lower, program.upper))
+        reduced = program.with_matrices(smaller, c, h, b, lower, upper)
+        reduced.__dict__["units"] = program.units.of_unknowns_left(free)
+        return cls(program, reduced, free, x)
 
-    is_empty = np.diff(matrices.rows.indptr) == 0
-    stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & is_empty | (right == np.inf))
-    stays[rows[~contradicts[columns]]] = False
-    left = np.flatnonzero(stays)
-    folded = program
-    if left.size < right.size:
-        folded = program.with_matrices(
-            matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
-            right[left[left >= program.h.size]], lower, upper,
-        )
-        folded.__dict__["units"] = program.units.of_rows(left)  # what a row says does not depend on where it stands
-    return FoldedRows(program, folded, left, lower_row, upper_row, coefficient)
+    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return the variables that are left, and the multipliers of rows and of their bounds."""
+        rows, n = self.program.constraints.rows, self.program.n
+        kept = np.concatenate([np.arange(rows), rows + self.free, rows + n + self.free])
+        return x[self.free], multipliers[kept]
 
+    def point(self, x: Any, *, is_direction: bool = False) -> Any:
+        """Return x of all variables."""
+        whole = np.zeros(self.x.size, dtype=x.dtype) if is_direction else like(self.x, x).copy()
+        whole[self.free] = x
+        return whole
 
-def _in_units_of(
-    program: QuadraticProgram, smaller: QuadraticProgram, kept: Indices | slice = EVERY
-) -> QuadraticProgram:
-    """Return the smaller program, the unknowns that are kept in the units that they have in the whole one."""
-    units = program.units
-    unknown = None if units.are_the_users else units.unknown[kept]
-    smaller.__dict__["units"] = OwnUnits.of_unknowns(smaller, unknown)
-    return smaller
+    def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
+        """Return the multipliers of all constraints: a fixed variable's bounds take what stationarity leaves."""
+        program, m, k = self.program, self.program.constraints.rows, self.free.size
+        y, lower, upper = reduced[:m], reduced[m : m + k], reduced[m + k :]
+        if x is None:
+            costs = np.zeros(program.n, dtype=object)
+            for i in np.flatnonzero(y):
+                for j, value in program.constraints.exactly[i].items():
+                    costs[j] += value * y[i]
+        else:
+            costs = program.P @ x + program.c + program.matrices.sum_of_rows(y)
+        whole = np.concatenate([y, np.maximum(costs, 0), np.maximum(-costs, 0)])
+        whole[m + self.free], whole[m + program.n + self.free] = lower, upper
+        return whole
 
 
 def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:

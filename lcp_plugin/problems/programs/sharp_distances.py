@@ -62,7 +62,7 @@ def sharp_distance(
 
     Examples
     --------
-    >>> from lcp_plugin.problems.programs.program_proofs import ProgramProofs
+    >>> from lcp_plugin.problems.programs.certification import ProgramProofs
     >>> proofs = ProgramProofs(QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0]))
     >>> x = np.array([0.5, 1.5])
     >>> sharp_distance(proofs.program, proofs.bounds.curvature, x, proofs.upper(x), proofs.own_lower) < 1e-15

@@ -1,18 +1,37 @@
-"""Small quadratic programs as dense arrays, from data to judged answer in one compiled call: the dual active set."""
+"""Small programs solved by one compiled call, on their own data: what it found, and its complementarity problem."""
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...core.checks import BoolVector, FloatVector
+from ...core.communicator import ALONE
+from ...core.deadline import Clock
+from ...core.solving.result import StageRecord
+from .conversion import QPOrigin
+from .convexity import refuse_nonconvex
+from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
+from .definitions import Substitution
+from .no_minimum import QPInfeasibility, with_bounds
+from .program import QuadraticProgram
+from .reductions import FixedVariables, FoldedRows, Reduction
+from .solution import QPSolution
 
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows
 SPARSE, SPARSE_UP_TO = 0.3, 2e7  # share of entries; multiplications that sparse factors take more quickly
 MEASURES = 7  # of an answer
 MOST_STEPS = 100  # with a smaller limit they are taken one by one
 LARGEST = 1e100  # numbers whose products stay in range
+ACTIVE_SET = "dual active set"
+AT_ONCE = "begins at the minimum without constraints and takes in those that are violated, one by one, until none is"
+BOXED_UP_TO, BOXED = 160, 1.5  # unknowns and their bounds; where few rows hold x, the path from far outside is long
+FOLDED_FROM = 5e5  # multiplications by rows that may be bounds: to look for these takes as long
+SUBSTITUTED_FROM = 5e5  # multiplications: to put in what equations define takes as long
+MANY = UP_TO**2 * ROWS_UP_TO  # entries: those that are left are not counted yet
+REACHED = 1e-9  # the smallest tolerance that the compiled call is asked for
 
 
 class SmallPrograms(NamedTuple):
@@ -73,7 +92,7 @@ class SmallAnswers(NamedTuple):
         Multipliers of lower bounds less those of upper ones; 0 where x is at neither.
     measures : ndarray, shape (count, 7)
         Proved upper bounds of the primal and the dual residual, then complementarity, the largest error of a row and
-        the duality gap, as :class:`~lcp_plugin.problems.programs.qp_solution.QPSolution` has them; two sizes.
+        the duality gap, as :class:`~lcp_plugin.problems.programs.solution.QPSolution` has them; two sizes.
     steps : ndarray of int, shape (count,)
     has_converged : ndarray of bool, shape (count,)
         Where all measures are within the tolerance.
@@ -92,3 +111,102 @@ class SmallAnswers(NamedTuple):
         x, y, reduced = np.empty((count, n)), np.empty((count, m)), np.empty((count, n))
         measures, steps = np.empty((count, MEASURES)), np.zeros(count, np.int64)
         return cls(x, y, reduced, measures, steps, np.zeros(count, np.bool_))
+
+
+class Found(NamedTuple):
+    """The answer to a program before there is a run, judged by the program's own criterion; by what, and how long.
+
+    Where the program's complementarity problem was solved, `origin` is that problem's.
+    """
+
+    solution: QPSolution
+    stage: StageRecord
+    seconds: float
+    origin: QPOrigin | None = None
+
+
+def solved_at_once(program: QuadraticProgram, tolerance: float) -> Found | None:
+    """Return the answer to a small program by one compiled call, None where it finds none."""
+    found = settled_at_once(program, tolerance)
+    return found if isinstance(found, Found) else None
+
+
+def settled_at_once(program: QuadraticProgram, tolerance: float) -> Found | QPInfeasibility | None:
+    """Return the answer to a small program by one compiled call, or a proof that there is none; None where it has none.
+
+    The proof, that constraints contradict each other, is checked in exact arithmetic, and the program keeps it.
+    """
+    clock, goal = Clock(ALONE), program_goal(tolerance)
+    reduction = _made_small(program)
+    if reduction is None:
+        return None
+    reduced, contradicts = reduction.reduced, np.zeros(1, np.bool_)
+    m = sum(reduced.matrices.sizes[:2])
+    answers = SmallAnswers.empty(1, reduced.n, m)
+    _arrays(reduced).solve(min(max(tolerance, REACHED), PROGRAM_TOLERANCE), 0, 1, answers, contradicts)
+    if contradicts[0]:
+        proof = program.accept_proof(reduction.proof(contradiction(reduced, answers.y[0])), goal)
+        if isinstance(proof, QPInfeasibility):
+            return proof
+    if not answers.has_converged[0]:
+        return None
+    y, costs = answers.y[0], answers.reduced[0]
+    every = np.concatenate([y, np.maximum(costs, 0.0), np.maximum(-costs, 0.0)])
+    solution = QPSolution.of_rows(program, *reduction.outward(answers.x[0], every))
+    if reduced is program and program.units.are_the_users:
+        solution.__dict__["_errors"] = Errors(*answers.measures[0, :5].tolist())
+    if not solution.is_stationary(goal):
+        return None
+    steps, entries = int(answers.steps[0]), max(sum(program.matrices.entries), 1)
+    work = work_of_search(reduced.n, m, steps) / entries
+    return Found(solution, StageRecord(ACTIVE_SET, AT_ONCE, steps, work), clock.read())
+
+
+def _made_small(program: QuadraticProgram) -> Reduction | None:
+    """Return what the compiled call is to take of a program; None where that is too much work for dense loops."""
+    reduction = Reduction(program)
+    if program.b.size and _is_worth_substituting(program):
+        reduction = reduction.then(Substitution.of)
+        if reduction.steps:
+            refuse_nonconvex(program)  # on the subspace that is left P may be convex
+    reduced = reduction.reduced
+    if reduced.matrices.has_sparse_rows and reduced.matrices.sizes[0] * reduced.n**2 > FOLDED_FROM:
+        count, simple = int(np.count_nonzero(reduced.lower < reduced.upper)), reduced.matrices.singletons[0].size
+        if not may_be_small(count, sum(reduced.matrices.sizes[:2]) - simple, MANY):
+            return None
+        reduction = reduction.then(FoldedRows.of)
+        reduced = reduction.reduced
+    free = reduced.lower < reduced.upper
+    count, rows = int(np.count_nonzero(free)), sum(reduced.matrices.sizes[:2])
+    if not may_be_small(count, rows, reduced.matrices.stored):
+        return None
+    sides = int(np.isfinite(reduced.lower[free]).sum() + np.isfinite(reduced.upper[free]).sum())
+    if count > BOXED_UP_TO and sides > BOXED * count and BOXED * rows < count:
+        return None
+    return reduction.then(FixedVariables.of)
+
+
+def _arrays(program: QuadraticProgram) -> SmallPrograms:
+    """Return a program as the compiled call takes it."""
+    (P, C), (m, p, _, _) = program.matrices.dense, program.matrices.sizes
+    d = program.h if not p else program.b if not m else np.concatenate([program.h, program.b])
+    is_equality = program.matrices.is_equality[: m + p]
+    vectors = [one[np.newaxis] for one in (program.c, d, program.lower, program.upper)]
+    return SmallPrograms(
+        P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3], np.array([program.units[2:4]])
+    )
+
+
+def contradiction(program: QuadraticProgram, y: FloatVector) -> QPInfeasibility:
+    """Return what these multipliers of rows prove if they contradict each other, with those of bounds."""
+    return with_bounds(program, {i: Fraction(value) for i, value in enumerate(y.tolist()) if value})
+
+
+def _is_worth_substituting(program: QuadraticProgram) -> bool:
+    """Return whether what equations define is put in; not where the call is quick, or too long, with it or without.
+
+    Without, P has to be definite by the look of its diagonal: on the subspace that is left it may be so.
+    """
+    n, defined = program.n, min(int(np.count_nonzero(program.matrices.is_definable)), program.b.size)
+    is_quick = n**2 * (n + program.constraints.rows) <= SUBSTITUTED_FROM and bool((program.P.diagonal() > 0.0).all())
+    return not is_quick and may_be_small(n - defined, 0, 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -16,28 +16,34 @@ from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, restored
 from ...core.communicator import ALONE
 from ...core.deadline import Clock, OutOfTimeError, is_over, seconds_left, time_limit
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ...core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    UnknownAlgorithm,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    UnsupportedModel,
+)
 from ...core.settings import Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.driver import asked_of_solve, solve
 from ...core.solving.result import Result, Sample, StageRecord, told_stages
 from ...core.solving.run_log import say
 from ...methods.interior.interior_point import InteriorPoint
+from ...methods.interior.suited_matrix import suited
 from ...methods.search.stages import FeasibilityCheck
 from ...systems.null_space import null_space_by_rows
-from .compiled_call import ACTIVE_SET, Found, settled_at_once
-from .conversion import attempts
+from .conversion import QPOrigin, attempts
 from .convexity import LARGEST_CHECKED, refuse_nonconvex
 from .criterion import program_goal
-from .interior_call import Begun, solved_again, solved_by_interior_points
+from .interior_points import Begun, solved_again, solved_by_interior_points
+from .no_minimum import QPInfeasibility, QPUnboundedness, numbers, prove_unheld
 from .program import QuadraticProgram
-from .qp_certificates import prove_unheld
-from .qp_forms import QPOrigin
-from .qp_proofs import QPInfeasibility, QPUnboundedness, numbers
-from .qp_solution import QPSolution
-from .reductions import fold_simple_rows
-from .rescaled import Rescaled
-from .small_programs import MOST_STEPS
+from .reductions import FoldedRows
+from .small_programs import ACTIVE_SET, MOST_STEPS, Found, may_be_small, settled_at_once
+from .solution import QPSolution
+from .units import Rescaled
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
@@ -46,6 +52,7 @@ SHORTEST = 0.1  # a limit of seconds that no small program reaches
 PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
 BY_FACTOR = "factor of P"  # that meets a pivot of 0
 REFUTED = "it came upon a proof that the program has no minimum"
+VECTORS = {"c", "h", "b", "lower", "upper"}
 
 
 class ProgramRun(NamedTuple):
@@ -189,7 +196,7 @@ class QuadraticProgramResult(Answer):
         return [*super()._course(), *(told_stages(self.stages) if has_run else [])]
 
 
-def judged_program(
+def solve_program(
     program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
 ) -> QuadraticProgramResult:
     """Return the answer with the smallest residuals in the program's own terms, and a status that its data prove.
@@ -224,8 +231,7 @@ def judged_program(
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes, begun = program_goal(tolerance), options.get("refute", True), Begun(program)
-    found = _at_once(begun, tolerance, guess, options) if is_one_call else None
-    by = found.stage.name if isinstance(found, Found) else _finder(found)
+    by, found = _at_once(begun, tolerance, guess, options) if is_one_call else ("", None)
     if isinstance(found, Found) and refutes and not found.solution.is_sure(goal):
         found = program.refutation(goal, is_met=True) or found
     if isinstance(found, Found):
@@ -266,28 +272,20 @@ def _in_own_units(
     own: Rescaled, algorithm: Any, tolerance: float, options: dict[str, Any]
 ) -> QuadraticProgramResult:
     """Return the answer to a program that is solved in its own units, in those in which it was given."""
-    left = fold_simple_rows(own.given).left
-    if (guess := options.pop("guess", None)) is not None and guess.size == own.given.n + left.size:
+    left = FoldedRows.of(own.program).left
+    if (guess := options.pop("guess", None)) is not None and guess.size == own.program.n + left.size:
         options["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])
-    found = judged_program(own.program, algorithm, tolerance=tolerance, **options)
-    solution, proof = own.solution(found.solution), own.proof(found.proof)
-    if proof is not None:
-        own.given.__dict__["_proof"] = proof
+    found = solve_program(own.reduced, algorithm, tolerance=tolerance, **options)
+    proof = own.program.accept_proof(own.proof(found.proof))
+    solution = QPSolution.of_rows(own.program, *own.outward(found.solution.x, found.solution.multipliers))
     return replace(found, solution=solution, proof=proof, _run=None, _origin=None)
 
 
 def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
     """Return the proof that nothing holds a structure against its load, where it counts; the program keeps it."""
     refuse_nonconvex(program)
-    proof = prove_unheld(program)
-    if proof is None or not proof.excludes(goal):
-        return None
-    program.__dict__["_proof"] = proof
-    return proof
-
-
-def _finder(proof: QPInfeasibility | QPUnboundedness | None) -> str:
-    return InteriorPoint.name if isinstance(proof, QPUnboundedness) else ACTIVE_SET
+    proof = program.accept_proof(prove_unheld(program), goal)
+    return proof if isinstance(proof, QPUnboundedness) else None
 
 
 def _refuted(
@@ -330,24 +328,24 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 
 def _at_once(
     begun: Begun, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
-) -> Found | QPInfeasibility | QPUnboundedness | None:
-    """Return the answer by the active set of a guess, one compiled call or interior points, a proof or None."""
-    refutes = options.get("refute", True)
+) -> tuple[str, Found | QPInfeasibility | QPUnboundedness | None]:
+    """Return what found it, and the answer, a proof or None: the active set of a guess, one call or interior points."""
+    refutes, by = options.get("refute", True), InteriorPoint.name
     try:
         if guess is not None and (again := solved_again(begun, guess, tolerance)) is not None:
-            return again
+            return by, again
         if (at_once := settled_at_once(begun.program, tolerance)) is not None or "max_iterations" in options:
-            return at_once
+            return ACTIVE_SET, at_once
         if (limit := options.get("max_seconds", math.inf)) == math.inf:
-            return solved_by_interior_points(begun, tolerance, refutes=refutes)
+            return by, solved_by_interior_points(begun, tolerance, refutes=refutes)
         clock, found = Clock(ALONE), None
         with suppress(OutOfTimeError), time_limit(min(SHARE * limit, seconds_left()), is_enforced=True):
             found = solved_by_interior_points(begun, tolerance, refutes=refutes)
         options["max_seconds"] = max(limit - clock.read(), SHORTEST)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
-        return None
-    return found
+        return by, None
+    return by, found
 
 
 def _by_forms(
@@ -452,3 +450,38 @@ def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
     """Return whether a limit that the caller set, or the caller, ended the run."""
     limits = {Status.MAX_ITERATIONS: "max_iterations", Status.MAX_SECONDS: "max_seconds"}
     return result.status is Status.INTERRUPTED or limits.get(result.status) in options
+
+
+def prepare_program(program: QuadraticProgram) -> None:
+    """Compute what solves of the program, and of others with its matrices, ask of these."""
+    refuse_nonconvex(program)
+    matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
+    if may_be_small(n, m + p, matrices.stored):
+        _ = matrices.dense
+    else:
+        _ = suited(next(attempts(program)).problem.matrix).symbolic
+
+
+def solve_programs(
+    program: QuadraticProgram, vectors: Any, algorithm: Any, **options: Any
+) -> list[QuadraticProgramResult | LCPError]:
+    """Return what `solve_many` does of a program: where a run is needed, it goes on from the last answer."""
+    answers: list[QuadraticProgramResult | LCPError] = []
+    z: FloatVector | None = None
+    if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
+        raise InvalidProblem(f'a program takes a list of mappings, as [{{"b": b}}], got {type(vectors).__name__}')
+    for k, one in enumerate(vectors):
+        if not isinstance(one, Mapping) or (unknown := set(one) - VECTORS):
+            what = f"the name {min(unknown)!r}" if isinstance(one, Mapping) else type(one).__name__
+            raise InvalidProblem(f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}")
+        try:
+            found = solve_program(program.with_vectors(**one), algorithm, guess=z, **options)
+            answers.append(found)
+            z = found.z if found.is_solved and not found.is_compiled else z
+        except (InvalidOption, UnknownAlgorithm, UnsupportedModel):  # what concerns all
+            raise
+        except LCPError as error:
+            answers.append(error)
+        if isinstance(answers[-1], QuadraticProgramResult) and answers[-1].status is Status.INTERRUPTED:
+            break
+    return answers

@@ -299,7 +299,7 @@ class KrylovCorrection:
     def largest(self) -> float:
         """Return the largest scaled residual that is left."""
         scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
-        return self.unit * self.communicator.largest(scaled)
+        return float(self.unit * self.communicator.largest(scaled))
 
     @np.errstate(all="ignore")
     def step(self) -> bool:

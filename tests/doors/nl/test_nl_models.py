@@ -592,6 +592,41 @@ def test_an_answer_that_the_file_contradicts_is_not_solved(kind: str) -> None:
     assert re.search("is .* at the answer, where .* was computed", answer.message)
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("kind", ["pairs", "program"])
+def test_an_answer_is_contradicted_in_any_unit_of_the_rows(kind: str, unit: float) -> None:
+    """A number in the trees that is another by a thousandth of the row's terms is seen, in any unit of the rows."""
+    M, q, _ = random_pairs()
+    content = content_of(6, (unit * q).tolist(), linear=unit * M)
+    if kind == "pairs":
+        content = paired(content)
+    else:
+        content = replace(content, row_upper=np.full(6, INFINITY), objective_linear=sp.csr_array(np.ones((1, 6))),
+                          objective_trees=trees_of([0.0]), is_maximized=np.zeros(1, dtype=bool), lower=np.zeros(6))
+    model = model_of(content)
+    assert model.solve().is_solved
+    stated = model.content.trees
+    model.content = replace(model.content, trees=replace(stated, values=stated.values + 1e-3 * unit))
+    assert "where" in model.solve().message
+    assert model.solve().status is Status.STALLED
+
+
+@pytest.mark.parametrize("unit", [1e-15, 1.0, 1e15])
+def test_a_row_without_unknowns_is_contradictory_in_any_unit(unit: float) -> None:
+    """Of a fixed variable 0.3: 3 times a third of it is itself, and is not 0.2."""
+    for right, is_right in ((0.3 * unit, True), (0.2 * unit, False)):
+        content = replace(
+            paired(content_of(2, [("-", X[0], 2.0), ("*", 3.0, ("*", 1.0 / 3.0, X[1]))])),
+            partners=np.array([0, -1]), lower=np.array([0.0, 0.3 * unit]), upper=np.array([INFINITY, 0.3 * unit]),
+            row_lower=np.array([-INFINITY, right]), row_upper=np.array([INFINITY, right]),
+        )
+        if is_right:
+            assert model_of(content).solve().is_solved
+        else:
+            with pytest.raises(UnsupportedModel, match="holds no unknown, and its sides differ"):
+                model_of(content)
+
+
 def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
     """A fixed variable is its value, also as an exponent; one that nothing holds stays at its start."""
     rows = [("-", ("^", X[0], X[1]), 9.0), 0.0]

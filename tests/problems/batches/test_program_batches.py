@@ -27,7 +27,7 @@ from lcp_plugin import (
 )
 from lcp_plugin.problems.batches.program_batch import ProgramBatchResult, ProgramBatchRun
 from lcp_plugin.problems.programs import solving
-from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
+from lcp_plugin.problems.programs.no_minimum import QPInfeasibility, QPUnboundedness
 from lcp_plugin.strategies.programs import QPAnswer
 
 INF = np.inf

@@ -76,7 +76,7 @@ def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
 
 def test_ctrl_c_that_a_run_of_steps_has_heard_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """It ends with status limit at once, and not after all other nodes."""
-    real, runs = relaxations.judged_program, []
+    real, runs = relaxations.solve_program, []
 
     def stopped(*arguments: Any, **options: Any) -> Any:
         runs.append(1)
@@ -84,7 +84,7 @@ def test_ctrl_c_that_a_run_of_steps_has_heard_ends_the_search(monkeypatch: pytes
         assert result.status is Status.INTERRUPTED
         return result
 
-    monkeypatch.setattr(relaxations, "judged_program", stopped)
+    monkeypatch.setattr(relaxations, "solve_program", stopped)
     monkeypatch.setattr(relaxations, "solved_at_once", lambda *_: None)
     result = minimize_over_solutions(some_pairs())
     assert (result.status, len(runs), result.verify()) == (Status.INTERRUPTED, 1, True)

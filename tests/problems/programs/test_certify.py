@@ -39,11 +39,11 @@ from lcp_plugin import (
 )
 from lcp_plugin.commands.cli import app
 from lcp_plugin.modeling.stated_terms import StatedTerms
+from lcp_plugin.problems.programs.certification import SMALL, ProgramProofs, distances
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
 from lcp_plugin.problems.programs.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
 from lcp_plugin.problems.programs.feasible_points import FeasiblePoint, FeasiblePoints, distance_of_equations
-from lcp_plugin.problems.programs.program_proofs import SMALL, ProgramProofs, distances
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.solving import solve_program
 from lcp_plugin.proofs.bounds.curvature import Curvature, constrained_curvature, curvature
 from lcp_plugin.strategies import convex_qps
 
@@ -867,7 +867,7 @@ def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
     pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
     for seed in SEEDS.get(kind, range(3)):
         case = MULTIPLIERS.program(kind, np.random.default_rng([0, seed, 7]))
-        answer = judged_program(case).solution
+        answer = solve_program(case).solution
         assert answer.is_optimal()
         theirs = MULTIPLIERS.largest_of_highs(case)
         assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(theirs, 1e-6)
@@ -882,7 +882,7 @@ def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -
         return solve(problem, *args, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve", counted)
-    monkeypatch.setattr("lcp_plugin.problems.programs.program_proofs.solved_at_once", lambda *_: None)
+    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_: None)
     program = QuadraticProgram([[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3])
     assert certify(program, ProgramProofs.of(program).own_solution).verdict == "proved"
     assert asked == [1e-9]
@@ -897,7 +897,7 @@ def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyP
         return solve(problem, *args, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve", counted)
-    monkeypatch.setattr("lcp_plugin.problems.programs.program_proofs.solved_at_once", lambda *_: None)
+    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_: None)
     assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
     assert limits
     assert max(limits) <= 30.0

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, NotConverged, solve
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp, qp_from_lcp
-from lcp_plugin.problems.programs.qp_solution import QPSolution
+from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.reformulations.absolute_value import lcp_from_absolute_value
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver

@@ -32,12 +32,18 @@ from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior import interior_point
 from lcp_plugin.methods.interior.interior_point import InteriorPoint
 from lcp_plugin.modeling.registration import build
-from lcp_plugin.problems.programs import interior_call, qp_certificates, solving
+from lcp_plugin.problems.programs import interior_points, no_minimum, solving
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
-from lcp_plugin.problems.programs.qp_certificates import proof_of_no_minimum, prove_infeasible, prove_unbounded
-from lcp_plugin.problems.programs.qp_proofs import QPInfeasibility, QPUnboundedness
-from lcp_plugin.problems.programs.qp_solution import QPSolution
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.no_minimum import (
+    QPInfeasibility,
+    QPUnboundedness,
+    proof_of_no_minimum,
+    prove_infeasible,
+    prove_unbounded,
+)
+from lcp_plugin.problems.programs.reductions import FoldedRows
+from lcp_plugin.problems.programs.solution import QPSolution
+from lcp_plugin.problems.programs.solving import solve_program
 from lcp_plugin.proofs.exact.linear_systems import solved_nearby
 
 INF = np.inf
@@ -66,7 +72,7 @@ def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
     """Two planted programs of each kind have their value and conditions, measured here, by interior_point."""
     for seed in (77, 78):
         case, value = CAMPAIGN.case(kind, seed, 0, 25)
-        result = judged_program(case, INTERIOR)
+        result = solve_program(case, INTERIOR)
         answer = result.solution
         assert CAMPAIGN.said(case, answer, answer.status, value, "") == (True, False), result
 
@@ -99,7 +105,7 @@ def test_ranges_say_what_they_say() -> None:
     program = QuadraticProgram.from_ranges(P, c, A, low, high, lower=[-1e20, -5.0, -5.0], upper=5.0)
     assert (program.h.size, program.b.size) == (4, 1)
     assert program.lower[0] == -INF
-    solution = judged_program(program, INTERIOR).solution
+    solution = solve_program(program, INTERIOR).solution
     assert solution.is_optimal(1e-9)
     y = solution.row_multipliers
     assert y.shape == (5,)
@@ -154,7 +160,7 @@ def test_rows_and_columns_over_twelve_orders_of_magnitude(largest: int, seeds: i
     """The road of `QPSolver`, which asks for more where rows are left over: the planted value, every row to 1e-6."""
     for seed in range(seeds):
         program, value = CAMPAIGN.case("graded rows, columns", seed, 12, largest)
-        solution = judged_program(program).solution
+        solution = solve_program(program).solution
         assert solution.is_stationary(1e-6), (seed, str(solution))
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
@@ -200,7 +206,7 @@ def test_rows_that_contradict_by_rounding_refute_nothing(monkeypatch: pytest.Mon
     """A proof by a margin of 1e-12, which holds for the stored doubles alone, is no answer."""
     program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf])
     monkeypatch.setattr(solving, "settled_at_once", lambda *_: None)
-    monkeypatch.setattr(interior_call, "points", lambda problem, _: iter([(problem.nearest_to_zero, 1, 1.0, True)]))
+    monkeypatch.setattr(interior_points, "points", lambda problem, _: iter([(problem.nearest_to_zero, 1, 1.0, True)]))
     assert program.proof_of_no_minimum is not None
     result = solve(program)
     assert result.is_solved
@@ -212,7 +218,7 @@ def test_a_run_goes_on_from_what_was_attempted_before_it(monkeypatch: pytest.Mon
     program = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, -3.0], [[-1.0, -1.0]], [-1.0], upper=[1.0, 3.0])
     ended = np.array([0.5, 3.0, 0.25])
     monkeypatch.setattr(solving, "settled_at_once", lambda *_: None)
-    monkeypatch.setattr(interior_call, "points", lambda *_: iter([(ended, 7, 3.0, True)]))
+    monkeypatch.setattr(interior_points, "points", lambda *_: iter([(ended, 7, 3.0, True)]))
     monkeypatch.setattr(interior_point.Search, "interior", lambda *_: pytest.fail("made again"))
     starts, given = [], solving.solve
 
@@ -263,8 +269,8 @@ def test_at_a_small_tolerance_a_program_ends_where_its_own_criterion_holds() -> 
 def test_no_contradiction_is_looked_for_beside_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """An x that meets all constraints refutes every contradiction, and a definite P falls along no direction."""
     program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, -1.0]], [-1.0])
-    monkeypatch.setattr(qp_certificates, "linear_program", lambda *_, **__: pytest.fail("a linear program"))
-    monkeypatch.setattr(qp_certificates, "FarkasProgram", lambda *_: pytest.fail("a linear program"))
+    monkeypatch.setattr(no_minimum, "linear_program", lambda *_, **__: pytest.fail("a linear program"))
+    monkeypatch.setattr(no_minimum, "FarkasProgram", lambda *_: pytest.fail("a linear program"))
     assert program.refutation(is_met=True) is None
     semidefinite = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, 1.0], lower=[-np.inf, 0.0])
     monkeypatch.undo()
@@ -657,7 +663,7 @@ def test_a_full_program_gives_a_full_matrix() -> None:
     for P, few, kind in ((full + full.T, 0, np.ndarray), (np.diag(np.abs(F[0])), 28, sp.csr_array)):
         C = np.triu(G, few)
         problem = lcp_from_qp(QuadraticProgram(P, np.ones(30), C, np.ones(20)), "kkt")
-        rows = problem.origin.rows.left
+        rows = FoldedRows.of(problem.origin.program).left
         expected = np.block([[P, C[rows].T], [-C[rows], np.zeros((rows.size, rows.size))]])
         assert isinstance(problem.M, kind)
         assert np.array_equal(problem.csr.toarray(), expected)
@@ -747,7 +753,7 @@ def test_an_unbounded_direction_needs_a_feasible_point() -> None:
 def test_a_component_of_a_small_unit_falls_for_ever(cost: float) -> None:
     """Of −cost x₁ − x₂ with x₁ ≤ 1: the 1 was nothing beside 1e6, and is a tenth of its own terms whatever y is."""
     program = QuadraticProgram(np.zeros((2, 2)), [-cost, -1.0], lower=[0.0, 0.0], upper=[1.0, np.inf])
-    assert judged_program(program).status is Status.UNBOUNDED
+    assert solve_program(program).status is Status.UNBOUNDED
     proof = program.refutation()
     assert isinstance(proof, QPUnboundedness)
     least = proof.row_margin
@@ -859,29 +865,29 @@ def test_a_sparse_dense_and_empty_program() -> None:
     rng = np.random.default_rng(1)
     P, G = np.diag([1.0, 0.0, 2.0]), rng.normal(size=(4, 3))
     answers = [
-        judged_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR).solution
+        solve_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR).solution
         for wrap in (np.asarray, sp.csr_array)
     ]
     np.testing.assert_allclose(answers[0].objective, answers[1].objective, atol=1e-9)
     single = QuadraticProgram(np.zeros((1, 1)), [1.0], lower=-3.0)
-    assert judged_program(single, INTERIOR).solution.x.tolist() == [-3.0]
+    assert solve_program(single, INTERIOR).solution.x.tolist() == [-3.0]
 
 
 def test_rounding_does_not_make_a_program_nonconvex() -> None:
     """A row of P that is zero but for rounding errors is accepted; an eigenvalue of −1e-6 is refused by name."""
     P = np.array([[1.0, 0.0, 1e-17], [0.0, 1.0, 0.0], [1e-17, 0.0, 0.0]])
     program = QuadraticProgram(P, [-1.0, 0.0, 1.0], lower=[-5.0, -5.0, 0.0])
-    answer = judged_program(program, INTERIOR).solution
+    answer = solve_program(program, INTERIOR).solution
     np.testing.assert_allclose(answer.x, [1.0, 0.0, 0.0], atol=1e-9)
     with pytest.raises(UnsupportedModel, match="not convex"):
-        judged_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
+        solve_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
 
 
 def test_explain_tells_every_form_that_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no answer is good enough, the stages are those of all runs, each form and tolerance with its reason."""
     monkeypatch.setattr(QPSolution, "is_stationary", lambda _self, _tolerance=1e-6: False)
     program = QuadraticProgram(np.diag([0.0, 2.0]), [0.0, 0.0], A=[[1.0, -1.0]], b=[1.0], lower=[0.0, -INF])
-    result = judged_program(program)
+    result = solve_program(program)
     reasons = [stage.because.partition(";")[0] for stage in result.stages]
     assert "the KKT form of the program as it stands" in reasons
     assert "the KKT form of the program as it stands" in result.lcp_result.explain()
@@ -912,7 +918,7 @@ def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: fl
     problem = ComplementarityProblem(constraints)
     problem.solve(algorithm=INTERIOR, tolerance=1e-10)
     assert problem.status == "optimal"
-    answer = judged_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
+    answer = solve_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
     assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(answer.objective, rel=1e-8, abs=1e-8)
 
 

@@ -15,10 +15,11 @@ from lcp_plugin import solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, attempts, lcp_from_qp
+from lcp_plugin.problems.programs.definitions import Substitution
 from lcp_plugin.problems.programs.program_matrices import as_csr
-from lcp_plugin.problems.programs.qp_solution import QPSolution
-from lcp_plugin.problems.programs.reductions import substitute_definitions
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.reductions import FoldedRows
+from lcp_plugin.problems.programs.solution import QPSolution
+from lcp_plugin.problems.programs.solving import solve_program
 
 NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
 VECTORS = ("c", "h", "b", "lower", "upper")
@@ -73,8 +74,8 @@ def test_rows_that_contradict_their_bounds_come_and_go() -> None:
     first = QuadraticProgram(np.eye(2), [1.0, 1.0], G=[[1.0, 0.0], [-1.0, 0.0], [1.0, 1.0]], h=[1.0, 0.0, 5.0])
     assert lcp_from_qp(first).n == lcp_from_qp(afresh(first)).n
     crossed = first.with_vectors(h=[1.0, -2.0, 5.0])
-    assert lcp_from_qp(crossed).origin.rows.left.tolist() == [0, 1, 2]
-    assert lcp_from_qp(crossed.with_vectors(h=first.h)).origin.rows.left.tolist() == [2]
+    assert FoldedRows.of(crossed).left.tolist() == [0, 1, 2]
+    assert FoldedRows.of(crossed.with_vectors(h=first.h)).left.tolist() == [2]
     assert crossed.refutation() is not None
 
 
@@ -113,7 +114,7 @@ def test_definitions_are_put_in_exactly(density: float, mixed: bool, seed: int) 
         sp.csr_array(P[np.ix_(order, order)]), c[order], A=sp.csr_array(rows[:, order]), b=b,
         lower=np.where(order < n, -1.0, np.where(order < n + k, -np.inf, -5.0)),
     )
-    found = substitute_definitions(given)
+    found = Substitution.of(given)
     assert found is not None
     E = np.zeros((order.size, n + others))
     E[:n, :n], E[n : n + k, :n], E[n + k :, n:] = np.eye(n), A, np.eye(others)
@@ -126,7 +127,7 @@ def test_definitions_are_put_in_exactly(density: float, mixed: bool, seed: int) 
     )
     np.testing.assert_array_equal(found.reduced.c, (E.T @ (P @ f + c))[place])
     y = rng.integers(-3, 4, n + others).astype(float)
-    np.testing.assert_array_equal(found.expanded(y[place]), (E @ y + f)[order])
+    np.testing.assert_array_equal(found.point(y[place]), (E @ y + f)[order])
 
 
 def test_a_full_or_empty_array_is_compressed_as_scipy_does() -> None:
@@ -198,7 +199,7 @@ def test_long_definitions_stay_and_short_ones_are_put_in() -> None:
     program = QuadraticProgram(
         sp.csr_array(P), rng.standard_normal(lower.size), A=A, b=np.zeros(assets + factors), lower=lower
     )
-    found = substitute_definitions(program, saves_work=True)
+    found = Substitution.of(program, saves_work=True)
     assert found is not None
     assert (found.reduced.n, found.reduced.b.size) == (assets + factors, factors)
-    assert judged_program(program).solution.is_optimal()
+    assert solve_program(program).solution.is_optimal()

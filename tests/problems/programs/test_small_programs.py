@@ -17,9 +17,9 @@ from lcp_plugin.problems.programs import solving
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
 from lcp_plugin.problems.programs.kernels import dual_active_set, program_residuals
 from lcp_plugin.problems.programs.program import QuadraticProgram
-from lcp_plugin.problems.programs.qp_solution import QPSolution
 from lcp_plugin.problems.programs.small_programs import SmallAnswers, SmallPrograms
-from lcp_plugin.problems.programs.solving import judged_program
+from lcp_plugin.problems.programs.solution import QPSolution
+from lcp_plugin.problems.programs.solving import solve_program
 
 INF = np.inf
 MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
@@ -48,7 +48,7 @@ def test_answers_chosen_first_are_found(n: int, rows: int, equations: int, lacks
     """The value is the planted one, and so is x where P is positive definite; each measure bounds the program's own."""
     equations = min(equations, n - 1)
     program, x, value = planted(n, rows, equations, max(n - lacks, 0), seed)
-    result = judged_program(program)
+    result = solve_program(program)
     solution = result.solution
     assert solution.is_optimal()
     assert solution.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
@@ -64,12 +64,12 @@ def test_answers_chosen_first_are_found(n: int, rows: int, equations: int, lacks
 def test_an_option_that_is_none_is_not_there() -> None:
     """As in solve, limits of None are none."""
     program = planted(5, 4, 1, 5, 0)[0]
-    assert judged_program(program, max_iterations=None, max_seconds=None).solution.is_optimal()
+    assert solve_program(program, max_iterations=None, max_seconds=None).solution.is_optimal()
 
 
 def test_most_small_programs_take_the_compiled_call() -> None:
     """Of two hundred planted ones nearly all are solved there, within a dozen steps in the mean."""
-    results = [judged_program(planted(12, 8, 2, 12 - k % 3, k)[0]) for k in range(200)]
+    results = [solve_program(planted(12, 8, 2, 12 - k % 3, k)[0]) for k in range(200)]
     steps = [result.iterations for result in results if result.is_compiled]
     assert len(steps) >= 190
     assert np.mean(steps) <= 12
@@ -78,7 +78,7 @@ def test_most_small_programs_take_the_compiled_call() -> None:
 def test_its_result_is_that_of_a_complementarity_problem() -> None:
     """The result has z and w of the KKT form, whose certificate agrees; the explanation says what ran."""
     program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [1, 0]], h=[2, INF])
-    result = judged_program(program)
+    result = solve_program(program)
     solution = result.solution
     assert result.is_compiled
     assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)
@@ -87,7 +87,7 @@ def test_its_result_is_that_of_a_complementarity_problem() -> None:
     assert result.is_solved
     assert result.certificate.relative_residual <= 1e-14
     assert "dual active set" in result.explain()
-    assert "interior_point" in judged_program(program, "interior_point").explain()
+    assert "interior_point" in solve_program(program, "interior_point").explain()
     assert result.to_content()["status"] == "SOLVED"
 
 
@@ -95,7 +95,7 @@ def test_its_result_is_that_of_a_complementarity_problem() -> None:
 def test_who_watches_sees_every_step(wish: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     """A log, a record and a callback are of steps taken one by one."""
     program, _, value = planted(6, 4, 1, 6, 3)
-    result = judged_program(program, **wish)
+    result = solve_program(program, **wish)
     solution = result.solution
     assert not result.is_compiled
     assert solution.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
@@ -113,17 +113,28 @@ def test_who_watches_sees_every_step(wish: dict[str, Any], capsys: pytest.Captur
 def test_what_has_no_answer_gets_none(data: dict[str, Any], status: str) -> None:
     """Infeasible and unbounded programs end with their proof, as larger ones do."""
     program = QuadraticProgram(**data)
-    result = judged_program(program)
+    result = solve_program(program)
     solution = result.solution
     assert not result.is_solved
     assert solution.status == status
     assert program.refutation() is not None
 
 
+@pytest.mark.parametrize(("h", "b", "status"), [
+    ([], [0.0, 0.0], Status.SOLVED), ([2.0], [0.0], Status.SOLVED), ([], [1.0], Status.INFEASIBLE),
+    ([-1.0], [0.0], Status.INFEASIBLE), ([9.0, 0.0, -7.0, 2.0], [7.0], Status.INFEASIBLE),
+])
+def test_a_program_without_unknowns_is_what_its_rows_say(h: list[float], b: list[float], status: Status) -> None:
+    """All variables of a file may be fixed: 0 = 0 and 0 <= 2 hold, 0 = 1 and 0 <= -1 are proved not to."""
+    rows = [np.zeros((len(right), 0)) for right in (h, b)]
+    program = QuadraticProgram(np.zeros((0, 0)), np.zeros(0), rows[0], h, rows[1], b)
+    assert solve_program(program).status is status
+
+
 def test_numbers_far_from_one_are_solved_in_their_own_units() -> None:
     """Products that would overflow are not formed."""
     program = QuadraticProgram([[2e200, 0], [0, 2e200]], [-2e200, 2e200], lower=0)
-    result = judged_program(program)
+    result = solve_program(program)
     solution = result.solution
     assert result.is_solved
     assert solution.x.tolist() == pytest.approx([1.0, 0.0])
@@ -135,7 +146,7 @@ def test_a_program_and_its_complementarity_problem_agree() -> None:
     for k in range(60):
         program, _, value = planted(8, 6, 2, 8 - k % 4, k)
         A = np.vstack([program.A, program.A.sum(axis=0), rng.standard_normal((8 * (k % 2), 8))])
-        x = judged_program(program).solution.x
+        x = solve_program(program).solution.x
         redundant = QuadraticProgram(
             program.P, program.c, np.vstack([program.G, program.G]), np.append(program.h, program.h),
             A, A @ x, program.lower, program.upper,
@@ -181,7 +192,7 @@ def test_what_memory_held_before_changes_no_answer(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(dual_active_set, "run", np.errstate(all="ignore")(dual_active_set.run.py_func))
     monkeypatch.setattr(np, "empty", filled)
-    result = judged_program(program)
+    result = solve_program(program)
     solution = result.solution
     assert result.is_compiled
     assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)
@@ -202,7 +213,7 @@ def test_what_memory_held_before_changes_no_answer(monkeypatch: pytest.MonkeyPat
 def test_what_is_wrong_is_refused_before_anything_is_solved(wish: dict[str, Any], words: str) -> None:
     """A wrong option is no less wrong for a small program."""
     with pytest.raises(LCPError, match=words):
-        judged_program(planted(5, 3, 1, 5, 2)[0], **wish)
+        solve_program(planted(5, 3, 1, 5, 2)[0], **wish)
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
@@ -213,7 +224,7 @@ def test_a_small_cost_and_a_far_bound_hide_nothing(algorithm: str, cost: float, 
         np.diag([1.0, 0.0]), [-1.0, cost], G=[[1.0, 1.0]], h=[50.0], lower=[-1.0, -far], upper=1.0
     )
     value = -0.5 - cost * far
-    solution = judged_program(program, algorithm).solution
+    solution = solve_program(program, algorithm).solution
     assert solution.status != "optimal" or solution.objective == pytest.approx(value, rel=2e-6)
     batch = solve_batch(QuadraticProgramBatch(program.P, [program.c] * 2, program.G, program.h, lower=program.lower,
                                               upper=program.upper))
@@ -228,20 +239,20 @@ def test_ctrl_c_ends_in_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(solving, "settled_at_once", interrupted)
-    result = judged_program(planted(5, 3, 1, 5, 2)[0])
+    result = solve_program(planted(5, 3, 1, 5, 2)[0])
     assert result.status.name == "INTERRUPTED"
 
 
 def test_a_result_can_be_replaced_pickled_and_given_a_start() -> None:
     """As any other result; z0 is a start, of which the compiled call knows nothing."""
     program, _, value = planted(5, 3, 1, 5, 2)
-    result = judged_program(program)
+    result = solve_program(program)
     solution = result.solution
     assert result.is_compiled
     other = dataclasses.replace(result, algorithm="mine")
     assert other.algorithm == "mine"
     assert other.z.tolist() == pickle.loads(pickle.dumps(result)).z.tolist() == result.z.tolist()
-    again = judged_program(program, z0=result.z)
+    again = solve_program(program, z0=result.z)
     found = again.solution
     assert found.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
     assert solution.is_optimal()
@@ -251,7 +262,7 @@ def test_a_smaller_tolerance_gives_no_worse_answer() -> None:
     """What the compiled call finds is kept where it meets the program's own criterion at that tolerance."""
     program, _, _ = planted(40, 30, 3, 40, 8)
     for tolerance in (1e-9, 1e-11, 1e-13):
-        result = judged_program(program, tolerance=tolerance)
+        result = solve_program(program, tolerance=tolerance)
         solution = result.solution
         assert result.is_compiled
         assert solution.is_optimal(result.goal)

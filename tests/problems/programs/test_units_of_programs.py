@@ -12,8 +12,9 @@ from campaigns import convex_programs, programs_in_units
 
 from lcp_plugin import QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
-from lcp_plugin.problems.programs.qp_solution import QPSolution
-from lcp_plugin.problems.programs.reductions import fold_simple_rows, substitute_definitions
+from lcp_plugin.problems.programs.definitions import Substitution
+from lcp_plugin.problems.programs.reductions import FoldedRows
+from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
 
 NAMES = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
@@ -136,7 +137,7 @@ def test_smaller_programs_keep_the_units_of_unknowns() -> None:
         np.diag([0.0, 0.0, 0.0, 1.0]), np.ones(4), G=sp.csr_array(np.eye(1, 4)), h=[3.0], A=sp.csr_array(rows),
         b=[1.0, 2.0, 1.0],
     )
-    folded, put_in = fold_simple_rows(program).folded, substitute_definitions(program)
+    folded, put_in = FoldedRows.of(program).reduced, Substitution.of(program)
     assert not program.units.are_the_users
     assert folded is not program
     assert folded.units.unknown.tolist() == program.units.unknown.tolist()

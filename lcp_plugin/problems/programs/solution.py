@@ -13,8 +13,8 @@ from ...core.errors import InvalidOption, InvalidProblem
 from .criterion import Errors
 
 if TYPE_CHECKING:
+    from .no_minimum import QPInfeasibility, QPUnboundedness
     from .program import QuadraticProgram
-    from .qp_proofs import QPInfeasibility, QPUnboundedness
 
 MEANINGS = {  # in units of the data, but the last
     "primal_residual": "by how much x violates a constraint",

@@ -10,25 +10,33 @@ are fitted to each other (Curtis, Reid; :mod:`lcp_plugin.core.matrix.units`), ex
 A and P, or b, c and bounds beside them, are of sizes that differ by more than 2⁸ on average. The column of b, c and
 bounds says how large unknowns are. Where these exponents lie within 2⁸ of each other all unknowns get the one in their
 middle: multigrid interpolates what is constant in one unit, and an elastic body in newtons and metres is one grid.
+
+Where numbers are far from 1, the program is solved in its own units (`Rescaled`), and its answer brought back as that
+of a step of a reduction is.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, assembled, read_only
 from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.structure import row_numbers
 from ...core.matrix.units import ALIKE, NOISE, fitted_columns
-from .program_matrices import or_one, vertically
+from ...methods.presolve import like
+from .program_matrices import ProgramMatrices, as_csr, or_one, vertically
+from .reductions import Step
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 ROUNDING = -44.0  # log2: limits so small beside the largest one, or beside 1, are rounding
 MOST = 900  # no exponent is larger in size
+FAR = 16  # log2 of an objective, or of a row's coefficients: linear programs and pivots have tolerances of their own
 
 
 class OwnUnits(NamedTuple):
@@ -74,8 +82,14 @@ class OwnUnits(NamedTuple):
 
     def of_rows(self, left: Any) -> OwnUnits:
         """Return those of the same program with these of its rows, the others put into its bounds."""
-        n = self.unknown.size
-        return self._replace(coefficient=np.concatenate([self.coefficient[left], self.coefficient[-2 * n :]]))
+        bounds = self.coefficient[self.coefficient.size - 2 * self.unknown.size :]  # none without unknowns
+        return self._replace(coefficient=np.concatenate([self.coefficient[left], bounds]))
+
+    def of_unknowns_left(self, left: Any) -> OwnUnits:
+        """Return those of the same program in these of its unknowns, the others put in."""
+        rows = self.coefficient[: -2 * self.unknown.size]
+        unknown = self.unknown[left]
+        return self._replace(coefficient=np.concatenate([rows, unknown, unknown]), unknown=unknown)
 
 
 def objective_sizes(c: Any, diagonal: Any) -> Any:
@@ -197,3 +211,76 @@ def _fitted(program: QuadraticProgram) -> Any:
         unknown += np.int64(np.floor(size)) - np.int64(np.floor(unknown.mean()))
     unknown = np.clip(unknown, -MOST, MOST)
     return unknown if np.abs(unknown).max(initial=0) > ALIKE else None
+
+
+@dataclass(frozen=True, eq=False)
+class Rescaled(Step):
+    """A program in its own units: powers of two, so that no number is rounded.
+
+    Attributes
+    ----------
+    program, reduced : QuadraticProgram
+        As it was stated, and in its own units.
+    of_x, of_multipliers : ndarray, shapes (n,) and (m + p + 2n,)
+        What x and the multipliers of the latter are multiplied by.
+    of_rows : ndarray, shape (m + p + 2n,)
+        What its rows were divided by.
+    """
+
+    of_x: FloatVector
+    of_multipliers: FloatVector
+    of_rows: FloatVector
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> Rescaled | None:
+        """Return that of a program; None where its numbers are near 1 as they are.
+
+        None, too, where it has bounds alone and a positive diagonal of P: a complementarity problem in any unit.
+        """
+        if program.matrices.sizes[:2] == (0, 0) and (program.P.diagonal() > 0.0).all():
+            return None
+        coefficient, unknown, objective, _, are_the_users = program.units
+        rows = np.ldexp(1.0, np.frexp(coefficient)[1] - 1)
+        far = 2.0**FAR
+        of_matrices = rows[: program.constraints.rows]
+        is_near = 1.0 / far <= objective <= far and of_matrices.max(initial=1.0) <= far
+        if are_the_users and is_near and of_matrices.min(initial=1.0) >= 1.0 / far:
+            return None
+        m, p = program.matrices.sizes[:2]
+        with np.errstate(over="ignore", under="ignore"):
+            matrices = ProgramMatrices(
+                _scaled(program.P, unknown / objective, unknown), _scaled(program.G, 1.0 / rows[:m], unknown),
+                _scaled(program.A, 1.0 / rows[m : m + p], unknown),
+            )
+            vectors = (program.c * unknown / objective, program.h / rows[:m], program.b / rows[m : m + p],
+                       program.lower / unknown, program.upper / unknown)
+        stored = [as_csr(one).data for one in (matrices.P, matrices.G, matrices.A)]
+        if not np.isfinite(np.concatenate([*stored, vectors[0], vectors[2]])).all() or np.isnan(vectors[1]).any():
+            return None
+        made = program.with_matrices(matrices, *map(read_only, vectors))
+        made.__dict__.update(asymmetry=0.0, ranges=None, rescaled=None)
+        return cls(program, made, unknown, objective / rows, rows)
+
+    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return x and multipliers in the program's own units."""
+        return x / self.of_x, multipliers / self.of_multipliers
+
+    def point(self, x: Any, *, is_direction: bool = False) -> Any:
+        """Return x in the units in which the program was stated."""
+        return x * like(self.of_x, x)
+
+    def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
+        """Return multipliers likewise; of those that contradict each other the size of no objective is a part."""
+        return reduced * (like(1.0 / self.of_rows, reduced) if x is None else self.of_multipliers)
+
+    def proof(self, found: Any) -> Any:
+        """Return the same proof of the given program; where a radius is too small in its units, the one in its own."""
+        return super().proof(found) or found
+
+
+def _scaled(matrix: Any, rows: FloatVector, columns: FloatVector) -> Any:
+    """Return diag(rows) · matrix · diag(columns), of the same kind."""
+    if not sp.issparse(matrix):
+        return read_only(matrix * rows[:, np.newaxis] * columns)
+    data = matrix.data * rows[row_numbers(matrix)] * columns[matrix.indices]
+    return assembled(data, matrix.indices, matrix.indptr, matrix.shape)

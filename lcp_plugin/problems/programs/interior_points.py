@@ -9,12 +9,12 @@ from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over
 from ...core.solving.result import StageRecord
 from ...methods.interior.interior_point import InteriorPoint, points
-from .compiled_call import Found
 from .conversion import Attempt, attempts
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
+from .no_minimum import QPInfeasibility, QPUnboundedness
 from .program import QuadraticProgram
-from .qp_proofs import QPInfeasibility, QPUnboundedness
+from .small_programs import Found
 
 BECAUSE = "solves the optimality (KKT) conditions by steps that keep strictly inside the inequalities"
 AGAIN = "the active set of an earlier answer"

@@ -58,7 +58,8 @@ def main(out: Path = Path()) -> None:
               f"speeds {np.linalg.norm(found, axis=1).max() / expected - 1.0:+.1%} at the most")
     left.plot(np.degrees(directions), aside, color="black", label="cone")
     right.plot(np.degrees(directions), speeds / expected, color="black")
-    left.set(xlabel="direction of the fall (degrees)", ylabel="drift from gravity (degrees)", title="Which way it slides")
+    left.set(xlabel="direction of the fall (degrees)", ylabel="drift from gravity (degrees)",
+             title="Which way it slides")
     right.set(xlabel="direction of the fall (degrees)", ylabel="speed ÷ closed form", title="How fast")
     left.legend()
     figure.savefig(out / "sliding_along_gravity.png", dpi=150)

@@ -81,5 +81,5 @@ def _pile(count: int, steps: int) -> str:
         result = solve(problem, z0=result.z)
         seconds.append(time.perf_counter() - began)
         unsolved += not result.is_solved
-    return f"a shaken pile of {count} contacts, {steps} steps: {1e3 * statistics.median(seconds):.2f} ms a warm step, " \
-           f"{max(seconds):.2g} s at the most, {unsolved} unsolved"
+    return (f"a shaken pile of {count} contacts, {steps} steps: {1e3 * statistics.median(seconds):.2f} ms a warm step, "
+            f"{max(seconds):.2g} s at the most, {unsolved} unsolved")

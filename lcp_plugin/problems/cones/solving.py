@@ -20,8 +20,8 @@ from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_
 from ...core.kernels.threads import threads_for
 from ...core.policy.choice import Policy, Single
 from ...core.policy.stages import Choice, Stage
-from ...core.settings import PROVEN, Settings, Status, checked_callback
-from ...core.solving.judge import Judge
+from ...core.settings import Settings, Status, checked_callback
+from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result, told_stages
 from ...core.solving.run import Callback, Run
 from ...core.written import in_words
@@ -33,7 +33,7 @@ from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
-LONG = 500  # sweeps a step, of those that nothing cuts short
+LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
 STARTS, LAST_STARTS = (1, 2, 3, 4), tuple(range(5, 17))
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
@@ -92,7 +92,7 @@ def solve_cones(
         try:
             reason = run.drive(start, policy.first(problem))  # type: ignore[arg-type]
         except KeyboardInterrupt:
-            reason = Status.INTERRUPTED
+            reason = End.INTERRUPTED
         return ConeResult.of(problem, run.judged(start, reason))
 
 
@@ -140,8 +140,10 @@ class ConeAuto(Policy):
         """Return the next stage where one has come to its end, or where sweeps need more work than Newton."""
         stage = stages[-1]
         if not failed:
-            if getattr(stage.algorithm, "sweeps", LONG) >= LONG or stage.iterations < TRIAL:
+            if stage.algorithm.name != "npgs" or stage.iterations < TRIAL:
                 return None
+            if stage.algorithm.sweeps >= LONG:  # type: ignore[attr-defined]
+                return next(self._left, None) if stage.iterations >= LONG_STEPS else None
             left = stage.steps_to_go(goal) * 11.0 * self._problem.nonzeros
             if left <= self._newton_operations(stage):
                 return None
@@ -214,17 +216,6 @@ class ConeJudge(Judge):
         """Return z with z° in the parts that z° answers."""
         answered = criterion_of(self.problem).answered
         return z if answered is None else np.where(answered, self.problem.nearest_to_zero, z)
-
-    def verdict(self, certificate: Certificate, reason: Status, *, is_chain: bool) -> Status:
-        """Return the status: what the certificate proves, or else why the run ended."""
-        if certificate.meets(self.settings):
-            return Status.SOLVED
-        if reason in PROVEN:
-            return reason
-        if certificate.is_limited_by_rounding:
-            return Status.PRECISION_LIMIT
-        is_unfounded = reason in (Status.SOLVED, Status.PRECISION_LIMIT, Status.DIVERGED)
-        return Status.STALLED if is_unfounded else reason
 
 
 @dataclass(frozen=True, eq=False, repr=False)

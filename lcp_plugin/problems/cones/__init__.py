@@ -1,7 +1,8 @@
 """Complementarity over cones, and contact with friction as it is; here, what takes these kinds.
 
 `data` states the problems and checks them, `certificate` judges an answer, `methods` has the iterations and `kernels`
-their loops, `solving` chains them, `files` reads and writes.
+their loops, `infeasibility` proves that there is no answer, `solving` chains them, `derivative` differentiates an
+answer, `files` reads and writes.
 """
 
 from typing import Any

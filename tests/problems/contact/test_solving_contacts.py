@@ -13,8 +13,10 @@ from contact_families import FAMILIES, falling, planted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import lcp_plugin.methods.small.small_dense as small_dense
 from lcp_plugin import LCP, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin.methods.small.kernels.workspace import shapes
 from lcp_plugin.problems.contact import Contacts, contact_data
 
 SIZES = st.sampled_from([(1, 1), (2, 1), (4, 2), (6, 1), (8, 4)])
@@ -85,8 +87,20 @@ def test_contacts_are_known_by_the_order_of_their_rows(tmp_path: Path) -> None:
     unit = np.where(np.arange(q.size) < 4, 4.0, 1.0)
     assert rounds_alone(LCP(unit[:, None] * M * unit, unit * q))
     assert rounds_alone(problem_of(contact_data(data.W, 0.5, data.velocities, directions=8)))
-    plane = contact_data(np.eye(4), 0.5, [[-1.0, 0.3], [-1.0, 0.9]])
-    assert rounds_alone(problem_of(plane))
+    assert rounds_alone(problem_of(contact_data(np.eye(4), 0.5, [[-1.0, 0.3], [-1.0, 0.9]])))
+
+
+@pytest.mark.parametrize("content", [0, 1, 2])
+def test_edges_without_friction_do_not_stick(content: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One contact on ice slips, whatever the workspace held before: rounds, and no pivots."""
+    def workspace(n: int) -> tuple[Any, Any, Any]:
+        real, whole, room = shapes(n)
+        return np.full(real, np.nan), np.full(whole, content), np.full(room, np.nan)
+
+    monkeypatch.setattr(small_dense, "new_workspace", workspace)
+    problem = LCP.from_contacts(np.eye(3), 0.0, [[-1.0, 0.3, 0.2]])
+    assert rounds_alone(problem)
+    assert problem.origin.recover(solve(problem)).slip.round(9).tolist() == [[0.3, 0.2]]
 
 
 def _without_an_edge(M: Any, q: Any) -> LCP:

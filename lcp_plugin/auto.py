@@ -65,7 +65,7 @@ from numpy.typing import ArrayLike
 
 from .algorithms import REGISTRY, create
 from .core.algorithm import Algorithm, in_driven_sweeps
-from .core.certificates.criterion import CommonUnits
+from .core.certificates.criterion import CommonScaling
 from .core.checks import checked_start
 from .core.crossovers import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO
 from .core.deadline import Clock
@@ -397,13 +397,13 @@ def solve_lcp(
         )
 
 
-def _judge_of(units: CommonUnits, settings: Settings) -> Judge:
+def _judge_of(scaling: CommonScaling, settings: Settings) -> Judge:
     """Return the judge of an LCP; where the error is asked for, one that bounds it."""
     if not (settings.error_bound or settings.is_on_error):
-        return Judge(units, settings)
+        return Judge(scaling, settings)
     from .proofs.bounds.error_judge import ErrorJudge
 
-    return ErrorJudge(units, settings)
+    return ErrorJudge(scaling, settings)
 
 
 def _warn(problem: LCP, policy: Policy) -> None:

@@ -5,7 +5,7 @@ Read it in this order:
 1. ``errors``, ``checks``, ``settings``: what is refused, what may be asked, how a run may end (``Status``).
 2. ``matrix`` and ``lcp``: M with its facts, each computed once; the problem. ``rounding`` and ``communicator`` are what
    they stand on: margins of rounding, and who holds the other rows (here: nobody).
-3. ``certificates``: the residual of z, rounding included, in which units, and what it is compared with: the criterion.
+3. ``certificates``: the residual of z, rounding included, after which scaling, beside what: the criterion.
 4. ``algorithm`` and ``splittings``: what an algorithm is, and the sweeps of the paper and their relatives, with their
    loops in ``kernels``.
 5. ``solving``: ``driver`` begins a run, ``run`` drives it, ``judge`` says when it is done, ``result`` what is given

@@ -140,9 +140,9 @@ class Algorithm(ABC):
 
     @property
     def takes_scaled(self) -> bool:
-        """Whether the iteration may run in the units that M shows; otherwise it sees the caller's matrix.
+        """Whether the iteration may run in the scaling that M needs; otherwise it sees the caller's matrix.
 
-        True of what these units do not change, and of what they help: factorisations, pivots, interior points.
+        True of what scaling does not change, and of what it helps: factorisations, pivots, interior points.
         """
         return True
 

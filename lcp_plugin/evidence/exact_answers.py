@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.certificates.criterion import RowUnits, rounding_of_data
+from ..core.certificates.criterion import RowScaling, rounding_of_data
 from ..core.certificates.row_residuals import scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import UnsuitableProblem
 from ..core.lcp import LCP
-from ..core.matrix.units import scaled
+from ..core.matrix.scaling import scaled
 from ..core.rounding import compensated_product
 from ..core.settings import Status
 from ..core.solving.result import Result
 from ..proofs.exact.linear_systems import solved_nearby
 from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution, power_of_two, rational_rows
 from ..proofs.no_solution.refutation import exactly_weighted
-from ..systems.equilibration import evened
+from ..systems.equilibration import equilibrating_exponents
 
 Answer = tuple[Fraction, ...]
 States = list[int]
@@ -82,7 +82,7 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     z = [Fraction(float(ends[state][i])) for i, state in enumerate(states)]
     is_free = [state == FREE for state in states]
     right = [-w for w, free in zip(exact_slack(problem, z), is_free, strict=True) if free]
-    column = evened(problem.csr, ALIKE).column
+    column = equilibrating_exponents(problem.csr, ALIKE).column
     rows = [
         {j: entry * power_of_two(int(column[j])) for j, entry in row.items() if is_free[j]}
         for row, free in zip(rational_rows(problem.csr), is_free, strict=True) if free
@@ -153,7 +153,7 @@ def condition_of_answer(problem: LCP, exact: Answer, unit: FloatVector) -> float
 
 def _condition(problem: LCP, exact: Answer, unit: FloatVector, free: Any) -> float:
     rows = np.flatnonzero(free)
-    exponents = row, column = evened(problem.csr, ALIKE)
+    exponents = row, column = equilibrating_exponents(problem.csr, ALIKE)
     sizes = problem.csr.copy()
     sizes.data = _ulps(sizes.data)
     M = scaled(problem.csr, exponents)
@@ -261,8 +261,8 @@ def lie_in(result: Result, exact: Answer | None) -> str:
 
     Notes
     -----
-    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖ in a part, both exact, a PRECISION_LIMIT with a
-    row that rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is
+    A lie is a SOLVED whose exact residual exceeds tolerance · ‖r(z°)‖ in a component, both exact, a PRECISION_LIMIT
+    with a row that rounding does not explain, a proof of no solution where there is one, a rigorous error bound that is
     exceeded, and a z that is not finite or not within its bounds.
     """
     problem, z = result.certificate.problem, result.z
@@ -298,8 +298,8 @@ def _lie_about_residual(result: Result) -> str:
 
 
 def _references(problem: LCP, at_zero: Sequence[Any]) -> list[Any]:
-    """Return the largest value of the part of each row."""
-    from scipy.sparse.csgraph import connected_components  # not our own parts, which are judged here
+    """Return the largest value of the component of each row."""
+    from scipy.sparse.csgraph import connected_components  # not our own components, which are judged here
 
     pattern = sp.csr_array((np.ones(problem.csr.nnz), problem.csr.indices, problem.csr.indptr), shape=problem.csr.shape)
     labels = connected_components(pattern, directed=True, connection="weak")[1].tolist()
@@ -312,7 +312,7 @@ def _references(problem: LCP, at_zero: Sequence[Any]) -> list[Any]:
 def _is_surely_solved(result: Result) -> bool:
     """Return whether bounds of the exact residuals already prove the tolerance; False says nothing."""
     problem = result.certificate.problem
-    if RowUnits.of(problem) is not None:
+    if RowScaling.of(problem) is not None:
         return False
     _, above = _residual_bounds(problem, result.z)
     below, _ = _residual_bounds(problem, problem.nearest_to_zero)

@@ -46,13 +46,13 @@ from ..core.crossovers import (
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
-from ..core.matrix.units import Exponents, scaled
+from ..core.matrix.scaling import Exponents, scaled
 from ..core.policy.stages import Choice, Stage
 from ..core.splittings.projected_relaxation import PSOR
 from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
 from .interior.interior_point import InteriorPoint
-from .lemke import Lemke, has_parts_that_fit
+from .lemke import Lemke, has_components_that_fit
 from .newton.condensed import Condensed, condensing_passes
 from .newton.semismooth_newton import Newton
 from .presolve import presolve
@@ -254,7 +254,7 @@ def _too_large(problem: LCP, left: LCP, *, is_kkt: bool) -> dict[str, str]:
     found = {}
     if problem.n > LINEAR_PROGRAM_UP_TO:
         found["feasibility"] = _up_to("a look for a proof that there is no solution", LINEAR_PROGRAM_UP_TO, problem)
-    if not has_parts_that_fit(left):
+    if not has_components_that_fit(left):
         found["lemke"] = _up_to("lemke", PIVOTED_UP_TO, left)
     if not (is_kkt or left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
         found |= {name: f"{name} (a factor of M is predicted to be too large)" for name in ("newton", "interior_point")}

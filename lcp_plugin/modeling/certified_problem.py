@@ -106,7 +106,7 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
     x = reduced.values(problem, proofs)
     proved = Proved(
         (value - rounding, value + rounding), violation, proofs.own_lower, proofs.upper(*([] if x is None else [x])),
-        tolerance, reduced.program.units.objective,
+        tolerance, reduced.program.scaling.objective,
     )
     complaint = "" if x is None else _dual_error(problem, reduced, x, tolerance)
     if x is None:  # nothing can be said of an x that the program does not show
@@ -125,9 +125,9 @@ def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance
     if any(dual is None for dual in duals.values()):
         return ""
     size = max((float(np.abs(dense_value(dual)).max(initial=0.0)) for dual in duals.values()), default=0.0)
-    y, units = reduced.multipliers(duals), reduced.program.units
+    y, scaling = reduced.multipliers(duals), reduced.program.scaling
     if y is not None and y.size:
-        size = max(size, units.objective / float(units.coefficient[: y.size].max()))
+        size = max(size, scaling.objective / float(scaling.coefficient[: y.size].max()))
     for constraint in problem.constraints:
         least = float(dense_value(duals[constraint.id]).min(initial=0.0))
         if isinstance(constraint, INEQUALITIES) and least < -LOOSE * tolerance * size:
@@ -232,7 +232,7 @@ class ReducedProblem:
             )
             s = s + matrix[added].T @ found
             terms.append(abs(matrix[added]).T @ np.abs(found))
-        unit = program.units.objective / program.units.unknown
+        unit = program.scaling.objective / program.scaling.unknown
         excess = np.abs(s) - LOOSE * tolerance * (unit + np.max(terms, axis=0))
         return float(np.abs(s[excess > 0.0]).max(initial=0.0))
 

@@ -29,9 +29,9 @@ verdict stays undecided and a bound may be an estimate.
 tried as often as the run can afford it. ``tolerance_on="error"``: SOLVED means that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is
 proved; a matrix that allows no rigorous bound is refused before the first step.
 
-**Units.** Units of rows change no residual. The unknowns keep the units that they are given in, unless an entry of M is
-more than 2⁴ times the diagonal entry of its row and sizes differ by more than 2¹⁰: then SOLVED speaks of the residual
-in others, exact powers of two. Formula, and what the criterion cannot see:
+**Scaling.** Units of rows change no residual. The unknowns keep the units that they are given in, unless an entry of M
+is more than 2⁴ times the diagonal entry of its row and sizes differ by more than 2¹⁰: then SOLVED speaks of the
+residual of the scaled problem, by exact powers of two. Formula, and what the criterion cannot see:
 ``help("lcp_plugin.core.certificates.criterion")``.
 
 **Without a bound.** SOLVED speaks of the residual; on stiff data a small one can go with a larger error in z.

@@ -16,9 +16,9 @@ import scipy.sparse as sp
 from ..core.checks import BoolVector, FloatVector
 from ..core.errors import InvalidProblem
 from ..core.matrix.matrix import Matrix, fact
+from ..core.matrix.scaling import Exponents, scaled, times_power
 from ..core.matrix.structure import row_numbers
 from ..core.matrix.symmetry import is_symmetric_entrywise
-from ..core.matrix.units import Exponents, scaled, times_power
 from ..core.rounding import compensated_product, lower_end, upper_end
 from .equilibration import scaling_exponents
 from .factors import diagonal_pivot_factor, factor_fits, solver_of

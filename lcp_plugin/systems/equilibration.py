@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import FloatVector
+from ..core.matrix.scaling import Exponents, fitted
 from ..core.matrix.structure import IntVector, row_numbers
-from ..core.matrix.units import Exponents, fitted
 
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
 DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
@@ -67,7 +67,7 @@ def unit_diagonal(diagonal: FloatVector) -> Exponents:
     return Exponents(half, half)
 
 
-def evened(M: Any, aims: Sequence[float], most: float = np.inf) -> Exponents:
+def equilibrating_exponents(M: Any, aims: Sequence[float], most: float = np.inf) -> Exponents:
     """Return powers of two that bring the entries of a CSR array near 1, rows and columns in turn.
 
     Parameters

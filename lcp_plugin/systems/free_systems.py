@@ -12,9 +12,9 @@ import scipy.sparse as sp
 from ..core.checks import BoolVector, FloatVector
 from ..core.crossovers import DIRECT_UP_TO
 from ..core.matrix.matrix import Matrix
+from ..core.matrix.scaling import Exponents, scaled, scaling_of, times_power
 from ..core.matrix.symmetry import has_symmetric_entries
-from ..core.matrix.units import Exponents, scaled, times_power, units_of
-from .equilibration import evened, unit_diagonal
+from .equilibration import equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .graph import bandwidth
 from .least_norm import pseudo_inverses
@@ -30,8 +30,8 @@ KRYLOV_STEPS = 60
 CONVERGED = 1e-9  # beyond, what the steps have left says that they do not converge, unless it is rounding
 ROUNDING = 2.0**-44  # of the terms of a row
 SINGULAR = 1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
-UNEVEN = 1e4  # residual scales that differ by more are evened out before a factor is made
-EVENED_BY = (0.5, 0.5, 0.5, 0.5, 1.0)  # passes that bring a block's entries near 1, as `evened` takes them
+BADLY_SCALED = 1e4  # residual scales that differ by more are equilibrated before a factor is made
+EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
 
 
 class FreeSystem:
@@ -118,7 +118,7 @@ class FreeSystem:
         """
         right, start = right[self.rows], start[self.rows]
         if self._factor is not None:
-            steps = REFINEMENTS if self._is_uneven else 1
+            steps = REFINEMENTS if self._is_badly_scaled else 1
             return self._extended(self._solved(self._factor, right, steps, scale=self._scale))
         attempts = []
         if self._ridge is not None:
@@ -139,24 +139,24 @@ class FreeSystem:
         if factor is None:
             raise ValueError("the block is singular: ask is_singular first")
         self.work += factor.solve_work * (right.shape[1] if right.ndim == 2 else 1)
-        if right.ndim == 2 and self._is_uneven:  # whose rows and columns are scaled one right-hand side at a time
+        if right.ndim == 2 and self._is_badly_scaled:  # whose rows and columns are scaled one right-hand side at a time
             return np.column_stack([factor.solve(np.ascontiguousarray(column)) for column in right.T])
         x: FloatVector = factor.solve(right)
         return x
 
     @cached_property
     def pseudo_inverse(self) -> Any | None:
-        """The Moore–Penrose inverse of a block of at most 500 rows in the units of M, shape (|F|, |F|).
+        """The Moore–Penrose inverse of a block of at most 500 rows, of scaled M, shape (|F|, |F|).
 
         None for more rows, and where those of M are spread over ranks.
         """
         if self.rows.size > LEAST_SQUARES_UP_TO or not self.matrix.communicator.is_alone:
             return None
-        units, rows = units_of(self.matrix), self.rows
-        if units is None:
+        scaling, rows = scaling_of(self.matrix), self.rows
+        if scaling is None:
             return pseudo_inverses(self._dense_block[np.newaxis])[0][0]
-        balanced = FreeSystem(units.matrix, self.free).pseudo_inverse
-        return scaled(balanced, Exponents(units.column[rows], units.row[rows]))
+        balanced = FreeSystem(scaling.matrix, self.free).pseudo_inverse
+        return scaled(balanced, Exponents(scaling.column[rows], scaling.row[rows]))
 
     @cached_property
     def determined_slack(self) -> BoolVector | None:
@@ -176,9 +176,9 @@ class FreeSystem:
             return np.ones(self.rows.size, np.bool_)
         if self.pseudo_inverse is None:
             return np.zeros(self.rows.size, np.bool_)
-        units = units_of(self.matrix)
-        if units is not None:
-            return FreeSystem(units.matrix, self.free).determined
+        scaling = scaling_of(self.matrix)
+        if scaling is not None:
+            return FreeSystem(scaling.matrix, self.free).determined
         left = self.pseudo_inverse @ self.block - np.eye(self.rows.size)
         determined: BoolVector = np.abs(left).max(axis=1) <= CONSISTENT
         return determined
@@ -235,8 +235,8 @@ class FreeSystem:
         return self.matrix.residual_scale[self.rows]
 
     @property
-    def _is_uneven(self) -> bool:
-        return bool(self._scale.size and self._scale.max() > UNEVEN * self._scale.min())
+    def _is_badly_scaled(self) -> bool:
+        return bool(self._scale.size and self._scale.max() > BADLY_SCALED * self._scale.min())
 
     @property
     def _dense_block(self) -> Any:
@@ -253,27 +253,30 @@ class FreeSystem:
         Pivots that are large only by their unit would be preferred to those on the diagonal, and fill in.
         """
         is_symmetric, band = is_nearly_symmetric(self.matrix), bandwidth(self.matrix)
-        if not self._is_uneven:
+        if not self._is_badly_scaled:
             return factorise(block, is_symmetric=is_symmetric, bandwidth=band)
         is_symmetric = is_symmetric and bool((block.diagonal() > 0.0).all())
-        by = unit_diagonal(block.diagonal()) if is_symmetric else evened(sp.csr_array(block), EVENED_BY)
-        even = factorise(scaled(block, by), is_symmetric=is_symmetric, bandwidth=band)
-        if even is None:
+        if is_symmetric:
+            by = unit_diagonal(block.diagonal())
+        else:
+            by = equilibrating_exponents(sp.csr_array(block), EQUILIBRATING_PASSES)
+        balanced = factorise(scaled(block, by), is_symmetric=is_symmetric, bandwidth=band)
+        if balanced is None:
             return None
-        solve, solve_transposed = even.solve, even.solve_transposed
+        solve, solve_transposed = balanced.solve, balanced.solve_transposed
         return replace(
-            even, solve=lambda right: times_power(solve(times_power(right, by.row)), by.column),
+            balanced, solve=lambda right: times_power(solve(times_power(right, by.row)), by.column),
             solve_transposed=lambda right: times_power(solve_transposed(times_power(right, by.column)), by.row),
         )
 
     def _cancels(self, factor: Factor) -> bool:
         """Return whether terms much larger than their sum cancel in a solution: so they do beside a singular block.
 
-        Units of the unknowns that lie far apart can make a regular block look so, but not once they are evened out.
+        Units of the unknowns that lie far apart can make a regular block look so, but not once they are equilibrated.
         """
         if not self.rows.size or not self._cancels_beside(self._scale, factor):
             return False
-        rows = evened(sp.csr_array(self.block), EVENED_BY).row
+        rows = equilibrating_exponents(sp.csr_array(self.block), EQUILIBRATING_PASSES).row
         return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
 
     def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ..core.checks import FloatVector, read_only
 from ..core.matrix.matrix import Matrix, fact, largest_in_rows
-from ..core.matrix.structure import IntVector, parts, row_numbers
+from ..core.matrix.structure import IntVector, connected_components, row_numbers
 from ..core.rounding import lower_end, upper_end
 from .comparison_sums import comparison_product, exact_comparison_row
 
@@ -62,7 +62,7 @@ def strong_blocks(M: Any) -> tuple[int, IntVector]:
 @fact
 def components(matrix: Matrix) -> int:
     """Return the number of connected components of the graph of M."""
-    found = parts(matrix)
+    found = connected_components(matrix)
     return min(matrix.n, 1) if found is None else found.total
 
 

@@ -71,9 +71,9 @@ def null_space(P: Any) -> FloatVector | None:
 def null_space_by_rows(P: sp.csr_array) -> FloatVector | None:
     """Return the same by the sums of the rows alone, with no column where P is regular; None where these do not say.
 
-    Where no row is less than the sum of its other entries, a part in which one is clearly more is regular (Taussky,
-    Amer. Math. Monthly 56, 1949, doi:10.2307/2305561). Without such a row, and without positive entries off the
-    diagonal, the part is the Laplacian of a graph, which maps constants to 0.
+    Where no row is less than the sum of its other entries, a component in which one is clearly more is regular
+    (Taussky, Amer. Math. Monthly 56, 1949, doi:10.2307/2305561). Without such a row, and without positive entries off
+    the diagonal, the component is the Laplacian of a graph, which maps constants to 0.
 
     Examples
     --------
@@ -88,14 +88,14 @@ def null_space_by_rows(P: sp.csr_array) -> FloatVector | None:
         return None
     from scipy.sparse.csgraph import connected_components
 
-    count, part = connected_components(P, directed=False)
-    is_held = np.bincount(part, room > EQUAL * diagonal, count) > 0.0
+    count, component = connected_components(P, directed=False)
+    is_held = np.bincount(component, room > EQUAL * diagonal, count) > 0.0
     loose = np.flatnonzero(~is_held)
     if not loose.size:
         return np.zeros((diagonal.size, 0))
     if np.count_nonzero(P.data > 0.0) > np.count_nonzero(diagonal > 0.0) or loose.size > MOST:
         return None
-    basis: FloatVector = (part[:, None] == loose).astype(np.float64)
+    basis: FloatVector = (component[:, None] == loose).astype(np.float64)
     basis /= np.sqrt(basis.sum(axis=0))
     return basis
 

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from lcp_plugin.core.algorithm import without_warnings
 from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, UnitLeastSquares
+from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, ScaledLeastSquares
 from lcp_plugin.problems.least_squares.face_steps import projected_steps
 from lcp_plugin.problems.least_squares.faces import FacePoint, Faces
 from lcp_plugin.problems.least_squares.run import DENSE_PATIENCE, SPARSE_PATIENCE
@@ -196,24 +196,26 @@ def _crossover() -> str:
     return f"SMALL = {SMALL}: there, libraries ÷ one compiled call {seconds['libraries'] / seconds['compiled']:.1f}"
 
 
-def _dense(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any], float]:
+def _dense(n: int) -> tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], Any], float]:
     rng = np.random.default_rng(SEED)
     problem = BoundedLeastSquares(rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n))
-    return UnitLeastSquares(problem), Faces.of, float(n)
+    return ScaledLeastSquares(problem), Faces.of, float(n)
 
 
-def _chain(n: int) -> tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any], float]:
+def _chain(n: int) -> tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], Any], float]:
     A = sp.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1]).tocsr()
     problem = BoundedLeastSquares(A, np.random.default_rng(SEED).standard_normal(n))
 
-    def solved_once(unit: UnitLeastSquares) -> Any:
+    def solved_once(unit: ScaledLeastSquares) -> Any:
         faces = Faces.of(unit)
         return faces and faces.correction(FacePoint(unit, unit.lower), np.ones(n, dtype=np.bool_))
 
-    return UnitLeastSquares(problem), solved_once, 1.0
+    return ScaledLeastSquares(problem), solved_once, 1.0
 
 
-def _patience(name: str, value: float, case: tuple[UnitLeastSquares, Callable[[UnitLeastSquares], Any], float]) -> str:
+def _patience(
+    name: str, value: float, case: tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], Any], float]
+) -> str:
     unit, by_factor, size = case
     factor = timed(lambda: by_factor(unit)).seconds
     steps = without_warnings(projected_steps(FacePoint(unit, unit.lower)))

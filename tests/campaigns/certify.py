@@ -108,7 +108,7 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
     apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
     if said.distance is not None and (not given.is_definite or Fraction(said.distance) ** 2 < apart):
         found.append("distance")
-    size = Fraction(program.units.objective) + abs(value)
+    size = Fraction(program.scaling.objective) + abs(value)
     is_optimal = missed <= tolerance and abs(value - given.value) <= tolerance * size
     far = LOOSE * tolerance * max(1, Fraction(float(np.abs(x).max(initial=0.0))))
     off = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)), default=0)
@@ -156,7 +156,7 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
 def is_still_right(given: Case, x: Any) -> bool:
     """Whether x is within the promise although it was moved: where P is not definite there may be flat directions."""
     value, promise = objective(given.program, x), Fraction(TOLERANCE)
-    size = Fraction(given.program.units.objective) + abs(value)
+    size = Fraction(given.program.scaling.objective) + abs(value)
     is_near = abs(value - given.value) <= promise * size and violation(given.program, x) <= promise
     return is_near and (not given.is_definite or bool(np.abs(x - given.x).max() <= TOLERANCE))
 

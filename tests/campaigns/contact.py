@@ -22,10 +22,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.contact import trajectory
 from contact_families import FAMILIES
 from exact import exact_rows
-from exact_parts import part_of_rows, relative_residual
+from exact_components import component_of_rows, relative_residual
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.core.certificates.criterion import CommonUnits
+from lcp_plugin.core.certificates.criterion import CommonScaling
 
 SIZES = ((2, 1), (4, 1), (4, 4), (10, 3), (10, 10), (30, 5), (30, 15))  # contacts, bodies
 RATIOS, TOLERANCE, ALIKE = (1.0, 1e3), 1e-8, 1e-6
@@ -34,9 +34,9 @@ TOWERS = ((3, 60), (8, 40))  # boxes and steps
 
 
 def is_false(problem: LCP, z: Any) -> bool:
-    """Whether the residual of z in the units of the criterion exceeds the tolerance, exactly."""
-    units = CommonUnits.of(problem)
-    scaled, point = units.problem, [Fraction(value) for value in units.inward(z).tolist()]
+    """Whether the residual of z in the scaling of the criterion exceeds the tolerance, exactly."""
+    scaling = CommonScaling.of(problem)
+    scaled, point = scaling.problem, [Fraction(value) for value in scaling.inward(z).tolist()]
     rows, d = exact_rows(scaled.csr), [Fraction(value) for value in scaled.residual_scale.tolist()]
     q = [Fraction(value) for value in scaled.q.tolist()]
     residuals = [
@@ -44,7 +44,7 @@ def is_false(problem: LCP, z: Any) -> bool:
         for i in range(scaled.n)
     ]
     at_zero = [min(Fraction(0), q[i] / d[i]) for i in range(scaled.n)]
-    return bool(relative_residual(residuals, at_zero, part_of_rows(scaled.csr)) > Fraction(TOLERANCE))
+    return bool(relative_residual(residuals, at_zero, component_of_rows(scaled.csr)) > Fraction(TOLERANCE))
 
 
 def velocities(origin: Any, answer: Any) -> Any:

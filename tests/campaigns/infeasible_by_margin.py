@@ -31,11 +31,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from exact_parts import part_of_rows, references_of_rows
+from exact_components import component_of_rows, references_of_rows
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import RowUnits
+from lcp_plugin.core.certificates.criterion import RowScaling
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 from lcp_plugin.problems.programs.solving import solve_program
@@ -127,8 +127,8 @@ def measured(problem: LCP, y: Any, z: Any) -> Planted:
 
 def divisors(problem: LCP) -> Any:
     """What w is divided by in the residual that SOLVED speaks of."""
-    units = RowUnits.of(problem)
-    return problem.residual_scale if units is None else units.scale
+    scaling = RowScaling.of(problem)
+    return problem.residual_scale if scaling is None else scaling.scale
 
 
 def is_data(problem: LCP, absolute: Fraction) -> bool:
@@ -143,7 +143,7 @@ def forced(rng: np.random.Generator) -> Planted:
     M[np.arange(n), np.arange(n)] = np.abs(M).sum(axis=1) + 1.0
     whole = np.zeros((n + 2, n + 2))
     whole[:n, :n], whole[:n, n + 1] = M, rng.integers(-1, 2, n)
-    whole[:n, n] = 1.0  # all is one part, if M is
+    whole[:n, n] = 1.0  # all is one component, if M is
     s = 2.0 ** rng.integers(-3, 4)
     whole[n + 1, n] = s
     t = 10.0 ** rng.uniform(-16, -1)
@@ -163,7 +163,7 @@ def exact_slack(problem: LCP, z: list[Fraction]) -> list[Fraction]:
 
 
 def exact_references(problem: LCP) -> list[Fraction]:
-    """What each row's residual is compared with: ‖r̂_P(z°)‖∞ of its part, in the unit of its z, exactly."""
+    """What each row's residual is compared with: ‖r̂_P(z°)‖∞ of its component, in the unit of its z, exactly."""
     z = [Fraction(float(v)) for v in np.clip(0.0, problem.lower, problem.upper)]
     at_zero = []
     for v, w, d, low, high in zip(
@@ -174,10 +174,10 @@ def exact_references(problem: LCP) -> list[Fraction]:
         step = max(step, Fraction(low)) if np.isfinite(low) else step
         step = min(step, Fraction(high)) if np.isfinite(high) else step
         at_zero.append(v - step)
-    units = RowUnits.of(problem)
-    weights = [Fraction(1)] * problem.n if units is None else [Fraction(2) ** -k for k in units.column.tolist()]
+    scaling = RowScaling.of(problem)
+    weights = [Fraction(1)] * problem.n if scaling is None else [Fraction(2) ** -k for k in scaling.column.tolist()]
     weighted = [r * weight for r, weight in zip(at_zero, weights, strict=True)]
-    of_rows = references_of_rows(weighted, part_of_rows(problem.csr))
+    of_rows = references_of_rows(weighted, component_of_rows(problem.csr))
     return [of / weight for of, weight in zip(of_rows, weights, strict=True)]
 
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from exact_parts import part_of_rows, relative_residual
+from exact_components import component_of_rows, relative_residual
 
-from lcp_plugin.core.certificates.criterion import RowUnits
+from lcp_plugin.core.certificates.criterion import RowScaling
 
 Bound = Fraction | None
 Point = tuple[Fraction, ...]
@@ -213,12 +213,12 @@ class ExactData:
         self.lower = [fraction(x) for x in problem.lower.tolist()]
         self.upper = [fraction(x) for x in problem.upper.tolist()]
         self.divisor = [self._divisor(i, row) for i, row in enumerate(self.rows)]
-        self.parts = part_of_rows(csr)
-        units = RowUnits.of(problem)
+        self.components = component_of_rows(csr)
+        scaling = RowScaling.of(problem)
         self.weights: list[Fraction] = [Fraction(1)] * len(self.rows)
-        if units is not None:  # that M̂ is the same for every D₁MD₂ is tested elsewhere; here they are used exactly
-            self.divisor = [Fraction(float(x)) for x in units.scale]
-            self.weights = [Fraction(2) ** -k for k in units.column.tolist()]
+        if scaling is not None:  # that M̂ is the same for every D₁MD₂ is tested elsewhere; here they are used exactly
+            self.divisor = [Fraction(float(x)) for x in scaling.scale]
+            self.weights = [Fraction(2) ** -k for k in scaling.column.tolist()]
 
     def _divisor(self, i: int, row: list[tuple[int, int]]) -> Fraction:
         """d_i of the scaled residual: the diagonal, or the row's largest entry where that is negligible, or 1."""
@@ -273,13 +273,14 @@ class ExactData:
         return not any(self.residual(z))
 
     def is_lie(self, z: Sequence[Any], tolerance: float) -> bool:
-        """Whether calling z solved is a lie: ‖r_P(z)‖ > tolerance · ‖r_P(z°)‖, both exact, in a part P."""
+        """Whether calling z solved is a lie: ‖r_P(z)‖ > tolerance · ‖r_P(z°)‖, both exact, in a component P."""
         if not np.isfinite(np.array([float(x) for x in z])).all():
             return True
-        return bool(relative_residual(self.weighted(z), self.weighted(self.nearest), self.parts) > Fraction(tolerance))
+        relative = relative_residual(self.weighted(z), self.weighted(self.nearest), self.components)
+        return bool(relative > Fraction(tolerance))
 
     def weighted(self, z: Sequence[Any]) -> list[Fraction]:
-        """Return the residuals in the units of the criterion."""
+        """Return the residuals in the scaling of the criterion."""
         return [r * weight for r, weight in zip(self.residual(z), self.weights, strict=True)]
 
     def misses_by_rounding_of_q(self, z: Sequence[Any]) -> bool:

@@ -46,7 +46,7 @@ def test_infeasible_beyond_the_tolerance_only() -> None:
     st.integers(0, 10**6), st.integers(1, 12), st.floats(-9, 3), st.sampled_from(["auto", "psor", "newton", "lemke"]),
 )
 def test_solved_means_one_tolerance_or_the_other_in_every_part(seed: int, n: int, exponent: float, name: str) -> None:
-    """SOLVED ⇔ ‖r_P‖∞ ≤ max(tolerance · reference, absolute_tolerance) for each part, in units of their own."""
+    """SOLVED ⇔ ‖r_P‖∞ ≤ max(tolerance · reference, absolute_tolerance) for each component, in units of their own."""
     random = np.random.default_rng(seed)
     cut = int(random.integers(0, n))
     M = random.standard_normal((n, n)) * (random.random((n, n)) < 0.7)
@@ -55,7 +55,7 @@ def test_solved_means_one_tolerance_or_the_other_in_every_part(seed: int, n: int
     unit = np.where(np.arange(n) < cut, 10.0 ** random.uniform(-6, 6), 1.0)
     problem, absolute = LCP(M, random.standard_normal(n) * unit), 10.0**exponent
     result = solve(problem, name, absolute_tolerance=absolute, tolerance=float(random.choice([1e-8, 1e-4, 0.0])))
-    largest, least = result.certificate.residuals_of_parts
+    largest, least = result.certificate.residuals_of_components
     assert result.is_solved == bool((largest <= np.maximum(result.tolerance * least, absolute)).all())
     assert result.is_solved
 

@@ -133,7 +133,7 @@ def test_no_algorithm_is_advised_to_itself(name: str) -> None:
 
 
 def test_too_large_for_pivots() -> None:
-    """Lemke refuses a part whose inverse is too large, and what it names solves it."""
+    """Lemke refuses a component whose inverse is too large, and what it names solves it."""
     n = PIVOTED_UP_TO + 1
     problem = LCP(sp.diags_array([np.full(n - 1, -1.0), np.full(n, 2.5), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]),
                   np.where(np.arange(n) % 3, 1.0, -1.0))

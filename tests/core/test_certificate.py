@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_units import matrices_in_units, nearly_semidefinite, nearly_singular, solved_in_units
-from exact_parts import part_of_rows, references_of_rows, relative_residual
+from drawn_scaling import nearly_semidefinite, nearly_singular, scaled_matrices, scaled_solved
+from exact_components import component_of_rows, references_of_rows, relative_residual
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, ConvergenceWarning, Status, UnsuitableMatrix, UnsuitableProblem, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import RowUnits, reference_residual, references_of_parts
+from lcp_plugin.core.certificates.criterion import RowScaling, reference_residual, references_of_components
 from lcp_plugin.core.certificates.row_residuals import scaled_residual
-from lcp_plugin.core.matrix.units import units_of
+from lcp_plugin.core.matrix.scaling import scaling_of
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 EPSILON = Fraction(1, 2**52)
@@ -44,10 +44,10 @@ class Exact:
         self.q = [Fraction(value) for value in self.problem.q.tolist()]
         self.bounds = list(zip(self.problem.lower.tolist(), self.problem.upper.tolist(), strict=True))
         self.w = [q + self.dot(row, self.z) for q, row in zip(self.q, self.rows, strict=True)]
-        units = RowUnits.of(self.problem)
+        scaling = RowScaling.of(self.problem)
         self.d = [self.scale(row, row[i]) for i, row in enumerate(self.rows)]
-        if units is not None:
-            self.d = [Fraction(value) for value in units.scale.tolist()]
+        if scaling is not None:
+            self.d = [Fraction(value) for value in scaling.scale.tolist()]
 
     @staticmethod
     def dot(row: list[Fraction], z: list[Fraction]) -> Fraction:
@@ -105,21 +105,21 @@ class Exact:
 
     @property
     def weights(self) -> list[Fraction]:
-        """What a row's residual is multiplied by in the units of the criterion."""
-        units = RowUnits.of(self.problem)
-        return [Fraction(1)] * len(self.z) if units is None else [Fraction(2) ** -k for k in units.column.tolist()]
+        """What a row's residual is multiplied by in the scaling of the criterion."""
+        scaling = RowScaling.of(self.problem)
+        return [Fraction(1)] * len(self.z) if scaling is None else [Fraction(2) ** -k for k in scaling.column.tolist()]
 
-    def in_units(self, residuals: list[Fraction]) -> list[Fraction]:
+    def in_criterion(self, residuals: list[Fraction]) -> list[Fraction]:
         return [weight * abs(r) for weight, r in zip(self.weights, residuals, strict=True)]
 
     @property
     def reference(self) -> Fraction:
-        return max(self.in_units(self.at_zero))
+        return max(self.in_criterion(self.at_zero))
 
     @property
     def relative(self) -> Any:
-        parts = part_of_rows(self.problem.csr)
-        return relative_residual(self.in_units(self.scaled), self.in_units(self.at_zero), parts)
+        components = component_of_rows(self.problem.csr)
+        return relative_residual(self.in_criterion(self.scaled), self.in_criterion(self.at_zero), components)
 
 
 def exactly(problem: LCP, z: object) -> Exact:
@@ -154,7 +154,7 @@ def rough_problems(draw: st.DrawFn, *, empty_rows: bool = True) -> tuple[LCP, np
 @st.composite
 def floating_problems(draw: st.DrawFn) -> tuple[LCP, np.ndarray]:
     """H₊-matrices with wild rows, and q and z of any size, none of them dyadic."""
-    M = draw(matrices_in_units(nearly_singular(), 60, 10)) / 3.0
+    M = draw(scaled_matrices(nearly_singular(), 60, 10)) / 3.0
     numbers = st.floats(-1e9, 1e9).map(lambda x: x if abs(x) > 1e-9 else 0.0)
     q, z, first, second = np.array(draw(st.lists(numbers, min_size=4 * len(M), max_size=4 * len(M)))).reshape(4, -1)
     is_bounded = draw(st.booleans())
@@ -195,7 +195,7 @@ def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> N
     assert problem.residual_scale.tolist() == exact.d
     residual = [abs(r) for r in exact.scaled]
     slip = 4 * float(EPSILON * max(abs(x) + abs(w / d) for x, w, d in zip(exact.z, exact.w, exact.d, strict=True)))
-    references = references_of_rows(exact.at_zero, part_of_rows(problem.csr))
+    references = references_of_rows(exact.at_zero, component_of_rows(problem.csr))
     worst = certificate.worst_index
     assert certificate.scaled_residual == pytest.approx(float(residual[worst]), rel=1e-15, abs=slip)
     if references[worst]:
@@ -249,7 +249,7 @@ def test_an_empty_problem_has_nothing_wrong() -> None:
 # --- Solutions and others ----------------------------------------------------------------------------------
 
 
-@given(solved_in_units(solved_lcps(bounds=True), 100, 100) | solved_lcps())
+@given(scaled_solved(solved_lcps(bounds=True), 100, 100) | solved_lcps())
 def test_residual_vanishes_at_the_solution(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
     """At the exact solution every residual is zero, not just small, whatever the scales."""
     problem, z = drawn
@@ -308,7 +308,7 @@ def test_relative_residual_has_no_unit(drawn: tuple[LCP, np.ndarray], rows: list
     """Rows scaled by powers of two and another unit of z change the relative residual and worst row by not one bit."""
     problem, z = drawn
     other = scaled_by(problem, np.array(rows[: problem.n]), np.full(problem.n, -unit))
-    assume((units_of(problem.matrix) is None) == (units_of(other.matrix) is None))  # neither near the gate
+    assume((scaling_of(problem.matrix) is None) == (scaling_of(other.matrix) is None))  # neither near the gate
     before, after = Certificate.of(problem, z), Certificate.of(other, np.ldexp(z, unit))
     assert after.relative_residual == before.relative_residual
     assert after.worst_index == before.worst_index
@@ -389,7 +389,7 @@ def test_rounding_floor_bounds_the_rounding(drawn: tuple[LCP, np.ndarray]) -> No
     certificate, exact = Certificate.of(problem, z), exactly(problem, z)
     floor = [Fraction(value) for value in certificate.rounding_floor.tolist()]
     worst = certificate.worst_index
-    if RowUnits.of(problem) is not None:
+    if RowScaling.of(problem) is not None:
         worst = max(range(problem.n), key=lambda i: abs(exact.scaled[i]))
     assert abs(Fraction(certificate.scaled_residual) - abs(exact.scaled[worst])) <= max(floor)
     scale = np.array([float(d) for d in exact.d])
@@ -424,7 +424,7 @@ def test_rounding_level_is_recognised() -> None:
 TO_TRY = {
     "tame": solved_lcps(),
     "bounds": solved_lcps(h_plus_matrices(), bounds=True),
-    "wild": solved_in_units(solved_lcps(bounds=True), 60, 10),
+    "wild": scaled_solved(solved_lcps(bounds=True), 60, 10),
     "stiff": solved_lcps(nearly_singular() | nearly_semidefinite(2.0**-10)),
 }
 
@@ -471,14 +471,14 @@ def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
     """The relative, natural and euclidean residuals are no smaller than the exact ones, and larger by ulps only."""
     problem, z = drawn
     certificate, exact = Certificate.of(problem, z), exactly(problem, z)
-    least, most = (float(end.max()) for end in references_of_parts(problem))
+    least, most = (float(end.max()) for end in references_of_components(problem))
     assert least <= exact.reference <= most <= least * (1 + 1e-14)
     natural, squares = max(map(abs, exact.natural)), sum(r * r for r in exact.natural)
     assert natural <= Fraction(certificate.natural_residual)
     assert squares <= Fraction(certificate.euclidean_residual) ** 2
     if exact.relative < math.inf:
         assert exact.relative <= Fraction(certificate.relative_residual)
-        references = references_of_rows(exact.in_units(exact.at_zero), part_of_rows(problem.csr))
+        references = references_of_rows(exact.in_criterion(exact.at_zero), component_of_rows(problem.csr))
         references = [of / weight for of, weight in zip(references, exact.weights, strict=True)]
         rows = zip(exact.z, exact.w, exact.d, references, strict=True)
         size = max(((abs(x) + abs(w / d)) / of for x, w, d, of in rows if of), default=Fraction(0))

@@ -371,7 +371,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 
 
 PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
-    "auto": ("core.solving.driver.Run.__init__", "core.solving.driver.CommonUnits.of",
+    "auto": ("core.solving.driver.Run.__init__", "core.solving.driver.CommonScaling.of",
         "auto.Single.first",
              "proofs.guarantees.warn_where_known_to_be_uncovered"),
     "npsor": ("auto.Auto.first",),
@@ -385,7 +385,7 @@ PASSED_BY = {  # the automatic choice is fused here, and its first choice is not
     [
         ("core.solving.driver.fused", {}),
         ("core.solving.driver.Run.__init__", {}),
-        ("core.solving.driver.CommonUnits.of", {}),
+        ("core.solving.driver.CommonScaling.of", {}),
         ("proofs.guarantees.warn_where_known_to_be_uncovered", {}),
         ("proofs.bounds.error_judge.ErrorJudge._bound", {"tolerance_on": "error"}),
         ("auto.Auto.first", {}),

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate, gallery
 from lcp_plugin.algorithms import REGISTRY, create
-from lcp_plugin.core.certificates.criterion import CommonUnits
+from lcp_plugin.core.certificates.criterion import CommonScaling
 from lcp_plugin.core.kernels import splitting_sweeps as kernels
 
 WIDTHS = [np.int32, np.int64]
@@ -260,7 +260,7 @@ def test_packing_puts_vectors_side_by_side(count: int, n: int) -> None:
 @pytest.mark.parametrize("text", ["random_h_plus:n=60,row_scale=10,column_scale=3", "obstacle_2d:size=8,shifted=true"])
 def test_residuals_of_steps_are_the_certificate_s(name: str, text: str) -> None:
     """Where a step brings residuals along, they are those of the certificate of its z, at every step."""
-    problem = CommonUnits.of(gallery.parse(text).problem).problem  # what a run works on
+    problem = CommonScaling.of(gallery.parse(text).problem).problem  # what a run works on
     steps = create(name, {}).iterates(problem, np.ones(problem.n))
     for step in islice(steps, 8):
         certificate = Certificate.of(problem, step.z)

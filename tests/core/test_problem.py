@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_units import lcps_in_units
+from drawn_scaling import scaled_lcps
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -603,7 +603,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 @settings(max_examples=60)
-@given(problem=lcps_in_units(strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices().map(sp.csr_array)) |
+@given(problem=scaled_lcps(strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices().map(sp.csr_array)) |
                              strategies.lcps(bounds=True), 300, 300))
 def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
     """What repr(problem) says can be pasted, and is the same problem bit for bit, kept in the same way."""

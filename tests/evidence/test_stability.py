@@ -9,11 +9,11 @@ from fractions import Fraction
 from itertools import islice
 from typing import Any
 
-import drawn_units
+import drawn_scaling
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact_parts import part_of_rows, relative_residual
+from exact_components import component_of_rows, relative_residual
 from families import BOUNDED, NEEDS_MONOTONE, SPLITTINGS
 from hypothesis import given, settings
 
@@ -61,7 +61,7 @@ def assert_honest(result: Result) -> None:
     rows = exact_residual(problem, result.z)
     if result.status is Status.SOLVED:
         at_zero = [r for r, _ in exact_residual(problem, problem.nearest_to_zero)]
-        exact = relative_residual([r for r, _ in rows], at_zero, part_of_rows(problem.csr))
+        exact = relative_residual([r for r, _ in rows], at_zero, component_of_rows(problem.csr))
         assert exact <= Fraction(result.tolerance)
     if result.status is Status.PRECISION_LIMIT:
         assert all(r <= 5 * floor for r, floor in rows)
@@ -289,7 +289,7 @@ def test_nearly_singular_matrices_are_never_lied_about(name: str) -> None:
     """On H₊-matrices with ρ up to 1 − 1e-6 the status holds in rational arithmetic, whatever the error of z."""
 
     @settings.get_profile("few")
-    @given(solved_lcps(drawn_units.nearly_singular()))
+    @given(solved_lcps(drawn_scaling.nearly_singular()))
     def check(drawn: tuple[LCP, Any]) -> None:
         problem, _ = drawn
         assert_honest(solve(problem, name, max_iterations=300, **scaled_options(name)))

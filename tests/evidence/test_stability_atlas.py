@@ -13,7 +13,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import drawn_units
+import drawn_scaling
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -45,7 +45,7 @@ CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family](True
 
 
 @settings.get_profile("few")
-@given(solved_lcps(drawn_units.nearly_singular(), bounds=True))
+@given(solved_lcps(drawn_scaling.nearly_singular(), bounds=True))
 def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any]) -> None:
     """From the planted answer, and from z°, the exact answer is that of another exact method."""
     problem, z = drawn

@@ -22,8 +22,9 @@ MEASURED = re.compile(r"residual|size|largest|value|optimality|errors?\b|gap|sma
 
 NAMED = {
     "bring M, q to one scale": (
-        "units_of", "CommonUnits", "equilibrated", "evened", "scaling_exponents", "monotone_rows", "equilibration",
-        "even", "_fitted", "_scaled_columns", "balance_within", "_together", "_fitted_together", "_symmetrising",
+        "scaling_of", "CommonScaling", "equilibrated", "equilibrating_exponents", "scaling_exponents", "monotone_rows",
+        "equilibration", "equilibrate", "_fitted", "_scaled_columns", "balance_within", "_together", "_fitted_together",
+        "_symmetrising",
     ),
     "take out what is known": (
         "Presolved", "fold_simple_rows", "substitute_definitions", "eliminate_definitions", "known_before",
@@ -137,7 +138,7 @@ ANOTHER_JOB = {  # looked at by eye
     "proofs/misleading.py: _stiffness": "words",
     "systems/comparison.py: LinearSystem.iterated": "a linear system",
     "systems/free_systems.py: FreeSystem._iterated": "a linear system",
-    "systems/hierarchy/vectors.py: units_of": "vectors of a hierarchy",
+    "systems/hierarchy/vectors.py: scaling_of_unknowns": "vectors of a hierarchy",
     "systems/minimum_degree.py: _together": "an order of elimination",
 }
 READ = {"the residual r_i": has_residual, "say that a problem is solved": says_solved}

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_units import nearly_semidefinite, nearly_singular, solved_in_units, symmetric_in_units
+from drawn_scaling import nearly_semidefinite, nearly_singular, scaled_solved, scaled_symmetric
 from exact import exact_rows, exact_solution, has_positive_pivots, solve_fractions
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -55,7 +55,7 @@ def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Error
 
 
 @settings.get_profile("many")
-@given(solved_in_units(solved_lcps(h_plus_matrices(), bounds=True), 60, 60), POINTS, STEPS, st.booleans())
+@given(scaled_solved(solved_lcps(h_plus_matrices(), bounds=True), 60, 60), POINTS, STEPS, st.booleans())
 def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
     """No component of the bound is below the exact error, and no row is classified wrongly, M an H₊-matrix."""
     problem, exact = drawn
@@ -374,7 +374,7 @@ def test_estimates_say_so(monkeypatch) -> None:
 
 
 @settings.get_profile("many")
-@given(symmetric_in_units(nearly_semidefinite(2.0**-20), 30), st.booleans())
+@given(scaled_symmetric(nearly_semidefinite(2.0**-20), 30), st.booleans())
 def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None:
     """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorisation."""
     problem = LCP(M, np.zeros(M.shape[0]))

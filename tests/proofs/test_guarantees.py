@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns.guarantees import run_case
-from drawn_units import matrices_in_units
+from drawn_scaling import scaled_matrices
 from families import UNPROVEN
 from hypothesis import given
 from hypothesis import strategies as st
@@ -107,7 +107,7 @@ def test_no_rate_of_z_where_there_is_none() -> None:
 
 
 @given(
-    M=matrices_in_units(h_plus_matrices(), 20, 20),
+    M=scaled_matrices(h_plus_matrices(), 20, 20),
     alpha=st.floats(0.05, 50.0),
     share=st.floats(0.0, 1.0),
     sweep=st.sampled_from(["forward", "backward", "symmetric"]),
@@ -159,7 +159,7 @@ def test_what_is_proved_of_direct_methods() -> None:
     assert "3 pivots" in convergence_guarantee(m_matrix, "lemke", max_pivots=3).theorem
 
 
-@given(drawn=solved_lcps(matrices_in_units(h_plus_matrices(), 3, 3), bounds=True))
+@given(drawn=solved_lcps(scaled_matrices(h_plus_matrices(), 3, 3), bounds=True))
 def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
     """On H₊-matrices, boxes and free rows included, auto and lemke are guaranteed and solve every problem."""
     for name in ("auto", "lemke"):

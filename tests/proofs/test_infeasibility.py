@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, Certificate, InvalidProblem, Status, solve
-from lcp_plugin.core.certificates.criterion import references_of_parts
+from lcp_plugin.core.certificates.criterion import references_of_components
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.search import NoSolution, search
 from lcp_plugin.proofs.exact.linear_systems import rank_profile, solve_exactly
@@ -335,7 +335,7 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     kind = rng.integers(0, 4, n)
     lower, upper = np.where(kind == 3, -np.inf, 0.3 * kind), np.where(kind == 0, np.inf, 1e3)
     problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
-    exact, bound = max(exactly_weighted(problem, problem.nearest_to_zero)), references_of_parts(problem)[1].max()
+    exact, bound = max(exactly_weighted(problem, problem.nearest_to_zero)), references_of_components(problem)[1].max()
     assert exact <= Fraction(bound)
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
 

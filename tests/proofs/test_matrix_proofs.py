@@ -15,8 +15,8 @@ from lcp_plugin import LCP
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.core.kernels.floats import UNIT
 from lcp_plugin.core.matrix.matrix import Matrix
+from lcp_plugin.core.matrix.scaling import scaled
 from lcp_plugin.core.matrix.symmetry import is_symmetric_entrywise
-from lcp_plugin.core.matrix.units import scaled
 from lcp_plugin.core.rounding import lower_end, upper_end
 from lcp_plugin.proofs.exact.linear_systems import (
     exact_rows,

@@ -102,7 +102,7 @@ def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n: int, stiff: int, weak:
 @settings(max_examples=15)
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=6).map(lambda sizes: [2, *sizes]), st.integers(0, 99))
 def test_each_part_of_a_graph_gives_one_direction(sizes: list[int], seed: int) -> None:
-    """The null space of a Laplacian: as many dimensions as parts, what is constant on each, whatever the weights."""
+    """The null space of a Laplacian: as many dimensions as components: what is constant on each."""
     rng = np.random.default_rng(seed)
     parts = [circuit(size, 0.0, seed).K * 2.0 ** rng.integers(-20, 20) if size > 1 else sp.csr_array((1, 1))
              for size in sizes]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_units import matrices_in_units, nearly_singular, skewed, solved_in_units, strict
+from drawn_scaling import nearly_singular, scaled_matrices, scaled_solved, skewed, strict
 from exact import exact_rows, has_positive_pivots, principal_minors
 from fresh_process import printed_by
 from hypothesis import Phase, find, given, settings
@@ -55,7 +55,7 @@ SOLVED = {
     "strict": strict(solved_lcps(bounds=True)),
     "sparse": solved_lcps(h_plus_matrices(st.integers(0, 6)).map(sp.csr_array)),
     "huge slacks": solved_lcps(huge_slacks=True),
-    "in units": solved_in_units(solved_lcps(bounds=True), 300, 300),
+    "in units": scaled_solved(solved_lcps(bounds=True), 300, 300),
     "nearly singular": solved_lcps(nearly_singular(2.0**-30), bounds=True),
 }
 
@@ -209,13 +209,13 @@ SOME = st.integers(2, 5)
 CLASSES = {
     "z": (z_matrices(FEW, density=0.6), is_z, "is_z_matrix", True),
     "m": (m_matrices(FEW), lambda M: is_z(M) and is_h_plus(M), "is_m_matrix", True),
-    "m in units": (matrices_in_units(m_matrices(FEW), 99, 99), is_h_plus, "is_m_matrix", True),
+    "m in units": (scaled_matrices(m_matrices(FEW), 99, 99), is_h_plus, "is_m_matrix", True),
     "dominant": (strictly_dominant_matrices(FEW), is_dominant, "is_h_plus", True),
     "nearly singular": (nearly_singular(), is_dominant, "is_strictly_dominant", True),
     "definite": (skewed(positive_definite_matrices(FEW)), is_definite, "is_positive_definite", True),
     "semidefinite": (positive_semidefinite_matrices(FEW), is_semidefinite, "is_positive_semidefinite", True),
     "p": (p_matrices(FEW), is_p, "is_p_matrix", True),
-    "p in units": (matrices_in_units(p_matrices(FEW), 9, 9), is_p, "is_p_matrix", True),
+    "p in units": (scaled_matrices(p_matrices(FEW), 9, 9), is_p, "is_p_matrix", True),
     "not h": (not_h_matrices(FEW), lambda M: not is_h(M), "is_h_matrix", False),
     "sparse, not h": (not_h_matrices(SOME, density=0.2), lambda M: not is_h(M), "is_h_matrix", False),
     "indefinite": (indefinite_matrices(SOME), is_indefinite, "is_positive_semidefinite", False),

@@ -168,7 +168,7 @@ def test_scenes_keep_their_units(text: str) -> None:
     """No other units are tried where rows do not sum to less than zero."""
     M = gallery.parse(text).problem.csr
     _, _, lacking = coarsening.couplings_by_sign(M.indptr, M.indices, M.data)
-    assert vectors.units_of(M, lacking) == (None, 0.0)
+    assert vectors.scaling_of_unknowns(M, lacking) == (None, 0.0)
 
 
 @pytest.mark.parametrize("is_symmetric", [True, False])
@@ -178,7 +178,7 @@ def test_units_are_found(is_symmetric: bool) -> None:
     d = 10.0 ** np.random.default_rng(0).uniform(-4, 4, M.shape[0])
     scaled = sp.csr_array((sp.diags_array(d) if is_symmetric else sp.eye_array(d.size)) @ M @ sp.diags_array(d))
     _, _, lacking = coarsening.couplings_by_sign(scaled.indptr, scaled.indices, scaled.data)
-    v, work = vectors.units_of(scaled, lacking)
+    v, work = vectors.scaling_of_unknowns(scaled, lacking)
     assert v is not None
     assert 0.0 < work <= 50 * M.nnz
     field = (v * d).reshape(30, 30)[3:-3, 3:-3]

@@ -1,7 +1,7 @@
 """What SOLVED asks for: small residuals in each connected component of M, after scaling.
 
-In the units R, C of :mod:`lcp_plugin.core.matrix.units`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in each
-part P, a connected component of the graph of M,
+With the scaling R, C of :mod:`lcp_plugin.core.matrix.scaling`, M̂ = R M C, q̂ = R q, ẑ = C⁻¹z, bounds likewise, and in
+each connected component P of the graph of M,
 
     |r̂_i(z)| ≤ tolerance · ‖r̂_P(z°)‖∞ for each row i of P,  r̂_i = ẑ_i − mid(l̂_i, û_i, ẑ_i − ŵ_i / d̂_i),
 
@@ -9,17 +9,17 @@ or |r_i| ≤ absolute tolerance, in the caller's unit of z_i; and every row is r
 the caller's units (:mod:`lcp_plugin.core.certificates.own_terms`).
 
 In the caller's units r̂_i is r_i, with d̂_i / 2^(row_i + column_i) for d_i, times the *weight* 2^−column_i: this is how
-a certificate computes it, on the caller's data. A run works on the problem in these units, or, where its algorithm
-wants to see the caller's matrix, on that. In both 2^k_P is chosen for each part, so that 2^k_P ‖r̂_P(z°)‖∞ lies in
-[1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm speaks of every part within a factor 2. Where
-‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where a part falls into several components of the graph of rows and columns
-(zero diagonals: games, linear programs), M̂ leaves the unit of each open, and q̂ at z° decides: its largest entry in the
-rows of each lies in [½, 1). Where it is 0 in all of them, nothing does.
+a certificate computes it, on the caller's data. A run works on the scaled problem, or, where its algorithm
+wants to see the caller's matrix, on that. In both 2^k_P is chosen for each component, so that 2^k_P ‖r̂_P(z°)‖∞ lies in
+[1, 2) for all P: D M̂ D⁻¹ = M̂ for D = diag(2^k_P), and one maximum norm speaks of every component within a factor 2.
+Where ‖r̂_P(z°)‖∞ = 0 the answer is z_P = z°_P. Where one falls into several components of the graph of rows and
+columns (zero diagonals: games, linear programs), M̂ leaves the unit of each open, and q̂ at z° decides: its largest
+entry in the rows of each lies in [½, 1). Where it is 0 in all of them, nothing does.
 
-What it does not see: units that M does not show (entries within 2¹⁰, none beyond 2⁴ times its diagonal entry, a factor
-of 2⁸ between unknowns, a row of zeros: such keep the units they are given in), and jumps in mixed units, whose stiff
-part counts more than its share. Units are found to a few powers of two, not to one, so that beside the same M in other
-units the residual may differ. Rows over ranks keep their units.
+What it does not see: other units where M needs no scaling (entries within 2¹⁰, none beyond 2⁴ times its diagonal entry,
+a factor of 2⁸ between unknowns, a row of zeros: such keep the units they are given in), and jumps in mixed units, whose
+stiff part counts more than its share. The scaling is found to a few powers of two, not to one, so that beside the same
+M in other units the residual may differ. Rows over ranks are not scaled.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from ..checks import BoolVector, FloatVector, read_only
 from ..kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact
-from ..matrix.structure import IntVector, Parts, parts
-from ..matrix.units import Units, is_representable, times_power, units_of
+from ..matrix.scaling import Scaling, is_representable, scaling_of, times_power
+from ..matrix.structure import Components, IntVector, connected_components
 from .row_residuals import (
     at_rounding_level,
     magnitude,
@@ -56,8 +56,8 @@ SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)
 LARGEST_EXPONENT = 1000  # of two, that other units may give a number
 
 
-class RowUnits(NamedTuple):
-    """What the criterion makes of rows in the caller's units.
+class RowScaling(NamedTuple):
+    """How the criterion scales rows of the caller's.
 
     Attributes
     ----------
@@ -75,12 +75,12 @@ class RowUnits(NamedTuple):
     matrix: Matrix
 
     @classmethod
-    def of(cls, problem: LCP) -> RowUnits | None:
-        """Return those of a problem; None where its own units are those of the criterion, or its origin has one."""
-        return None if problem.criterion is not None or units_of(problem.matrix) is None else _row_units(problem)
+    def of(cls, problem: LCP) -> RowScaling | None:
+        """Return that of a problem; None where it needs none, or where its origin has a criterion of its own."""
+        return None if problem.criterion is not None or scaling_of(problem.matrix) is None else _row_scaling(problem)
 
     def upwards(self, residuals: FloatVector) -> FloatVector:
-        """Return residuals ≥ 0 in the units of the criterion, no smaller, shape (own,)."""
+        """Return residuals ≥ 0 in the scaling of the criterion, no smaller, shape (own,)."""
         weighted = times_power(residuals, -self.column)
         return np.where((weighted < SMALLEST_NORMAL) & (residuals > 0.0), weighted + TINY, weighted)
 
@@ -91,24 +91,24 @@ class RowUnits(NamedTuple):
 
 
 @fact
-def _row_units(problem: LCP) -> RowUnits:
-    """Return the units of M with the unit that q gives to components of which a part has several."""
-    units = cast(Units, units_of(problem.matrix))
-    row, column, scale = units.row, units.column, units.scale
-    if np.array_equal(units.of_row, units.of_column):
-        return RowUnits(row, column, scale, units.matrix)
+def _row_scaling(problem: LCP) -> RowScaling:
+    """Return the scaling of M, and by q that of blocks of which a component of M has several."""
+    scaling = cast(Scaling, scaling_of(problem.matrix))
+    row, column, scale = scaling.row, scaling.column, scaling.scale
+    if np.array_equal(scaling.of_row, scaling.of_column):
+        return RowScaling(row, column, scale, scaling.matrix)
     with np.errstate(all="ignore"):
         slack = np.ldexp(np.abs(problem.slack(problem.nearest_to_zero)), row)
     largest = np.zeros(2 * problem.n)
-    np.maximum.at(largest, units.of_row, np.where(np.isfinite(slack), slack, 0.0))
+    np.maximum.at(largest, scaling.of_row, np.where(np.isfinite(slack), slack, 0.0))
     shift = np.where(largest > 0.0, -np.frexp(largest)[1], 0).astype(np.int64)
-    has_units = np.maximum(np.abs(units.row), np.abs(units.column)).astype(np.float64)
-    is_open = for_each_row(problem, largest_of_parts(problem, has_units)) > 0.0
-    of_row, of_column = (np.where(is_open, shift[side], 0) for side in (units.of_row, units.of_column))
+    has_scaling = np.maximum(np.abs(scaling.row), np.abs(scaling.column)).astype(np.float64)
+    is_open = for_each_row(problem, largest_of_components(problem, has_scaling)) > 0.0
+    of_row, of_column = (np.where(is_open, shift[side], 0) for side in (scaling.of_row, scaling.of_column))
     shifted = times_power(scale, of_column - of_row)
     if is_representable(shifted):
         row, column, scale = row + of_row, column - of_column, read_only(shifted)
-    return RowUnits(row, column, scale, units.matrix)
+    return RowScaling(row, column, scale, scaling.matrix)
 
 
 def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
@@ -117,7 +117,7 @@ def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
     Parameters
     ----------
     relative_residual : float or array, shape (k,)
-        The largest of all parts' residuals beside their references, rounded upwards; a NaN is not SOLVED.
+        The largest of all components' residuals beside their references, rounded upwards; a NaN is not SOLVED.
     term_residual : float or array, shape (k,)
         How wrong the worst row is in its own terms.
     tolerance : float
@@ -132,32 +132,32 @@ def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
 
 def residual_scale_of_criterion(problem: LCP) -> FloatVector:
     """Return what w is divided by in the residual that SOLVED speaks of, shape (own,)."""
-    units = RowUnits.of(problem)
-    return problem.residual_scale if units is None else units.scale
+    scaling = RowScaling.of(problem)
+    return problem.residual_scale if scaling is None else scaling.scale
 
 
-def largest_of_parts(problem: LCP, values: FloatVector) -> FloatVector:
-    """Return the largest of the values ≥ 0 of each part's rows, shape (parts,); a NaN stays, 0 where there is no row.
+def largest_of_components(problem: LCP, values: FloatVector) -> FloatVector:
+    """Return the largest of the values ≥ 0 of each component's rows, shape (components,); a NaN stays, 0 without rows.
 
     Parameters
     ----------
     values : array, shape (own,)
     """
-    several = parts(problem.matrix)
+    several = connected_components(problem.matrix)
     if several is not None:
         return several.largest(values)
     return np.array([problem.communicator.largest(float(values.max()) if values.size else 0.0)])
 
 
 def for_each_row(problem: LCP, values: Any) -> Any:
-    """Return the value of each own row's part, shape (own,), or (1,) where there is one part."""
-    several = parts(problem.matrix)
+    """Return the value of each own row's component, shape (own,), or (1,) where there is one component."""
+    several = connected_components(problem.matrix)
     return values if several is None else values[several.labels]
 
 
-def references_of_parts(problem: LCP) -> VectorEnds:
-    """Return bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each."""
-    return _references(problem, RowUnits.of(problem) is not None)
+def references_of_components(problem: LCP) -> VectorEnds:
+    """Return bounds of ‖r̂_P(z°)‖∞ of each component, shape (components,) each."""
+    return _references(problem, RowScaling.of(problem) is not None)
 
 
 def own_references(problem: LCP) -> VectorEnds:
@@ -166,19 +166,20 @@ def own_references(problem: LCP) -> VectorEnds:
 
 
 @fact
-def _references(problem: LCP, in_units: bool) -> VectorEnds:
-    units = RowUnits.of(problem) if in_units else None
-    z, matrix, scale = problem.nearest_to_zero, problem.matrix, problem.residual_scale if units is None else units.scale
+def _references(problem: LCP, is_scaled: bool) -> VectorEnds:
+    scaling = RowScaling.of(problem) if is_scaled else None
+    scale = problem.residual_scale if scaling is None else scaling.scale
+    z, matrix = problem.nearest_to_zero, problem.matrix
 
-    def of_parts(ends: VectorEnds) -> tuple[FloatVector, ...]:
-        weighted = ends if units is None else (units.downwards(ends[0]), units.upwards(ends[1]))
-        return tuple(largest_of_parts(problem, end) for end in weighted)
+    def of_components(ends: VectorEnds) -> tuple[FloatVector, ...]:
+        weighted = ends if scaling is None else (scaling.downwards(ends[0]), scaling.upwards(ends[1]))
+        return tuple(largest_of_components(problem, end) for end in weighted)
 
     whole = matrix.whole(z)
-    least, most = of_parts(residual_ends_of(matrix.rows, whole, problem, z, scale))
+    least, most = of_components(residual_ends_of(matrix.rows, whole, problem, z, scale))
     is_open = (least == 0.0) & (most > 0.0)  # is z° the answer?
     if problem.communicator.anywhere(is_open.any()):
-        sharp = of_parts(sharp_residual_ends(problem, z, scale))
+        sharp = of_components(sharp_residual_ends(problem, z, scale))
         least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
     return least, most
 
@@ -193,7 +194,7 @@ def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) 
 
     Parameters
     ----------
-    least, most : arrays, shape (parts,)
+    least, most : arrays, shape (components,)
     tolerance : float
     """
     largest = float(most.max(initial=0.0))
@@ -207,28 +208,28 @@ def reference_residual(problem: LCP) -> float:
     return problem.communicator.largest(float(own_references(problem)[1].max(initial=0.0)))
 
 
-def measured_in_units(problem: LCP, z: FloatVector) -> float:
-    """Return ‖r̂(z)‖∞ over all parts as double precision gives it."""
-    units = RowUnits.of(problem)
-    if units is None:
+def measured_scaled_residual(problem: LCP, z: FloatVector) -> float:
+    """Return ‖r̂(z)‖∞ over all components as double precision gives it."""
+    scaling = RowScaling.of(problem)
+    if scaling is None:
         return measured_residual(problem, z)
     with np.errstate(all="ignore"):
-        residual = np.abs(scaled_residual(problem, z, problem.slack(z), units.scale))
-    return float(units.upwards(residual).max(initial=0.0))
+        residual = np.abs(scaled_residual(problem, z, problem.slack(z), scaling.scale))
+    return float(scaling.upwards(residual).max(initial=0.0))
 
 
 def rounding_of_data(problem: LCP) -> float:
     """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q̂_i|/d̂_i."""
-    units = RowUnits.of(problem)
+    scaling = RowScaling.of(problem)
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
-    sizes = times_power(sizes, None if units is None else -units.column)
+    sizes = times_power(sizes, None if scaling is None else -scaling.column)
     return DATA_ROUNDING * problem.communicator.largest(float(sizes.max(initial=0.0)))
 
 
 @dataclass(frozen=True, eq=False)
-class CommonUnits:
-    """A problem in the units of the criterion, the references of its parts alike, and the way back to the caller's.
+class CommonScaling:
+    """A problem in the scaling of the criterion, references of components alike, and the way back to the caller's.
 
     Attributes
     ----------
@@ -241,7 +242,7 @@ class CommonUnits:
     row_exponents : array of int, shape (own,), or None
         ŵ_i = 2^row_exponents_i w_i.
     answered : array of bool, shape (own,), or None
-        The rows of parts that z° solves, as far as double precision can tell; None where there are none.
+        The rows of components that z° solves, as far as double precision can tell; None where there are none.
     least : float
         No other reference counts for less than this, in the caller's units.
     is_scaled : bool
@@ -257,16 +258,18 @@ class CommonUnits:
     is_scaled: bool = False
 
     @classmethod
-    def of(cls, problem: LCP, least: float = 0.0) -> CommonUnits:
+    def of(cls, problem: LCP, least: float = 0.0) -> CommonScaling:
         """Return those of a problem; where a number would overflow in them, the problem's own."""
-        return cls._in(RowUnits.of(problem), problem, least)
+        return cls._in(RowScaling.of(problem), problem, least)
 
     @classmethod
-    def _in(cls, units: RowUnits | None, problem: LCP, least: float) -> CommonUnits:
-        several = parts(problem.matrix)
+    def _in(cls, scaling: RowScaling | None, problem: LCP, least: float) -> CommonScaling:
+        several = connected_components(problem.matrix)
         run, columns, rows = problem, None, None
-        if units is not None and (balanced := _scaled(problem, units.row, -units.column, units.matrix)) is not None:
-            run, columns, rows = balanced, -units.column, units.row
+        if scaling is not None:
+            balanced = _scaled(problem, scaling.row, -scaling.column, scaling.matrix)
+            if balanced is not None:
+                run, columns, rows = balanced, -scaling.column, scaling.row
         is_scaled = run is not problem
         if several is None:
             return cls(problem, run, columns, rows, None, least, is_scaled)
@@ -276,56 +279,56 @@ class CommonUnits:
             most = np.maximum(most, least)
         exponents = _exponents(run, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
-        has_units, has_answers = (problem.communicator.anywhere(side.any()) for side in (exponents, answered))
-        if has_units and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
+        has_scaling, has_answers = (problem.communicator.anywhere(side.any()) for side in (exponents, answered))
+        if has_scaling and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
             run, columns, rows = alike, *(exponents if side is None else side + exponents for side in (columns, rows))
         return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least, is_scaled)
 
     @cached_property
     def references(self) -> VectorEnds:
-        """Bounds of ‖r̂_P(z°)‖∞ of each part, shape (parts,) each, raised to `least`; 0 where z° is the answer."""
+        """Bounds of ‖r̂_P(z°)‖∞ of each component, raised to `least`, shape (components,) each; 0 where z° answers."""
         least, most = own_references(self.problem)
         if self.least:
             of_rows = times_power(np.full(self.stated.own, self.least), self.exponents)
-            raised = np.where(most > 0.0, largest_of_parts(self.problem, of_rows), 0.0)
+            raised = np.where(most > 0.0, largest_of_components(self.problem, of_rows), 0.0)
             least, most = np.maximum(least, raised), np.maximum(most, raised)
-        return self.in_open_parts(least), self.in_open_parts(most)
+        return self.in_open_components(least), self.in_open_components(most)
 
-    def in_open_parts(self, values: FloatVector) -> FloatVector:
-        """Return values of parts, shape (parts,), with 0 for those that z° answers."""
-        several = parts(self.problem.matrix)
+    def in_open_components(self, values: FloatVector) -> FloatVector:
+        """Return values of components, shape (components,), with 0 for those that z° answers."""
+        several = connected_components(self.problem.matrix)
         if several is None or self.answered is None:
             return values
         return np.where(several.largest(self.answered.astype(np.float64)) == 0.0, values, 0.0)
 
     @cached_property
     def reference(self) -> float:
-        """The least of them that is not 0, rounded upwards where there is one part; 0 where z° is the answer."""
+        """The least of them that is not 0, rounded upwards where there is one component; 0 where z° is the answer."""
         least, most = self.references
-        if parts(self.problem.matrix) is None:
+        if connected_components(self.problem.matrix) is None:
             return float(most.max(initial=0.0))
         smallest = -self.problem.communicator.largest(-least_reference(least, most))
         return smallest if smallest < np.inf else 0.0
 
     @property
-    def is_one_part(self) -> bool:
+    def is_connected(self) -> bool:
         """Whether all rows have one reference."""
-        return parts(self.problem.matrix) is None
+        return connected_components(self.problem.matrix) is None
 
     def beside_the_largest(self, tolerance: float) -> float:
         """Return the tolerance beside the largest of all references that means this one beside the least."""
         if self.least and self.reference > 0.0:
             share = self.reference / reference_residual(self.problem)
-            return tolerance * share * (1.0 if self.is_one_part else 1.0 - 4.0 * EPSILON)
-        return tolerance if self.is_one_part else beside_the_largest(*self.references, tolerance)
+            return tolerance * share * (1.0 if self.is_connected else 1.0 - 4.0 * EPSILON)
+        return tolerance if self.is_connected else beside_the_largest(*self.references, tolerance)
 
     @cached_property
-    def of_caller(self) -> CommonUnits:
-        """The same on the caller's matrix; itself where M shows no units."""
+    def of_caller(self) -> CommonScaling:
+        """The same on the caller's matrix; itself where M needs no scaling."""
         return self._in(None, self.stated, self.least) if self.is_scaled else self
 
     def steps(self, choice: Choice, z: FloatVector) -> Iterator[Step]:
-        """Yield the steps of a choice from z in these units, taken where its algorithm wants to take them."""
+        """Yield the steps of a choice from z in this scaling, taken where its algorithm wants to take them."""
         here = self.of_caller
         if here is self or choice.algorithm.takes_scaled:
             yield from choice.iterates(self.problem, z)
@@ -341,9 +344,9 @@ class CommonUnits:
         return self.exponents is None and self.answered is None
 
     def inward(self, z: FloatVector) -> FloatVector:
-        """Return a point of the caller's in the common units, shape (own,); z° where that is the answer.
+        """Return a point of the caller's in the common scaling, shape (own,); z° where that is the answer.
 
-        So it is where a number overflows: it is far from anything in its part.
+        So it is where a number overflows: it is far from anything in its component.
         """
         if self.is_identity:
             return z
@@ -356,7 +359,7 @@ class CommonUnits:
         return scaled if self.answered is None else np.where(self.answered, origin, scaled)
 
     def outward(self, z: FloatVector) -> FloatVector:
-        """Return a point in the common units in the caller's, shape (own,); z° where that is the answer."""
+        """Return a point in the common scaling in the caller's, shape (own,); z° where that is the answer."""
         if self.is_identity:
             return z
         back = times_power(z, None if self.exponents is None else -self.exponents)
@@ -364,19 +367,19 @@ class CommonUnits:
 
 
 def hold_at_zero(problem: LCP) -> BoolVector:
-    """Return of which parts z° cannot be told from a solution in double precision, shape (parts,).
+    """Return of which components z° cannot be told from a solution in double precision, shape (components,).
 
     In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
     """
     z, matrix = problem.nearest_to_zero, problem.matrix
     if not problem.communicator.anywhere(z.any()):  # what r(0) is made of is not rounded
-        return np.asarray(references_of_parts(problem)[1] == 0.0)
+        return np.asarray(references_of_components(problem)[1] == 0.0)
     whole = matrix.whole(z)
     residual = residual_ends_of(matrix.rows, whole, problem, z, problem.residual_scale)[1]
     with np.errstate(all="ignore"):
         floor = rounding_floor(problem, magnitude(problem, whole), problem.residual_scale)
         is_rounding = at_rounding_level(np.abs(problem.slack(z)) / problem.residual_scale, floor)
-    is_above = largest_of_parts(problem, ((residual > 0.0) & ~is_rounding).astype(np.float64))
+    is_above = largest_of_components(problem, ((residual > 0.0) & ~is_rounding).astype(np.float64))
     return np.asarray(is_above == 0.0)
 
 
@@ -395,11 +398,11 @@ def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LC
     return scaled
 
 
-def _exponents(problem: LCP, several: Parts, most: FloatVector) -> IntVector:
+def _exponents(problem: LCP, several: Components, most: FloatVector) -> IntVector:
     """Return the binary logarithm of each row's unit, shape (own,): 0 where nothing has to be changed.
 
-    Of a part that z° solves only numbers larger than the others' references are made smaller; no number is made larger
-    than a double is.
+    Of a component that z° solves only numbers larger than the others' references are made smaller; no number is made
+    larger than a double is.
     """
     with np.errstate(all="ignore"):
         sizes = [np.abs(problem.nearest_to_zero), np.abs(problem.q / problem.residual_scale), np.abs(problem.q)]

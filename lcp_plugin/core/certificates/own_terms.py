@@ -2,14 +2,15 @@
 
 A residual relative to one reference may hide a row: in units that M does not have, along a flow, or where a nonlinear F
 flattens. So beside it every row is judged by its own terms. With T_i = |q_i| + Σ_j |m_ij z_j|, U = max T_i / d_i over
-the part, and v_i the part of w_i that has the wrong sign (|w_i| where z_i is off its bounds), row i is right to s if
+the component, and v_i the part of w_i that has the wrong sign (|w_i| where z_i is off its bounds), row i is right
+to s if
 
 - v_i ≤ s (T_i + s d_i U), or
 - z_i is no farther than s max(|z_i|, s U) from a bound where its sign is right, and the step there keeps that sign.
 
 Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. The second term is for
-rows whose own terms are negligible beside those of the part, as in a far field. Where t_i |m_ij| are symmetric, U is
-also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i), d_i the diagonal entry, however small it is:
+rows whose own terms are negligible beside those of the component, as in a far field. Where t_i |m_ij| are symmetric, U
+is also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i), d_i the diagonal entry, however small it is:
 neither in the caller's units nor in those of energy may a row be wrong, be it negligible in the other ones.
 
 In the caller's own units an LCP within the tolerance has no larger term residual: z° is nearer to 0 than z is, so that
@@ -31,8 +32,8 @@ import numpy as np
 
 from ..checks import FloatVector
 from ..matrix.matrix import largest_in_rows
-from ..matrix.units import energy_scale
-from .criterion import for_each_row, largest_of_parts
+from ..matrix.scaling import energy_scale
+from .criterion import for_each_row, largest_of_components
 from .row_residuals import magnitude
 
 if TYPE_CHECKING:
@@ -71,15 +72,15 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector, *, is_linear: b
         if is_linear:
             if (energy := energy_scale(problem.matrix)) is not None:  # which knows of units beside the diagonal alone
                 scale = np.where(np.isnan(energy), scale, problem.diagonal)
-            unit = for_each_row(problem, largest_of_parts(problem, terms / scale))
+            unit = for_each_row(problem, largest_of_components(problem, terms / scale))
             if energy is not None:
-                largest = largest_of_parts(problem, np.nan_to_num(terms / energy))
+                largest = largest_of_components(problem, np.nan_to_num(terms / energy))
                 unit = np.fmin(unit, for_each_row(problem, largest) * energy / scale)
             own = (2.0 * wrong / (terms + np.sqrt(terms**2 + 4.0 * wrong * scale * unit))) ** 2
         else:
             tells = (distance > 0.0) & (wrong <= VANISHING * terms)
-            unit = largest_of_parts(problem, np.where(tells, terms / scale, 0.0))
-            unit = for_each_row(problem, np.minimum(unit, largest_of_parts(problem, np.abs(z))))
+            unit = largest_of_components(problem, np.where(tells, terms / scale, 0.0))
+            unit = for_each_row(problem, np.minimum(unit, largest_of_components(problem, np.abs(z))))
             rows = problem.matrix.csr_rows
             unknowns = largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(z)[rows.indices], 0.0))  # of each row
             vanishes = np.abs(problem.q) <= VANISHING * (terms - np.abs(problem.q))

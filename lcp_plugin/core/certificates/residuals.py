@@ -13,16 +13,16 @@ from ..checks import BoolVector, FloatVector, read_only, restored
 from ..errors import InvalidProblem
 from ..kind import refusal
 from ..lcp import LCP
-from ..matrix.structure import parts
-from ..matrix.units import times_power
+from ..matrix.scaling import times_power
+from ..matrix.structure import connected_components
 from ..rounding import gamma
 from .criterion import (
-    RowUnits,
+    RowScaling,
     VectorEnds,
     for_each_row,
     hold_at_zero,
-    largest_of_parts,
-    references_of_parts,
+    largest_of_components,
+    references_of_components,
     within,
 )
 from .own_terms import term_residuals
@@ -66,16 +66,16 @@ class Certificate:
     z, w : ndarray, shape (n,)
         The point and its slack M z + q in double precision; on ranks the own parts, shape (own,).
     scaled_residual : float
-        ‖r(z)‖∞ of the worst part, in mixed units of all rows, in the caller's unit of z, measured.
+        ‖r(z)‖∞ of the worst component, in mixed units of all rows, in the caller's unit of z, measured.
     relative_residual : float
-        The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts P, the connected components of the graph of M, with
-        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the units
-        that M shows (:mod:`lcp_plugin.core.certificates.criterion`).
+        The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all connected components P of the graph of M, with
+        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the scaling
+        that M needs (:mod:`lcp_plugin.core.certificates.criterion`).
     term_residual : float
-        How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`); 0 where M shows
-        no units, as it is no larger than the relative residual there.
-    parts : int
-        How many parts there are.
+        How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`); 0 where M needs
+        no scaling, as it is no larger than the relative residual there.
+    components : int
+        How many components there are.
     natural_residual : float
         ‖z − mid(lower, upper, z − w)‖∞, unscaled; the number other solvers print.
     euclidean_residual : float
@@ -87,11 +87,12 @@ class Certificate:
     complementarity : float
         max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
     relative_complementarity : float
-        The same with w_i/d_i for w_i, over ‖r_P(z°)‖∞², P the part of row i. Invariant as the relative residual is.
-        That is about the lesser factor; where the other is huge, the product is large although the residual is small.
+        The same with w_i/d_i for w_i, over ‖r_P(z°)‖∞², P the component of row i. Invariant as the relative residual
+        is. That is about the lesser factor; where the other is huge, the product is large although the residual is
+        small.
     worst_index : int
-        The row of the largest residual beside the reference of its part: it names the worst part; −1 for an empty
-        problem.
+        The row of the largest residual beside the reference of its component: it names the worst component; −1 for an
+        empty problem.
 
     Examples
     --------
@@ -133,10 +134,10 @@ class Certificate:
     def enclosed(cls, problem: LCP, z: FloatVector, relative_residual: float) -> Certificate:
         """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed in the same way.
 
-        Of a problem whose matrix shows no units: kernels know of none.
+        Of a problem whose matrix needs no scaling: kernels know of none.
         """
         certificate = cls(problem, read_only(z))
-        certificate.__dict__.update(relative_residual=relative_residual, _units=None)
+        certificate.__dict__.update(relative_residual=relative_residual, _scaling=None)
         return certificate
 
     def _measure_at_once(self) -> None:
@@ -165,60 +166,60 @@ class Certificate:
 
     @cached_property
     def _worst(self) -> tuple[float, int]:
-        """The residual that is the largest beside the reference of its part, and its row."""
-        several = parts(self.problem.matrix)
+        """The residual that is the largest beside the reference of its component, and its row."""
+        several = connected_components(self.problem.matrix)
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            relative = self._in_units(residual)
-            if several is not None:  # as the relative residual is proved, so that its part is the one that is named
+            relative = self._scaled(residual)
+            if several is not None:  # as the relative residual is proved: its component is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         communicator, is_empty = self.problem.communicator, not relative.size
         row = communicator.worst(0.0 if is_empty else float(relative[worst]), worst)[1]
         is_here = not is_empty and row == self.problem.first + worst
-        shown = float(residual[worst] if self._units is None else residual.max()) if is_here else 0.0
+        shown = float(residual[worst] if self._scaling is None else residual.max()) if is_here else 0.0
         return communicator.largest(shown), row
 
     @property
     def worst_index(self) -> int:
-        """The row of the largest residual beside the reference of its part; −1 for an empty problem."""
+        """The row of the largest residual beside the reference of its component; −1 for an empty problem."""
         return self._worst[1]
 
     @property
     def scaled_residual(self) -> float:
-        """‖r(z)‖∞ of the worst part, of all in mixed units, in the unit of z, as measured in double precision."""
+        """‖r(z)‖∞ of the worst component, of all in mixed units, in the unit of z, as measured in double precision."""
         return self._worst[0]
 
     @property
-    def parts(self) -> int:
-        """How many parts the problem has: connected components of the graph of M."""
-        several = parts(self.problem.matrix)
+    def components(self) -> int:
+        """How many connected components the graph of M has."""
+        several = connected_components(self.problem.matrix)
         return 1 if several is None else several.total
 
     @cached_property
     def relative_residual(self) -> float:
-        """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all parts, rounded upwards; 0 for 0/0."""
+        """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all components, rounded upwards; 0 for 0/0."""
         communicator = self.problem.communicator
         if communicator.anywhere(np.isinf(self.references[1]).any()):
             return np.nan
-        return communicator.largest(largest_ratio(*self.residuals_of_parts))
+        return communicator.largest(largest_ratio(*self.residuals_of_components))
 
     @property
     def term_residual(self) -> float:
         """How wrong the worst row is in its own terms; 0 where the relative residual says as much."""
-        is_known = self._units is None and not self.is_linearised
+        is_known = self._scaling is None and not self.is_linearised
         return 0.0 if is_known else float(self.term_residuals.max(initial=0.0))
 
     @cached_property
     def term_residuals(self) -> FloatVector:
-        """How wrong each row is in its own terms, shape (n,); 0 where M shows no units (see that module)."""
-        if self._units is None:
+        """How wrong each row is in its own terms, shape (n,); 0 where M needs no scaling (see that module)."""
+        if self._scaling is None:
             return np.zeros(self.z.size)
         return term_residuals(self.problem, self.z, self.w)
 
     def term_above(self, small: float) -> float:
         """Return the term residual without the rows whose own residual is at most `small`, in the unit of z."""
-        if not small or (self._units is None and not self.is_linearised):
+        if not small or (self._scaling is None and not self.is_linearised):
             return self.term_residual
         return float(self.term_residuals.max(initial=0.0, where=self._scaled_ends[1] > small))
 
@@ -259,42 +260,42 @@ class Certificate:
         return magnitude(self.problem, self._whole)
 
     @property
-    def residuals_of_parts(self) -> VectorEnds:
-        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ‖r_P(z°)‖∞, shape (parts,) each."""
-        return largest_of_parts(self.problem, self._proved_rows), self.references[0]
+    def residuals_of_components(self) -> VectorEnds:
+        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ‖r_P(z°)‖∞, shape (components,) each."""
+        return largest_of_components(self.problem, self._proved_rows), self.references[0]
 
     @property
     def _proved_rows(self) -> FloatVector:
-        """An upper bound of every |r_i|, sharp in parts that z° solves: there only what is exactly 0 will do."""
-        ends, least = self._in_units(self._scaled_ends[1]), self.references[0]
-        several = parts(self.problem.matrix)
+        """An upper bound of every |r_i|, sharp in components that z° solves: there only what is exactly 0 will do."""
+        ends, least = self._scaled(self._scaled_ends[1]), self.references[0]
+        several = connected_components(self.problem.matrix)
         of_rows = least if several is None else least[several.labels]
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
         if not self.problem.communicator.anywhere(is_exact.any()):
             return ends
-        return np.where(is_exact, self._in_units(self._sharp_ends()), ends)
+        return np.where(is_exact, self._scaled(self._sharp_ends()), ends)
 
     def _sharp_ends(self) -> FloatVector:
         return sharp_residual_ends(self.problem, self.z, self._scale)[1]
 
     @cached_property
-    def _units(self) -> RowUnits | None:
-        """The units of the criterion; None where they are the caller's."""
-        return RowUnits.of(self.problem)
+    def _scaling(self) -> RowScaling | None:
+        """The scaling of the criterion; None where they are the caller's."""
+        return RowScaling.of(self.problem)
 
     @property
     def _scale(self) -> FloatVector:
         """What w is divided by in the residual that SOLVED speaks of."""
-        return self.problem.residual_scale if self._units is None else self._units.scale
+        return self.problem.residual_scale if self._scaling is None else self._scaling.scale
 
-    def _in_units(self, residuals: FloatVector) -> FloatVector:
-        """Return upper bounds of |r| in the units of the criterion."""
-        return residuals if self._units is None else self._units.upwards(residuals)
+    def _scaled(self, residuals: FloatVector) -> FloatVector:
+        """Return upper bounds of |r| in the scaling of the criterion."""
+        return residuals if self._scaling is None else self._scaling.upwards(residuals)
 
     @property
     def references(self) -> VectorEnds:
-        """Bounds of ‖r_P(z°)‖∞ of each part, shape (parts,) each."""
-        return references_of_parts(self.problem)
+        """Bounds of ‖r_P(z°)‖∞ of each component, shape (components,) each."""
+        return references_of_components(self.problem)
 
     @cached_property
     def _scaled_ends(self) -> tuple[FloatVector, FloatVector]:
@@ -368,7 +369,7 @@ class Certificate:
         reference = for_each_row(self.problem, self.references[1])
         with np.errstate(all="ignore"):
             products = self._products / self._scale
-        products = times_power(products, None if self._units is None else -2 * self._units.column)
+        products = times_power(products, None if self._scaling is None else -2 * self._scaling.column)
         return self._largest(over(over(products, reference), reference))
 
     @property
@@ -393,9 +394,9 @@ class Certificate:
 
     @cached_property
     def scale_spread(self) -> float:
-        """The largest d_i divided by the smallest, in the units of the criterion; 1 for an empty problem."""
-        units, scale = self._units, self._scale
-        scale = scale if units is None else np.ldexp(scale, units.row + units.column)
+        """The largest d_i divided by the smallest, in the scaling of the criterion; 1 for an empty problem."""
+        scaling, scale = self._scaling, self._scale
+        scale = scale if scaling is None else np.ldexp(scale, scaling.row + scaling.column)
         extremes = scale.max(initial=-np.inf), -scale.min(initial=np.inf)
         most, minus_least = self.problem.communicator.all_largest(*map(float, extremes))
         with np.errstate(over="ignore"):
@@ -409,13 +410,13 @@ class Certificate:
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
-        """True at that level, where the residual is small, or in its part z° cannot be told from a solution either.
+        """True at that level, where the residual is small, or in its component z° cannot be told from a solution.
 
         Rounding as large as the problem itself is no limit reached, but data or a z out of all proportion.
         """
         if not self.is_at_rounding_level:
             return False
-        is_large, communicator = ~(over(*self.residuals_of_parts) <= GAINED), self.problem.communicator
+        is_large, communicator = ~(over(*self.residuals_of_components) <= GAINED), self.problem.communicator
         if not communicator.anywhere(is_large.any()):
             return True
         return not communicator.anywhere((is_large & ~hold_at_zero(self.problem)).any())
@@ -429,24 +430,25 @@ class Certificate:
             return self.relative_residual
         rows = self._proved_rows if answered is None else np.where(answered, 0.0, self._proved_rows)
         floors = np.full(self.z.size, least)
-        floors = floors if self._units is None else self._units.downwards(floors)
+        floors = floors if self._scaling is None else self._scaling.downwards(floors)
         references = np.maximum(for_each_row(self.problem, self.references[0]), floors)
         return self.problem.communicator.largest(largest_ratio(rows, references))
 
     @property
-    def _worst_part(self) -> str:
-        """Which of several parts is the worst, in words; empty where there is one."""
-        return f"the worst of {self.parts} parts: that of row {self.worst_index}" if self.parts > 1 else ""
+    def _worst_component(self) -> str:
+        """Which of several components is the worst, in words; empty where there is one."""
+        count = self.components
+        return f"the worst of {count} components: that of row {self.worst_index}" if count > 1 else ""
 
     def __str__(self) -> str:
         lines = [
-            ("relative residual", self.relative_residual, self._worst_part),
+            ("relative residual", self.relative_residual, self._worst_component),
             ("natural residual", self.natural_residual, ""),
             ("bound violation", self.bound_violation, ""),
             ("slack violation", self.slack_violation, ""),
             ("complementarity", self.complementarity, self.large_product),
             ("backward error", self.backward_error, ""),
-            *([("term residual", self.term_residual, "")] if self._units is not None else []),
+            *([("term residual", self.term_residual, "")] if self._scaling is not None else []),
         ]
         return "\n".join(f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines)
 

@@ -9,11 +9,11 @@ LEAST = -2000  # beyond the range of doubles
 
 
 @interpreted_while_small
-def shortest(indptr, indices, length, part, is_cut, distance, queue, is_waiting):  # type: ignore[no-untyped-def]
+def shortest(indptr, indices, length, component, is_cut, distance, queue, is_waiting):  # type: ignore[no-untyped-def]
     """Overwrite the integers `distance` by the greatest d ≤ distance with d_j ≤ d_i + length_k, k the entry (i, j).
 
-    Bellman and Ford's relaxation, first in first out. Where a cycle of negative length lets a part fall for ever, or a
-    distance leaves the range of doubles, ``is_cut[part]`` is set. `queue` holds all rows and is as long.
+    Bellman and Ford's relaxation, first in first out. Where a cycle of negative length lets a component fall for ever,
+    or a distance leaves the range of doubles, ``is_cut[component]`` is set. `queue` holds all rows and is as long.
     """
     n = distance.size
     head, waiting, left = 0, n, PASSES * (length.size + n)
@@ -23,11 +23,11 @@ def shortest(indptr, indices, length, part, is_cut, distance, queue, is_waiting)
         i = queue[head]
         head, waiting = (head + 1) % n, waiting - 1
         is_waiting[i] = False
-        if is_cut[part[i]]:
+        if is_cut[component[i]]:
             continue
         left -= indptr[i + 1] - indptr[i] + 1
         if left < 0 or distance[i] < LEAST:
-            is_cut[part[i]] = True
+            is_cut[component[i]] = True
             continue
         for k in range(indptr[i], indptr[i + 1]):
             j, reached = indices[k], distance[i] + length[k]

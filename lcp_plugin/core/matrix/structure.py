@@ -1,6 +1,6 @@
 """Structure of a matrix: what its pattern and its row sums tell.
 
-Its parts are the connected components of its graph, between which no entry stands.
+Its components are the connected components of its graph: no entry stands between two of them.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ def triangular_form(matrix: Matrix) -> str | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
-    """Which part each of the own rows belongs to, where a matrix has several.
+class Components:
+    """Which component each of the own rows belongs to, where a matrix has several.
 
     Attributes
     ----------
     labels : array of int, shape (own,)
-        Numbers of parts, from 0 on; on ranks the parts that several of them share come first, the same on all.
+        Numbers of components, from 0 on; on ranks those that several of them share come first, the same on all.
     count : int
-        How many parts there are; on a rank those that it counts.
+        How many components there are; on a rank those that it counts.
     total : int
         How many there are in all.
     shared : int
@@ -58,7 +58,7 @@ class Parts:
     communicator: Communicator
 
     def largest(self, values: FloatVector) -> FloatVector:
-        """Return the largest of the values ≥ 0 of each part's rows, shape (count,); a NaN stays."""
+        """Return the largest of the values ≥ 0 of each component's rows, shape (count,); a NaN stays."""
         found = np.zeros(self.count)
         np.maximum.at(found, self.labels, values)
         if self.shared:
@@ -67,22 +67,22 @@ class Parts:
 
 
 @fact
-def parts(matrix: Matrix) -> Parts | None:
-    """Return the parts of M; None where all rows belong together, as they mostly do.
+def connected_components(matrix: Matrix) -> Components | None:
+    """Return the connected components of the graph of M; None where all rows belong together, as they mostly do.
 
     Examples
     --------
-    >>> parts(Matrix([[2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 2.0]])).labels
+    >>> connected_components(Matrix([[2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 2.0]])).labels
     array([0, 1, 0])
-    >>> parts(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
+    >>> connected_components(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
     True
     """
     if not matrix.communicator.is_alone:
-        return _joined_parts(matrix)
+        return _joined_components(matrix)
     if _is_seen_connected(matrix):
         return None
-    labels, count = local_parts(matrix)
-    return Parts(read_only(labels), count, count, 0, matrix.communicator) if count > 1 else None
+    labels, count = local_components(matrix)
+    return Components(read_only(labels), count, count, 0, matrix.communicator) if count > 1 else None
 
 
 def _is_seen_connected(matrix: Matrix) -> bool:
@@ -99,8 +99,8 @@ def _is_seen_connected(matrix: Matrix) -> bool:
     return is_filled and bool((indices[starts[1:-1]] < np.arange(1, matrix.n, dtype=indices.dtype)).all())
 
 
-def local_parts(matrix: Matrix) -> tuple[IntVector, int]:
-    """Return the part of every unknown that the own rows meet, by these rows alone, and how many there are."""
+def local_components(matrix: Matrix) -> tuple[IntVector, int]:
+    """Return the component of every unknown that the own rows meet, by these rows alone, and how many there are."""
     from ..kernels.rows import join  # numba, which `import lcp_plugin` must not load
 
     rows = matrix.csr_rows
@@ -110,22 +110,21 @@ def local_parts(matrix: Matrix) -> tuple[IntVector, int]:
     return labels.astype(np.int64).reshape(-1), roots.size
 
 
-def _joined_parts(matrix: Matrix) -> Parts | None:
-    """Return the parts of rows over several ranks: those of each rank, joined where one of its unknowns is another's.
+def _joined_components(matrix: Matrix) -> Components | None:
+    """Return the components of rows over several ranks: those of each, joined where one of its unknowns is another's.
 
-    What a rank calls a part is told to the others by the values of its unknowns there; the parts that meet are few.
+    What a rank calls a component is told to the others by the values of its unknowns there; few of them meet.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse import coo_array, csgraph
 
     communicator, own = matrix.communicator, matrix.own
-    local, count = local_parts(matrix)
+    local, count = local_components(matrix)
     before, total = communicator.places(count)
     theirs = matrix.whole((local[:own] + before).astype(np.float64))[own:].astype(np.int64)
     met = np.unique(np.stack([local[own:] + before, theirs], axis=1), axis=0)
     pairs = communicator.everybodys(met)
     pattern = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(total, total))
-    joined_count, joined = connected_components(pattern, directed=False)
+    joined_count, joined = csgraph.connected_components(pattern, directed=False)
     if joined_count <= 1:
         return None
     shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
@@ -133,4 +132,4 @@ def _joined_parts(matrix: Matrix) -> Parts | None:
     order = np.concatenate([shared, np.setdiff1d(mine, shared)])
     number = np.full(joined_count, -1)
     number[order] = np.arange(order.size)
-    return Parts(read_only(number[mine]), order.size, int(joined_count), shared.size, communicator)
+    return Components(read_only(number[mine]), order.size, int(joined_count), shared.size, communicator)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ..algorithm import Algorithm, FusedSolve
-from ..certificates.criterion import CommonUnits
+from ..certificates.criterion import CommonScaling
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector
 from ..deadline import Clock
@@ -23,7 +23,7 @@ from .run_log import Header
 
 def solved_by(
     policy: Policy, problem: LCP, settings: Settings, start: FloatVector, clock: Clock, callback: Callback | None,
-    *, judge: Callable[[CommonUnits, Settings], Judge] = Judge, header: Header | None = None,
+    *, judge: Callable[[CommonScaling, Settings], Judge] = Judge, header: Header | None = None,
     warn: Callable[[LCP, Policy], None] | None = None,
 ) -> Result:
     """Return the result of what a policy chooses.
@@ -45,51 +45,51 @@ def solved_by(
     warn : callable, optional
         Asked before the run.
     """
-    run = units = None
+    run = scaling = None
 
-    def run_in(units: CommonUnits) -> Run:
-        return Run(units, policy, settings, callback, clock, judge(units, settings), header)
+    def run_in(scaling: CommonScaling) -> Run:
+        return Run(scaling, policy, settings, callback, clock, judge(scaling, settings), header)
 
     with threads_for(1 if settings.threads is None and problem.is_distributed else settings.threads):  # ranks: cores
         try:
             if warn is not None:
                 warn(problem, policy)
-            units = CommonUnits.of(problem, settings.least_reference)
-            start, first = units.inward(start), policy.first(units.problem)
-            if callback is None and (result := fused(units, policy, first, settings, start, clock)) is not None:
+            scaling = CommonScaling.of(problem, settings.least_reference)
+            start, first = scaling.inward(start), policy.first(scaling.problem)
+            if callback is None and (result := fused(scaling, policy, first, settings, start, clock)) is not None:
                 return result
-            run = run_in(units)
+            run = run_in(scaling)
             return run.judged(start, run.drive(start, first))
         except KeyboardInterrupt:
             if problem.is_distributed:
                 raise  # the second one: the other ranks have not heard of it
-            run = run or run_in(units or CommonUnits(problem, problem))
+            run = run or run_in(scaling or CommonScaling(problem, problem))
             return run.judged(start, End.INTERRUPTED)
 
 
 def fused(
-    units: CommonUnits, policy: Policy, first: Choice, settings: Settings, start: FloatVector, clock: Clock
+    scaling: CommonScaling, policy: Policy, first: Choice, settings: Settings, start: FloatVector, clock: Clock
 ) -> Result | None:
     """Return the result of the first algorithm's steps taken in one compiled call; None where they have to be driven.
 
     They are driven where somebody wants to see them, where another residual or the error is to be watched, and where
     the call does not converge within the tolerance.
     """
-    algorithm, problem = first.algorithm, units.problem
+    algorithm, problem = first.algorithm, scaling.problem
     may_fuse = settings.is_unobserved and first.presolved is None
     if type(algorithm).solve_fused is Algorithm.solve_fused or not may_fuse:
         return None
     clock.read()
     if clock.elapsed >= settings.max_seconds:
         return None
-    tolerance = units.beside_the_largest(settings.goal)
+    tolerance = scaling.beside_the_largest(settings.goal)
     found = algorithm.solve_fused(problem, start, tolerance, settings.max_iterations)
     if found is None:
         return None
-    if units.is_one_part and units.is_identity:  # the kernel has enclosed the residual of the whole
-        certificate = Certificate.enclosed(units.stated, found.z, found.residual)
+    if scaling.is_connected and scaling.is_identity:  # the kernel has enclosed the residual of the whole
+        certificate = Certificate.enclosed(scaling.stated, found.z, found.residual)
     else:
-        certificate = Certificate.of(units.stated, units.outward(found.z))
+        certificate = Certificate.of(scaling.stated, scaling.outward(found.z))
     is_solved = certificate.ends_a_run(settings)
     return fused_result(certificate, policy, first, found, settings, clock.read()) if is_solved else None
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..algorithm import Algorithm, Step
-from ..certificates.criterion import CommonUnits, measured_in_units, rounding_of_data
+from ..certificates.criterion import CommonScaling, measured_scaled_residual, rounding_of_data
 from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
@@ -47,11 +47,11 @@ STATUS_OF = {
 class Judge:
     """Measures, certifies and names the end of a run on the caller's own data; this one judges an LCP.
 
-    Every z that it is given is in the common units of the run; what it gives back is the caller's. A problem of another
-    kind brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run` asks: at each step
-    `residual_of` (what the algorithm says), `measure`, `certified` and `passes`; where nothing falls `is_at_floor` and
-    `is_limited_by_size`; of a proof `counts` and `misses_by_rounding`; at the end `final`, whose certificate `verdict`
-    names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the Result of an LCP of them.
+    Every z that it is given is in the common scaling of the run; what it gives back is the caller's. A problem of
+    another kind brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run` asks: at each
+    step `residual_of` (what the algorithm says), `measure`, `certified` and `passes`; where nothing falls `is_at_floor`
+    and `is_limited_by_size`; of a proof `counts` and `misses_by_rounding`; at the end `final`, whose certificate
+    `verdict` names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the Result of an LCP of them.
 
     Attributes
     ----------
@@ -73,16 +73,16 @@ class Judge:
     advice: Mapping[Status, str] = MappingProxyType({})
     _asked_at, _ask_again = math.inf, 0  # residual and iteration
 
-    def __init__(self, units: CommonUnits, settings: Settings) -> None:
-        self.units, self.problem, self.settings = units, units.stated, settings
+    def __init__(self, scaling: CommonScaling, settings: Settings) -> None:
+        self.scaling, self.problem, self.settings = scaling, scaling.stated, settings
         self.asked: Any = self.problem
-        self.reference = units.reference
+        self.reference = scaling.reference
         self.proof: Any = None
         self._certificate: Certificate | None = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z on the caller's own data; the latest one is kept."""
-        answer, latest = self.units.outward(z), self._certificate
+        answer, latest = self.scaling.outward(z), self._certificate
         if latest is None or not self.problem.communicator.everywhere(np.array_equal(latest.z, answer)):
             self._certificate = latest = Certificate.of(self.problem, answer)
         return latest
@@ -93,20 +93,20 @@ class Judge:
 
     def measure(self, z: FloatVector) -> float:
         """Return the relative residual of z as double precision gives it."""
-        return self._relative(measured_residual(self.units.problem, z))
+        return self._relative(measured_residual(self.scaling.problem, z))
 
     def _relative(self, residual: float) -> float:
-        """Return a residual of the run beside the reference; 0 where z° answers all parts: no step changes that."""
-        if self.reference == 0.0 and self.units.answered is not None:
+        """Return a residual of the run beside the reference; 0 where z° answers all of them: no step changes that."""
+        if self.reference == 0.0 and self.scaling.answered is not None:
             return 0.0
         return ratio(residual, self.reference)
 
     def certified(self, z: FloatVector) -> float:
         """Return an upper bound of the relative residual of z; no step changes what z° answers."""
-        return self._relative_in_open_parts(self.certificate_of(z))
+        return self._relative_in_open_components(self.certificate_of(z))
 
-    def _relative_in_open_parts(self, certificate: Certificate) -> float:
-        return certificate.relative_above(self.settings.least_reference, self.units.answered)
+    def _relative_in_open_components(self, certificate: Certificate) -> float:
+        return certificate.relative_above(self.settings.least_reference, self.scaling.answered)
 
     def may_pass(self, residual: float) -> bool:
         """Return whether a relative residual is so small that a certificate is worth its work."""
@@ -121,7 +121,7 @@ class Judge:
         is_asked_in_vain = residual > 0.5 * self._asked_at and iteration < self._ask_again
         if not self.may_pass(residual) or is_asked_in_vain:
             return False
-        passes = self.certificate_of(z).ends_a_run(self.settings, self.units.answered)
+        passes = self.certificate_of(z).ends_a_run(self.settings, self.scaling.answered)
         if not passes:
             self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
         return passes
@@ -153,7 +153,7 @@ class Judge:
         """Return whether no z is a solution, but this one misses by no more than rounding of the data."""
         if z is None or self.proof is None or not self.proof.is_rounding:
             return False
-        return measured_in_units(self.problem, self.units.outward(z)) <= rounding_of_data(self.problem)
+        return measured_scaled_residual(self.problem, self.scaling.outward(z)) <= rounding_of_data(self.problem)
 
     def counts(self, proof: Any) -> bool:
         """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
@@ -161,9 +161,9 @@ class Judge:
         It is one in the units of the run; kept is what it says in the caller's. Where the problem is made from a
         program, that has to be refuted in its own units as well.
         """
-        settings, units = self.settings, self.units
-        if units.row_exponents is not None:
-            proof = proof.in_units(units.stated, -units.row_exponents)
+        settings, scaling = self.settings, self.scaling
+        if scaling.row_exponents is not None:
+            proof = proof.rescaled(scaling.stated, -scaling.row_exponents)
         if not proof.verify():
             return False
         if self.proof is None or proof.margin > self.proof.margin:
@@ -181,12 +181,13 @@ class Judge:
         is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT)
         if last is None or is_cut_short or not self.problem.communicator.everywhere(bool(np.isfinite(z).all())):
             return certificate
-        finished = last.finish(self.units.problem, z)
+        finished = last.finish(self.scaling.problem, z)
         return certificate if finished is z else self._better_of(certificate, self.certificate_of(finished))
 
     def _better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
         """Return the cleaned one unless its residual is larger, or it answers the program no more."""
-        is_no_worse = self._relative_in_open_parts(cleaned) <= self._relative_in_open_parts(certificate) < math.inf
+        before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
+        is_no_worse = after <= before < math.inf
         return cleaned if is_no_worse and cleaned.answers_program(self.settings) is not False else certificate
 
     def is_solved_by(self, certificate: Certificate) -> bool:
@@ -206,6 +207,6 @@ class Judge:
             return Status.SOLVED
         if end is End.REFUTED:
             return self.proof.status  # type: ignore[no-any-return]
-        if certificate.is_limited_by_rounding or self.misses_by_rounding(self.units.inward(certificate.z)):
+        if certificate.is_limited_by_rounding or self.misses_by_rounding(self.scaling.inward(certificate.z)):
             return Status.PRECISION_LIMIT
         return Status.STALLED if end is End.DIVERGED and is_chain else STATUS_OF.get(end, Status.STALLED)

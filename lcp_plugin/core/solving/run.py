@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..algorithm import Step
-from ..certificates.criterion import CommonUnits
+from ..certificates.criterion import CommonScaling
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import ratio
 from ..checks import FloatVector, read_only
@@ -36,18 +36,18 @@ DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
 class Run:
     """One run: algorithms yield steps, the judge measures them, and the first reason to end ends it.
 
-    They work in the common units of the problem's parts. A judge of another problem than the one that the algorithms
-    take may be given (see :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which that one is
-    the linearisation at the start. `header` tells what ``verbose=True`` prints of M.
+    They work in the common scaling of the problem's components. A judge of another problem than the one that the
+    algorithms take may be given (see :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which
+    that one is the linearisation at the start. `header` tells what ``verbose=True`` prints of M.
     """
 
     def __init__(
-        self, units: CommonUnits, policy: Policy, settings: Settings, callback: Callback | None, clock: Clock,
+        self, scaling: CommonScaling, policy: Policy, settings: Settings, callback: Callback | None, clock: Clock,
         judge: Judge | None = None, header: Header | None = None,
     ) -> None:
-        self.units, self.policy, self.settings, self.callback, self.clock = units, policy, settings, callback, clock
-        self.judge, self.incumbent, self.state = judge or Judge(units, settings), Incumbent(), RunState()
-        self.problem = problem = units.problem
+        self.scaling, self.policy, self.settings, self.callback, self.clock = scaling, policy, settings, callback, clock
+        self.judge, self.incumbent, self.state = judge or Judge(scaling, settings), Incumbent(), RunState()
+        self.problem = problem = scaling.problem
         self.progress = Progress(problem.n, settings.max_iterations)
         self.checks = CheckSchedule(ratio(1.0, self.judge.reference), settings.goal)
         self.start_residual = math.inf
@@ -74,7 +74,7 @@ class Run:
                     from_start = following.from_start or self.incumbent.z is None
                     self.state.open(Stage(following.algorithm, following.because, from_start))
                     z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
-                    end, following = self._follow(self.units.steps(following, z))
+                    end, following = self._follow(self.scaling.steps(following, z))
         except OutOfTimeError:
             return End.TIME_LIMIT
         return end
@@ -199,7 +199,7 @@ class Run:
     def _called_back(self, sample: Sample, z: FloatVector) -> bool:
         """Return whether a callback, of any rank, wants to stop."""
         callback, communicator = self.callback, self.problem.communicator
-        shown = z if callback is None else self.units.outward(z)
+        shown = z if callback is None else self.scaling.outward(z)
         wants_to_stop = communicator.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
         return communicator.anywhere(wants_to_stop)
 

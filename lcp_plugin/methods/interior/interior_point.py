@@ -22,7 +22,7 @@ from .dense_ends import newton_matrix
 from .newton_matrix import NewtonMatrix
 from .predictor_corrector import PredictorCorrector, Standstill, Starts
 from .primal_active_set import PrimalActiveSet
-from .suited_matrix import known_before, sizes_of_parts, suited
+from .suited_matrix import known_before, sizes_of_components, suited
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
 MOST_SWEEPS = 60
@@ -151,7 +151,7 @@ class Search:
         self.M, self.signs, c = self.suited.M, self.suited.signs, self.suited.unit
         q = (q if self.suited.row_factors is None else self.suited.row_factors * q) * c
         size = _unit_of(q, self.M.data if sp.issparse(self.M) else self.M)
-        of_z, of_w = sizes_of_parts(self.suited, q, lower / c, upper / c)
+        of_z, of_w = sizes_of_components(self.suited, q, lower / c, upper / c)
         self.unit = c * size * of_z
         self.q, self.lower, self.upper = q / size / of_w, lower / self.unit, upper / self.unit
         self.entries = max(float(problem.M.nnz if sp.issparse(problem.M) else problem.M.size), 1.0)

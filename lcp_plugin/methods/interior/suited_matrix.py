@@ -15,8 +15,8 @@ from ...core.crossovers import DENSE_NEWTON_UP_TO
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix.scaling import Exponents, scaled, symmetrising_rows
 from ...core.matrix.structure import IntVector, row_numbers
-from ...core.matrix.units import Exponents, scaled, symmetrising_rows
 from ...systems.equilibration import unit_diagonal
 from ...systems.graph import compressed_rows
 from ...systems.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
@@ -24,7 +24,7 @@ from .dense_ends import analysed
 from .quasidefinite import Symbolic, signs_of
 
 SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
-EVEN = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
+WELL_SCALED = 1e3  # diagonals that differ by less are not worth a scaled copy of a dense M
 SWEEPS, RUIZ_PASSES = 6, 8
 CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
 LARGEST_EXPONENT = 1000
@@ -77,14 +77,14 @@ class SuitedMatrix:
         return self.signs is not None and bool((self.signs < 0.0).any())
 
     @cached_property
-    def parts(self) -> tuple[int, Any, Any]:
-        """How many parts of a sparse program do not meet, the number of each row's, and which parts have curvature."""
+    def components(self) -> tuple[int, Any, Any]:
+        """How many connected components M has, the number of each row's, and which of them have curvature."""
         from scipy.sparse.csgraph import connected_components
 
-        count, part = connected_components(self.M, directed=False)
+        count, component = connected_components(self.M, directed=False)
         is_dual, rows, bends = np.asarray(self.signs) < 0.0, row_numbers(self.M), np.zeros(count, dtype=bool)
-        bends[part[rows[is_dual[rows] == is_dual[self.M.indices]]]] = True
-        return count, part, bends
+        bends[component[rows[is_dual[rows] == is_dual[self.M.indices]]]] = True
+        return count, component, bends
 
 
 def _stored(M: Any, is_mirrored: bool | None = None) -> tuple[Any, FloatVector | None, bool]:
@@ -105,7 +105,7 @@ def _stored(M: Any, is_mirrored: bool | None = None) -> tuple[Any, FloatVector |
 
 def suited(matrix: Matrix, kept: NDArray[np.intp] | None = None) -> SuitedMatrix:
     """Return the kept rows and columns, or all, as interior steps take them; those asked for last are known."""
-    known, key = _known_parts(matrix), None if kept is None else kept.tobytes()
+    known, key = _known_blocks(matrix), None if kept is None else kept.tobytes()
     found = known.get(key)
     if found is None:
         M = matrix.array
@@ -119,8 +119,8 @@ def suited(matrix: Matrix, kept: NDArray[np.intp] | None = None) -> SuitedMatrix
 
 
 @fact
-def _known_parts(matrix: Matrix) -> dict[bytes | None, SuitedMatrix]:
-    """Return the part that was asked for last; one, as each may be as large as the matrix."""
+def _known_blocks(matrix: Matrix) -> dict[bytes | None, SuitedMatrix]:
+    """Return the block that was asked for last; one, as each may be as large as the matrix."""
     return {}
 
 
@@ -134,12 +134,12 @@ def equilibration(M: Any, signs: FloatVector | None = None) -> Exponents | None:
         return None
     diagonal = M.diagonal()
     if not sp.issparse(M) and diagonal.min() > 0.0:
-        return None if diagonal.max() <= EVEN * diagonal.min() else unit_diagonal(diagonal)
-    from .kernels.interior_rows import even
+        return None if diagonal.max() <= WELL_SCALED * diagonal.min() else unit_diagonal(diagonal)
+    from .kernels.interior_rows import equilibrate
 
     c = np.ones(diagonal.size)
     is_program = signs is not None and bool((signs < 0.0).any())
-    even(*compressed_rows(M), signs if is_program else c, SWEEPS if is_program else 0, RUIZ_PASSES, c)
+    equilibrate(*compressed_rows(M), signs if is_program else c, SWEEPS if is_program else 0, RUIZ_PASSES, c)
     half = np.clip(np.rint(np.log2(c)), -500, 500).astype(np.int64)
     return Exponents(half, half)
 
@@ -208,34 +208,34 @@ def known_before(problem: LCP) -> FloatVector:
     return known
 
 
-def sizes_of_parts(
+def sizes_of_components(
     suited: SuitedMatrix, q: FloatVector, lower: FloatVector, upper: FloatVector
 ) -> tuple[FloatVector, FloatVector]:
-    """Return powers of two to measure z and w in, shape (n,) each, that bring limits and costs of each part near 1.
+    """Return powers of two to measure z and w in, shape (n,) each: limits and costs of each component are near 1 then.
 
-    The units of parts of a program that do not meet are not those of M: in common ones the large would hide the small.
-    M stays as it is. Where nothing in a part bends, its unknowns may have another unit than its multipliers.
+    Connected components of a program do not share the units of M: in common ones the large would hide the small.
+    M stays as it is. Where nothing in a component bends, its unknowns may have another unit than its multipliers.
     """
     ones = np.ones(q.size)
     if not suited.is_program or not sp.issparse(suited.M):
         return ones, ones
-    count, part, bends = suited.parts
+    count, component, bends = suited.components
     if count == 1:
         return ones, ones
     is_dual = np.asarray(suited.signs) < 0.0
     limits = np.abs(np.where(is_dual, q, np.clip(0.0, lower, upper)))
-    limits, costs = (_means(part, count, values) for values in (limits, np.where(is_dual, 0.0, np.abs(q))))
+    limits, costs = (_means(component, count, values) for values in (limits, np.where(is_dual, 0.0, np.abs(q))))
     known = np.isfinite(limits) & np.isfinite(costs)
     mean = np.where(known, 0.5 * (limits + costs), np.where(np.isfinite(limits), limits, costs))
     size, ratio = (
-        np.ldexp(1.0, np.rint(np.clip(np.where(np.isfinite(values), values, 0.0), -300, 300)).astype(int))[part]
+        np.ldexp(1.0, np.rint(np.clip(np.where(np.isfinite(values), values, 0.0), -300, 300)).astype(int))[component]
         for values in (mean, np.where(known & ~bends, 0.5 * (limits - costs), 0.0))
     )
     return np.where(is_dual, size / ratio, size * ratio), np.where(is_dual, size * ratio, size / ratio)
 
 
-def _means(part: Any, count: int, values: FloatVector) -> FloatVector:
-    """Return the mean log₂ of the positive values in each part, NaN where there are none."""
+def _means(component: Any, count: int, values: FloatVector) -> FloatVector:
+    """Return the mean log₂ of the positive values in each component, NaN where there are none."""
     is_positive = values > 0.0
-    sums = np.bincount(part[is_positive], np.log2(values[is_positive]), count)
-    return np.asarray(sums / np.bincount(part[is_positive], minlength=count))
+    sums = np.bincount(component[is_positive], np.log2(values[is_positive]), count)
+    return np.asarray(sums / np.bincount(component[is_positive], minlength=count))

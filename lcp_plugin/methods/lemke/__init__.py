@@ -17,7 +17,7 @@ from ...core.checks import FloatVector
 from ...core.crossovers import PIVOTED_UP_TO
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.matrix.structure import parts as parts_of
+from ...core.matrix.structure import connected_components
 from ...systems.graph import block_rows
 from ..newton.active_set import solve_active_set
 from ..small.small_dense import PIVOTS_ONLY, is_short, solve_fused, steps
@@ -66,8 +66,8 @@ class Lemke(Algorithm):
     eliminated where their block is well conditioned and split into two nonnegative variables elsewhere. Of a given
     z0 the active set is tried before, by one factor: where q has moved a little it is often the answer. A path
     begins there where its residual is at most a tenth of that of z°, the point of the bounds nearest to 0;
-    otherwise z0 changes nothing more as long as the usual starts lead to a solution. Connected parts of the problem are
-    solved one by one. Ties are broken lexicographically, so no basis comes twice. A path
+    otherwise z0 changes nothing more as long as the usual starts lead to a solution. Connected components of the
+    problem are solved one by one. Ties are broken lexicographically, so no basis comes twice. A path
     from r > 0 ends in a solution where M is a P-matrix or all bounds are finite, and for a copositive-plus M
     (a positive semidefinite one, say) where the problem is feasible.
 
@@ -113,7 +113,7 @@ class Lemke(Algorithm):
         Raises
         ------
         UnsuitableProblem
-            Where a connected part is too large for a dense inverse.
+            Where a connected component is too large for a dense inverse.
         """
         return without_warnings(self._steps(problem, z0))
 
@@ -134,17 +134,17 @@ class Lemke(Algorithm):
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         if self._may_be_fused(problem, z0):
             yield from steps(problem, z0, PIVOTS_ONLY)
-        parts = _parts_that_fit(problem)
+        components = _components_that_fit(problem)
         z = z0.copy()
         yield Step(z, work=0.0)
         entries = max(problem.nonzeros, 1)
-        for rows in parts:
-            part = problem
+        for rows in components:
+            component = problem
             if rows.size < problem.n:
                 M = sp.csr_array(problem.csr[rows][:, rows])
-                part = LCP(M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows])
-            for found, touched, ray in self._paths(part, z[rows]):
-                z[rows] = np.clip(found, part.lower, part.upper)
+                component = LCP(M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows])
+            for found, touched, ray in self._paths(component, z[rows]):
+                z[rows] = np.clip(found, component.lower, component.upper)
                 step = PivotStep(z, work=touched / entries, is_settling=True)
                 if ray is not None:
                     step.ray = np.zeros(problem.n)
@@ -153,7 +153,7 @@ class Lemke(Algorithm):
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
-        _parts_that_fit(problem)
+        _components_that_fit(problem)
         if np.isfinite(problem.lower).all() and np.isfinite(problem.upper).all():
             reason = "all bounds are finite"
         elif report.is_p_matrix is True:
@@ -163,42 +163,42 @@ class Lemke(Algorithm):
         limit = "100 (n + 10)" if self.max_pivots is None else str(self.max_pivots)
         return f"{reason}: no path ends on a ray (Lemke 1965), if {limit} pivots suffice"
 
-    def _paths(self, part: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float, FloatVector | None]]:
+    def _paths(self, component: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float, FloatVector | None]]:
         """Yield (z, entries touched, ray) along one path after the other until one ends in a solution."""
         from .pivoting_path import Path, starts
 
-        if not np.array_equal(guess, part.nearest_to_zero):  # its active set first: a factor and a check
-            at_lower = guess <= part.lower
-            found = solve_active_set(part, at_lower, ~at_lower & (guess >= part.upper))
+        if not np.array_equal(guess, component.nearest_to_zero):  # its active set first: a factor and a check
+            at_lower = guess <= component.lower
+            found = solve_active_set(component, at_lower, ~at_lower & (guess >= component.upper))
             if found is not None:
-                yield found.z, found.work * max(part.nonzeros, 1), None
-                if _is_good(part, np.clip(found.z, part.lower, part.upper)):
+                yield found.z, found.work * max(component.nonzeros, 1), None
+                if _is_good(component, np.clip(found.z, component.lower, component.upper)):
                     return
-        box = canonical_box(part)
+        box = canonical_box(component)
         if not box.is_finite:  # a solution, if there is one, is out of the reach of a tableau of doubles
             return
         path = Path(box.M, box.q, box.upper)
         path.entries += box.work
         if not np.any(box.q < 0.0):
-            yield from self._solution(part, box, path)
+            yield from self._solution(component, box, path)
             return
         restarts = self.restarts
         if restarts is None:
             restarts = int(np.clip(START_SIZES // path.n, *ARBITRARY_STARTS))
-        waiting: Any = starts(path, box.restrict(part, guess), restarts, is_near=_is_near(part, guess))
+        waiting: Any = starts(path, box.restrict(component, guess), restarts, is_near=_is_near(component, guess))
         rounds = PIVOTS_A_ROUND if self.max_pivots is None else (0,)
         for multiple in rounds:
             limit = multiple * (path.n + 10) if self.max_pivots is None else self.max_pivots
             cut_off = []
             for start in waiting:
-                is_solved = yield from self._follow(part, box, path, start, limit)
+                is_solved = yield from self._follow(component, box, path, start, limit)
                 if is_solved:
                     return
                 if path.pivots >= limit:
                     cut_off.append(start)
             waiting = cut_off
 
-    def _follow(self, part: LCP, box: CanonicalBox, path: Any, start: Any, limit: int) -> Any:
+    def _follow(self, component: LCP, box: CanonicalBox, path: Any, start: Any, limit: int) -> Any:
         """Yield along one path; return whether it ended in a certified solution.
 
         A path lost to rounding is followed once more with an inverse renewed every few pivots.
@@ -212,7 +212,7 @@ class Lemke(Algorithm):
             while outcome == GOING_ON and path.pivots < limit:
                 outcome = path.advance(min(block, limit - path.pivots))
                 if outcome == SOLVED:
-                    if (yield from self._solution(part, box, path)):
+                    if (yield from self._solution(component, box, path)):
                         return True
                     outcome = LOST
                     break
@@ -223,24 +223,24 @@ class Lemke(Algorithm):
         path.fresh_for = usual
         return False
 
-    def _solution(self, part: LCP, box: CanonicalBox, path: Any) -> Any:
+    def _solution(self, component: LCP, box: CanonicalBox, path: Any) -> Any:
         """Yield the end of a path, solved again on the problem's own data; return whether its certificate is good."""
         from ..small.kernels.workspace import AT_LOWER, AT_UPPER
 
-        z = np.clip(box.recover(path.z), part.lower, part.upper)
+        z = np.clip(box.recover(path.z), component.lower, component.upper)
         yield z, path.touched(), None
-        bounded = (part.lower > -np.inf) | (part.upper < np.inf)
-        at_lower = part.lower == part.upper
-        at_upper = np.zeros(part.n, dtype=bool)
+        bounded = (component.lower > -np.inf) | (component.upper < np.inf)
+        at_lower = component.lower == component.upper
+        at_upper = np.zeros(component.n, dtype=bool)
         at_lower[box.rows] |= path.side == np.where(box.step < 0.0, AT_UPPER, AT_LOWER)
         at_upper[box.rows] |= path.side == np.where(box.step < 0.0, AT_LOWER, AT_UPPER)
-        refined = solve_active_set(part, at_lower & bounded, at_upper & bounded & ~at_lower)
+        refined = solve_active_set(component, at_lower & bounded, at_upper & bounded & ~at_lower)
         if refined is not None:
-            yield refined.z, refined.work * max(part.nonzeros, 1), None
-            refined_z = np.clip(refined.z, part.lower, part.upper)
-            if _is_good(part, refined_z):
+            yield refined.z, refined.work * max(component.nonzeros, 1), None
+            refined_z = np.clip(refined.z, component.lower, component.upper)
+            if _is_good(component, refined_z):
                 return True
-        if _is_good(part, z):
+        if _is_good(component, z):
             yield z, 0.0, None
             return True
         return False
@@ -267,7 +267,7 @@ def lemke_path(problem: LCP, covering: FloatVector, max_pivots: int) -> tuple[Fl
     """
     from .pivoting_path import Path
 
-    _parts_that_fit(problem)
+    _components_that_fit(problem)
     box, covering = covered_box(problem, covering)
     if not (box.is_finite and np.isfinite(covering).all() and covering.min(initial=1.0) > 0.0):
         return np.zeros(problem.n), "rounding", 0
@@ -284,29 +284,29 @@ def lemke_path(problem: LCP, covering: FloatVector, max_pivots: int) -> tuple[Fl
     return z, "ray" if ray is not None else "limit" if path.pivots >= max_pivots else "rounding", path.pivots
 
 
-def _parts_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
-    """Return the connected parts, or raise where one is too large for a dense inverse."""
-    parts = connected_parts(problem)
-    size = max((rows.size for rows in parts), default=0)
+def _components_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
+    """Return the connected components, or raise where one is too large for a dense inverse."""
+    components = rows_of_components(problem)
+    size = max((rows.size for rows in components), default=0)
     if size > PIVOTED_UP_TO:
         raise UnsuitableProblem(
-            f"lemke keeps a dense inverse and takes connected parts up to n = {PIVOTED_UP_TO}, got one of {size}; "
+            f"lemke keeps a dense inverse and takes connected components up to n = {PIVOTED_UP_TO}, got one of {size}; "
             'try algorithm="auto"'
         )
-    return parts
+    return components
 
 
-def connected_parts(problem: LCP) -> list[NDArray[np.intp]]:
-    """Return the rows of each connected part of M, in the order of their first rows."""
-    several = parts_of(problem.matrix)
+def rows_of_components(problem: LCP) -> list[NDArray[np.intp]]:
+    """Return the rows of each connected component of M, in the order of their first rows."""
+    several = connected_components(problem.matrix)
     if several is None:
         return [np.arange(problem.n)] if problem.n else []
     return block_rows(several.labels, several.count)
 
 
-def has_parts_that_fit(problem: LCP) -> bool:
-    """Return whether no connected part is too large for a dense inverse."""
-    return problem.n <= PIVOTED_UP_TO or max(part.size for part in connected_parts(problem)) <= PIVOTED_UP_TO
+def has_components_that_fit(problem: LCP) -> bool:
+    """Return whether no connected component is too large for a dense inverse."""
+    return problem.n <= PIVOTED_UP_TO or max(map(len, rows_of_components(problem))) <= PIVOTED_UP_TO
 
 
 def _is_near(problem: LCP, z: FloatVector) -> bool:

@@ -1,4 +1,4 @@
-"""Any dense box or mixed problem as 0 ≤ z ≤ u with u > 0: fixed, free and flipped rows taken out, in the units of M."""
+"""Any dense box or mixed problem as 0 ≤ z ≤ u with u > 0: fixed, free and flipped rows taken out, M scaled."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
+from ...core.matrix.scaling import Exponents, scaled, scaling_of
 from ...core.matrix.structure import IntVector
-from ...core.matrix.units import Exponents, scaled, units_of
 from ...systems.equilibration import power_of_two
 
 FloatMatrix = NDArray[np.float64]
@@ -31,7 +31,7 @@ class CanonicalBox:
     Attributes
     ----------
     M : ndarray, shape (k, k)
-        In the units that M shows, the largest entry of each row about 1.
+        In the scaling that M needs, the largest entry of each row about 1.
     q, upper : ndarray, shape (k,)
         max |q_i| is about 1; upper > 0.
     offset : ndarray, shape (n,)
@@ -89,7 +89,7 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows whose block can be
     inverted stably are eliminated; the others become the difference of two nonnegative variables.
     """
-    M, row_scale, column_scale = _in_units(problem.matrix)
+    M, row_scale, column_scale = _equilibrated(problem.matrix)
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     sign = np.where((problem.lower == -np.inf) & ~is_free, -1.0, 1.0)
     base = np.where(is_free, 0.0, np.where(sign > 0.0, problem.lower, problem.upper))
@@ -112,7 +112,7 @@ def canonical_box(problem: LCP) -> CanonicalBox:
 
 def covered_box(problem: LCP, covering: FloatVector) -> tuple[CanonicalBox, FloatVector]:
     """Return a problem with z ≥ 0 in canonical form, row by row as it is, and its covering vector; M is made dense."""
-    M, row_scale, column_scale = _in_units(problem.matrix)
+    M, row_scale, column_scale = _equilibrated(problem.matrix)
     q, r = np.ldexp(problem.q, row_scale), np.ldexp(covering, row_scale)
     size, none = power_of_two(np.abs(q).max(initial=0.0)), np.empty(0, dtype=np.intp)
     box = CanonicalBox(
@@ -122,12 +122,12 @@ def covered_box(problem: LCP, covering: FloatVector) -> tuple[CanonicalBox, Floa
     return box, r / power_of_two(r.max(initial=0.0))
 
 
-def _in_units(matrix: Matrix) -> tuple[FloatMatrix, IntVector, IntVector]:
-    """Return M, dense, and the exponents of its own units, with the largest entry of each row near 1."""
-    units = units_of(matrix)
+def _equilibrated(matrix: Matrix) -> tuple[FloatMatrix, IntVector, IntVector]:
+    """Return M, dense, and the exponents that scale it, with the largest entry of each row near 1."""
+    scaling = scaling_of(matrix)
     M: FloatMatrix = matrix.array if matrix.is_dense else matrix.csr.toarray()
     none = np.zeros(matrix.n, np.int64)
-    row, column, rows = (none, none, matrix) if units is None else (units.row, units.column, units.matrix)
+    row, column, rows = (none, none, matrix) if scaling is None else (scaling.row, scaling.column, scaling.matrix)
     return M, row + 1 - np.frexp(rows.row_largest)[1], column
 
 

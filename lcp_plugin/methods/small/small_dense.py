@@ -225,7 +225,7 @@ class Answers:
         return self.z, self.residual, self.made, self.work, self.needs_path
 
     def judge(self, first: int, end: int, tolerance: float) -> None:
-        """Judge the problems first ≤ k < end, each of one part in its own units."""
+        """Judge the problems first ≤ k < end, each of one component in its own units."""
         self.has_converged[first:end] = within(self.residual[first:end], 0.0, tolerance)
 
     def solve_fused(self, k: int) -> FusedSolve | None:

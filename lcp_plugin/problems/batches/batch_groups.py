@@ -1,4 +1,4 @@
-"""Problems of a batch that share a compiled call: as they are, brought to common units, or looked at in all cases."""
+"""Problems of a batch that share a compiled call: as they are, in a common scaling, or looked at in all cases."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.algorithm import Phases
-from ...core.certificates.criterion import CommonUnits, beside_the_largest, within
+from ...core.certificates.criterion import CommonScaling, beside_the_largest, within
 from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import largest_ratio
 from ...core.checks import BoolVector, read_only
 from ...core.lcp import LCP
-from ...core.matrix.structure import IntVector, parts
-from ...core.matrix.units import are_in_one_unit
+from ...core.matrix.scaling import are_well_scaled
+from ...core.matrix.structure import IntVector, connected_components
 from ...core.settings import Settings
 from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
 from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
@@ -65,19 +65,19 @@ class Group(NamedTuple):
         return LCP(M, q, lower=lower, upper=upper)
 
 
-def in_one_unit(group: Group) -> Group:
-    """Return the problems that keep their units in the criterion; a compiled loop knows of no others."""
-    are = are_in_one_unit(group.M)
+def well_scaled(group: Group) -> Group:
+    """Return the problems that the criterion does not scale; a compiled loop knows of no others."""
+    are = are_well_scaled(group.M)
     return group if are.all() else group.chosen(np.flatnonzero(are & np.ones(group.items.size, np.bool_)))
 
 
-def by_parts(group: Group) -> tuple[Group, Group]:
-    """Return the problems of one part, and those that may have several."""
-    is_open = _may_have_parts(group.M) & np.ones(group.items.size, np.bool_)
+def by_components(group: Group) -> tuple[Group, Group]:
+    """Return the problems of one component, and those that may have several."""
+    is_open = _may_have_components(group.M) & np.ones(group.items.size, np.bool_)
     return group.chosen(np.flatnonzero(~is_open)) if is_open.any() else group, group.chosen(np.flatnonzero(is_open))
 
 
-def _may_have_parts(M: Any) -> BoolVector:
+def _may_have_components(M: Any) -> BoolVector:
     """Return where not every row but the first meets one before it, shape (k,)."""
     is_open: BoolVector = ~(M[:, 0, 1:] != 0.0).all(axis=1)
     some = np.flatnonzero(is_open)
@@ -88,26 +88,26 @@ def _may_have_parts(M: Any) -> BoolVector:
     return is_open
 
 
-def answers_in_common_units(group: Group, phases: Phases, settings: Settings) -> Answers:
-    """Return the answers of the compiled loop to problems each part of which is judged by its own reference."""
+def answers_in_common_scaling(group: Group, phases: Phases, settings: Settings) -> Answers:
+    """Return the answers of the compiled loop to problems each component of which is judged by its own reference."""
     (count, n), answers = group.shape, Answers(*group.shape)
     problem = group.block_diagonal()
-    units = CommonUnits.of(problem)
-    several = parts(problem.matrix)
+    scaling = CommonScaling.of(problem)
+    several = connected_components(problem.matrix)
     labels = np.zeros(count * n, np.int64) if several is None else several.labels
-    ends = np.append(labels[::n], labels.max() + 1)  # parts are numbered in the order of their first rows
-    vectors = [read_only(getattr(units.problem, name).reshape(count, n)) for name in ("q", "lower", "upper")]
+    ends = np.append(labels[::n], labels.max() + 1)  # components are numbered in the order of their first rows
+    vectors = [read_only(getattr(scaling.problem, name).reshape(count, n)) for name in ("q", "lower", "upper")]
     starts = group.starts
     if starts.shape[1]:
-        starts = read_only(units.inward(group.vectors("starts")[0].reshape(-1)).reshape(count, n))
-    least, most = units.references
+        starts = read_only(scaling.inward(group.vectors("starts")[0].reshape(-1)).reshape(count, n))
+    least, most = scaling.references
     for k in range(count):
         own = slice(ends[k], ends[k + 1])
         tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
         run_phases((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
-    certificate = Certificate.of(units.stated, units.outward(answers.z.reshape(-1)))
+    certificate = Certificate.of(scaling.stated, scaling.outward(answers.z.reshape(-1)))
     answers.z[:] = certificate.z.reshape(count, n)
-    largest, least = certificate.residuals_of_parts
+    largest, least = certificate.residuals_of_components
     for k in np.flatnonzero(answers.has_converged).tolist():
         answers.residual[k] = largest_ratio(largest[ends[k]:ends[k + 1]], least[ends[k]:ends[k + 1]])
     term_residuals = certificate.term_residuals.reshape(count, n).max(axis=1)
@@ -116,7 +116,7 @@ def answers_in_common_units(group: Group, phases: Phases, settings: Settings) ->
 
 
 def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, Any, Any]:
-    """Return the rows of problems of one part that no z solves within the tolerance, their starts and residuals.
+    """Return the rows of problems of one component that no z solves within the tolerance, their starts and residuals.
 
     One compiled pass over all cases in doubles says so: no proof, and none is wanted. A run of each would end STALLED
     at its start.
@@ -142,7 +142,7 @@ def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, A
     rows = rows[(found == kernels.EXCLUDED) & (least > tolerance)]
     points = np.clip(starts, lower, upper)[rows]
     certificate = Certificate.of(group.chosen(rows).block_diagonal(), points.reshape(-1))
-    largest, smallest = certificate.residuals_of_parts
+    largest, smallest = certificate.residuals_of_components
     residual = np.array([largest_ratio(largest[k:k + 1], smallest[k:k + 1]) for k in range(rows.size)])
     kept = residual > tolerance
     return rows[kept], points[kept], residual[kept]

@@ -24,7 +24,7 @@ from ...methods.direct import may_be_searched
 from ...methods.small.small_dense import Answers, run_phases
 from ..many.answers import AnswerSequence, T
 from ..many.chunks import in_chunks
-from .batch_groups import Group, answers_in_common_units, by_parts, excluded, in_one_unit
+from .batch_groups import Group, answers_in_common_scaling, by_components, excluded, well_scaled
 from .batch_items import Items, Stacked, put
 
 
@@ -171,11 +171,11 @@ class BatchRun(BatchLoop):
         for group in () if phases is None else self.items.groups():
             if not phases or (group.starts.shape[1] and not phases[1]):  # pivots alone begin at z°
                 continue
-            whole, in_parts = by_parts(in_one_unit(group))
+            whole, in_components = by_components(well_scaled(group))
             if whole.items.size:
                 self._leave_out_excluded(whole, self._run_compiled(whole, phases))
-            if in_parts.items.size and self.has_time:
-                self._keep(in_parts, answers_in_common_units(in_parts, phases, self.settings))
+            if in_components.items.size and self.has_time:
+                self._keep(in_components, answers_in_common_scaling(in_components, phases, self.settings))
 
     def _phases(self) -> Phases | None:
         """Return the phases of the compiled loop that the caller's choice takes; None where it takes none."""

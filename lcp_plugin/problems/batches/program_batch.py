@@ -10,11 +10,11 @@ import scipy.sparse as sp
 
 from ...core.settings import Status
 from ..programs.criterion import PROGRAM_TOLERANCE, Errors, program_goal
+from ..programs.scaling import scaling_of_stacks
 from ..programs.small_programs import ACTIVE_SET, MOST_STEPS, SmallAnswers, SmallPrograms, may_be_small
 from ..programs.solution import QPSolution
 from ..programs.solving import QuadraticProgramResult, solve_program
 from ..programs.stacked_programs import QuadraticProgramBatch
-from ..programs.units import units_of_stacks
 from .batch_run import BatchAnswers, BatchLoop
 
 
@@ -55,7 +55,7 @@ class ProgramBatchRun(BatchLoop):
         if self.algorithm != "auto" or not (may_run and is_small):
             return
         P, c, C, d, is_equality, lower, upper = self.programs.arrays
-        objective, are_the_users = units_of_stacks(P, c, C, d, is_equality, lower, upper)
+        objective, leaves_unknowns = scaling_of_stacks(P, c, C, d, is_equality, lower, upper)
         small, answers = SmallPrograms(P, c, C, d, is_equality, lower, upper, objective), self.answers
         tolerance, contradicts = min(self.settings.tolerance, PROGRAM_TOLERANCE), np.zeros(len(self.status), np.bool_)
 
@@ -66,7 +66,7 @@ class ProgramBatchRun(BatchLoop):
             self._in_chunks(solve_chunk, len(self.status))
         finally:
             is_optimal = Errors(*answers.measures[:, :5].T).meet(program_goal(self.settings.tolerance))
-            is_solved = answers.has_converged & is_optimal & self.programs.may_be_stated & are_the_users
+            is_solved = answers.has_converged & is_optimal & self.programs.may_be_stated & leaves_unknowns
             self.is_open, self.status[is_solved] = ~is_solved, Status.SOLVED
             self.residual[is_solved] = answers.measures[is_solved, :4].max(axis=1)
             self.at_bounds[:] = np.maximum(answers.reduced, 0.0), np.maximum(-answers.reduced, 0.0)

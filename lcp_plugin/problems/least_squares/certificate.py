@@ -90,11 +90,11 @@ class Optimality:
         """
         from .sums import largest_residuals
 
-        problem, units = enclosures.problem, enclosures.problem.column_units
+        problem, scales = enclosures.problem, enclosures.problem.column_scales
         residual = enclosures.residual(x)
         gradient, slope = enclosures.gradients(x, residual)
         *largest, is_at_floor = largest_residuals(
-            *gradient, x, problem.lower, problem.upper, problem.l1, units, problem.has_entries
+            *gradient, x, problem.lower, problem.upper, problem.l1, scales, problem.has_entries
         )
         steepness = max(map(_ratio, largest, enclosures.reference))
         value, y = steepness, residual[0]
@@ -140,7 +140,7 @@ def _dual_points(
         yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
     for accuracy in ACCURACIES:
         wrong = at_y[0] + np.copysign(problem.l1, x)
-        y = y - _push(problem, np.where(free, wrong / problem.column_units, 0.0), free, accuracy)
+        y = y - _push(problem, np.where(free, wrong / problem.column_scales, 0.0), free, accuracy)
         at_y = enclosures.gradient_at(x, y)
         yield y, at_y, NOTHING
         if (np.abs(y) <= slip).any():  # the only entry of a column without bounds wants a y_i of 0, not of rounding
@@ -225,7 +225,7 @@ def _gap(
 
     found: tuple[float, float, float] = gap_beside_cost(
         *residual, y, *slope, x, problem.lower, problem.upper, problem.l1, problem.root_weights,
-        problem.column_units, problem.ridge, convexity, rounding,
+        problem.column_scales, problem.ridge, convexity, rounding,
     )
     return found
 
@@ -240,7 +240,7 @@ def _repaired(
     problem = enclosures.problem
     wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
-    sizes = (wanted * slope[0] + problem.l1) / problem.column_units
+    sizes = (wanted * slope[0] + problem.l1) / problem.column_scales
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
     missing = np.maximum(rounding * slope[1] - wanted * slope[0] - problem.l1, 0.0)
     lacking = (wanted != 0.0) & (missing > 0.0)
@@ -259,7 +259,7 @@ def _repaired(
 
 def _pushes(problem: BoundedLeastSquares, *wanted: FloatVector) -> Iterator[FloatVector]:
     """Yield what p may be: A times the first that is wanted, which serves where entries are ≥ 0; then the shortest."""
-    yield problem.product(wanted[0] / problem.column_units)
+    yield problem.product(wanted[0] / problem.column_scales)
     for signs in wanted:
         yield _push(problem, signs, signs != 0.0, ENOUGH / math.sqrt(max(int(np.count_nonzero(signs)), 1)))
 
@@ -269,7 +269,7 @@ def _push(problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector,
 
     Its signs are looked at where it is used.
     """
-    unit, columns, root = problem.unit, np.flatnonzero(chosen), problem.root_weights
+    unit, columns, root = problem.scaled, np.flatnonzero(chosen), problem.root_weights
     if not wanted[columns].any():
         return np.zeros(root.size)
     from scipy.sparse.linalg import LinearOperator, lsmr

@@ -1,4 +1,4 @@
-"""Least squares within bounds: checked data in the caller's units, and the same problem in units that suit a method."""
+"""Least squares within bounds: checked data in the caller's units, and the same problem scaled for a method."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ COPIED_UP_TO = 10**6  # places of A
 ALONE = Communicator()
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
-LARGEST_PENALTY = 1e300  # in units: such a column is 0
-LARGEST_UNIT = 500  # exponent of a unit, so that squares of units are in range
+LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
+LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
 
@@ -151,13 +151,13 @@ class BoundedLeastSquares:
             yield np.ascontiguousarray(self.A[rows]), self.root_weights[rows]
 
     @cached_property
-    def column_units(self) -> FloatVector:
+    def column_scales(self) -> FloatVector:
         """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty one, shape (n,).
 
         Those of a LinearOperator are estimates: the mean square of aᵀs for random signs s is ‖a‖².
         """
         lengths = self._lengths() if self.has_entries else self._estimated_lengths()
-        return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_UNIT))
+        return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_SCALE))
 
     def _lengths(self) -> FloatVector:
         """Return the lengths of the columns of √weights A; no square overflows."""
@@ -167,13 +167,13 @@ class BoundedLeastSquares:
         if self.is_sparse:
             entries = A.data * np.repeat(self.root_weights, np.diff(A.indptr))
             np.maximum.at(largest, A.indices, np.abs(entries))
-            unit = power_of_two(largest, LARGEST_UNIT)
+            unit = power_of_two(largest, LARGEST_SCALE)
             entries /= unit[A.indices]
             squares = np.bincount(A.indices, entries * entries, largest.size)
             return np.asarray(unit * np.sqrt(squares))
         for block, root in self._blocks():
             raise_to_largest(largest, block, root)
-        unit = power_of_two(largest, LARGEST_UNIT)
+        unit = power_of_two(largest, LARGEST_SCALE)
         for block, root in self._blocks():
             add_squares(squares, block, root, unit, np.empty_like(unit))
         return np.asarray(unit * np.sqrt(squares))
@@ -181,15 +181,15 @@ class BoundedLeastSquares:
     def _estimated_lengths(self) -> FloatVector:
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, self.shape[0]))
         seen = np.array([self.transposed(self.root_weights * row) for row in signs])
-        unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_UNIT)
+        unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_SCALE)
         lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
         typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
         return np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
 
     @cached_property
-    def unit(self) -> UnitLeastSquares:
-        """The problem in the units of the methods."""
-        return UnitLeastSquares(self)
+    def scaled(self) -> ScaledLeastSquares:
+        """The problem as the methods scale it."""
+        return ScaledLeastSquares(self)
 
     @cached_property
     def root_weights(self) -> FloatVector:
@@ -197,7 +197,7 @@ class BoundedLeastSquares:
         return np.ones(self.shape[0]) if self.weights is None else np.sqrt(self.weights)
 
 
-class UnitLeastSquares:
+class ScaledLeastSquares:
     """The same problem with columns of about unit length and b of about unit size.
 
     That is min ½‖A x − b‖² + ½ Σ ridge x² + Σ l1 |x|, the last of which is linear in an orthant: min … + linearᵀx.
@@ -211,7 +211,7 @@ class UnitLeastSquares:
     lower, upper, ridge, l1, linear : ndarray, shape (n,)
     has_kink : ndarray of bool, shape (n,)
         Which columns have a penalty and room on both sides of 0.
-    whole : UnitLeastSquares
+    whole : ScaledLeastSquares
         What this is an orthant of, or itself.
     b : ndarray, shape (m,)
     columns : ndarray, shape (n,)
@@ -224,9 +224,9 @@ class UnitLeastSquares:
 
     def __init__(self, problem: BoundedLeastSquares) -> None:
         self.problem, self.n = problem, problem.shape[1]
-        self._root, self.columns = problem.root_weights, problem.column_units
+        self._root, self.columns = problem.root_weights, problem.column_scales
         sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
-        self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes), LARGEST_UNIT))
+        self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes), LARGEST_SCALE))
         self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
         self.b = self._root * problem.b / self.size
         self.ridge = problem.ridge / self.columns / self.columns
@@ -236,7 +236,7 @@ class UnitLeastSquares:
         self.whole = self
         self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
 
-    def orthant(self, x: FloatVector, slope: FloatVector) -> UnitLeastSquares:
+    def orthant(self, x: FloatVector, slope: FloatVector) -> ScaledLeastSquares:
         """Return the same with each column on the side of 0 where x is, or where the slope of A x − b leads from 0."""
         if not self.has_kink.any():
             return self
@@ -253,7 +253,7 @@ class UnitLeastSquares:
         return np.asarray(1.0 / self.columns)
 
     def from_caller(self, x: FloatVector) -> FloatVector:
-        """Return x in these units."""
+        """Return x scaled."""
         return x * (self.columns / self.size)
 
     @property

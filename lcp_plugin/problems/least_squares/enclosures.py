@@ -117,7 +117,7 @@ class Enclosures:
         for ball in self._references():
             least = np.maximum(np.abs(ball[0]) - ball[1], 0.0)
             if np.abs(ball[0]).any():
-                scaled = least / problem.column_units
+                scaled = least / problem.column_scales
                 return float(least.max(initial=0.0)), float(scaled.max(initial=0.0))
         return 0.0, 0.0
 
@@ -134,7 +134,7 @@ class Enclosures:
         problem, n = self.problem, self.problem.shape[1]
         if not problem.has_entries or not 0 < n <= min(GRAM_UP_TO, problem.shape[0]):
             return None
-        unit = problem.unit
+        unit = problem.scaled
         gram = unit.gram()
         dense: Any = gram.toarray() if sp.issparse(gram) else gram
         dense.flat[:: n + 1] += unit.ridge
@@ -147,7 +147,7 @@ class Enclosures:
         if bound is None or not bound.is_rigorous:
             return None
         least = bound.value - slip * float(bound.scale.max()) ** 2
-        return least * (1.0 - 2.0**-40) * (problem.column_units / bound.scale) ** 2 if least > 0.0 else None
+        return least * (1.0 - 2.0**-40) * (problem.column_scales / bound.scale) ** 2 if least > 0.0 else None
 
     @cached_property
     def _sizes(self) -> Any:
@@ -183,6 +183,6 @@ def _sums_of_dense(B: Any, v: FloatVector, slip: FloatVector) -> Any:
 
 def _typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
     """Return about what rounding does to a gradient of which no magnitudes are known."""
-    root, units = problem.root_weights, problem.column_units
-    size = np.linalg.norm(root * residual) + np.linalg.norm(root * problem.b) + np.linalg.norm(units * x)
-    return 4.0 * EPSILON * (units * size)
+    root, scales = problem.root_weights, problem.column_scales
+    size = np.linalg.norm(root * residual) + np.linalg.norm(root * problem.b) + np.linalg.norm(scales * x)
+    return 4.0 * EPSILON * (scales * size)

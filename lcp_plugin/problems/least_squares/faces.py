@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ...core.checks import BoolVector, FloatVector
 from ...core.kernels.floats import EPSILON
 from ...systems.factors import LARGEST_DENSE, cholesky, factor_fits, factorise
-from .data import ROWS, UnitLeastSquares
+from .data import ROWS, ScaledLeastSquares
 
 Solve = Callable[[FloatVector], FloatVector]
 
@@ -41,7 +41,7 @@ class FacePoint:
 
     Parameters
     ----------
-    problem : UnitLeastSquares
+    problem : ScaledLeastSquares
     x : array, shape (n,)
         Within the bounds.
     residual : array, shape (m,), optional
@@ -58,7 +58,7 @@ class FacePoint:
     """
 
     def __init__(
-        self, problem: UnitLeastSquares, x: FloatVector, residual: FloatVector | None = None,
+        self, problem: ScaledLeastSquares, x: FloatVector, residual: FloatVector | None = None,
         dual: FloatVector | None = None,
     ) -> None:
         self.problem, self.x, self.dual = problem, x, dual
@@ -159,18 +159,18 @@ class Faces:
 
     Parameters
     ----------
-    problem : UnitLeastSquares
+    problem : ScaledLeastSquares
     matrix : array, shape (n, n) or (m, n)
         AᵀA, sparse or not; or A itself where it is dense and has fewer rows than columns.
     is_wide : bool
         Whether it is A.
     """
 
-    def __init__(self, problem: UnitLeastSquares, matrix: Any, *, is_wide: bool = False) -> None:
+    def __init__(self, problem: ScaledLeastSquares, matrix: Any, *, is_wide: bool = False) -> None:
         self.problem, self.matrix, self.is_wide = problem, matrix, is_wide
 
     @classmethod
-    def of(cls, problem: UnitLeastSquares) -> Faces | None:
+    def of(cls, problem: ScaledLeastSquares) -> Faces | None:
         """Return the faces; None where a factor would be too large, overflows, or time ended before."""
         m, n = problem.problem.shape
         is_sparse = problem.problem.is_sparse and not problem.problem.is_cheap_to_copy

@@ -51,9 +51,9 @@ def solve_small(A, b, weights, ridge, l1, lower, upper, most, tolerance):  # typ
     m, n = A.shape
     x, residual, y, of_rows, of_columns = np.empty(n), np.empty(m), np.empty(m), np.empty((7, m)), np.empty((14, n))
     work, sets = np.empty((n + 2, m + n if ridge > 0.0 else m)), np.empty((3, n), np.int64)
-    root, units = of_rows[4], of_columns[4]
-    _find_units(A, weights, ridge, root, units, of_columns)
-    rounds = _minimum(A, b, root, ridge, l1, lower, upper, units, most, x, work, of_columns, sets)
+    root, scales = of_rows[4], of_columns[4]
+    _find_scales(A, weights, ridge, root, scales, of_columns)
+    rounds = _minimum(A, b, root, ridge, l1, lower, upper, scales, most, x, work, of_columns, sets)
     nothing, optimality = x[:0], 1.0
     slip, right = of_rows[5], of_rows[6]
     part_of_rows(A, x, nothing, of_rows[:4])
@@ -69,7 +69,7 @@ def solve_small(A, b, weights, ridge, l1, lower, upper, most, tolerance):  # typ
         part_of_radii(sums, m, radius)
         part_of_ridge(sums[0], radius, ridge, x)
         gap, cost, _ = part_of_gap(
-            residual, slip, y, sums[0], radius, x, lower, upper, l1, root, units, ridge, nothing, -1.0
+            residual, slip, y, sums[0], radius, x, lower, upper, l1, root, scales, ridge, nothing, -1.0
         )
         optimality = 0.0 if gap == 0.0 else min(gap / cost, 1.0) if cost > 0.0 and gap < np.inf else 1.0
         if attempt == 2 or optimality <= tolerance:
@@ -77,21 +77,21 @@ def solve_small(A, b, weights, ridge, l1, lower, upper, most, tolerance):  # typ
         if attempt == 0:
             for j in range(n):
                 sums[0, j] += math.copysign(l1[j], x[j])  # of the free columns, which are not at 0
-            _orthogonalise(A, y, sums[0], units, work, sets, of_columns[6])
+            _orthogonalise(A, y, sums[0], scales, work, sets, of_columns[6])
         for i in range(m if attempt == 1 else 0):
             y[i] = residual[i] if abs(residual[i]) > slip[i] else 0.0
     return x, residual, optimality, rounds
 
 
 @compiled_part
-def _orthogonalise(A, y, slope, units, work, sets, v):  # type: ignore[no-untyped-def]
+def _orthogonalise(A, y, slope, scales, work, sets, v):  # type: ignore[no-untyped-def]
     """Take A v from y, v of the free columns, so that AᵀWy, which is the slope, becomes 0 there, but for a ridge."""
     free, count = sets[0], 0
-    for j in range(units.size):
+    for j in range(scales.size):
         count += sets[1, j]
     for p in range(count):
         column = work[free[p]]
-        v[p] = slope[free[p]] / units[free[p]]
+        v[p] = slope[free[p]] / scales[free[p]]
         for q in range(p):
             v[p] -= column[q] * v[q]
         v[p] /= column[p]
@@ -102,28 +102,28 @@ def _orthogonalise(A, y, slope, units, work, sets, v):  # type: ignore[no-untype
             v[q] -= column[q] * v[p]
     for p in range(count):
         for i in range(y.size):
-            y[i] -= A[i, free[p]] * (v[p] / units[free[p]])
+            y[i] -= A[i, free[p]] * (v[p] / scales[free[p]])
 
 
 @compiled_part
-def _find_units(A, weights, ridge, root, units, room):  # type: ignore[no-untyped-def]
+def _find_scales(A, weights, ridge, root, scales, room):  # type: ignore[no-untyped-def]
     """Write the roots of the weights, and the powers of two just above the lengths of the columns."""
     squares = room[0]
     for i in range(weights.size):
         root[i] = math.sqrt(weights[i])
-    for j in range(units.size):
-        units[j] = squares[j] = 0.0
-    part_of_largest(units, A, root)
-    for j in range(units.size):
-        units[j] = power_above(units[j])
-    part_of_squares(squares, A, root, units, room[1])
-    for j in range(units.size):
-        units[j] = power_above(np.hypot(units[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
+    for j in range(scales.size):
+        scales[j] = squares[j] = 0.0
+    part_of_largest(scales, A, root)
+    for j in range(scales.size):
+        scales[j] = power_above(scales[j])
+    part_of_squares(squares, A, root, scales, room[1])
+    for j in range(scales.size):
+        scales[j] = power_above(np.hypot(scales[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
 
 
 @compiled_part
 def _minimum(  # type: ignore[no-untyped-def]
-    A, b, root, ridge, l1, lower, upper, units, most, x, work, room, sets
+    A, b, root, ridge, l1, lower, upper, scales, most, x, work, room, sets
 ):
     """Write x, each column free or exactly at its bound; return the faces solved."""
     m, n = A.shape
@@ -134,25 +134,25 @@ def _minimum(  # type: ignore[no-untyped-def]
         size = max(size, abs(root[i] * b[i]))
     for j in range(n):
         x[j] = min(max(0.0, lower[j]), upper[j])
-        size = max(size, abs(units[j] * x[j]))
+        size = max(size, abs(scales[j] * x[j]))
     size = power_above(size)
     for i in range(m):
         right[i] = root[i] * b[i] / size
         for j in range(n):
-            work[j, i] = A[i, j] * root[i] / units[j]
+            work[j, i] = A[i, j] * root[i] / scales[j]
     for i in range(m, rows):
         right[i] = 0.0
         for j in range(n):
             work[j, i] = 0.0
     for j in range(n):
-        low[j], high[j] = lower[j] * (units[j] / size), upper[j] * (units[j] / size)
-        x[j] = min(max(x[j] * (units[j] / size), low[j]), high[j])
-        least[j], greatest[j], penalty[j] = low[j], high[j], l1[j] / units[j] / size
+        low[j], high[j] = lower[j] * (scales[j] / size), upper[j] * (scales[j] / size)
+        x[j] = min(max(x[j] * (scales[j] / size), low[j]), high[j])
+        least[j], greatest[j], penalty[j] = low[j], high[j], l1[j] / scales[j] / size
         if ridge > 0.0:
-            work[j, m + j] = math.sqrt(ridge) / units[j]
+            work[j, m + j] = math.sqrt(ridge) / scales[j]
     rounds = _exchange(work, right, low, high, x, most, work[n + 1], room[8:], sets)
     for j in range(n):
-        there = min(max(x[j] * (size / units[j]), lower[j]), upper[j])
+        there = min(max(x[j] * (size / scales[j]), lower[j]), upper[j])
         x[j] = lower[j] if x[j] <= least[j] else upper[j] if x[j] >= greatest[j] else there
     return rounds
 

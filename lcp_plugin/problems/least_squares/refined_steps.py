@@ -78,7 +78,7 @@ def refined_steps(start: FacePoint) -> Iterator[FacePoint]:
         is_wrong = ~is_free & ~rejected & may_move & (np.abs(slope) > NOISE * terms)
         if not is_wrong.any():
             return
-        entering = int(np.argmax(np.where(is_wrong, np.abs(slope) / problem.column_units, -1.0)))
+        entering = int(np.argmax(np.where(is_wrong, np.abs(slope) / problem.column_scales, -1.0)))
         is_free[entering], pull = True, -float(slope[entering])
 
 
@@ -108,9 +108,9 @@ class RefinedFaces:
         A = problem.A if problem.is_dense else problem.A.toarray()
         self.A = np.vstack([A, np.eye(n)[: ridge.size]])
         self.b, self.weights = np.concatenate([problem.b, 0.0 * ridge]), np.concatenate([weights, ridge])
-        self.root, self.units = np.sqrt(self.weights), problem.column_units
+        self.root, self.scales = np.sqrt(self.weights), problem.column_scales
         self.linear = np.copysign(problem.l1, point.problem.linear)
-        self.scaled = self.root[:, None] * self.A / self.units
+        self.scaled = self.root[:, None] * self.A / self.scales
         rows = sp.csr_array(self.A)
         self._residual_rows = sp.csr_array(sp.hstack([rows, rows, -sp.eye_array(rows.shape[0])]))
         self._columns = sp.csr_array(rows.T)
@@ -137,14 +137,14 @@ class RefinedFaces:
 
     def minimum(self, x: FloatVector, free: IntVector) -> tuple[FloatVector, FloatVector]:
         """Return the minimum over these columns, which are independent, the others as in x, and its dual point."""
-        factor, units = self._factor(free), self.units[free]
+        factor, scales = self._factor(free), self.scales[free]
         high, low, y = x.copy(), np.zeros(x.size), np.zeros(self.b.size)
         for _ in range(REFINEMENTS):
             off = compensated_product(self._residual_rows, np.concatenate([high, low, y]), -self.b)[0]
             steep = self.slope(y)[0][free]
-            d, v = factor.solve(-self.root * off, -steep / units)
+            d, v = factor.solve(-self.root * off, -steep / scales)
             dy = np.divide(v, self.root, out=-off.copy(), where=self.root > 0.0)
-            dx = d / units
+            dx = d / scales
             y = y + dy
             moved = low[free] + dx
             summed = high[free] + moved

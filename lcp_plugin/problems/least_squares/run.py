@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.criterion import CommonScaling
 from ...core.checks import FloatVector
 from ...core.deadline import Clock
 from ...core.policy.policy import Policy
@@ -41,10 +41,10 @@ def run_stages(
 
     A problem is hard that the kernel of small ones did not solve.
     """
-    unit = problem.unit
+    unit = problem.scaled
     stages = Stages(problem, is_hard=is_hard)
     judge = LeastSquaresJudge(problem, settings, stages)
-    run = Run(judge.units, stages, settings, None, clock, judge)
+    run = Run(judge.scaling, stages, settings, None, clock, judge)
     begin = unit.nearest_to_zero if start is None else np.clip(unit.from_caller(start), unit.lower, unit.upper)
     try:
         end = run.drive(begin, stages.first(unit))
@@ -63,7 +63,7 @@ def gap_of(problem: BoundedLeastSquares, x: FloatVector, dual: FloatVector, step
 
 def point_nearer(problem: BoundedLeastSquares, x: FloatVector, steps: int) -> FloatVector:
     """Return a point nearer to the answer than x, which about as many steps led to."""
-    unit = problem.unit
+    unit = problem.scaled
     start = FacePoint(unit, np.clip(unit.from_caller(x), unit.lower, unit.upper))
     points = islice(through_orthants(projected_steps)(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP))
     return unit.to_caller(min(points, key=lambda point: point.size_of_residual).x)
@@ -129,7 +129,7 @@ class Stages(Policy):
                 yield Choice(Steps(take=lambda start: islice(projected_steps(start), patience)))
             if is_hard:
                 yield self._refined()
-            if (faces := Faces.of(problem.unit)) is not None:
+            if (faces := Faces.of(problem.scaled)) is not None:
                 yield Choice(Steps(take=lambda start: block_pivot_steps(start, faces), faces=faces))
                 yield Choice(Steps(take=lambda start: interior_steps(start, faces), faces=faces))
             if self.ends_refined:
@@ -155,7 +155,7 @@ class LeastSquaresJudge(Judge):
     def __init__(self, problem: BoundedLeastSquares, settings: Settings, stages: Stages) -> None:
         self.asked: Any = problem
         self.stages = stages
-        self.settings, self.units = settings, CommonUnits(cast(Any, problem), cast(Any, problem.unit))
+        self.settings, self.scaling = settings, CommonScaling(cast(Any, problem), cast(Any, problem.scaled))
         self.enclosures = Enclosures(problem)
         self.reference = max(self.enclosures.reference)
         self.proof = None
@@ -171,7 +171,7 @@ class LeastSquaresJudge(Judge):
 
     def measure(self, z: FloatVector) -> float:
         """Return the same of any z."""
-        return FacePoint(self.asked.unit, z).steepness(self.enclosures.reference)
+        return FacePoint(self.asked.scaled, z).steepness(self.enclosures.reference)
 
     def certified(self, z: FloatVector) -> float:
         """Return how steep it is; certify z but where a step before had not enough and this one has not clearly less.
@@ -194,7 +194,7 @@ class LeastSquaresJudge(Judge):
         """Return whether z is as good as rounding allows what is still to come."""
         if z is None or self._dual is not None or self.stages.ends_refined:
             return False
-        return Optimality.of(self.enclosures, self.asked.unit.to_caller(z)).is_at_rounding_level
+        return Optimality.of(self.enclosures, self.asked.scaled.to_caller(z)).is_at_rounding_level
 
     def is_limited_by_size(self, z: FloatVector | None) -> bool:
         """Return False."""
@@ -202,7 +202,7 @@ class LeastSquaresJudge(Judge):
 
     def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Any:
         """Return what is certified of the answer: z, the best before, or that one refined."""
-        unit, best = self.asked.unit, self.best
+        unit, best = self.asked.scaled, self.best
         if not self.is_solved:
             return self._kept(z) and self.best
         if best is None or last is None or end is not End.CONVERGED or best.is_at_rounding_level:
@@ -222,7 +222,7 @@ class LeastSquaresJudge(Judge):
 
     def _kept(self, z: FloatVector) -> Optimality:
         """Return how optimal z is, the best so far kept; take note of whether it is what was asked for."""
-        judged, before = self._judged(self.asked.unit.to_caller(z), self._dual), self.best
+        judged, before = self._judged(self.asked.scaled.to_caller(z), self._dual), self.best
         if before is None or (judged.value, judged.steepness) < (before.value, before.steepness):
             self.best = judged
         is_small = judged.meets(self.settings.tolerance)

@@ -62,7 +62,7 @@ def _has_term(row, v, slip):  # type: ignore[no-untyped-def]
     return has_some
 
 
-def _largest_residuals(gradient, radius, x, lower, upper, l1, units, is_enclosed):  # type: ignore[no-untyped-def]
+def _largest_residuals(gradient, radius, x, lower, upper, l1, scales, is_enclosed):  # type: ignore[no-untyped-def]
     """Return ‖x − mid(lower, upper, prox(x − g))‖∞, that in units of columns, and if all are at most twice the radius.
 
     prox moves by l1 towards 0, but not beyond. They are those of any g within the radius of the gradient, rounded
@@ -74,18 +74,18 @@ def _largest_residuals(gradient, radius, x, lower, upper, l1, units, is_enclosed
         below, above = x[j] - upper[j], x[j] - lower[j]
         left, right = gradient[j] - l1[j], gradient[j] + l1[j]
         one = abs(min(max(min(max(x[j], left), right), below), above))
-        moved = min(max(x[j] * units[j], left / units[j]), right / units[j])
-        two = abs(min(max(moved, below * units[j]), above * units[j]))
+        moved = min(max(x[j] * scales[j], left / scales[j]), right / scales[j])
+        two = abs(min(max(moved, below * scales[j]), above * scales[j]))
         off = (radius[j] if is_enclosed else 0.0) + (np.nan if math.isnan(gradient[j]) else 0.0)
-        of_plain, of_scaled = OUTWARD * (one + off), OUTWARD * (two + off / units[j])
+        of_plain, of_scaled = OUTWARD * (one + off), OUTWARD * (two + off / scales[j])
         plain = max(plain, of_plain) if of_plain < np.inf else np.inf  # what is not a number is no proof either
         scaled = max(scaled, of_scaled) if of_scaled < np.inf else np.inf
-        is_at_floor = is_at_floor and max(one, two * units[j]) <= 2.0 * radius[j]
+        is_at_floor = is_at_floor and max(one, two * scales[j]) <= 2.0 * radius[j]
     return plain, scaled, is_at_floor
 
 
 def _gap_beside_cost(  # type: ignore[no-untyped-def]
-    residual, slip, y, slope, radius, x, lower, upper, l1, root, units, ridge, convexity, rounding
+    residual, slip, y, slope, radius, x, lower, upper, l1, root, scales, ridge, convexity, rounding
 ):
     """Return the bound of `problems.least_squares.certificate` of a cost less the least, and the cost of y.
 
@@ -105,9 +105,9 @@ def _gap_beside_cost(  # type: ignore[no-untyped-def]
         off, part = max(abs(residual[i] - y[i]) + rounding * slip[i], 0.0) * root[i] / size, root[i] * y[i] / size
         gap, cost = gap + 0.5 * off * off, cost + 0.5 * part * part
     for j in range(x.size):
-        part, unit, share = math.sqrt(ridge) * x[j] / size, units[j] * size, units[j] / size
+        part, unit, share = math.sqrt(ridge) * x[j] / size, scales[j] * size, scales[j] / size
         cost += 0.5 * part * part + (l1[j] / unit) * (abs(x[j]) * share)
-        curved = (convexity[j] if convexity.size > 0 else ridge) / units[j] / units[j]
+        curved = (convexity[j] if convexity.size > 0 else ridge) / scales[j] / scales[j]
         s, off = slope[j], rounding * radius[j]
         if l1[j] == 0.0:
             linear = _fall(s, x[j] - lower[j], off, unit, share) + _fall(-s, upper[j] - x[j], off, unit, share)
@@ -151,10 +151,10 @@ def _raise_to_largest(largest, A, root):  # type: ignore[no-untyped-def]
             largest[j] = max(largest[j], abs(A[i, j] * root[i]))
 
 
-def _add_squares(squares, A, root, units, inverse):  # type: ignore[no-untyped-def]
-    """Add the squares of the columns of diag(root) A, in these units, powers of two, A by rows; write the inverse."""
-    for j in range(units.size):
-        inverse[j] = 1.0 / units[j]
+def _add_squares(squares, A, root, scales, inverse):  # type: ignore[no-untyped-def]
+    """Add the squares of the columns of diag(root) A, by these scales, powers of two, A by rows; write the inverse."""
+    for j in range(scales.size):
+        inverse[j] = 1.0 / scales[j]
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             part = A[i, j] * root[i] * inverse[j]

@@ -18,8 +18,8 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kind import refusal
 from ...core.lcp import LCP
-from ...core.matrix.structure import parts
-from ...core.matrix.units import units_of
+from ...core.matrix.scaling import scaling_of
+from ...core.matrix.structure import connected_components
 from ...core.policy.policy import Policy
 from ...core.settings import OF_SOLVE, Settings, Status
 from ...core.solving.driver import fused_result
@@ -338,7 +338,7 @@ def _fused(
 ) -> Iterator[tuple[FloatVector, Callable[[], Result]]]:
     """Yield the steps that one compiled loop takes, up to the first that does not converge."""
     first, clock = policy.first(problem), Clock(problem.communicator)
-    if not (isinstance(first.algorithm, Banded) and has_common_units(problem)):
+    if not (isinstance(first.algorithm, Banded) and needs_no_scaling(problem)):
         return
     Q, Z = np.array(offsets), np.empty(offsets.shape)
     Q[0] += carry @ state
@@ -356,9 +356,9 @@ def _fused(
         yield one.z, partial(result_of, q, one)
 
 
-def has_common_units(problem: LCP) -> bool:
-    """Return whether a compiled loop may judge all rows alike: in no units of a step's own, nor of the unknowns."""
-    return parts(problem.matrix) is None and units_of(problem.matrix) is None
+def needs_no_scaling(problem: LCP) -> bool:
+    """Return whether a compiled loop may judge all rows alike: with no scaling of a step's own, nor of unknowns."""
+    return connected_components(problem.matrix) is None and scaling_of(problem.matrix) is None
 
 
 def checked_forcing(

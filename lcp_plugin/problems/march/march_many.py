@@ -24,7 +24,7 @@ from ...methods.banded import Banded
 from ...systems.factors import bands
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
-from . import BLOCK, March, begun, checked_forcing, has_common_units, march, take_steps
+from . import BLOCK, March, begun, checked_forcing, march, needs_no_scaling, take_steps
 
 SIDE_BY_SIDE = 16  # as the compiled loop has room for
 
@@ -127,7 +127,7 @@ class _Steps:
         """Whether the compiled loop is for these."""
         problem = self.marches[0].problem
         is_unobserved = self.settings.is_unobserved and self.wishes.get("callback") is None
-        if not (is_unobserved and problem.n and has_common_units(problem)):
+        if not (is_unobserved and problem.n and needs_no_scaling(problem)):
             return False
         self.first = self.policy.first(problem)
         band = bands(problem.matrix) if isinstance(self.first.algorithm, Banded) else None

@@ -3,15 +3,15 @@
 The scale d of the residual r_i(x) = x_i − mid(lower_i, upper_i, x_i − F_i(x)/d_i) comes from F′(x) as it does from M
 (the diagonal, or where that is negligible the row's largest entry), and so does that of the reference r(x°), F(x°) for
 w, x° the point of the bounds nearest to 0: both change alike with the units of F and of x. On an affine F these are
-the residuals of the LCP. A row with an infinite slope (√x at 0) counts with d = 1. The parts of the problem are those
-of F′(x), and each is judged by its own reference.
+the residuals of the LCP. A row with an infinite slope (√x at 0) counts with d = 1. The components of the problem are
+those of F′(x), and each is judged by its own reference.
 
 No affine F with the derivative F′(x) has a larger ‖r_P(x°)‖∞ than
 
     ‖r_P(x)‖∞ + max_i (|x − x°|_i + (|F′(x)| |x − x°|)_i / d_i),  i in P,
 
-and so none is taken for the reference. Where F(x°) is undefined or solves the part, it is ‖x − x°‖∞: x° is an answer,
-but not of a run that does not go there.
+and so none is taken for the reference. Where F(x°) is undefined or solves the component, it is ‖x − x°‖∞: x° is an
+answer, but not of a run that does not go there.
 
 A reference in the unit of x says little where F flattens as x runs away. So every row is judged in its own terms as
 well (:mod:`lcp_plugin.core.certificates.own_terms`); the relative residual is the largest of all.
@@ -29,7 +29,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_parts
+from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components
 from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import largest_ratio, residual_ends_of, scaled_residual
@@ -37,7 +37,7 @@ from ...core.checks import FloatVector, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.structure import parts
+from ...core.matrix.structure import connected_components
 from .data import Linearisation, NonlinearProblem
 
 NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wrong by a half explains no residual
@@ -82,15 +82,15 @@ class Reference:
         return cls(origin, value if np.array_equal(origin, start) else problem.value(origin), start)
 
     def ends(self, problem: LCP, x: FloatVector, value: FloatVector) -> VectorEnds:
-        """Return bounds of each part's reference, where `problem` is the linearisation at x and `value` is F(x)."""
+        """Return bounds of each component's reference, where `problem` is the linearisation at x and `value` F(x)."""
         least, most = self._ends_of_f(problem)
-        limit, distance = self._limit(problem, x, value), largest_of_parts(problem, np.abs(x - self.x))
+        limit, distance = self._limit(problem, x, value), largest_of_components(problem, np.abs(x - self.x))
         is_none = (most == 0.0) | np.isinf(most)
         least, most = (np.where(is_none, distance, np.minimum(end, limit)) for end in (least, most))
         return least, most
 
     def kinds(self, problem: LCP, x: FloatVector, value: FloatVector) -> list[str]:
-        """Return what each part's reference is, in words."""
+        """Return what each component's reference is, in words."""
         most, where = self._ends_of_f(problem)[1], "the point of the bounds nearest to 0"
         limited = most > self._limit(problem, x, value)
         return [
@@ -101,16 +101,16 @@ class Reference:
         ]
 
     def reached(self, problem: LCP, x: FloatVector) -> FloatVector:
-        """Return x with x° in the parts that x° solves, and that x has come near on its way from the start."""
+        """Return x with x° in the components that x° solves, and that x has come near on its way from the start."""
         most = self._ends_of_f(problem)[1]
-        left, way = (largest_of_parts(problem, np.abs(point - self.x)) for point in (x, self.start))
+        left, way = (largest_of_components(problem, np.abs(point - self.x)) for point in (x, self.start))
         is_reached = (most == 0.0) & (left <= NEARLY_THERE * way)
         return np.where(for_each_row(problem, is_reached), self.x, x)
 
     def _ends_of_f(self, problem: LCP) -> VectorEnds:
-        """Return bounds of ‖r_P(x°)‖∞ of each part; ∞ where F is not defined there."""
+        """Return bounds of ‖r_P(x°)‖∞ of each component; ∞ where F is not defined there."""
         ends = _ends(problem, self.x, self.value, problem.residual_scale)
-        smallest, largest = (largest_of_parts(problem, end) for end in ends)
+        smallest, largest = (largest_of_components(problem, end) for end in ends)
         return np.where(np.isinf(largest), np.inf, smallest), largest
 
     def _limit(self, problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
@@ -119,7 +119,7 @@ class Reference:
             distance = np.abs(x - self.x)
             reached = distance + abs(problem.M) @ distance / problem.residual_scale
             here = np.abs(scaled_residual(problem, x, value))
-            return ROUNDED * (largest_of_parts(problem, here) + largest_of_parts(problem, reached))
+            return ROUNDED * (largest_of_components(problem, here) + largest_of_components(problem, reached))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ class NonlinearCertificate(Certificate):
     reference : Reference
         F at z°.
     relative_to : str
-        What the relative residual of the worst part is relative to: that, the limit, or the distance above.
+        What the relative residual of the worst component is relative to: that, the limit, or the distance above.
 
     Examples
     --------
@@ -151,7 +151,7 @@ class NonlinearCertificate(Certificate):
     """
 
     is_linearised: ClassVar[bool] = True
-    _units: ClassVar[None] = None  # F is judged in the units it is given in
+    _scaling: ClassVar[None] = None  # F is judged in the units it is given in
 
     nonlinear: NonlinearProblem = field(kw_only=True, repr=False)
     value: FloatVector = field(kw_only=True, repr=False)
@@ -175,7 +175,7 @@ class NonlinearCertificate(Certificate):
 
     @property
     def references(self) -> VectorEnds:
-        """Bounds of the reference of each part, shape (parts,) each."""
+        """Bounds of the reference of each component, shape (components,) each."""
         return self.reference.ends(self.problem, self.z, self.value)
 
     @cached_property
@@ -185,8 +185,8 @@ class NonlinearCertificate(Certificate):
 
     @cached_property
     def relative_residual(self) -> float:
-        """The largest ‖r_P(x)‖∞ beside the reference of a part, rounded upwards, or term residual of a row."""
-        return max(largest_ratio(*self.residuals_of_parts), self.term_residual)
+        """The largest ‖r_P(x)‖∞ beside the reference of a component, rounded upwards, or term residual of a row."""
+        return max(largest_ratio(*self.residuals_of_components), self.term_residual)
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
@@ -195,8 +195,9 @@ class NonlinearCertificate(Certificate):
 
     @property
     def relative_to(self) -> str:
-        """What the relative residual of the worst part is relative to, in words."""
-        several, kinds = parts(self.problem.matrix), self.reference.kinds(self.problem, self.z, self.value)
+        """What the relative residual of the worst component is relative to, in words."""
+        several = connected_components(self.problem.matrix)
+        kinds = self.reference.kinds(self.problem, self.z, self.value)
         return kinds[0 if several is None or self.worst_index < 0 else int(several.labels[self.worst_index])]
 
     def _sharp_ends(self) -> FloatVector:

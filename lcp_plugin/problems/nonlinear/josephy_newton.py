@@ -13,14 +13,14 @@ import scipy.sparse as sp
 
 from ...auto import policy_for
 from ...core.algorithm import Algorithm, Step, without_warnings
-from ...core.certificates.criterion import CommonUnits, largest_of_parts
+from ...core.certificates.criterion import CommonScaling, largest_of_components
 from ...core.certificates.row_residuals import largest_ratio, scaled_residual
 from ...core.checks import FloatVector
 from ...core.crossovers import INTERIOR_STEPS
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.matrix.structure import parts
+from ...core.matrix.structure import connected_components
 from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.settings import Settings, Status
@@ -142,7 +142,7 @@ class _Newton:
                 return
 
     def _reached(self, point: Linearisation) -> Linearisation:
-        """Return the point with x° in the parts that are nearly there, where x° solves them."""
+        """Return the point with x° in the components that are nearly there, where x° solves them."""
         x = self.options.compared_with.reached(point.lcp, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
         return there if there.is_defined and self._relative(there) <= self._relative(point) else point
@@ -267,7 +267,7 @@ class _Newton:
     # --- what is measured ----------------------------------------------------------------------------------
 
     def _merit(self, point: Linearisation) -> float:
-        """Return ‖Φ‖₂ beside the rows of the linearisation here, each part in its unit; ∞ where F is not defined."""
+        """Return ‖Φ‖₂ beside the rows of the linearisation here, each component in its unit; ∞ where F is undefined."""
         if not np.isfinite(point.value).all():
             return math.inf
         return float(np.linalg.norm(self.weights * self._phi(self.here.lcp, point).value))
@@ -291,8 +291,8 @@ class _Newton:
 
     @staticmethod
     def _residuals(point: Linearisation) -> FloatVector:
-        """Return ‖r_P‖∞ of each part."""
-        return largest_of_parts(point.lcp, np.abs(scaled_residual(point.lcp, point.x, point.value)))
+        """Return ‖r_P‖∞ of each component."""
+        return largest_of_components(point.lcp, np.abs(scaled_residual(point.lcp, point.x, point.value)))
 
     def _relative(self, point: Linearisation) -> float:
         references = self.options.compared_with.ends(point.lcp, point.x, point.value)[1]
@@ -332,8 +332,8 @@ class _Newton:
 
 
 def _weights(start: Linearisation, compared_with: Reference) -> FloatVector:
-    """Return 1/(the reference of the part) for each row, shape (n,), where there are several parts; else (1,) of 1."""
-    several = parts(start.lcp.matrix)
+    """Return 1/(the reference of its component) for each row, shape (n,); where there is one component (1,) of 1."""
+    several = connected_components(start.lcp.matrix)
     if several is None:
         return np.ones(1)
     unit = compared_with.ends(start.lcp, start.x, start.value)[1]
@@ -368,14 +368,14 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
 
     From the projected gradient step: the methods see a start and look for a solution near it.
     """
-    left, clock, units = seconds_left(), Clock(problem.communicator), CommonUnits.of(problem)
+    left, clock, scaling = seconds_left(), Clock(problem.communicator), CommonScaling.of(problem)
     policy = LinearPolicy(algorithm)
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
-    start, first = units.inward(np.clip(step, problem.lower, problem.upper)), policy.first(units.problem)
-    if (result := fused(units, policy, first, settings, start, clock)) is not None:
+    start, first = scaling.inward(np.clip(step, problem.lower, problem.upper)), policy.first(scaling.problem)
+    if (result := fused(scaling, policy, first, settings, start, clock)) is not None:
         return result
-    run = Run(units, policy, settings, _Patience() if problem.n > SMALL else None, clock)
+    run = Run(scaling, policy, settings, _Patience() if problem.n > SMALL else None, clock)
     return run.judged(start, run.drive(start, first))
 
 

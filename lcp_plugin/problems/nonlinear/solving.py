@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...auto import Single, policy_for
 from ...core.algorithm import Algorithm
-from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.communicator import ALONE
@@ -63,8 +63,8 @@ def solve_nonlinear(
         What solves the linear complementarity problem of each step.
     tolerance : float
         SOLVED means that the measured residual of the returned x is at most this. As for :func:`lcp_plugin.solve`, with
-        F(x) for w, in the units that F is given in: in every part relative to the residual of F at the point of the
-        bounds nearest to 0, which counts for no more than that of an affine F with this derivative could be there
+        F(x) for w, in the units that F is given in: in every component relative to the residual of F at the point of
+        the bounds nearest to 0, which counts for no more than that of an affine F with this derivative could be there
         (``certificate.relative_to``), and every row in its own terms
         (:mod:`lcp_plugin.problems.nonlinear.certificate`).
     max_iterations : int, default 100 000
@@ -137,7 +137,7 @@ def solve_nonlinear(
         asked = settings.goal
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(judge.units, Single(newton, refutes=False), settings, callback, clock, judge)
+        run = Run(judge.scaling, Single(newton, refutes=False), settings, callback, clock, judge)
         try:
             if check_jacobian and problem.jacobian is not None:
                 require_true_jacobian(first)
@@ -190,8 +190,8 @@ class NonlinearJudge(Judge):
     def __init__(self, points: Linearisations, reference: Reference, start: Linearisation, settings: Settings) -> None:
         self.points, self.compared_with = points, reference
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
-        self.units = CommonUnits(start.lcp, start.lcp)
-        self.reference = 1.0  # the certificate knows what each part is compared with
+        self.scaling = CommonScaling(start.lcp, start.lcp)
+        self.reference = 1.0  # the certificate knows what each component is compared with
         self.proof = self._certificate = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:

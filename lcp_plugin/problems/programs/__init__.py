@@ -4,7 +4,7 @@
 
 | file | what is in it |
 |---|---|
-| `program`, `program_matrices`, `constraints`, `units`, `convexity` | the data, and what they alone say |
+| `program`, `program_matrices`, `constraints`, `scaling`, `convexity` | the data, and what they alone say |
 | `reductions`, `definitions` | smaller programs, step by step, and the way back |
 | `small_programs`, `interior_points`, `kernels` | the two ways to an answer without a run |
 | `conversion`, `least_multipliers` | the complementarity problem of a program, and the answer that its z is |

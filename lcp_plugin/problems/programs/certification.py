@@ -273,7 +273,7 @@ class ProgramProofs:
         self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float, tolerance: float = ALMOST
     ) -> float:
         """Return the lower bound by some multipliers, repaired where they prove less than the value to a tolerance."""
-        enough = value - tolerance * (self.program.units.objective + abs(value))
+        enough = value - tolerance * (self.program.scaling.objective + abs(value))
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
     def upper(self, *near: FloatVector, exactly: bool = True) -> list[FeasiblePoint]:
@@ -355,7 +355,7 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given[0], given[1], value[0], tolerance)
             complaint = multiplier_error(self.program, x, given, tolerance)
-        unit = self.program.units.objective
+        unit = self.program.scaling.objective
         found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, unit)
         if self.is_small or not found.is_proved() or found.may_have_bought():
             lower = max(lower, self.own_lower)
@@ -433,7 +433,7 @@ class Proved:
         near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
         near = proofs.sharpened(near, x, self.points, self.lower, columns)
         refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
-        size = float(np.maximum(proofs.program.units.unknown, np.abs(x)).max(initial=0.0))
+        size = float(np.maximum(proofs.program.scaling.unknown, np.abs(x)).max(initial=0.0))
         refuted = refuted or self._error_of_x(size, far_in_columns, "x")
         verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
         reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
@@ -531,7 +531,7 @@ def _if_finite(value: float) -> float | None:
 
 def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float) -> str:
     """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing."""
-    names, (coefficient, unknown, objective, _, _) = ("inequality", "equality", "lower", "upper"), program.units
+    names, (coefficient, unknown, objective, _, _) = ("inequality", "equality", "lower", "upper"), program.scaling
     every = np.concatenate(given)
     pulls = every * coefficient[: every.size]  # what each is, in the unit of the objective
     is_wrong = ~program.constraints.is_equality[: every.size]
@@ -570,7 +570,7 @@ def multiplier_beside_room(program: QuadraticProgram, x: FloatVector, y: FloatVe
     rows, k = program.constraints, y.size
     matrix, limit = rows.matrix[:k], rows.limit[:k]
     is_finite = np.isfinite(limit)
-    coefficient, objective = program.units.coefficient[:k], program.units.objective
+    coefficient, objective = program.scaling.coefficient[:k], program.scaling.objective
     room = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), coefficient)  # y itself has to be 0 at no limit
     terms = np.where(is_finite, np.maximum(np.abs(limit), abs(matrix) @ np.abs(x)), coefficient)
     value = np.where(is_finite, abs(program.objective(x)), 0.0)

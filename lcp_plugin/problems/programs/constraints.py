@@ -1,4 +1,4 @@
-"""The constraints of a quadratic program as one list of rows; the units of its data."""
+"""The constraints of a quadratic program as one list of rows; the scaling of its data."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Constraints:
     limit : ndarray
         d.
     coefficient : ndarray
-        The largest one of each in the program's own units.
+        The largest one of each in the program's own scaling.
     """
 
     matrices: ProgramMatrices
@@ -41,7 +41,7 @@ class Constraints:
     def of(cls, program: QuadraticProgram) -> Constraints:
         """Return the constraints of a program."""
         limit = np.concatenate([program.h, program.b, -program.lower, program.upper])
-        return cls(program.matrices, limit, program.units.coefficient)
+        return cls(program.matrices, limit, program.scaling.coefficient)
 
     @property
     def matrix(self) -> sp.csr_array:
@@ -77,7 +77,7 @@ class Constraints:
     def unit(self) -> FloatVector:
         """What the residual of each row is relative to: sizes of its data, the same for every x.
 
-        The largest coefficient in the program's own units plus the right-hand side: the row's own, so that no large
+        The largest coefficient in the program's own scaling plus the right-hand side: the row's own, so that no large
         number elsewhere excuses it. Where multipliers y contradict by c, every x violates some row by
         (c / Σ|y_i| unit_i) · unit_i at least: "optimal" and "infeasible" exclude each other.
         """
@@ -121,13 +121,13 @@ class Constraints:
 def dual_unit(program: QuadraticProgram) -> FloatVector:
     """Return what each component of a program's dual residual is relative to: sizes of its data.
 
-    In the program's own units, where the largest coefficient of a row is 1: the largest entry of each column of P, G
+    In the program's own scaling, where the largest coefficient of a row is 1: the largest entry of each column of P, G
     and A (1 where there is none) times 1 + the largest |c_j| ÷ that; where there is a P, the largest right-hand side
     of an equation, and of an inequality that x = 0 violates, if that is larger. Along a direction d of descent some
     component of the dual residual is at least (−cᵀd / Σ|d_j| dual_j) · dual_j, whatever x and the multipliers are.
     """
     column, size = program.column_sizes, program.size_of_multipliers
-    return np.asarray(program.units.objective * (column * size) / program.units.unknown)
+    return np.asarray(program.scaling.objective * (column * size) / program.scaling.unknown)
 
 
 def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:

@@ -415,7 +415,7 @@ def _is_better_left(
     """
     size, bound = np.abs(reduced_cost), np.where(reduced_cost > 0.0, program.lower, program.upper)
     with np.errstate(invalid="ignore", over="ignore"):  # an infinite bound has no multiplier anyway
-        unknown, objective = program.units.unknown, program.units.objective
+        unknown, objective = program.scaling.unknown, program.scaling.objective
         as_multiplier = size * np.abs(x - bound) / (objective + size * np.maximum(np.abs(x), np.abs(bound)))
         as_residual = size / np.minimum(objective / unknown + terms, program.dual_unit)
         return (program.lower < x) & (x < program.upper) & (as_residual < as_multiplier)

@@ -51,7 +51,7 @@ class Errors(NamedTuple):
         errors = _measured(program, x, multipliers)
         if wrong <= 0.0:
             return errors
-        coefficient, unknown, objective, _, _ = program.units
+        coefficient, unknown, objective, _, _ = program.scaling
         excess = float(((signed - multipliers) * coefficient).max(initial=0.0))
         dual = _measured(program, x, signed).dual + excess / (objective + np.abs(program.c * unknown).max(initial=0.0))
         return errors._replace(dual=float(dual))
@@ -64,7 +64,7 @@ def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVecto
     worst, columns = np.zeros(7), np.zeros((4, program.n))
     program_residuals(
         *matrices.rows_of_hessian, matrices.rows.indptr, matrices.rows.indices, matrices.rows.data, program.h.size,
-        program.c, rows.limit, rows.unit, rows.coefficient, program.dual_unit, np.array(program.units[2:4]), x,
+        program.c, rows.limit, rows.unit, rows.coefficient, program.dual_unit, np.array(program.scaling[2:4]), x,
         multipliers, columns, worst,
     )
     return Errors(*worst[: len(Errors._fields)].tolist())

@@ -21,7 +21,7 @@ from ...systems.definiteness import is_diagonal
 from ...systems.symmetry import is_its_mirror
 from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
 from .reductions import Step
-from .units import OwnUnits
+from .scaling import ProgramScaling
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -167,9 +167,9 @@ class Substitution(Step):
             found.reduced, c, program.h, program.b[found.kept_rows],
             program.lower[found.kept], program.upper[found.kept],
         )
-        units = program.units
-        unknown = None if units.are_the_users else units.unknown[found.kept]
-        reduced.__dict__["units"] = OwnUnits.of_unknowns(reduced, unknown)
+        scaling = program.scaling
+        unknown = None if scaling.leaves_unknowns else scaling.unknown[found.kept]
+        reduced.__dict__["scaling"] = ProgramScaling.of_unknowns(reduced, unknown)
         return cls(program, reduced, found, offset)
 
     def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:

@@ -62,8 +62,8 @@ def least_multipliers(
     unit = program.constraints.unit[:count]
     with np.errstate(invalid="ignore"):
         active = is_equality | (limits - rows @ x <= ACTIVE * unit)
-        at_lower = x - program.lower <= ACTIVE * (program.units.unknown + np.abs(x))
-        at_upper = program.upper - x <= ACTIVE * (program.units.unknown + np.abs(x))
+        at_lower = x - program.lower <= ACTIVE * (program.scaling.unknown + np.abs(x))
+        at_upper = program.upper - x <= ACTIVE * (program.scaling.unknown + np.abs(x))
     listed, found = np.flatnonzero(active), np.zeros(count)
     columns = sp.csc_array(as_csr(rows)[listed].T)
     if columns.nnz > LARGEST_DENSE:

@@ -26,7 +26,7 @@ from ...proofs.exact.rational import ZERO, Vector, common_denominator, products,
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
 from ...proofs.no_solution.free_motion import falling_directions, is_at_rest, is_far_out, moved_unknowns
 from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction, exact_dot, within
-from ...systems.equilibration import evened
+from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
 from .criterion import PROGRAM_TOLERANCE, SURE, constraint_tolerance
 from .program_matrices import as_csr
@@ -227,7 +227,7 @@ class QPUnboundedness:
         found, rows = self._found, self.program.constraints
         if not self.is_exact or found.left or as_csr(self.program.P)[list(found.y)].count_nonzero():
             return 0.0
-        costs, (coefficients, unknown, _, least_cost, _) = np.abs(self.program.c).tolist(), self.program.units
+        costs, (coefficients, unknown, _, least_cost, _) = np.abs(self.program.c).tolist(), self.program.scaling
         of_gradient = (least_cost / unknown).tolist()
         size = sum((abs(d) * (Fraction(of_gradient[j]) + Fraction(costs[j])) for j, d in found.y.items()), ZERO)
         data = rows.limit.tolist(), rows.is_equality.tolist(), (least_cost / coefficients).tolist()
@@ -485,7 +485,7 @@ def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     matrix, limit, finite = constraints.matrix, constraints.limit, constraints.finite
     is_row, is_equality = np.arange(limit.size) < constraints.rows, constraints.is_equality
     sides = sp.hstack([matrix, np.where(is_row & np.isfinite(limit), limit, 0.0)[:, None]], format="csr")
-    scale = np.where(is_row, np.ldexp(1.0, evened(sides, LARGEST_ENTRY, 900).row), 1.0)
+    scale = np.where(is_row, np.ldexp(1.0, equilibrating_exponents(sides, LARGEST_ENTRY, 900).row), 1.0)
     equal, most = finite[is_equality[finite]], finite[~is_equality[finite]]
     is_fixed = np.tile(program.lower == program.upper, 2)
     margin = ~np.concatenate([np.zeros(constraints.rows, dtype=bool), is_fixed])

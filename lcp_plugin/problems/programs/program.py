@@ -30,7 +30,7 @@ from .constraints import Constraints, dual_unit
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program_matrices import ProgramMatrices, as_csr, no_rows, or_one
-from .units import OwnUnits, Rescaled
+from .scaling import ProgramScaling, Rescaled
 
 SYMMETRIC_TO = 1e-12
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
@@ -258,13 +258,13 @@ class QuadraticProgram:
         return Constraints.of(self)
 
     @cached_property
-    def units(self) -> OwnUnits:
+    def scaling(self) -> ProgramScaling:
         """What rows, unknowns and the objective are measured in."""
-        return OwnUnits.of(self)
+        return ProgramScaling.of(self)
 
     @cached_property
     def rescaled(self) -> Rescaled | None:
-        """The same in its own units, where its numbers are far from 1."""
+        """The scaled program, where its numbers are far from 1."""
         return Rescaled.of(self)
 
     @cached_property
@@ -276,13 +276,13 @@ class QuadraticProgram:
     def primal_size(self) -> float:
         """1 + the largest limit ÷ the largest coefficient of its row: a size of x that the data name."""
         rows = self.constraints
-        return float((rows.unit / rows.coefficient).max(initial=1.0) * self.units.unknown.max(initial=0.0))
+        return float((rows.unit / rows.coefficient).max(initial=1.0) * self.scaling.unknown.max(initial=0.0))
 
     @property
     def dual_size(self) -> float:
         """The same of multipliers, and of x where there is a P."""
-        of_x = float(self.units.unknown.max(initial=0.0)) if self.matrices.entries[0] else 0.0
-        return self.size_of_multipliers * max(self.units.objective, of_x)
+        of_x = float(self.scaling.unknown.max(initial=0.0)) if self.matrices.entries[0] else 0.0
+        return self.size_of_multipliers * max(self.scaling.objective, of_x)
 
     @cached_property
     def size_along(self) -> float:
@@ -290,7 +290,7 @@ class QuadraticProgram:
 
         Without the 1 + of `primal_size`: what is 0 in exact arithmetic has no other size to be beside.
         """
-        rows, unknown = self.constraints, self.units.unknown
+        rows, unknown = self.constraints, self.scaling.unknown
         with np.errstate(over="ignore"):
             of_limits = np.abs(rows.limit) / rows.coefficient * unknown.max(initial=0.0)
             of_costs = np.abs(self.c) / or_one(largest_in_rows(self.P))
@@ -298,9 +298,9 @@ class QuadraticProgram:
 
     @cached_property
     def column_sizes(self) -> FloatVector:
-        """The largest |entry| of each column of P, G and A in the program's own units, 1 where there is none."""
-        matrices, (coefficient, unknown, objective, _, are_the_users) = self.matrices, self.units
-        if are_the_users:
+        """The largest |entry| of each column of P, G and A in the program's own scaling, 1 where there is none."""
+        matrices, (coefficient, unknown, objective, _, leaves_unknowns) = self.matrices, self.scaling
+        if leaves_unknowns:
             return or_one(np.maximum(largest_in_rows(self.P) / objective, matrices.columns_of_rows))
         of_rows = matrices.columns_beside(coefficient, unknown)
         P = as_csr(self.P)
@@ -310,7 +310,7 @@ class QuadraticProgram:
     @cached_property
     def size_of_multipliers(self) -> float:
         """1 + the largest |c_j| ÷ the size of its column, or right-hand side that acts on x, in its own units."""
-        (m, p, _, _), (coefficient, unknown, objective, _, _) = self.matrices.sizes, self.units
+        (m, p, _, _), (coefficient, unknown, objective, _, _) = self.matrices.sizes, self.scaling
         with np.errstate(over="ignore"):
             slope = float(np.abs(self.c * unknown / objective / self.column_sizes).max(initial=0.0))
             violated = (-self.h / coefficient[:m]).max(initial=0.0)

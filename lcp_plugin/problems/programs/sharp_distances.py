@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from ...proofs.bounds.curvature import Curvature
 
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in some operations
-LARGEST_UNIT = 400  # exponent, so that squares of units are in range
+LARGEST_SCALE = 400  # exponent, so that squares of scales are in range
 CORRECTIONS = 2
 
 
@@ -72,7 +72,7 @@ def sharp_distance(
     if lower == -math.inf or not points or not ((roots > 0.0) & (roots < math.inf)).all():
         return math.inf
     exponents = np.frexp(roots)[1] - 1
-    if np.abs(exponents).max(initial=0) > LARGEST_UNIT:
+    if np.abs(exponents).max(initial=0) > LARGEST_SCALE:
         return math.inf
     unit = np.ldexp(1.0, exponents)  # of e: μ ≥ unit²
     rows = program.constraints

@@ -153,7 +153,7 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> Found | QPIn
     y, costs = answers.y[0], answers.reduced[0]
     every = np.concatenate([y, np.maximum(costs, 0.0), np.maximum(-costs, 0.0)])
     solution = QPSolution.of_rows(program, *reduction.outward(answers.x[0], every))
-    if reduced is program and program.units.are_the_users:
+    if reduced is program and program.scaling.leaves_unknowns:
         solution.__dict__["_errors"] = Errors(*answers.measures[0, :5].tolist())
     if not solution.is_stationary(goal):
         return None
@@ -193,7 +193,7 @@ def _arrays(program: QuadraticProgram) -> SmallPrograms:
     is_equality = program.matrices.is_equality[: m + p]
     vectors = [one[np.newaxis] for one in (program.c, d, program.lower, program.upper)]
     return SmallPrograms(
-        P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3], np.array([program.units[2:4]])
+        P, vectors[0], C, vectors[1], is_equality, vectors[2], vectors[3], np.array([program.scaling[2:4]])
     )
 
 

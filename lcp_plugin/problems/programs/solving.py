@@ -43,9 +43,9 @@ from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers, prove_unheld
 from .program import QuadraticProgram
 from .reductions import FoldedRows
+from .scaling import Rescaled
 from .small_programs import ACTIVE_SET, MOST_STEPS, Found, may_be_small, settled_at_once
 from .solution import QPSolution
-from .units import Rescaled
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
@@ -231,7 +231,7 @@ def solve_program(
             raise InvalidOption(str(error)) from error
     options = {name: wish for name, wish in options.items() if wish is not None}
     if program.rescaled is not None and "callback" not in options:  # which is shown the problem as it is stated
-        return _in_own_units(program.rescaled, algorithm, tolerance, options)
+        return _solved_rescaled(program.rescaled, algorithm, tolerance, options)
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, refutes, begun = program_goal(tolerance), options.get("refute", True), Begun(program)
@@ -272,10 +272,10 @@ def solve_program(
     )
 
 
-def _in_own_units(
+def _solved_rescaled(
     own: Rescaled, algorithm: Any, tolerance: float, options: dict[str, Any]
 ) -> QuadraticProgramResult:
-    """Return the answer to a program that is solved in its own units, in those in which it was given."""
+    """Return the answer to a program that is solved scaled, in the units in which it was given."""
     left = FoldedRows.of(own.program).left
     if (guess := options.pop("guess", None)) is not None and guess.size == own.program.n + left.size:
         options["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])

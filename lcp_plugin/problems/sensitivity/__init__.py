@@ -144,7 +144,7 @@ class Derivative:
     told apart and ∂z/∂M is taken at the solution of the stored doubles, not at a z within the tolerance of it.
 
     Where M is singular on the free rows, z is one of several solutions, and the derivative that of the least change,
-    in the units that M shows: by the Moore–Penrose inverse of at most 500 rows. What all solutions share, as
+    in the scaling that M needs: by the Moore–Penrose inverse of at most 500 rows. What all solutions share, as
     the velocities of contacts whose impulses are not determined, has the derivative by it that all of them give.
 
     On several ranks, all of which call and read alike, vectors are the own parts and z is taken as it was solved for.

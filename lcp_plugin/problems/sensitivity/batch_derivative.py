@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.kind import changes_by_name
-from ...core.matrix.units import are_in_one_unit
+from ...core.matrix.scaling import are_well_scaled
 from ...core.settings import Status
 from ...core.solving.result import Result
 from ...systems.least_norm import pseudo_inverses
@@ -85,7 +85,7 @@ class BatchPart:
             multiplier = by_w.copy()
             np.put_along_axis(multiplier, rows, -_products(right, inverses), 1)
             by_bound = np.where(free[items], 0.0, g + _products(multiplier, own))
-            done = is_singular & are_in_one_unit(own)
+            done = is_singular & are_well_scaled(own)
             found = multiplier, np.where(by_upper, 0.0, by_bound), np.where(by_upper, by_bound, 0.0)
             for answer, values in zip(answers, found, strict=True):
                 answer[items[done]] = values[done]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.certificates.criterion import largest_of_parts
+from ...core.certificates.criterion import largest_of_components
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
@@ -55,8 +55,8 @@ class ErrorBound:
     infinity : float
         Their maximum, ‖z − z*‖∞ ≤ infinity.
     relative : float
-        ‖z − z*‖∞ ≤ relative · ‖z‖∞, in every part of the problem by itself; ∞ where z = 0 there and nothing says that
-        z* = 0.
+        ‖z − z*‖∞ ≤ relative · ‖z‖∞, in every component of the problem by itself; ∞ where z = 0 there and nothing says
+        that z* = 0.
     kind : str
         "rigorous": holds for the stored doubles M, q and bounds, all rounding counted. "estimate": rests on an
         eigenvalue that is not proven.
@@ -111,7 +111,7 @@ class ErrorBound:
         return self.active + self.inactive == self.n
 
     def proves(self, tolerance: float) -> bool:
-        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven of every part; an estimate proves nothing."""
+        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven of every component; an estimate proves nothing."""
         return self.kind == "rigorous" and self.relative <= tolerance
 
     def __str__(self) -> str:
@@ -251,8 +251,8 @@ class BestBound:
         is_proof = kind == "rigorous"
         sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
         infinity, residual = problem.communicator.all_largest(*sizes)
-        of_parts = (largest_of_parts(problem, np.abs(one)).tolist() for one in (y, self.z))
-        relative = problem.communicator.largest(max(map(relative_to, *of_parts), default=0.0))
+        of_components = (largest_of_components(problem, np.abs(one)).tolist() for one in (y, self.z))
+        relative = problem.communicator.largest(max(map(relative_to, *of_components), default=0.0))
         return _counted(
             problem, y, active & is_proof | (problem.lower == problem.upper), inactive & is_proof, infinity=infinity,
             relative=relative, kind=kind, method=self.method, residual=residual,

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector
 from ...core.crossovers import SHARP_SAMPLES_UP_TO
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import unit_triangle_sums
-from ...core.matrix.structure import parts
+from ...core.matrix.structure import connected_components
 from ...core.settings import Settings, Status
 from ...core.solving.judge import Judge
 from ...core.solving.result import BoundOrReason
@@ -49,8 +49,8 @@ class ErrorJudge(Judge):
     a sharp one is tried.
     """
 
-    def __init__(self, units: CommonUnits, settings: Settings) -> None:
-        super().__init__(units, settings)
+    def __init__(self, scaling: CommonScaling, settings: Settings) -> None:
+        super().__init__(scaling, settings)
         self.advice = ADVICE if settings.is_on_error else {}
         self._next_cheap = self._last_residual = self._last_cheap = self._last_sharp = self._sharp_from = math.inf
         self._sampled: ErrorBound | None = None  # the last sharp one for a sample
@@ -82,10 +82,10 @@ class ErrorJudge(Judge):
         """Return whether z, of that certified residual, is what was asked for: a bound proves the tolerance."""
         if not self.settings.is_on_error:
             return super().passes(z, residual, iteration)
-        z, residual, tolerance = self.units.outward(z), residual * self.reference, self.settings.tolerance
+        z, residual, tolerance = self.scaling.outward(z), residual * self.reference, self.settings.tolerance
         largest = self.problem.communicator.largest(float(np.max(np.abs(z), initial=0.0)))
         is_far = not residual <= self._residual_per_error * tolerance * largest
-        if is_far and parts(self.problem.matrix) is None:  # others have units of their own
+        if is_far and connected_components(self.problem.matrix) is None:  # others have units of their own
             return False
         if residual > self._next_cheap and not (iteration >= self._sharp_from and residual < self._last_sharp):
             return False
@@ -115,7 +115,7 @@ class ErrorJudge(Judge):
         """
         from .error_bounds import LOOSE
 
-        z = self.units.outward(z)
+        z = self.scaling.outward(z)
         try:
             bound = self._bound(z, sharp=False)
         except UnsuitableMatrix:

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...core.certificates.criterion import for_each_row, largest_of_parts
+from ...core.certificates.criterion import for_each_row, largest_of_components
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...core.rounding import compensated_pair, compensated_product
@@ -89,7 +89,7 @@ class RowInequality:
         )
 
     def inflation(self, weights: Weights, y: FloatVector | None = None) -> FloatVector:
-        """Return t ≥ 0, a number a part, with Φ(y + t v) ≤ y + t v; y = 0 by default.
+        """Return t ≥ 0, a number a component, with Φ(y + t v) ≤ y + t v; y = 0 by default.
 
         Returned is that of each row's part, shape (own,), or (1,) for all of one part.
         """
@@ -103,7 +103,7 @@ class RowInequality:
             return largest
 
         sides = side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)
-        largest = largest_of_parts(self.problem, np.maximum(np.maximum(*sides), 0.0))
+        largest = largest_of_components(self.problem, np.maximum(np.maximum(*sides), 0.0))
         inflated: FloatVector = for_each_row(self.problem, np.where(np.isnan(largest), np.inf, largest))
         return inflated
 

@@ -26,8 +26,8 @@ from ...core.checks import FloatVector
 from ...core.kernels.floats import TINY, UNIT
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.structure import Parts, parts
-from ...core.matrix.units import Exponents, scaled
+from ...core.matrix.scaling import Exponents, scaled
+from ...core.matrix.structure import Components, connected_components
 from ...core.rounding import compensated_product, gamma
 from ...systems.equilibration import unit_diagonal
 from ...systems.factors import PositiveFactor, factor_fits, positive_factor
@@ -118,7 +118,7 @@ def _of_solution(matrix: Matrix, size: FloatVector) -> FloatVector:
 
 @fact
 def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
-    """Return a lower bound of the smallest eigenvalue of M's symmetric part in equilibrated units, kept with M.
+    """Return a lower bound of the smallest eigenvalue of M's symmetric part after equilibration, kept with M.
 
     Returns
     -------
@@ -173,11 +173,12 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     absolute = absolute_transpose(problem.matrix)
     blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
-    return norm_bound(sum_above(size, 4.0 * TINY), eigenvalue, parts(problem.matrix))  # products may have underflowed
+    size = sum_above(size, 4.0 * TINY)  # products may have underflowed
+    return norm_bound(size, eigenvalue, connected_components(problem.matrix))
 
 
-def norm_bound(size: FloatVector, eigenvalue: EigenvalueBound, several: Parts | None = None) -> FloatVector:
-    """Return c_i ‖C s‖₂/λ, rounded up, shape (n,), of each part: |x| is no larger where ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ there."""
+def norm_bound(size: FloatVector, eigenvalue: EigenvalueBound, several: Components | None = None) -> FloatVector:
+    """Return c_i ‖C s‖₂/λ of each component, rounded up, (n,): |x| is no larger where ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ there."""
     scale = eigenvalue.scale
     scaled = product_above(scale, size)
     norm = np.asarray(norm_above(scaled) if several is None else _norms_above(scaled, several)[several.labels])
@@ -195,8 +196,8 @@ def norm_above(x: FloatVector) -> np.float64:
     return np.float64(unit * np.sqrt(squares) * OUTWARD)
 
 
-def _norms_above(x: FloatVector, several: Parts) -> FloatVector:
-    """Return the same of each part, shape (parts,)."""
+def _norms_above(x: FloatVector, several: Components) -> FloatVector:
+    """Return the same of each component, shape (components,)."""
     largest = several.largest(x)
     is_usual = (largest > 0.0) & np.isfinite(largest)
     unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))

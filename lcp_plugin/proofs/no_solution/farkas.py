@@ -18,8 +18,8 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over, seconds_left
-from ...core.matrix.units import scaled
-from ...systems.equilibration import evened, power_of_two
+from ...core.matrix.scaling import scaled
+from ...systems.equilibration import equilibrating_exponents, power_of_two
 from ..exact.linear_systems import MOST_UNKNOWNS, solved_nearby
 from ..exact.rational import ZERO, Rational, rational_rows, short
 from .linear_constraints import LinearConstraints, without_rounding
@@ -98,7 +98,7 @@ class FarkasProgram:
 
     def __post_init__(self) -> None:
         matrix = self.constraints.matrix
-        exponents = evened(without_rounding(matrix), AIMS, 500)
+        exponents = equilibrating_exponents(without_rounding(matrix), AIMS, 500)
         rows, columns = (np.ldexp(1.0, side) for side in exponents)
         for name, value in (("rows", rows), ("columns", columns), ("matrix", scaled(matrix, exponents))):
             object.__setattr__(self, name, value)

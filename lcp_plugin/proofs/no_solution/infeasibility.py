@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.certificates.criterion import CommonUnits, RowUnits, reference_residual
+from ...core.certificates.criterion import CommonScaling, RowScaling, reference_residual
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
@@ -34,7 +34,7 @@ from .refutation import (
     Closing,
     Infeasibility,
     Refutation,
-    in_other_units,
+    rescaled_multipliers,
     row_choices,
 )
 
@@ -68,10 +68,10 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     if problem.n == 0:
         return None
     effort = DEFAULT_EFFORT // max(problem.n, 400) if effort_limit is None else effort_limit
-    units = CommonUnits(problem, problem) if RowUnits.of(problem) is None else CommonUnits.of(problem)
-    if units.row_exponents is not None:
-        known = find_infeasibility(units.problem, effort_limit=effort)
-        return None if known is None else known.in_units(problem, -units.row_exponents)
+    scaling = CommonScaling(problem, problem) if RowScaling.of(problem) is None else CommonScaling.of(problem)
+    if scaling.row_exponents is not None:
+        known = find_infeasibility(scaling.problem, effort_limit=effort)
+        return None if known is None else known.rescaled(problem, -scaling.row_exponents)
     row = contradictory_row(problem)
     if row is not None and row.margin >= DECISIVE:
         return row
@@ -194,8 +194,8 @@ class ForcedContradiction(Refutation):
     problem: LCP = field(repr=False)
     steps: tuple[tuple[int, int], ...]
 
-    def in_units(self, problem: LCP, exponents: IntVector) -> ForcedContradiction:
-        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
+    def rescaled(self, problem: LCP, exponents: IntVector) -> ForcedContradiction:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.rescaled`."""
         return ForcedContradiction(problem, self.steps)
 
     def closings(self) -> Iterator[Closing | None]:
@@ -290,10 +290,10 @@ class Case:
     branches: dict[str, Case] = field(default_factory=dict)
     y: list[Fraction] | None = None
 
-    def in_units(self, exponents: IntVector) -> Case:
+    def rescaled(self, exponents: IntVector) -> Case:
         """Return the case of a problem in other units of z."""
-        branches = {choice: branch.in_units(exponents) for choice, branch in self.branches.items()}
-        return Case(self.row, branches, None if self.y is None else in_other_units(self.y, exponents))
+        branches = {choice: branch.rescaled(exponents) for choice, branch in self.branches.items()}
+        return Case(self.row, branches, None if self.y is None else rescaled_multipliers(self.y, exponents))
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,9 +329,9 @@ class NoSolution(Refutation):
             return None
         return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
 
-    def in_units(self, problem: LCP, exponents: IntVector) -> NoSolution:
-        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
-        return NoSolution(problem, self.tree.in_units(exponents), self.nodes)
+    def rescaled(self, problem: LCP, exponents: IntVector) -> NoSolution:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.rescaled`."""
+        return NoSolution(problem, self.tree.rescaled(exponents), self.nodes)
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""

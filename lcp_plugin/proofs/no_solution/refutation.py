@@ -16,11 +16,16 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import RowUnits, references_of_parts, residual_scale_of_criterion, rounding_of_data
+from ...core.certificates.criterion import (
+    RowScaling,
+    references_of_components,
+    residual_scale_of_criterion,
+    rounding_of_data,
+)
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.structure import IntVector, parts
+from ...core.matrix.structure import IntVector, connected_components
 from ...core.settings import Status
 from ...systems.symmetry import is_nearly_symmetric
 from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
@@ -35,32 +40,33 @@ FEW = 500  # rows up to which all of M is kept in integers
 def exact_references(problem: LCP) -> Callable[[int], Fraction]:
     """Return upper bounds of what r_i of an own row i is compared with; fractions reach beyond the range of doubles.
 
-    That is ‖r̂_P(z°)‖∞, P its part, in the caller's unit of z_i.
+    That is ‖r̂_P(z°)‖∞, P its component, in the caller's unit of z_i.
     """
-    units, several, most = RowUnits.of(problem), parts(problem.matrix), references_of_parts(problem)[1]
+    scaling, several = RowScaling.of(problem), connected_components(problem.matrix)
+    most = references_of_components(problem)[1]
 
     @cache
-    def of_part(part: int) -> Fraction:
-        if most[part] == 0.0 or SAFE_RANGE[0] < most[part] < SAFE_RANGE[1]:
-            return Fraction(float(most[part]))
-        rows = range(problem.own) if several is None else np.flatnonzero(several.labels == part).tolist()
+    def of_component(component: int) -> Fraction:
+        if most[component] == 0.0 or SAFE_RANGE[0] < most[component] < SAFE_RANGE[1]:
+            return Fraction(float(most[component]))
+        rows = range(problem.own) if several is None else np.flatnonzero(several.labels == component).tolist()
         exact = exactly_weighted(problem, problem.nearest_to_zero)
         return max(exact[i] for i in rows)
 
     def of_row(row: int) -> Fraction:
-        reference = of_part(0 if several is None else int(several.labels[row]))
-        return reference if units is None else reference * Fraction(2) ** int(units.column[row])
+        reference = of_component(0 if several is None else int(several.labels[row]))
+        return reference if scaling is None else reference * Fraction(2) ** int(scaling.column[row])
 
     return of_row
 
 
 def exactly_weighted(problem: LCP, z: FloatVector) -> list[Fraction]:
     """Return |r̂_i(z)| of every row without any rounding, for a finite z."""
-    units = RowUnits.of(problem)
-    if units is None:
+    scaling = RowScaling.of(problem)
+    if scaling is None:
         return exact_residuals(problem, z)
-    residuals = exact_residuals(problem, z, units.scale)
-    return [r / Fraction(2) ** k for r, k in zip(residuals, units.column.tolist(), strict=True)]
+    residuals = exact_residuals(problem, z, scaling.scale)
+    return [r / Fraction(2) ** k for r, k in zip(residuals, scaling.column.tolist(), strict=True)]
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
@@ -85,11 +91,11 @@ class Closing:
     contradiction : Fraction
         Positive, a lower bound.
     relative : Fraction
-        At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the part of row i.
+        At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the component of row i.
     absolute : Fraction
         At least Σ weight_i.
     weighted : Fraction
-        The same in the units of the criterion.
+        The same in the scaling of the criterion.
     """
 
     contradiction: Fraction
@@ -110,8 +116,8 @@ class Refutation:
     -----
     |r_i(z)| ≤ t_i, r the scaled residual, leaves a row three cases: z_i − lower_i ≤ t_i and w_i ≥ 0, or
     |w_i| ≤ d_i t_i, or upper_i − z_i ≤ t_i and w_i ≤ 0; where the case is not chosen, w_i has a wrong sign by d_i t_i
-    at most. With t_i = t ‖r_P(z°)‖∞, P the part of row i, the least t at which what closes a case no longer does so,
-    the least over all cases, bounds the relative residual from below.
+    at most. With t_i = t ‖r_P(z°)‖∞, P the component of row i, the least t at which what closes a case no longer does
+    so, the least over all cases, bounds the relative residual from below.
     """
 
     problem: LCP
@@ -121,7 +127,7 @@ class Refutation:
         """Yield what closes each case, verified; None for a case that is not closed."""
         raise NotImplementedError
 
-    def in_units(self, problem: LCP, exponents: IntVector) -> Refutation:
+    def rescaled(self, problem: LCP, exponents: IntVector) -> Refutation:
         """Return what this proves of the problem in other units of z: q and bounds of row i times 2^exponents_i.
 
         Parameters
@@ -168,7 +174,7 @@ class Refutation:
             return self.exact
         if self.is_rounding or not self.margin > tolerance:
             return False
-        # Rows may use up one tolerance in one part, and the other in another.
+        # Rows may use up one tolerance in one component, and the other in another.
         return not absolute_tolerance or (
             tolerance / self.margin + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
         )
@@ -196,7 +202,7 @@ class Refutation:
 
     @cached_property
     def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
-        """The least relative residual, the least one, and that in the units of the criterion; None for ∞."""
+        """The least relative residual, the least one, and that in the scaling of the criterion; None for ∞."""
         found = list(self.closings())
         closings = [closing for closing in found if closing is not None]
         if len(closings) < len(found):
@@ -262,12 +268,12 @@ class Choices(NamedTuple):
         leaving = {i: abs(value) for i, value in found.product.items()
                    if path.get(i) == (LOWER if value > 0 else UPPER)}  # of z_i from its bound
         shares = [*scaled, *leaving.items()]
-        units, reference = RowUnits.of(self.problem), exact_references(self.problem)
+        scaling, reference = RowScaling.of(self.problem), exact_references(self.problem)
         absolute = sum((share for _, share in shares), ZERO)
         return Closing(
             found.size, sum((share * reference(i) for i, share in shares), ZERO), absolute,
-            absolute if units is None else sum(
-                (share * Fraction(2) ** int(units.column[i]) for i, share in shares), ZERO
+            absolute if scaling is None else sum(
+                (share * Fraction(2) ** int(scaling.column[i]) for i, share in shares), ZERO
             ),
         )
 
@@ -278,8 +284,8 @@ class Infeasibility(Refutation):
 
     Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
-    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some part P
-    ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r in the
+    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
+    component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r in the
     units of :mod:`lcp_plugin.core.certificates.criterion`). Where Mᵀy should be 0 and is rounding beside its terms, all
     this is said of the z whose entries without bounds are at most `radius` in size.
 
@@ -333,9 +339,9 @@ class Infeasibility(Refutation):
         """Whether the stored doubles have no solution at all, by however little."""
         return self.radius == np.inf and self.verify()
 
-    def in_units(self, problem: LCP, exponents: IntVector) -> Infeasibility:
-        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
-        return Infeasibility.of(problem, dict(enumerate(in_other_units(self.exact_y, exponents))))
+    def rescaled(self, problem: LCP, exponents: IntVector) -> Infeasibility:
+        """Return what this proves of the problem in other units of z; see :meth:`Refutation.rescaled`."""
+        return Infeasibility.of(problem, dict(enumerate(rescaled_multipliers(self.exact_y, exponents))))
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
@@ -376,6 +382,6 @@ class Infeasibility(Refutation):
         return f"Infeasibility({self})"
 
 
-def in_other_units(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
+def rescaled_multipliers(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
     """Return the Farkas vector of the problem whose q and bounds are those of row i times 2^exponents_i: D⁻¹ y."""
     return [value / Fraction(2) ** k if value else value for value, k in zip(y, exponents.tolist(), strict=True)]

@@ -19,8 +19,8 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.kernels.floats import TINY, UNIT
+from ...core.matrix.scaling import scaled
 from ...core.matrix.structure import row_numbers
-from ...core.matrix.units import scaled
 from ...core.rounding import lower_end, upper_end
 from ...systems.equilibration import scaling_exponents
 from ..exact.linear_systems import Rows, eliminated, exact_rows, has_positive_minors

@@ -72,14 +72,14 @@ class Transfer:
 
     P has a row for each foreign unknown as well, which the Galerkin product needs. What is stored of the restriction
     times `factor`, a power of two, is what restricts: so single precision sees numbers near 1, whatever unit M has.
-    `units` are those of the fine unknowns, none where all are alike.
+    `scaling` is that of the fine unknowns, empty where all are alike.
     """
 
     prolongation: Operator
     restriction: Operator
     is_coarse: NDArray[np.bool_]
     factor: float = 1.0
-    units: FloatVector = field(default_factory=lambda: NO_WEIGHT)
+    scaling: FloatVector = field(default_factory=lambda: NO_WEIGHT)
 
     def single(self) -> Transfer:
         """Return it with its values in single precision."""

@@ -45,12 +45,12 @@ from .grids import (
     unlike_rows,
     written_rows,
 )
-from .vectors import span, units_of
+from .vectors import scaling_of_unknowns, span
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
 NEGLIGIBLE_POSITIVE = 1e-3  # of coarser grids: less is none
-MOST_POSITIVE = 1.0 / 3.0  # of all couplings: where they are more, lumping them leaves no units to be found
+MOST_POSITIVE = 1.0 / 3.0  # of all couplings: where they are more, lumping them leaves no scaling to be found
 NOTEWORTHY_LONELY = 5e-4  # share of the finest grid's unknowns that are coupled, but to no coarse one
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
@@ -126,17 +126,17 @@ def build_hierarchy(
     is_mixed = strength is None and positive > NOTEWORTHY_POSITIVE * total
     if strength is None:
         strength = STRENGTH_AMONG_POSITIVE if is_mixed else STRENGTH
-    units, extends = None, None
+    scaling, extends = None, None
     if communicator.is_empty and positive <= MOST_POSITIVE * total:
-        units, further = units_of(matrix, lacking)
+        scaling, further = scaling_of_unknowns(matrix, lacking)
         work += further
-    single = single and units is None and grid.fits_single
+    single = single and scaling is None and grid.fits_single
     alone, grids, transfers = (grid,), [grid], list[Transfer]()
     growth = LARGEST_GROWTH if communicator.is_empty else LARGEST_GROWTH_OF_PARTS
     stored, products, size = 0.0, 0.0, communicator.total(grid.n)
     while size > coarsest:
         work += PASSES_TO_COARSEN * grid.own_entries
-        interpolation = _interpolation(grid, strength, units, extends)
+        interpolation = _interpolation(grid, strength, scaling, extends)
         if interpolation is None:
             break
         extends = interpolation.extends  # what holds on the finest grid
@@ -148,11 +148,11 @@ def build_hierarchy(
         is_dear = communicator.total(products) > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries
         if is_too_large or is_dear:
             return Hierarchy(alone, (), work, is_helpful=False)
-        coarser = _coarser(finer, interpolation, scales_rows, units, normalises=single and finer is alone[0])
+        coarser = _coarser(finer, interpolation, scales_rows, scaling, normalises=single and finer is alone[0])
         if coarser is None:
             break
         transfer, grid = coarser
-        units = None if units is None else units[interpolation.is_coarse]
+        scaling = None if scaling is None else scaling[interpolation.is_coarse]
         if communicator.total(grid.own_entries) > growth * communicator.total(finer.own_entries):
             return Hierarchy(alone, (), work + products, is_helpful=False)
         size = communicator.total(grid.n)
@@ -231,15 +231,15 @@ def _weighted_grid(matrix: Operator, communicator: Communicator, own: int, scale
 
 
 def _interpolation(
-    grid: Grid, strength: float, units: FloatVector | None, extends: bool | None
+    grid: Grid, strength: float, scaling: FloatVector | None, extends: bool | None
 ) -> Interpolation | None:
     """Return the interpolation from coarse unknowns of any process; None where nothing is coupled any more.
 
     Whether it reaches through fine unknowns is said by `extends`, or found out where that is None.
     """
     indptr, indices, data = grid.own_arrays
-    if units is not None:
-        data = Operator(indptr, indices, data * units[indices]).data
+    if scaling is not None:
+        data = Operator(indptr, indices, data * scaling[indices]).data
     n, communicator = grid.n, grid.communicator
     is_strong = np.empty(data.size, np.bool_)
     kind = chosen_kinds(indptr, indices, data, strength, is_strong)
@@ -268,8 +268,8 @@ def _interpolation(
     if extends:
         kernel, more = coarsening.extended_interpolation, coarsening.MOST_WEIGHTS
         (p_indptr, p_indices, p_data), read = written_rows(kernel, operands, more, n)  # all rows at once
-    if units is not None:
-        p_data *= np.repeat(units, np.diff(p_indptr)) / units[is_coarse][p_indices]
+    if scaling is not None:
+        p_data *= np.repeat(scaling, np.diff(p_indptr)) / scaling[is_coarse][p_indices]
     rows = communicator.with_foreign_rows((p_indptr, p_indices, p_data))
     return Interpolation(*rows, is_coarse, count, below, extends, read)
 
@@ -290,7 +290,7 @@ def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]
 
 
 def _coarser(
-    grid: Grid, interpolation: Interpolation, scales_rows: bool, units: FloatVector | None, *, normalises: bool
+    grid: Grid, interpolation: Interpolation, scales_rows: bool, scaling: FloatVector | None, *, normalises: bool
 ) -> tuple[Transfer, Grid] | None:
     """Return the way to the coarser grid and that grid, whose largest entries are near 1 where it `normalises`.
 
@@ -307,8 +307,8 @@ def _coarser(
             inverse = np.zeros(grid.width)
             inverse[: grid.n] = grid.inverse
             communicator.fetch(inverse)
-        elif units is not None:  # the rows of M V, not those of M, are brought to one size
-            inverse = inverse / units**2
+        elif scaling is not None:  # the rows of M V, not those of M, are brought to one size
+            inverse = inverse / scaling**2
         with np.errstate(over="ignore"):
             restriction[2][:] *= inverse[restriction[1]]
         if not communicator.everywhere(bool(np.isfinite(restriction[2]).all())):
@@ -330,7 +330,8 @@ def _coarser(
     elif normalises:
         factor = 1.0 / power_of_two(1.0 / float(grid.inverse.min()))
         rows[2][:] *= factor
-    transfer = Transfer(prolongation, restricting, is_coarse, factor, NO_WEIGHT if units is None else read_only(units))
+    by = NO_WEIGHT if scaling is None else read_only(scaling)
+    transfer = Transfer(prolongation, restricting, is_coarse, factor, by)
     return transfer, _weighted_grid(Operator(*rows), below, count, scales_rows)
 
 

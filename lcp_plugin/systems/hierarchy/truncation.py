@@ -137,7 +137,7 @@ class Truncation:
             )
             if vectors.find_held(
                 matrix.indptr, matrix.indices, matrix.data, level.values, level.is_free, level.touched,
-                level.is_interpolated, level.free_changed, transfer.units, transfer.is_coarse,
+                level.is_interpolated, level.free_changed, transfer.scaling, transfer.is_coarse,
             ):
                 own = slice(level.grid.n)
                 level.held = np.flatnonzero(level.is_free[own] & ~level.is_interpolated[own])

@@ -1,10 +1,10 @@
-"""What Krylov steps do to whole vectors, the ways between two grids, and the units of the unknowns.
+"""What Krylov steps do to whole vectors, the ways between two grids, and the scaling of the unknowns.
 
-Sums are cut into pieces at the same places whatever the number of threads. The units are those in which an error that
+Sums are cut into pieces at the same places whatever the number of threads. The scaling is that in which an error that
 sweeps leave over is locally constant: interpolation reproduces constants, which is right where rows of M sum to about
 zero. Of D M D, or of M with scaled columns, others do: those v > 0 with M v about zero. A few sweeps on M v = 0 find
-one, if they begin in units not too far from it. Where they begin is tried: in the given ones, and in those that bring
-the diagonal of V M V, or of M V, to 1.
+one, if they begin not too far from it. Where they begin is tried: as it is given, and in the scaling that brings the
+diagonal of V M V, or of M V, to 1.
 
 `inverse` holds 1/diagonal, and 0 for an unknown that is fixed. A fine unknown is held where fixed ones have seven
 eighths of its couplings. P would let it follow its free coarse neighbours as if nothing held it, so it is not
@@ -103,15 +103,15 @@ def _largest_product(one, other, first, end):  # type: ignore[no-untyped-def]
     return largest
 
 
-LACKING = 0.1  # of the diagonal entry: how far a row may sum below zero before it contradicts the units
-NOTEWORTHY_LACKING = 0.02  # share of such rows from which on other units are tried
+LACKING = 0.1  # of the diagonal entry: how far a row may sum below zero before it contradicts the scaling
+NOTEWORTHY_LACKING = 0.02  # share of such rows from which on other scaling is tried
 GAINED = 0.5  # and kept, if they leave at most so many times as many
 FARTHEST = 2.0**400  # a unit from that of another unknown: their squares are divided by
 TRIAL_SWEEPS, SWEEPS = 3, 12  # there and back: to choose where to begin, and from there
 
 
-def units_of(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
-    """Return v > 0, shape (n,), and the matrix entries touched; None where the given units are as good as any tried.
+def scaling_of_unknowns(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
+    """Return v > 0, shape (n,), and the matrix entries touched; None where no scaling is as good as any tried.
 
     Parameters
     ----------
@@ -127,22 +127,22 @@ def units_of(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
     best, least, touched = None, GAINED * lacking, 0.0
     with np.errstate(all="ignore"):
         for v in (np.ones(n), 1.0 / np.sqrt(diagonal), 1.0 / diagonal):
-            left = smooth_units(*arrays, v, TRIAL_SWEEPS)
+            left = smooth_scaling(*arrays, v, TRIAL_SWEEPS)
             touched += (2.0 * TRIAL_SWEEPS + 1.0) * matrix.data.size
-            if left <= least and _are_units(v):
+            if left <= least and _is_scaling(v):
                 best, least = v, left
         if best is not None:
-            smooth_units(*arrays, best, SWEEPS)
+            smooth_scaling(*arrays, best, SWEEPS)
             touched += (2.0 * SWEEPS + 1.0) * matrix.data.size
-    return best if best is not None and _are_units(best) else None, touched
+    return best if best is not None and _is_scaling(best) else None, touched
 
 
-def _are_units(v: FloatVector) -> bool:
+def _is_scaling(v: FloatVector) -> bool:
     return bool(v.min() >= 1.0 / FARTHEST and v.max() <= FARTHEST)
 
 
 @compiled
-def smooth_units(indptr, indices, data, v, sweeps):  # type: ignore[no-untyped-def]
+def smooth_scaling(indptr, indices, data, v, sweeps):  # type: ignore[no-untyped-def]
     """Overwrite v by symmetric Gauss–Seidel sweeps for M v = 0; return how many rows sum to less than zero.
 
     Positive couplings are lumped, so that v stays positive.
@@ -227,7 +227,7 @@ def find_held(*operands: Any) -> int:
 
 @compiled
 def _find_held(  # type: ignore[no-untyped-def]
-    indptr, indices, whole, values, is_free, touched, is_interpolated, is_changed, units, is_coarse, first, end
+    indptr, indices, whole, values, is_free, touched, is_interpolated, is_changed, scaling, is_coarse, first, end
 ):
     """Say which touched rows are interpolated; return how many of them are held or change for others' sake.
 
@@ -244,7 +244,7 @@ def _find_held(  # type: ignore[no-untyped-def]
             before, left, pivot_before, pivot = 0.0, 0.0, 0.0, 0.0
             for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
                 j = uintp(indices[k])
-                unit = units[j] if units.size > 0 else 1.0
+                unit = scaling[j] if scaling.size > 0 else 1.0
                 if j == i or whole[k] > 0.0:
                     pivot_before += unit * whole[k]
                 else:

@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import badly_scaled
 import cvxpy as cp
-import mixed_units
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -522,11 +522,11 @@ def test_what_is_not_taken_is_said(content: NLContent, words: str) -> None:
 def test_unknowns_of_different_units_hide_no_row(algorithm: str) -> None:
     """Row 2 missed its sign by 0.8 where its terms are 5: beside an unknown of 10^6 the one of 10^-4 was no error."""
     low, high = np.array([[0.0, -1e5, 0.0, -1e-4, -INFINITY], [INFINITY, 0.0, INFINITY, 1e-4, INFINITY]])
-    content = paired(content_of(5, mixed_units.Q.tolist(), linear=mixed_units.M))
+    content = paired(content_of(5, badly_scaled.Q.tolist(), linear=badly_scaled.M))
     kinds = np.array([1, 3, 1, 3, 0])
     answer = model_of(replace(content, lower=low, upper=high, partner_bounds=kinds)).solve(algorithm)
     assert answer.is_solved
-    assert answer.x == pytest.approx(mixed_units.ANSWER, rel=1e-6)
+    assert answer.x == pytest.approx(badly_scaled.ANSWER, rel=1e-6)
     assert answer.duals[2] == pytest.approx(0.0, abs=1e-5)
 
 

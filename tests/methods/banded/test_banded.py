@@ -238,7 +238,7 @@ def test_other_bands_take_rounds(make: Any, below: int, above: int, boxes: bool)
     for _ in range(40):
         problem, z = planted(make(int(rng.integers(20, 200)), below, above, rng), rng, boxes=boxes)
         result = solve(problem, "banded")
-        assert result.is_solved or result.certificate.is_limited_by_rounding  # of a part that z° solves to rounding
+        assert result.is_solved or result.certificate.is_limited_by_rounding  # of one that z° solves to rounding
         assert np.abs(result.z - z).max() <= 1e-6 * max(1.0, np.abs(z).max())
         assert result.iterations <= 200
 

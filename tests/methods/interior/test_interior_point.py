@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.core.matrix.units import scaled
+from lcp_plugin.core.matrix.scaling import scaled
 from lcp_plugin.core.settings import Status
 from lcp_plugin.methods.interior.interior_point import InteriorPoint, Search
 from lcp_plugin.methods.interior.kernels import interior_steps, triangles

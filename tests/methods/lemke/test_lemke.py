@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.algorithm import Step
 from lcp_plugin.core.errors import InvalidOption, UnsuitableProblem
-from lcp_plugin.methods.lemke import Lemke, connected_parts
+from lcp_plugin.methods.lemke import Lemke, rows_of_components
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.methods.lemke.pivoting_path import Path, bimatrix_players, starts
 from lcp_plugin.methods.small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
@@ -274,12 +274,12 @@ def test_no_false_success() -> None:
     assert best(LCP(M, q)).relative_residual <= 1e-14
 
 
-def test_parts_are_solved_one_by_one() -> None:
-    """Connected parts of the matrix are found and each is solved, whatever the order of the rows."""
+def test_components_are_solved_one_by_one() -> None:
+    """Connected components of the matrix are found and each is solved, whatever the order of the rows."""
     order = np.random.default_rng(0).permutation(30)
     M = np.kron(np.eye(10), [[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])[np.ix_(order, order)]
     problem = planted(M)
-    assert sorted(rows.size for rows in connected_parts(problem)) == [3] * 10
+    assert sorted(rows.size for rows in rows_of_components(problem)) == [3] * 10
     assert best(problem).relative_residual <= 1e-14
 
 
@@ -337,7 +337,7 @@ def test_options_are_checked(options: dict[str, Any]) -> None:
 
 
 def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A connected part that is too large for a dense inverse is refused by its size."""
+    """A connected component that is too large for a dense inverse is refused by its size."""
     monkeypatch.setattr("lcp_plugin.methods.lemke.PIVOTED_UP_TO", 3)
     with pytest.raises(UnsuitableProblem, match=r"up to n = 3, got one of 4"):
         steps(LCP(np.ones((4, 4)), -np.ones(4)))

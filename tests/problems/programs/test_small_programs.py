@@ -166,7 +166,7 @@ def test_interpreted_and_compiled_are_the_same_bits(n: int) -> None:
     given = SmallPrograms(
         program.P[None], program.c[None], np.vstack([program.G, program.A])[None],
         np.append(program.h, program.b)[None], np.arange(program.h.size + 3) >= program.h.size, program.lower[None],
-        program.upper[None], np.array([program.units[2:4]]),
+        program.upper[None], np.array([program.scaling[2:4]]),
     )
     compiled, interpreted = (SmallAnswers.empty(1, n, program.h.size + 3) for _ in range(2))
     with compiling_at_once():
@@ -283,7 +283,7 @@ def test_one_criterion_judges_dense_loops_and_solutions() -> None:
         program = QuadraticProgram(P, c, C[:m], d[:m], C[m:], d[m:], lower, upper)
         program_residuals.measure(
             P[None], c[None], C[None], d[None], np.arange(m + p) >= m, lower[None], upper[None],
-            np.array([program.units[2:4]]), 0, 0, 0, np.zeros((4, n)), x[None], y[None], reduced, measures,
+            np.array([program.scaling[2:4]]), 0, 0, 0, np.zeros((4, n)), x[None], y[None], reduced, measures,
         )
         solution = QPSolution(program, x, y[:m], y[m:], np.maximum(reduced[0], 0.0), np.maximum(-reduced[0], 0.0))
         theirs = np.array([getattr(solution, name) for name in MEASURED])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import derivatives as campaign
-from drawn_units import solved_in_units, strict
+from drawn_scaling import scaled_solved, strict
 from exact import FREE, LOWER, UPPER, exact_solution
 from exact_derivatives import Change, Piece, distance, piece_at
 from hypothesis import given, settings
@@ -68,7 +68,7 @@ def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
 
 
 @settings.get_profile("few")
-@given(solved_in_units(STRICT, 20, 20), st.integers(0, 9))
+@given(scaled_solved(STRICT, 20, 20), st.integers(0, 9))
 def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
     """Rows and columns times 2^±20: each component of dz to 12 digits of the largest in its own unit."""
     problem, z = drawn
@@ -190,7 +190,7 @@ def test_a_free_row_has_no_part_in_what_w_tells() -> None:
 
 @settings.get_profile("few")
 @given(
-    solved_in_units(STRICT, 10, 10), st.integers(0, 99),
+    scaled_solved(STRICT, 10, 10), st.integers(0, 99),
     st.sampled_from([0.0, 1e-12, 1e-6, 1e-2]),
 )
 def test_no_error_exceeds_its_bound(drawn, seed, step) -> None:
@@ -577,7 +577,7 @@ def grid(size: int) -> sp.csr_array:
 
 @pytest.mark.parametrize("decades", [0, 3, 6])
 def test_the_unit_of_rows_spoils_no_krylov_step(decades: int) -> None:
-    """Rows in units up to 10^±6: dz and gradients belong to the evened system, whose derivative they are."""
+    """Rows in units up to 10^±6: dz and gradients belong to the equilibrated system, whose derivative they are."""
     rng, L = np.random.default_rng(decades), grid(60)
     n = L.shape[0]
     z = np.maximum(np.sin(0.01 * np.arange(n)), 0.0)

@@ -9,13 +9,13 @@ import numpy as np
 from ....core.kernels.compilation import compiled_part, interpreted_while_small
 from ....core.kernels.rows import residual_of_row
 
-UNEVEN = 10.0  # times as large as the largest entry of another row
+BADLY_SCALED = 10.0  # times as large as the largest entry of another row
 NEGLIGIBLE = -10.0  # log₂ of an entry that beside others of about 1 has no say
 MOST_BITS = 500.0
 
 
 @interpreted_while_small
-def even(indptr, indices, data, signs, sweeps, passes, c):  # type: ignore[no-untyped-def]
+def equilibrate(indptr, indices, data, signs, sweeps, passes, c):  # type: ignore[no-untyped-def]
     """Fill c with factors such that c_i m_ij c_j is about 1 (Curtis, Reid), at most 1 in each row and column (Ruiz).
 
     Sweeps bring the mean logarithm of each row's entries to 0, which undoes units of rows and columns whatever they
@@ -31,7 +31,7 @@ def even(indptr, indices, data, signs, sweeps, passes, c):  # type: ignore[no-un
             mantissa, power = math.frexp(abs(data[k]))
             exponent[k] = power + 2.0 * mantissa - 2.0 if mantissa > 0.0 else -np.inf  # log₂ to .09, exactly rounded
     least, most = _extremes(size)
-    for sweep in range(sweeps if most > UNEVEN * least else 0):
+    for sweep in range(sweeps if most > BADLY_SCALED * least else 0):
         negligible = -np.inf if 2 * sweep < sweeps else NEGLIGIBLE
         for i in range(c.size):
             own, others, of_own, of_others, twice = 0.0, 0.0, 0, 0, 0

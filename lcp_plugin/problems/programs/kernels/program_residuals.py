@@ -55,7 +55,7 @@ def judge_row(  # type: ignore[no-untyped-def]
 ):
     """Hold a row with Σ a_j x_j − limit within slack ± error, its largest term and its multiplier against the worst.
 
-    `coefficient` is its largest one and `least` the smallest cost, in the program's own units.
+    `coefficient` is its largest one and `least` the smallest cost, in the program's own scaling.
     """
     if abs(limit) < np.inf:
         over = abs(slack) if is_equation else slack

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns.units import KINDS, answered, definite, friction, game, grid, jumps, measured, random_units, saddle
-from mixed_units import ANSWER, BOUNDS, M, Q
+from badly_scaled import ANSWER, BOUNDS, M, Q
+from campaigns.scaling import KINDS, answered, definite, friction, game, grid, jumps, measured, random_scaling, saddle
 
 from lcp_plugin import LCP, Certificate, Status, march, solve, solve_batch
 from lcp_plugin.algorithms import create
 from lcp_plugin.core.matrix.matrix import Matrix
-from lcp_plugin.core.matrix.units import units_of
+from lcp_plugin.core.matrix.scaling import scaling_of
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.core.solving.advice import advice_beside_a_wrong_row, advice_of_run
 from lcp_plugin.problems.batches import batch_run
@@ -32,9 +32,9 @@ def test_powers_of_two_change_no_bit_where_the_diagonal_has_zeros(kind: Any) -> 
         at = z * (1.0 + 1e-4 * np.random.default_rng(seed).standard_normal(z.size))
         seen = []
         for k in (seed, seed + 1000):
-            rows, units = random_units(k, z.size)
+            rows, units = random_scaling(k, z.size)
             problem = measured(M, q, rows, units)
-            found = units_of(problem.matrix)
+            found = scaling_of(problem.matrix)
             assert found is not None
             certificate = Certificate.of(problem, at * units)
             seen.append((found.matrix.csr.data.tobytes(), certificate.relative_residual, solve(problem).status))
@@ -63,7 +63,7 @@ def test_the_residual_tells_right_from_wrong_in_any_units(kind: Any, units: str)
     """Wrong by 10⁻³ in one unknown's own unit never passes 10⁻⁶, unless it is an answer too; right to 10⁻¹⁰ passes."""
     for seed in range(60):
         M, q, z = answered(kind, seed)
-        rng, (rows, of_z) = np.random.default_rng(seed), random_units(seed, z.size, units)
+        rng, (rows, of_z) = np.random.default_rng(seed), random_scaling(seed, z.size, units)
         problem, j = measured(M, q, rows, of_z), int(rng.integers(z.size))
         wrong = z + 1e-3 * np.eye(z.size)[j]
         shown = Certificate.of(problem, wrong * of_z).relative_residual
@@ -78,7 +78,7 @@ def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
     """Right to a hundredth of the tolerance, in any units: every row is right in its own terms."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
-        rows, of_z = random_units(seed, z.size)
+        rows, of_z = random_scaling(seed, z.size)
         right = z * (1.0 + 0.01 * tolerance * np.random.default_rng(seed).uniform(-1.0, 1.0, z.size))
         assert Certificate.of(measured(M, q, rows, of_z), right * of_z).term_residual <= tolerance
 
@@ -88,7 +88,7 @@ def test_the_guard_refuses_no_rounding_beside_a_bound(kind: Any) -> None:
     """Off its bound by 1e-12 of its unit, where w is positive and large, z is rounded; the diagonal tells units."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
-        rows, of_z = random_units(seed, z.size)
+        rows, of_z = random_scaling(seed, z.size)
         right = np.where(z > 0.0, z, 1e-12) * of_z
         assert Certificate.of(measured(M, q, rows, of_z), right).term_residual <= 1e-8, seed
 
@@ -125,16 +125,16 @@ def test_a_flow_is_no_unit(kind: str, algorithm: str, units: str) -> None:
 def test_a_flow_in_its_own_unit_shows_none() -> None:
     """Entries up to 16 diagonals are no evidence: convection up to cell Péclet numbers of 30 keeps its unit"""
     for kind in FLOWS:
-        assert units_of(Matrix(flow(kind, 200))) is None
+        assert scaling_of(Matrix(flow(kind, 200))) is None
         rows = np.exp2(np.random.default_rng(0).integers(-20, 21, 200))
-        found = units_of(Matrix(rows[:, None] * flow(kind, 200)))
+        found = scaling_of(Matrix(rows[:, None] * flow(kind, 200)))
         assert found is None
 
 
 def test_what_the_guard_refuses_is_said_with_its_row() -> None:
     """A row that is wrong in its own terms is named, with what to do."""
     M, q, z = answered(grid, 3)
-    rows, of_z = random_units(3, z.size)
+    rows, of_z = random_scaling(3, z.size)
     problem = measured(M, q, rows, of_z)
     certificate = Certificate.of(problem, (z + 0.5) * of_z)
     i = int(np.argmax(certificate.term_residuals))
@@ -174,9 +174,9 @@ def test_a_large_grid_in_mixed_units_goes_to_multigrid() -> None:
 def test_without_row_scaling_the_iterates_are_those_on_the_callers_matrix(name: str) -> None:
     """What the paper iterates is not changed by the units in which it is judged."""
     M, q, z = answered(definite, 3)
-    rows, of_z = random_units(3, z.size)
+    rows, of_z = random_scaling(3, z.size)
     problem = measured(M, q, rows, of_z)
-    assert units_of(problem.matrix) is not None
+    assert scaling_of(problem.matrix) is not None
     seen: list[np.ndarray] = []
     solve(problem, name, scaling=None, max_iterations=5, callback=lambda sample, at: seen.append(at.copy()))
     steps = create(name, {"scaling": None}).iterates(problem, np.zeros(z.size))
@@ -189,7 +189,7 @@ def test_a_zero_on_the_diagonal_says_nothing_about_units() -> None:
     """Friction, games, KKT forms and grids in one unit keep it, jumps and dominance too: no bit changes there."""
     for kind in KINDS:
         for seed in range(5):
-            assert units_of(Matrix(answered(kind, seed)[0])) is None
+            assert scaling_of(Matrix(answered(kind, seed)[0])) is None
 
 
 def planted(seed: int) -> tuple[LCP, np.ndarray]:
@@ -266,10 +266,10 @@ def test_the_units_are_found(seed: int) -> None:
     """Balancing finds the units of the unknowns to a few powers of two; of a problem in one unit there are none."""
     problem = planted(seed)[0]
     scaled, columns = in_units(problem, seed)
-    units = units_of(scaled.matrix)
-    assert units is not None
-    assert np.ptp(units.column - np.log2(columns)) <= 8
-    assert units_of(problem.matrix) is None
+    scaling = scaling_of(scaled.matrix)
+    assert scaling is not None
+    assert np.ptp(scaling.column - np.log2(columns)) <= 8
+    assert scaling_of(problem.matrix) is None
 
 
 def test_a_far_field_in_one_unit_stays_in_the_compiled_loop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -314,7 +314,7 @@ def test_a_march_judges_each_step_in_these_units() -> None:
 def test_entries_near_the_end_of_the_range_have_units_too() -> None:
     """What would overflow in other units is no error: the certificate still says what is wrong."""
     problem = LCP([[1e300, 1e307], [1.0, 1e8]], [-1e307, -1e8])
-    assert units_of(problem.matrix) is not None
+    assert scaling_of(problem.matrix) is not None
     assert solve(problem, "lemke").is_solved
     assert Certificate.of(problem, [0.5, 0.5]).relative_residual > 1e-3
 
@@ -334,9 +334,9 @@ def test_a_penalty_row_beside_a_wind_is_no_unit(algorithm: str) -> None:
 def test_the_residual_in_the_unit_of_z_is_what_an_absolute_tolerance_speaks_of() -> None:
     """In mixed units, too: what `scaled_residual` says is enough of it, and a little less is not."""
     M, q, z = answered(definite, 3)
-    rows, of_z = random_units(3, z.size)
+    rows, of_z = random_scaling(3, z.size)
     problem = measured(M, q, rows, of_z)
-    assert units_of(problem.matrix) is not None
+    assert scaling_of(problem.matrix) is not None
     at = (z + 1e-3) * of_z
     size = Certificate.of(problem, at).scaled_residual
     for absolute, is_solved in ((1.001 * size, True), (0.999 * size, False)):
@@ -351,5 +351,5 @@ def test_a_far_field_in_one_unit_is_asked_for_nothing_else() -> None:
     problem = LCP(M, -np.eye(n)[0])
     result = solve(problem, "psor")
     assert result.is_solved
-    assert units_of(problem.matrix) is None
+    assert scaling_of(problem.matrix) is None
     assert Certificate.of(problem, np.where(np.arange(n) < 12, result.z, 0.0)).relative_residual <= 1e-8

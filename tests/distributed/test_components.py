@@ -1,11 +1,11 @@
-"""Uncoupled parts of a problem are the same, and judged alike, on any number of ranks."""
+"""Uncoupled components of a problem are the same, and judged alike, on any number of ranks."""
 
 from __future__ import annotations
 
 import pytest
 from checks import identities, require_passed
 
-SCRIPT = "parts_on_ranks.py"
+SCRIPT = "components_on_ranks.py"
 
 
 @pytest.mark.parametrize("identity", identities(SCRIPT))

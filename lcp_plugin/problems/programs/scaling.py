@@ -1,4 +1,4 @@
-"""The units of a quadratic program: what its rows, its unknowns and its objective are measured in.
+"""Scaling of a quadratic program: what its rows, its unknowns and its objective are measured in.
 
 Nobody's answer may depend on whether he writes euros or millions. So each row is measured in its largest coefficient,
 and the objective in the size that most of its coefficients have; both follow wherever rows and the objective are
@@ -6,12 +6,12 @@ multiplied. Unknowns keep the user's unit unless the data show others: rows and 
 
     [A b], [P c], and [1 bound] for each bound
 
-are fitted to each other (Curtis, Reid; :mod:`lcp_plugin.core.matrix.units`), exact powers of two, where the columns of
-A and P, or b, c and bounds beside them, are of sizes that differ by more than 2⁸ on average. The column of b, c and
+are fitted to each other (Curtis, Reid; :mod:`lcp_plugin.core.matrix.scaling`), exact powers of two, where the columns
+of A and P, or b, c and bounds beside them, are of sizes that differ by more than 2⁸ on average. The column of b, c and
 bounds says how large unknowns are. Where these exponents lie within 2⁸ of each other all unknowns get the one in their
 middle: multigrid interpolates what is constant in one unit, and an elastic body in newtons and metres is one grid.
 
-Where numbers are far from 1, the program is solved in its own units (`Rescaled`), and its answer brought back as that
+Where numbers are far from 1, the scaled program is solved (`Rescaled`), and its answer brought back as that
 of a step of a reduction is.
 """
 
@@ -25,8 +25,8 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector, assembled, read_only
 from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.scaling import ALIKE, NOISE, fitted_columns
 from ...core.matrix.structure import row_numbers
-from ...core.matrix.units import ALIKE, NOISE, fitted_columns
 from ...methods.presolve import like
 from .program_matrices import ProgramMatrices, as_csr, or_one, vertically
 from .reductions import Step
@@ -39,8 +39,8 @@ MOST = 900  # no exponent is larger in size
 FAR = 16  # log2 of an objective, or of a row's coefficients: linear programs and pivots have tolerances of their own
 
 
-class OwnUnits(NamedTuple):
-    """What a program is measured in.
+class ProgramScaling(NamedTuple):
+    """Scaling of rows, unknowns and objective of a program.
 
     Attributes
     ----------
@@ -50,18 +50,18 @@ class OwnUnits(NamedTuple):
         Powers of two; the last coefficients, those of bounds, are the same.
     objective, least : float
         What most costs are near, and the smallest one: powers of two.
-    are_the_users : bool
-        Whether unknowns are in the unit that they are given in.
+    leaves_unknowns : bool
+        Whether unknowns are left in the unit that they are given in.
     """
 
     coefficient: FloatVector
     unknown: FloatVector
     objective: float
     least: float
-    are_the_users: bool
+    leaves_unknowns: bool
 
     @classmethod
-    def of(cls, program: QuadraticProgram) -> OwnUnits:
+    def of(cls, program: QuadraticProgram) -> ProgramScaling:
         """Return those of a program."""
         exponents = _fitted(program)
         if exponents is not None and np.ptp(exponents) <= ALIKE:
@@ -70,7 +70,7 @@ class OwnUnits(NamedTuple):
         return cls.of_unknowns(program, None if exponents is None else np.ldexp(1.0, exponents))
 
     @classmethod
-    def of_unknowns(cls, program: QuadraticProgram, unknown: FloatVector | None) -> OwnUnits:
+    def of_unknowns(cls, program: QuadraticProgram, unknown: FloatVector | None) -> ProgramScaling:
         """Return those of a program whose unknowns are measured in these; None: as the user has them."""
         diagonal, rows = program.P.diagonal(), program.matrices.rows
         if unknown is None:
@@ -80,12 +80,12 @@ class OwnUnits(NamedTuple):
         size, least = objective_sizes(program.c * unknown, diagonal * unknown * unknown).tolist()
         return cls(np.concatenate([of_rows, unknown, unknown]), unknown, size, least, False)
 
-    def of_rows(self, left: Any) -> OwnUnits:
+    def of_rows(self, left: Any) -> ProgramScaling:
         """Return those of the same program with these of its rows, the others put into its bounds."""
         bounds = self.coefficient[self.coefficient.size - 2 * self.unknown.size :]  # none without unknowns
         return self._replace(coefficient=np.concatenate([self.coefficient[left], bounds]))
 
-    def of_unknowns_left(self, left: Any) -> OwnUnits:
+    def of_unknowns_left(self, left: Any) -> ProgramScaling:
         """Return those of the same program in these of its unknowns, the others put in."""
         rows = self.coefficient[: -2 * self.unknown.size]
         unknown = self.unknown[left]
@@ -164,7 +164,7 @@ def size_of_unknowns(
     return size, say
 
 
-def units_of_stacks(
+def scaling_of_stacks(
     P: Any, c: Any, C: Any, d: Any, is_equality: Any, lower: Any, upper: Any
 ) -> tuple[Any, Any]:
     """Return the sizes of the objectives of a batch of dense programs, and where unknowns keep the user's units.
@@ -186,7 +186,7 @@ def units_of_stacks(
 
 
 def _fitted(program: QuadraticProgram) -> Any:
-    """Return the exponents of the unknowns' units, None where all are the user's."""
+    """Return the exponents that scale the unknowns, None where all stay the user's."""
     matrices, n = program.matrices, program.n
     of_rows, of_hessian, spread = matrices.exponents
     limits = np.concatenate([program.h, program.b])
@@ -215,12 +215,12 @@ def _fitted(program: QuadraticProgram) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Rescaled(Step):
-    """A program in its own units: powers of two, so that no number is rounded.
+    """A scaled program: powers of two, so that no number is rounded.
 
     Attributes
     ----------
     program, reduced : QuadraticProgram
-        As it was stated, and in its own units.
+        As it was stated, and scaled.
     of_x, of_multipliers : ndarray, shapes (n,) and (m + p + 2n,)
         What x and the multipliers of the latter are multiplied by.
     of_rows : ndarray, shape (m + p + 2n,)
@@ -239,12 +239,12 @@ class Rescaled(Step):
         """
         if program.matrices.sizes[:2] == (0, 0) and (program.P.diagonal() > 0.0).all():
             return None
-        coefficient, unknown, objective, _, are_the_users = program.units
+        coefficient, unknown, objective, _, leaves_unknowns = program.scaling
         rows = np.ldexp(1.0, np.frexp(coefficient)[1] - 1)
         far = 2.0**FAR
         of_matrices = rows[: program.constraints.rows]
         is_near = 1.0 / far <= objective <= far and of_matrices.max(initial=1.0) <= far
-        if are_the_users and is_near and of_matrices.min(initial=1.0) >= 1.0 / far:
+        if leaves_unknowns and is_near and of_matrices.min(initial=1.0) >= 1.0 / far:
             return None
         m, p = program.matrices.sizes[:2]
         with np.errstate(over="ignore", under="ignore"):
@@ -262,7 +262,7 @@ class Rescaled(Step):
         return cls(program, made, unknown, objective / rows, rows)
 
     def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return x and multipliers in the program's own units."""
+        """Return x and multipliers in the program's own scaling."""
         return x / self.of_x, multipliers / self.of_multipliers
 
     def point(self, x: Any, *, is_direction: bool = False) -> Any:

@@ -1,6 +1,6 @@
 """The same program in euros and in millions: one status, one objective, and no answer with an exact proof against it.
 
-Run ``python tests/campaigns/programs_in_units.py --cases 3000 --seed 0``; ``--show`` prints each failure, ``--others``
+Run ``python tests/campaigns/scaled_programs.py --cases 3000 --seed 0``; ``--show`` prints each failure, ``--others``
 asks Clarabel, and HiGHS where the program is linear. A third of the programs has a planted minimum, a third
 contradictory constraints, a third a planted direction of endless descent; dense, sparse, degenerate, rank deficient and
 linear ones in turn. Each is solved as it is drawn, then with its objective, its rows, its unknowns, and all of these
@@ -97,7 +97,7 @@ def _across(rows: Any, d: Any) -> Any:
     return rows - np.outer(rows @ d, d) / (d @ d)
 
 
-def in_units(program: QuadraticProgram, what: str, rng: np.random.Generator) -> tuple[QuadraticProgram, float]:
+def rescaled(program: QuadraticProgram, what: str, rng: np.random.Generator) -> tuple[QuadraticProgram, float]:
     """Return the program in other units, and what its objective is multiplied by."""
     size = int(rng.choice(EXPONENTS))
     m, p, n = program.h.size, program.b.size, program.n
@@ -166,7 +166,7 @@ def one(seed: int, others: bool, case: int) -> tuple[list[str], list[tuple[str, 
     rng = np.random.default_rng([seed, case])
     drawn, bad, lines = planted(case, rng), list[str](), list[tuple[str, str, bool]]()
     for what in WHAT:
-        program, size = (drawn.program, 1.0) if what == "as drawn" else in_units(drawn.program, what, rng)
+        program, size = (drawn.program, 1.0) if what == "as drawn" else rescaled(drawn.program, what, rng)
         _, wrong = failures(drawn, program, size)
         bad += [f"{KINDS[case % len(KINDS)]}, {what}: {word}" for word in wrong]
         lines.append(("lcp_plugin", what, not wrong))

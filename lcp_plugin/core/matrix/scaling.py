@@ -1,8 +1,8 @@
-r"""The units of rows and unknowns, where entries of M show them: exact powers of two, found from M alone.
+r"""Row and column scaling of M, where its entries show that it is badly scaled: exact powers of two, from M alone.
 
 M̂ = R M C, R = diag(2^row), C = diag(2^column). An entry far larger than the diagonal entry of its row is evidence of a
 unit; a small one is a weak coupling or a flow, and |m_ij| / |m_ji| may be a unit or a flow: M alone cannot tell. So a
-part (connected component) of M keeps its units where
+connected component of M is not scaled where
 
 - the largest entries of all its rows and columns lie within 2¹⁰ of each other, zeros on the diagonal or not; or
 - no entry exceeds 2⁴ times the diagonal entry of its row, however different these are: dominant rows, grids with jumps,
@@ -21,8 +21,8 @@ nothing flows, and c = d^(−1/2), the best conditioned scaling of a positive de
 Sluis). Where the diagonal has zeros or nothing but noise, rows and columns are fitted together over all entries
 (Curtis, Reid).
 
-M̂ leaves one number open for each connected component of the graph of rows and columns: one a part, or several where
-the diagonal has zeros, as those of a game and of a linear program have two.
+M̂ leaves one number open for each connected component of the graph of rows and columns: one a component of M, or
+several where the diagonal has zeros, as those of a game and of a linear program have two.
 
 References
 ----------
@@ -40,7 +40,7 @@ import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector, read_only
 from .matrix import Matrix, fact, largest_in_rows
-from .structure import IntVector, parts, row_numbers
+from .structure import IntVector, connected_components, row_numbers
 
 SPREAD = 10  # log2 of what entries in one unit differ by
 ALIKE = 8  # log2 of what unknowns in one unit differ by
@@ -65,18 +65,18 @@ class Exponents(NamedTuple):
     column: IntVector
 
 
-class Units(NamedTuple):
-    """What rows and unknowns are measured in, and the matrix there.
+class Scaling(NamedTuple):
+    """Row and column scaling by powers of two, and the scaled matrix.
 
     Attributes
     ----------
     row, column : array of int, shape (n,)
-        w_i is measured in 2^−row, z_j in 2^column; 0 in parts that keep their units.
+        w_i is measured in 2^−row, z_j in 2^column; 0 in components that need no scaling.
     of_row, of_column : array of int, shape (n,)
         The connected component of the graph of rows and columns: M̂ stays where 2^k multiplies a component's rows and
         divides its columns.
     matrix : Matrix
-        M̂, in its own units.
+        M̂, which needs no scaling.
     scale : array, shape (n,)
         d̂_i / 2^(row_i + column_i), d̂ the residual scale of M̂: what the caller's w_i is divided by.
     """
@@ -90,38 +90,38 @@ class Units(NamedTuple):
 
 
 @fact
-def units_of(matrix: Matrix) -> Units | None:
-    """Return the units that M shows; None where these are its own, and where rows are spread over ranks.
+def scaling_of(matrix: Matrix) -> Scaling | None:
+    """Return the scaling that M shows a need of; None where it needs none, and where rows are spread over ranks.
 
     Examples
     --------
     >>> columns = np.array([1.0, 2.0**30, 2.0**-30])
-    >>> units_of(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).column.tolist()
+    >>> scaling_of(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).column.tolist()
     [0, 30, -30]
     """
     if not matrix.communicator.is_alone:
         return None
     pivots = np.abs(matrix.diagonal)
     is_led_by_diagonal = pivots.min(initial=np.inf) >= matrix.largest * 2.0**-SPREAD
-    if is_led_by_diagonal or (matrix.is_dense and are_in_one_unit(matrix.array[np.newaxis])[0]):
+    if is_led_by_diagonal or (matrix.is_dense and are_well_scaled(matrix.array[np.newaxis])[0]):
         return None
-    several = parts(matrix)
+    several = connected_components(matrix)
     labels = np.zeros(matrix.n, np.int64) if several is None else several.labels
     if several is None and matrix.is_dense and (found := _of_symmetric(matrix.array, matrix.diagonal)) is not None:
-        return _units(matrix, labels, *found)  # as below, for a tenth of the price
+        return _scaling(matrix, labels, *found)  # as below, for a tenth of the price
     M = matrix.csr
-    uneven = _uneven_parts(M, labels, pivots)
-    if not uneven.any():
+    badly_scaled = _badly_scaled_components(M, labels, pivots)
+    if not badly_scaled.any():
         return None
     row, column = np.zeros((2, matrix.n), np.int64)
-    some = np.flatnonzero(uneven[labels])
+    some = np.flatnonzero(badly_scaled[labels])
     row[some], column[some] = _balanced(M[some][:, some] if some.size < matrix.n else M, labels[some])
-    return _units(matrix, labels, row, column)
+    return _scaling(matrix, labels, row, column)
 
 
 @fact
 def energy_scale(matrix: Matrix) -> FloatVector | None:
-    """Return √(d_i/t_i), shape (n,), where the rows t_i |m_ij| are symmetric: NaN in other parts, None without any.
+    """Return √(d_i/t_i), shape (n,), where the rows t_i |m_ij| are symmetric: NaN elsewhere, None without any.
 
     In units of one energy for all unknowns r_i / √(d_i/t_i) is what a row is wrong by, whatever they are measured in.
 
@@ -130,7 +130,7 @@ def energy_scale(matrix: Matrix) -> FloatVector | None:
     >>> energy_scale(Matrix(np.array([[8.0, -8.0], [-1.0, 2.0]]))).round(3).tolist()
     [2.828, 0.5]
     """
-    M, several = matrix.csr, parts(matrix)
+    M, several = matrix.csr, connected_components(matrix)
     ratio, is_symmetric = _symmetrising(M, np.zeros(matrix.n, np.int64) if several is None else several.labels)
     is_symmetric &= matrix.diagonal > 0.0
     if not is_symmetric.any():
@@ -139,8 +139,8 @@ def energy_scale(matrix: Matrix) -> FloatVector | None:
         return read_only(np.where(is_symmetric, np.sqrt(matrix.diagonal) * np.exp2(-0.5 * ratio), np.nan))
 
 
-def are_in_one_unit(matrices: Any) -> BoolVector:
-    """Return which dense matrices, shape (k, n, n), show no units as a whole: shape (k,)."""
+def are_well_scaled(matrices: Any) -> BoolVector:
+    """Return which dense matrices, shape (k, n, n), need no scaling as a whole: shape (k,)."""
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
     most = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD
     are: BoolVector = most <= pivots.min(axis=1, initial=np.inf)
@@ -166,12 +166,12 @@ def _of_symmetric(M: FloatVector, diagonal: FloatVector) -> Exponents | None:
     return found if np.abs(scaled(M, found)).max() <= LARGEST_OFF else None
 
 
-def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector) -> Units | None:
-    """Return the units of these exponents, centred, but 0 in parts whose unknowns they leave alike.
+def _scaling(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector) -> Scaling | None:
+    """Return the scaling by these exponents, centred, but 0 in components whose unknowns they leave alike.
 
     None where all are alike, and where an entry or what w is divided by is beyond the range of doubles.
     """
-    of_row, of_column = (labels, labels) if matrix.diagonal.all() else _components(matrix.csr)
+    of_row, of_column = (labels, labels) if matrix.diagonal.all() else _components_of_both(matrix.csr)
     most, least = (_extremes(column, labels, side) for side in (np.maximum, np.minimum))
     middle, are_alike = ((most + least) // 2)[labels], most - least <= ALIKE
     np.logical_and.at(are_alike, labels, of_row == of_column)  # what M leaves open between components may be anything
@@ -183,12 +183,12 @@ def _units(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector)
     if not np.isfinite(M.data if sp.issparse(M) else M).all():
         return None
     balanced = Matrix(M)
-    units_of.keep(balanced, None)
+    scaling_of.keep(balanced, None)
     scale = times_power(balanced.residual_scale, -(row + column))
     if not is_representable(scale):
         return None
     row, column, of_row, of_column = (read_only(side) for side in (row, column, of_row, of_column))
-    return Units(row, column, of_row, of_column, balanced, read_only(scale))
+    return Scaling(row, column, of_row, of_column, balanced, read_only(scale))
 
 
 def is_representable(scale: FloatVector) -> bool:
@@ -196,36 +196,36 @@ def is_representable(scale: FloatVector) -> bool:
     return bool(((scale >= np.finfo(float).tiny) & (scale <= np.finfo(float).max)).all())
 
 
-def _uneven_parts(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> BoolVector:
-    """Return which parts, shape (parts,), have entries of several sizes, and some far beyond their diagonal."""
+def _badly_scaled_components(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> BoolVector:
+    """Return which components, shape (components,), have entries of several sizes, some far beyond their diagonal."""
     rows, columns = largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))
     most, least = np.zeros(labels.max() + 1), np.full(labels.max() + 1, np.inf)
     for side in (rows, columns):
         np.maximum.at(most, labels, side)
         np.minimum.at(least, labels, np.where(side > 0.0, side, np.inf))
-    shows_units = np.zeros(most.size, np.bool_)
-    np.logical_or.at(shows_units, labels, rows * 2.0**-BESIDE_DIAGONAL > pivots)
-    return (most * 2.0**-SPREAD > least) & shows_units
+    is_badly_scaled = np.zeros(most.size, np.bool_)
+    np.logical_or.at(is_badly_scaled, labels, rows * 2.0**-BESIDE_DIAGONAL > pivots)
+    return (most * 2.0**-SPREAD > least) & is_badly_scaled
 
 
 def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
-    """Return the exponents of M, the square block of some parts, up to one number a component."""
+    """Return the exponents of M, the square block of some components, up to one number a component."""
     count, pivots = int(labels.max()) + 1, np.abs(M.diagonal())
     ratio, is_symmetric = _symmetrising(M, labels)
     column, is_served = _between_paths(M, labels, pivots)
     of_diagonal = 1 - np.frexp(np.where(pivots > 0.0, pivots, 1.0))[1].astype(np.int64)
     # Where |M| is symmetric as it is given, d^(−1/2); an odd exponent of the first row is its rows' alone.
-    is_given = _all_of_parts(is_symmetric & (ratio == 0), labels, count) & _all_of_parts(pivots > 0.0, labels, count)
+    is_given = _all_of_components(is_symmetric & (ratio == 0) & (pivots > 0.0), labels, count)
     odd = np.zeros(count, np.int64)
     roots = np.unique(labels, return_index=True)
     odd[roots[0]] = of_diagonal[roots[1]] % 2
     half = (of_diagonal - odd[labels]) // 2
     given = Exponents(half + odd[labels], half)
-    is_given &= _all_of_parts(largest_in_rows(scaled(M, given)) <= LARGEST_OFF, labels, count)
+    is_given &= _all_of_components(largest_in_rows(scaled(M, given)) <= LARGEST_OFF, labels, count)
     row = of_diagonal - column
     apart = column + ratio - row
     most, least = (_extremes(apart, labels, side) for side in (np.maximum, np.minimum))
-    near = _all_of_parts(is_symmetric, labels, count) & (most - least <= 2 * SYMMETRIC_WITHIN)
+    near = _all_of_components(is_symmetric, labels, count) & (most - least <= 2 * SYMMETRIC_WITHIN)
     row = np.where(near[labels], column + ratio - ((most + least) // 2)[labels], row)
     row, column = (np.where(is_given[labels], one, two) for one, two in zip(given, (row, column), strict=True))
     is_found = (is_served | is_given)[labels]
@@ -235,19 +235,19 @@ def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
     return Exponents(*(np.where(is_found, one, two) for one, two in zip((row, column), other, strict=True)))
 
 
-def _all_of_parts(claim: BoolVector, labels: IntVector, count: int) -> BoolVector:
-    """Return of which parts all rows are so, shape (parts,)."""
+def _all_of_components(claim: BoolVector, labels: IntVector, count: int) -> BoolVector:
+    """Return of which components all rows are so, shape (components,)."""
     are = np.ones(count, np.bool_)
     np.logical_and.at(are, labels, claim)
     return are
 
 
 def _between_paths(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> tuple[IntVector, BoolVector]:
-    """Return c of the module's head, and which parts have one, shape (parts,)."""
+    """Return c of the module's head, and which components have one, shape (components,)."""
     from ..kernels import scaling
 
     n, count, rows = M.shape[0], int(labels.max()) + 1, row_numbers(M)
-    serves = _all_of_parts(pivots > 0.0, labels, count)
+    serves = _all_of_components(pivots > 0.0, labels, count)
     is_entry = (rows != M.indices) & (M.data != 0.0) & serves[labels[rows]]
     pattern = sp.csr_array((M.data[is_entry], (rows[is_entry], M.indices[is_entry])), shape=(n, n))
     pattern.sort_indices()
@@ -293,7 +293,7 @@ def _together(M: sp.csr_array, labels: IntVector, ratio: IntVector, is_symmetric
 
 
 def _symmetrising(M: sp.csr_array, labels: IntVector) -> tuple[IntVector, BoolVector]:
-    """Return t with 2^t_i |m_ij| = 2^t_j |m_ji|, but for rounding, and the rows of parts that have such a t."""
+    """Return t with 2^t_i |m_ij| = 2^t_j |m_ji|, but for rounding, and the rows of components that have such a t."""
     n, mirror = M.shape[0], sp.csr_array(M.T)
     mirror.sort_indices()
     has_mirror = np.array_equal(M.indptr, mirror.indptr) and np.array_equal(M.indices, mirror.indices)
@@ -390,7 +390,7 @@ def _potentials(whole: Any, tails: IntVector, heads: IntVector, nodes: int) -> A
     return potential[:nodes]
 
 
-def _components(M: sp.csr_array) -> tuple[IntVector, IntVector]:
+def _components_of_both(M: sp.csr_array) -> tuple[IntVector, IntVector]:
     """Return the components of the graph of rows and columns, of each row and of each column."""
     from scipy.sparse.csgraph import connected_components
 

@@ -21,36 +21,36 @@ def _exponents(draw: st.DrawFn, n: int, largest: int) -> np.ndarray:
     return np.array(drawn, dtype=np.int64)
 
 
-def _in_units(M: Any, row: np.ndarray, column: np.ndarray) -> Any:
+def _scaled(M: Any, row: np.ndarray, column: np.ndarray) -> Any:
     moved = np.ldexp(M.toarray() if sp.issparse(M) else M, row[:, None] + column)
     return sp.csr_array(moved) if sp.issparse(M) else moved
 
 
 @st.composite
-def matrices_in_units(draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: int = 0, column: int = 0) -> Any:
+def scaled_matrices(draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: int = 0, column: int = 0) -> Any:
     """R M C with R and C of powers of two, exponents up to `row` and `column` in size."""
     M = draw(matrices)
     n = M.shape[0]
-    return _in_units(M, _exponents(draw, n, row), _exponents(draw, n, column))
+    return _scaled(M, _exponents(draw, n, row), _exponents(draw, n, column))
 
 
 @st.composite
-def symmetric_in_units(draw: st.DrawFn, matrices: st.SearchStrategy[Any], largest: int) -> Any:
+def scaled_symmetric(draw: st.DrawFn, matrices: st.SearchStrategy[Any], largest: int) -> Any:
     """S M S with S of powers of two, exponents up to `largest` in size."""
     M = draw(matrices)
     S = _exponents(draw, M.shape[0], largest)
-    return _in_units(M, S, S)
+    return _scaled(M, S, S)
 
 
 @st.composite
-def lcps_in_units(draw: st.DrawFn, lcps: st.SearchStrategy[LCP], row: int, column: int = 0) -> LCP:
+def scaled_lcps(draw: st.DrawFn, lcps: st.SearchStrategy[LCP], row: int, column: int = 0) -> LCP:
     """Rows of (M, q) multiplied, components of z measured, in powers of two."""
     problem = draw(lcps)
     return _moved(problem, _exponents(draw, problem.n, row), _exponents(draw, problem.n, column))
 
 
 @st.composite
-def solved_in_units(draw: st.DrawFn, solved: st.SearchStrategy[Solved], row: int, column: int = 0) -> Solved:
+def scaled_solved(draw: st.DrawFn, solved: st.SearchStrategy[Solved], row: int, column: int = 0) -> Solved:
     """Rows of (M, q) multiplied, components of z measured, in powers of two; the answer stays exact."""
     problem, z = draw(solved)
     units = _exponents(draw, problem.n, column)
@@ -60,7 +60,7 @@ def solved_in_units(draw: st.DrawFn, solved: st.SearchStrategy[Solved], row: int
 
 def _moved(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
     lower, upper = np.ldexp(problem.lower, -column), np.ldexp(problem.upper, -column)
-    return LCP(_in_units(problem.M, row, column), np.ldexp(problem.q, row), lower=lower, upper=upper)
+    return LCP(_scaled(problem.M, row, column), np.ldexp(problem.q, row), lower=lower, upper=upper)
 
 
 def nearly_singular(margin: float = 2.0**-20) -> st.SearchStrategy[np.ndarray]:

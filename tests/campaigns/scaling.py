@@ -1,6 +1,6 @@
 """Right and wrong answers of planted problems in any units: what passes, what is refused, what auto says.
 
-    python tests/campaigns/units.py --cases 500 --seed 0
+    python tests/campaigns/scaling.py --cases 500 --seed 0
 
 Of each kind, in random units of rows and unknowns (powers of two from 2⁻²⁰ to 2²⁰; "smooth": such as differ little from
 one unknown to the next), so many cases. What is right to 10⁻¹⁰ must be accepted at 1e-8; auto must end with the same
@@ -99,7 +99,7 @@ def measured(M: Entries, q: Entries, rows: Entries, units: Entries) -> LCP:
     return LCP(rows[:, None] * M / units, rows * q)
 
 
-def random_units(seed: int, n: int, kind: str = "mixed") -> tuple[Entries, Entries]:
+def random_scaling(seed: int, n: int, kind: str = "mixed") -> tuple[Entries, Entries]:
     """Of rows and of unknowns, powers of two; smooth ones differ little from one unknown to the next."""
     rng = np.random.default_rng([seed, 7])
     rows, units = np.exp2(rng.integers(-20, 21, (2, n)))
@@ -117,7 +117,7 @@ def is_answer(M: Entries, q: Entries, z: Entries) -> bool:
 def judged(kind: Any, seed: int, units: str, extremes: dict[str, float]) -> list[str]:
     """What is to be counted of a case."""
     M, q, z = answered(kind, seed)
-    rng, (rows, of_z) = np.random.default_rng([seed, 1]), random_units(seed, z.size, units)
+    rng, (rows, of_z) = np.random.default_rng([seed, 1]), random_scaling(seed, z.size, units)
     problem, found = measured(M, q, rows, of_z), []
     wrong = z + 1e-3 * np.eye(z.size)[int(rng.integers(z.size))]
     shown = Certificate.of(problem, wrong * of_z)
@@ -127,7 +127,7 @@ def judged(kind: Any, seed: int, units: str, extremes: dict[str, float]) -> list
     extremes["guard"] = max(extremes["guard"], right.term_residual / 1e-8)
     if not right.meets(Settings(tolerance=1e-8)):
         found.append("right refused")
-    others = random_units(seed + 10**6, z.size, units)
+    others = random_scaling(seed + 10**6, z.size, units)
     again = measured(M, q, *others)
     ends = sorted([shown.relative_residual, Certificate.of(again, wrong * others[1]).relative_residual])
     extremes["ratio"] = max(extremes["ratio"], ends[1] / ends[0] if ends[0] > 0.0 else 1.0)

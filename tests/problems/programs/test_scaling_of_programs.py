@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns import convex_programs, programs_in_units
+from campaigns import convex_programs, scaled_programs
 
 from lcp_plugin import QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
@@ -93,7 +93,7 @@ def test_right_hand_sides_that_are_rounding_name_no_unit() -> None:
     """9e-16 beside coefficients of 1e-3, the only equation, is rounding where a limit is 1e3: x = 0 is optimal."""
     row = 1e-3 * np.array([[-1.227, -1.1546, -1.1391, -2.9916]])
     program = QuadraticProgram(None, np.ones(4), np.ones((1, 4)), [1e3], row, [8.9e-16], lower=0.0)
-    assert program.units.unknown.min() >= 1.0
+    assert program.scaling.unknown.min() >= 1.0
     assert solve(program).status is Status.SOLVED
 
 
@@ -115,7 +115,7 @@ def test_a_small_tolerance_is_asked_of_the_program_too() -> None:
     """What is SOLVED at tolerance=1e-12 has residuals of at most 1e-9."""
     for case in range(0, 60, 15):
         for kind in range(3):
-            drawn = programs_in_units.planted(case + kind, np.random.default_rng([9, case + kind]))
+            drawn = scaled_programs.planted(case + kind, np.random.default_rng([9, case + kind]))
             result = solve(drawn.program, tolerance=1e-12)
             if result.is_solved:
                 assert max(result.solution.residual, result.solution.row_residual) <= 1e-9
@@ -124,9 +124,9 @@ def test_a_small_tolerance_is_asked_of_the_program_too() -> None:
 @pytest.mark.parametrize("case", range(15))
 def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
     """Dense, sparse, degenerate, rank deficient, linear; with a minimum, infeasible, unbounded; units of 10^±12."""
-    bad, lines = programs_in_units.one(5, False, case)
+    bad, lines = scaled_programs.one(5, False, case)
     assert not bad
-    assert len(lines) == len(programs_in_units.WHAT)
+    assert len(lines) == len(scaled_programs.WHAT)
 
 
 def test_smaller_programs_keep_the_units_of_unknowns() -> None:
@@ -138,11 +138,11 @@ def test_smaller_programs_keep_the_units_of_unknowns() -> None:
         b=[1.0, 2.0, 1.0],
     )
     folded, put_in = FoldedRows.of(program).reduced, Substitution.of(program)
-    assert not program.units.are_the_users
+    assert not program.scaling.leaves_unknowns
     assert folded is not program
-    assert folded.units.unknown.tolist() == program.units.unknown.tolist()
+    assert folded.scaling.unknown.tolist() == program.scaling.unknown.tolist()
     assert put_in is not None
-    assert put_in.reduced.units.unknown.tolist() == program.units.unknown[put_in.definitions.kept].tolist()
+    assert put_in.reduced.scaling.unknown.tolist() == program.scaling.unknown[put_in.definitions.kept].tolist()
 
 
 @pytest.mark.parametrize(("diagonal", "lower", "upper", "expected"), [

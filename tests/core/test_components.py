@@ -1,4 +1,4 @@
-"""SOLVED holds in every part of a problem: each of several uncoupled ones is judged by its own data."""
+"""SOLVED holds in every component of a problem: each of several uncoupled ones is judged by its own data."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns import parts as campaign
+from campaigns import components as campaign
 from collection.truth import ExactData
 
 from lcp_plugin import LCP, Certificate, Status, derivative, error_bound, march, solve, solve_batch, solve_many
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import CommonUnits, references_of_parts
-from lcp_plugin.core.matrix.structure import parts
+from lcp_plugin.core.certificates.criterion import CommonScaling, references_of_components
+from lcp_plugin.core.matrix.structure import connected_components
 
 TOLERANCE = 1e-8
 FAR_APART = LCP(np.eye(2), [-1e10, -0.5])
-WRONG_IN_ONE = np.array([1e10, 0.6])  # relative to the larger part by 1e-11
+WRONG_IN_ONE = np.array([1e10, 0.6])  # relative to the larger component by 1e-11
 
 
 def is_lie(problem: LCP, z: np.ndarray) -> bool:
@@ -36,11 +36,11 @@ def two_grids(*units: float, side: int = 20, seed: int = 0) -> tuple[LCP, np.nda
     return LCP(sp.block_diag([M] * len(units), format="csr"), size * q.ravel()), size * z.ravel()
 
 
-# --- One part wrong, and small beside another ------------------------------------------------------------------------
+# --- One component wrong, and small beside another -------------------------------------------------------------------
 
 
-def test_a_small_part_that_is_wrong_is_not_called_solved() -> None:
-    """diag(1, 1), q = (−1e10, −.5): z = (1e10, .6) is 1e-11 of the larger part off, and 0.2 of its own."""
+def test_a_small_component_that_is_wrong_is_not_called_solved() -> None:
+    """diag(1, 1), q = (−1e10, −.5): z = (1e10, .6) is 1e-11 of the larger component off, and 0.2 of its own."""
     assert Certificate.of(FAR_APART, WRONG_IN_ONE).relative_residual == pytest.approx(0.2)
     result = solve(FAR_APART, z0=WRONG_IN_ONE)
     assert result.is_solved
@@ -48,21 +48,21 @@ def test_a_small_part_that_is_wrong_is_not_called_solved() -> None:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_no_method_stops_at_a_part_that_is_wrong(name: str) -> None:
-    """Every method goes on from there until the small part is within the tolerance, too."""
+def test_no_method_stops_at_a_component_that_is_wrong(name: str) -> None:
+    """Every method goes on from there until the small component is within the tolerance, too."""
     result = solve(FAR_APART, name, z0=WRONG_IN_ONE)
     assert result.is_solved
     assert abs(result.z[1] - 0.5) <= TOLERANCE * 0.5
 
 
-def test_the_certificate_names_the_worst_part() -> None:
-    """The worst row is that of the part that is wrong beside its own reference, not of the largest residual."""
+def test_the_certificate_names_the_worst_component() -> None:
+    """The worst row is that of the component that is wrong beside its own reference, not of the largest residual."""
     certificate = Certificate.of(FAR_APART, [1e10 - 1.0, 0.6])
-    assert (certificate.parts, certificate.worst_index) == (2, 1)
-    assert "the worst of 2 parts: that of row 1" in str(certificate)
+    assert (certificate.components, certificate.worst_index) == (2, 1)
+    assert "the worst of 2 components: that of row 1" in str(certificate)
 
 
-def test_the_worst_part_is_named_by_what_is_proved() -> None:
+def test_the_worst_component_is_named_by_what_is_proved() -> None:
     """Measured, the second row has no residual: 3 · 0.1 is rounded; exactly it is as wrong as z° is."""
     problem = LCP(np.diag([1.0, 0.1]), [-1.0, -(3.0 * 0.1)], lower=[0.0, 3.0])
     assert problem.slack([1.0, 3.0])[1] == 0.0
@@ -71,7 +71,7 @@ def test_the_worst_part_is_named_by_what_is_proved() -> None:
     assert certificate.worst_index == 1
 
 
-def test_a_change_in_the_small_part_is_seen_by_a_warm_start() -> None:
+def test_a_change_in_the_small_component_is_seen_by_a_warm_start() -> None:
     """Two grids in units 1e10 apart, solved; q of the small one changes: the old answer is no answer any more."""
     problem, z = two_grids(1e10, 1.0)
     first = solve(problem)
@@ -88,19 +88,19 @@ def test_a_change_in_the_small_part_is_seen_by_a_warm_start() -> None:
 
 
 @pytest.mark.parametrize("unit", [1e12, 1e-12])
-def test_the_interior_point_method_solves_parts_far_apart(unit: float) -> None:
-    """Whose path is one for all parts, in units 10^±12."""
+def test_the_interior_point_method_solves_components_far_apart(unit: float) -> None:
+    """Whose path is one for all components, in units 10^±12."""
     problem, z = two_grids(unit, 1.0, side=10)
     result = solve(problem, "interior_point")
     assert result.is_solved
     assert (np.abs(result.z - z) <= 1e-6 * np.repeat([unit, 1.0], 100)).all()
 
 
-# --- Parts that z° solves --------------------------------------------------------------------------------------------
+# --- Components that z° solves ---------------------------------------------------------------------------------------
 
 
 def test_what_z0_solves_exactly_is_left_there() -> None:
-    """A part that z° solves has no other answer by its own data: a start elsewhere does not stay there."""
+    """A component that z° solves has no other answer by its own data: a start elsewhere does not stay there."""
     result = solve(LCP(np.eye(2), [-1.0, 2.0]), z0=[0.0, 1e-300])
     assert result.is_solved
     assert result.z.tolist() == [1.0, 0.0]
@@ -114,8 +114,8 @@ def test_a_narrow_box_is_no_rounding() -> None:
     assert result.z.tolist() == [3.0, 1e-17]
 
 
-def test_a_part_at_the_rounding_of_its_data_leaves_the_others_their_answer() -> None:
-    """z₂ = 3 misses by the rounding of 0.3 alone; the first part is solved all the same, and PRECISION_LIMIT said."""
+def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer() -> None:
+    """z₂ = 3 misses by the rounding of 0.3 alone; the first is solved all the same, and PRECISION_LIMIT said."""
     M = np.zeros((6, 6))
     M[:5, :5] = np.tril(np.full((5, 5), -1.0), -1) + np.triu(np.full((5, 5), 2.0), 1) + 3.0 * np.eye(5)
     M[5, 5] = 0.3
@@ -123,12 +123,12 @@ def test_a_part_at_the_rounding_of_its_data_leaves_the_others_their_answer() -> 
     for name in ("auto", "newton", "npsor", "interior_point", "lemke"):
         result = solve(problem, name)
         assert result.status is Status.PRECISION_LIMIT, name
-        alone = problem.with_q(np.r_[problem.q[:5], 1.0])  # the last part is solved by z° here
+        alone = problem.with_q(np.r_[problem.q[:5], 1.0])  # the last component is solved by z° here
         assert not is_lie(alone, result.z), name
 
 
-def test_where_rounding_keeps_all_parts_open_no_step_is_taken() -> None:
-    """z° = (3, 3) misses by the rounding of .1 and .3 alone, in each of two parts: PRECISION_LIMIT at once."""
+def test_where_rounding_keeps_all_components_open_no_step_is_taken() -> None:
+    """z° = (3, 3) misses by the rounding of .1 and .3 alone, in each of two components: PRECISION_LIMIT at once."""
     result = solve(LCP(np.diag([0.1, 0.3]), [-(0.1 * 3.0), -0.9], lower=3.0))
     assert result.status is Status.PRECISION_LIMIT
     assert result.z.tolist() == [3.0, 3.0]
@@ -136,8 +136,8 @@ def test_where_rounding_keeps_all_parts_open_no_step_is_taken() -> None:
 
 
 @pytest.mark.parametrize("name", ["auto", *REGISTRY])
-def test_a_start_out_of_all_proportion_to_its_part_does_no_harm(name: str) -> None:
-    """1e200 in a part whose answer is 1e-200: in the units of that part it is no double."""
+def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name: str) -> None:
+    """1e200 in a component whose answer is 1e-200: in the units of that component it is no double."""
     problem = LCP(np.eye(2), [-1e-200, -1.0])
     result = solve(problem, name, z0=[1e200, 0.0])
     assert result.is_solved
@@ -145,7 +145,7 @@ def test_a_start_out_of_all_proportion_to_its_part_does_no_harm(name: str) -> No
 
 
 def test_refuted_is_refuted_whatever_stands_beside() -> None:
-    """A part without solution refutes the whole, with a proof in the caller's units."""
+    """A component without solution refutes the whole, with a proof in the caller's units."""
     problem = LCP(np.diag([1.0, -1.0, 2.0]), [-1e6, -1e3, -1.0])
     result = solve(problem)
     assert result.status is Status.INFEASIBLE
@@ -157,20 +157,20 @@ def test_refuted_is_refuted_whatever_stands_beside() -> None:
 # --- However it is asked ---------------------------------------------------------------------------------------------
 
 
-def batch_of_parts() -> tuple[Any, ...]:
+def batch_of_components() -> tuple[Any, ...]:
     rng = np.random.default_rng(0)
     M, q = np.zeros((40, 6, 6)), rng.normal(size=(40, 6)) * 10.0 ** rng.integers(-12, 13, (40, 2)).repeat(3, axis=1)
     for k in range(40):
         for block in (slice(3), slice(3, 6)):
             B = rng.normal(size=(3, 3))
             M[k, block, block] = B @ B.T + np.eye(3)
-    M[::7] += 0.1  # one part
+    M[::7] += 0.1  # one component
     return M, q
 
 
 def test_batches_have_the_bits_of_single_solves() -> None:
     """Stacked, listed and column by column: answer, status and iterations; and none is a lie."""
-    M, q = batch_of_parts()
+    M, q = batch_of_components()
     problems = [LCP(*one) for one in zip(M, q, strict=True)]
     alone = [solve(problem) for problem in problems]
     for batch in (solve_batch(M, q), solve_batch(problems)):
@@ -206,7 +206,7 @@ def test_callbacks_see_the_callers_units() -> None:
     assert result.history[-1].residual <= TOLERANCE
 
 
-def test_error_bounds_hold_in_every_part() -> None:
+def test_error_bounds_hold_in_every_component() -> None:
     """In each component, in the caller's units; the tolerance on the error is relative to ‖z‖∞."""
     problem, z = two_grids(2.0**-33, 2.0**33, side=6)  # nothing is rounded
     for result in (solve(problem, error_bound=True), solve(problem, tolerance_on="error")):
@@ -216,8 +216,8 @@ def test_error_bounds_hold_in_every_part() -> None:
     assert (np.abs(1.5 * z - z) <= error_bound(problem, 1.5 * z).componentwise).all()
 
 
-def test_derivatives_stay_in_their_part() -> None:
-    """A change of q in the small part moves nothing in the other."""
+def test_derivatives_stay_in_their_component() -> None:
+    """A change of q in the small component moves nothing in the other."""
     problem, z = two_grids(1e10, 1.0, side=6)
     dq = np.r_[np.zeros(36), np.ones(36)]
     dz = derivative(solve(problem)).jvp(dq=dq)
@@ -227,27 +227,27 @@ def test_derivatives_stay_in_their_part() -> None:
     assert dz[free] == pytest.approx(expected, rel=1e-9)
 
 
-# --- One part --------------------------------------------------------------------------------------------------------
+# --- One component ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("make", [np.asarray, sp.csr_array], ids=["dense", "sparse"])
 def test_a_connected_problem_pays_nothing(make: Any) -> None:
-    """Whatever its units: there are no parts, and the caller's problem is the one that is run."""
+    """Whatever its units: there are no components, and the caller's problem is the one that is run."""
     problem = LCP(make([[2.0, 1.0, 0.0], [0.0, 2.0, 1.0], [0.0, 0.0, 2.0]]), [-1e12, 3.0, -1e-12])
-    units = CommonUnits.of(problem)
-    assert parts(problem.matrix) is None
-    assert units.problem is problem
-    assert units.is_identity
+    scaling = CommonScaling.of(problem)
+    assert connected_components(problem.matrix) is None
+    assert scaling.problem is problem
+    assert scaling.is_identity
 
 
-def test_parts_are_brought_to_like_references_by_powers_of_two() -> None:
+def test_components_are_brought_to_like_references_by_powers_of_two() -> None:
     """M stays as it is, and every reference comes to lie in [1, 2)."""
     problem = two_grids(1e-12, 3.0, 1e12, side=5)[0]
-    units = CommonUnits.of(problem)
-    assert units.problem.matrix is problem.matrix
-    most = references_of_parts(units.problem)[1]
+    scaling = CommonScaling.of(problem)
+    assert scaling.problem.matrix is problem.matrix
+    most = references_of_components(scaling.problem)[1]
     assert ((most >= 1.0) & (most < 2.0)).all()
-    assert (np.ldexp(units.problem.q, -units.exponents) == problem.q).all()
+    assert (np.ldexp(scaling.problem.q, -scaling.exponents) == problem.q).all()
 
 
 # --- The campaign ----------------------------------------------------------------------------------------------------
@@ -256,7 +256,7 @@ def test_parts_are_brought_to_like_references_by_powers_of_two() -> None:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("first", range(len(campaign.ASKED)))
 def test_the_campaign_finds_nothing(first: int) -> None:
-    """Some of its problems, asked in every way; see campaigns/parts.py."""
+    """Some of its problems, asked in every way; see campaigns/components.py."""
     for number in (first * len(REGISTRY) + k for k in range(1, 3)):
         with warnings.catch_warnings(action="ignore"):  # of methods not covered
             bad, kind, status = campaign.judge(5, number)
@@ -265,10 +265,10 @@ def test_the_campaign_finds_nothing(first: int) -> None:
 
 
 def test_the_campaign_sees_one_norm_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A certificate that compares all parts with the largest reference is found out."""
+    """A certificate that compares all components with the largest reference is found out."""
 
     def by_the_largest(self: Certificate) -> float:
-        largest, least = self.residuals_of_parts
+        largest, least = self.residuals_of_components
         return float(largest.max(initial=0.0) / max(least.max(initial=0.0), 1e-300))
 
     monkeypatch.setattr(Certificate, "relative_residual", property(by_the_largest))

@@ -1,15 +1,15 @@
-"""Problems made of uncoupled ones in units 10^±12 apart: SOLVED holds in every part, whoever is asked and however.
+"""Problems made of uncoupled ones in units 10^±12 apart: SOLVED holds in every component, whoever is asked and however.
 
-Run ``python tests/campaigns/parts.py --cases 5000 --seed 0``; exit code 1 where a claim fails. Two to six problems with
-planted answers, some without, in units and rows of any size, are permuted together, dense and sparse; one case in 250
-is two grids. They are solved by auto and all methods, cold and from starts that are right in some parts, in both
-measures, recorded, called back, in batches, marches, from files and through cvxpy. Fractions written elsewhere judge:
+Run ``python tests/campaigns/components.py --cases 5000 --seed 0``; exit code 1 where a claim fails. Two to six problems
+with planted answers, some without, in units and rows of any size, are permuted together, dense and sparse; one case in
+250 is two grids. They are solved by auto and all methods, cold and from starts that are right in some components, in
+both measures, recorded, called back, in batches, marches, from files and through cvxpy. Fractions judge:
 
-- SOLVED: every part is within the tolerance of its own reference (euclidean: all of it is, absolutely); the residuals
-  of certificates are no smaller than the exact ones, and the worst part is named;
+- SOLVED: every component is within the tolerance of its own reference (euclidean: all of it is, absolutely); the
+  residuals of certificates are no smaller than the exact ones, and the worst component is named;
 - refuted: the proof verifies, and no planted answer is within the tolerance;
 - PRECISION_LIMIT: every row is at its rounding floor, or what contradicts is rounding of the largest number in q;
-- error bounds hold in every component; derivatives are those of the single parts;
+- error bounds hold in every component; derivatives are those of the single components;
 - batches have the bits of single solves, two calls the same bits, and nobody's data are modified;
 - auto solves 99.5 % of what has an answer within a hundredth of the tolerance.
 
@@ -37,7 +37,7 @@ import scipy.sparse as sp
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from collection.truth import ExactData
-from exact_parts import references_of_rows, relative_residual
+from exact_components import references_of_rows, relative_residual
 
 from lcp_plugin import LCP, Status, derivative, error_bound, march, solve, solve_batch, solve_many
 from lcp_plugin.algorithms import REGISTRY
@@ -54,7 +54,7 @@ SOLVABLE, UNSOLVABLE, UNDECIDED = "solvable", "without solution", "limited by it
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Component:
     """A small problem with its answer; None where there is none."""
 
     M: Vector
@@ -67,11 +67,11 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Parts put together, and what is known of them."""
+    """Problems put together, and what is known of them."""
 
     problem: LCP
     labels: Vector
-    z: Vector  # NaN in parts without solution
+    z: Vector  # NaN in components without solution
     is_regular: bool
 
     @cached_property
@@ -84,7 +84,7 @@ class Case:
 
     def relative(self, z: Any) -> Any:
         """The largest ‖r_P(z)‖/‖r_P(z°)‖, exactly."""
-        return relative_residual(self.data.weighted(z), self.at_zero, self.data.parts)
+        return relative_residual(self.data.weighted(z), self.at_zero, self.data.components)
 
     @cached_property
     def kind(self) -> str:
@@ -93,7 +93,7 @@ class Case:
         return SOLVABLE if self.relative(self.z.tolist()) <= Fraction(TOLERANCE) / 100 else UNDECIDED
 
 
-# --- Parts ----------------------------------------------------------------------------------------------------------
+# --- Components -----------------------------------------------------------------------------------------------------
 
 
 def whole(rng: Generator, *shape: int, size: int = 3) -> Vector:
@@ -160,7 +160,7 @@ FAMILIES: dict[str, tuple[Callable[[int, Generator], Vector], bool]] = {
 }
 
 
-def planted(M: Vector, rng: Generator, *, is_regular: bool) -> Part:
+def planted(M: Vector, rng: Generator, *, is_regular: bool) -> Component:
     """Rows with bounds of all kinds, at them, between them, and with w = 0 at them."""
     n = len(M)
     kinds = rng.choice(["lower", "upper", "box", "free"], n, p=[0.7, 0.05, 0.2, 0.05]) if rng.random() < 0.5 else \
@@ -178,45 +178,46 @@ def planted(M: Vector, rng: Generator, *, is_regular: bool) -> Part:
     w = np.where(at_lower, 1.0, np.where(at_upper, -1.0, 0.0)) * rng.integers(1, 4, n)
     is_degenerate = (rng.random(n) < 0.2) & (rng.random() < 0.3)
     w = np.where(is_degenerate, 0.0, w)
-    return Part(M, w - M @ z, lower, upper, z, is_regular and not is_degenerate.any())
+    return Component(M, w - M @ z, lower, upper, z, is_regular and not is_degenerate.any())
 
 
-def contradictory(rng: Generator) -> Part:
+def contradictory(rng: Generator) -> Component:
     """A row of numbers ≤ 0 with q < 0, or one that is forced to stand where another cannot be."""
     if rng.random() < 0.5:
-        return Part(np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([1.0, -1.0]), np.zeros(2), np.full(2, np.inf), None)
+        M, q = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([1.0, -1.0])
+        return Component(M, q, np.zeros(2), np.full(2, np.inf), None)
     n = int(rng.integers(1, 4))
     M, q = definite(n, rng), whole(rng, n)
     M[-1], q[-1] = -abs(M[-1]), -float(rng.integers(1, 4))
-    return Part(M, q, np.zeros(n), np.full(n, np.inf), None)
+    return Component(M, q, np.zeros(n), np.full(n, np.inf), None)
 
 
-def at_zero(n: int, rng: Generator) -> Part:
+def at_zero(n: int, rng: Generator) -> Component:
     """z° is the answer."""
     M = dominant(n, rng)
     lower = rng.integers(0, 3, n) + 0.0 if rng.random() < 0.5 else np.zeros(n)
-    return Part(M, rng.integers(0, 3, n) - M @ lower, lower, np.full(n, np.inf), lower)
+    return Component(M, rng.integers(0, 3, n) - M @ lower, lower, np.full(n, np.inf), lower)
 
 
-def random_part(rng: Generator) -> Part:
+def random_component(rng: Generator) -> Component:
     n, draw = int(rng.integers(1, 11)), rng.random()
     if draw < 0.04:
         return contradictory(rng)
     if draw < 0.12:
         return at_zero(n, rng)
     if draw < 0.15:  # a box as narrow as rounding of its q
-        return Part(np.eye(1), np.array([-1.0]), np.zeros(1), np.array([2.0 ** -int(rng.integers(30, 70))]), None)
+        return Component(np.eye(1), np.array([-1.0]), np.zeros(1), np.array([2.0 ** -int(rng.integers(30, 70))]), None)
     make, is_regular = FAMILIES[str(rng.choice(list(FAMILIES)))]
     return planted(make(n, rng), rng, is_regular=is_regular)
 
 
-def grid(rng: Generator) -> Part:
+def grid(rng: Generator) -> Component:
     """Five points, z planted in a third of the rows."""
     side = int(rng.integers(28, 36))
     T = 2.0 * np.eye(side) - np.eye(side, k=1) - np.eye(side, k=-1)
     M = np.kron(T, np.eye(side)) + np.kron(np.eye(side), T)
     z = rng.integers(1, 5, side * side) * (rng.random(side * side) < 0.3)
-    return Part(M, (z == 0.0) * 1.0 - M @ z, np.zeros(len(M)), np.full(len(M), np.inf), z + 0.0)
+    return Component(M, (z == 0.0) * 1.0 - M @ z, np.zeros(len(M)), np.full(len(M), np.inf), z + 0.0)
 
 
 def powers(rng: Generator, size: int, count: int) -> Vector:
@@ -226,44 +227,46 @@ def powers(rng: Generator, size: int, count: int) -> Vector:
     return np.ones(count) if kind == "one" else 2.0 ** (3.3 * exponents).round() if kind == "two" else 10.0**exponents
 
 
-def in_units(part: Part, unit: float, rng: Generator) -> Part:
-    n = len(part.q)
+def rescaled(component: Component, unit: float, rng: Generator) -> Component:
+    n = len(component.q)
     rows = powers(rng, 6, n) if rng.random() < 0.3 else np.full(n, powers(rng, 12, 1)[0])
     columns = 2.0 ** rng.integers(-8, 9, n) if rng.random() < 0.2 else np.ones(n)
     size = unit * columns
-    if part.z is None and np.isfinite(part.upper).all():  # the box: z is at its upper end
-        part = Part(part.M, part.q, part.lower, part.upper, part.upper)
-    return Part(
-        rows[:, None] * part.M / columns, rows * unit * part.q, size * part.lower, size * part.upper,
-        None if part.z is None else size * part.z, part.is_regular,
+    if component.z is None and np.isfinite(component.upper).all():  # the box: z is at its upper end
+        component = Component(component.M, component.q, component.lower, component.upper, component.upper)
+    return Component(
+        rows[:, None] * component.M / columns, rows * unit * component.q,
+        size * component.lower, size * component.upper,
+        None if component.z is None else size * component.z, component.is_regular,
     )
 
 
-def joined(parts: list[Part], rng: Generator, *, is_dense: bool) -> Case:
-    """The parts as one problem, in any order."""
-    count = sum(len(part.q) for part in parts)
+def joined(components: list[Component], rng: Generator, *, is_dense: bool) -> Case:
+    """The components as one problem, in any order."""
+    count = sum(len(component.q) for component in components)
     order = rng.permutation(count)
-    M = sp.block_diag([part.M for part in parts], format="csr")[order][:, order]
+    M = sp.block_diag([component.M for component in components], format="csr")[order][:, order]
     M.eliminate_zeros()
-    q, lower, upper = (np.concatenate([getattr(part, name) for part in parts])[order]
+    q, lower, upper = (np.concatenate([getattr(component, name) for component in components])[order]
                        for name in ("q", "lower", "upper"))
-    labels = np.repeat(np.arange(len(parts)), [len(part.q) for part in parts])[order]
-    z = np.concatenate([np.full(len(part.q), np.nan) if part.z is None else part.z for part in parts])[order]
+    labels = np.repeat(np.arange(len(components)), [len(component.q) for component in components])[order]
+    z = np.concatenate([np.full(len(one.q), np.nan) if one.z is None else one.z for one in components])[order]
     M = M.toarray() if is_dense else sp.csr_array(M)
-    return Case(LCP(M, q, lower=lower, upper=upper), labels, z, all(part.is_regular for part in parts))
+    return Case(LCP(M, q, lower=lower, upper=upper), labels, z, all(component.is_regular for component in components))
 
 
 def random_case(rng: Generator, number: int) -> Case:
     if number % GRIDS_EVERY == GRIDS_EVERY - 1:
-        parts, is_dense = [grid(rng), grid(rng)], False
+        components, is_dense = [grid(rng), grid(rng)], False
     else:
-        parts, is_dense = [random_part(rng) for _ in range(int(rng.integers(2, 7)))], bool(rng.random() < 0.6)
-    units = np.concatenate([powers(rng, 12, 1) for _ in parts]) * powers(rng, 12, 1)[0] ** (rng.random() < 0.2)
-    return joined([in_units(part, unit, rng) for part, unit in zip(parts, units, strict=True)], rng, is_dense=is_dense)
+        components, is_dense = [random_component(rng) for _ in range(int(rng.integers(2, 7)))], bool(rng.random() < 0.6)
+    units = np.concatenate([powers(rng, 12, 1) for _ in components]) * powers(rng, 12, 1)[0] ** (rng.random() < 0.2)
+    scaled = [rescaled(component, unit, rng) for component, unit in zip(components, units, strict=True)]
+    return joined(scaled, rng, is_dense=is_dense)
 
 
 def right_in_some(case: Case, rng: Generator) -> Vector:
-    """A start that is the answer in some parts, near it in others, and anything in the rest."""
+    """A start that is the answer in some components, near it in others, and anything in the rest."""
     size = np.array([np.nanmax(np.abs(np.r_[case.z[case.labels == k], 0.0])) for k in range(case.labels.max() + 1)])
     noise = rng.choice([0.0, 1e-9, 1e-3, 1.0, 1e6], size.size)
     if rng.random() < 0.2:
@@ -296,14 +299,14 @@ def complaints(case: Case, result: Any) -> Iterator[str]:
 
 
 def misnamed(case: Case, z: Any, certificate: Any, residual: Any) -> Iterator[str]:
-    """Whether the part that the certificate names is not the worst one."""
+    """Whether the component that the certificate names is not the worst one."""
     if not 1e-6 < residual < 1e6:
         return
-    worst, labels = certificate.worst_index, case.data.parts
+    worst, labels = certificate.worst_index, case.data.components
     residuals, references = case.data.weighted(z), references_of_rows(case.at_zero, labels)
     own = max(r for r, label in zip(residuals, labels, strict=True) if label == labels[worst])
     if own < residual * references[worst] * Fraction(999, 1000):
-        yield f"the worst part is not that of row {worst}"
+        yield f"the worst component is not that of row {worst}"
 
 
 def refuted(case: Case, result: Any) -> Iterator[str]:
@@ -361,7 +364,7 @@ def recorded(case: Case, rng: Generator) -> list[str]:
 
 
 def in_batches(case: Case, rng: Generator) -> list[str]:
-    """Stacked and listed, with parts in other units and connected ones beside them: the bits of single solves."""
+    """Stacked and listed, with components in other units and connected ones beside them: the bits of single solves."""
     problem, n = case.problem, case.problem.n
     problems = [as_dense(problem, np.arange(n), np.ones(n)), as_dense(problem, rng.permutation(n), np.ones(n))]
     problems.append(as_dense(problem, np.arange(n), 2.0 ** rng.integers(-30, 31, case.labels.max() + 1)[case.labels]))
@@ -455,7 +458,7 @@ def filed(case: Case, rng: Generator) -> list[str]:
 
 
 def through_cvxpy(case: Case, rng: Generator) -> list[str]:
-    """A model of one pair a part: what is called optimal is within the tolerance in every part of the caller's."""
+    """A model of one pair a component: what is called optimal is within the tolerance in every one of the caller's."""
     import cvxpy as cp
 
     from lcp_plugin import box, complements
@@ -513,7 +516,7 @@ def bounded(case: Case, rng: Generator) -> list[str]:
 
 
 def differentiated(case: Case, rng: Generator) -> list[str]:
-    """A change of q in one part moves that part alone, as its own system says."""
+    """A change of q in one component moves that component alone, as its own system says."""
     if not case.is_regular or case.kind != SOLVABLE:
         return []
     result = solve(case.problem)
@@ -529,7 +532,7 @@ def differentiated(case: Case, rng: Generator) -> list[str]:
         M = case.problem.csr.toarray()[np.ix_(free, free)]
         scale = abs(M).max(axis=1)
         expected[free] = np.linalg.solve(M / scale[:, None], -dq[free] / scale)
-    bad = ["derivative: another part moved"] * bool(dz[~rows].any())
+    bad = ["derivative: another component moved"] * bool(dz[~rows].any())
     if not np.allclose(dz, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(initial=0.0)):
         bad.append(f"derivative: {np.abs(dz - expected).max():.1e} off, of {np.abs(expected).max():.1e}")
     return bad

@@ -78,19 +78,19 @@ def planted_cones(blocks: int, rng: np.random.Generator, *, rank: float = 1.0) -
 
 
 def exact_relative_residual(problem: Any, z: Any) -> Any:
-    """‖R(z)‖ beside that at the point nearest to 0, of the worst part in the criterion's units, with 60 digits."""
-    from lcp_plugin.core.certificates.criterion import RowUnits
-    from lcp_plugin.core.matrix.structure import parts
+    """‖R(z)‖ beside that at the point nearest to 0, of the worst component as it is scaled, with 60 digits."""
+    from lcp_plugin.core.certificates.criterion import RowScaling
+    from lcp_plugin.core.matrix.structure import connected_components
 
     mp.dps = 60
-    units, several = RowUnits.of(problem.block_norms), parts(problem.block_norms.matrix)
-    scale = problem.scale if units is None else units.scale
-    weights = np.ones(scale.size) if units is None else np.ldexp(1.0, -units.column)
+    scaling, several = RowScaling.of(problem.block_norms), connected_components(problem.block_norms.matrix)
+    scale = problem.scale if scaling is None else scaling.scale
+    weights = np.ones(scale.size) if scaling is None else np.ldexp(1.0, -scaling.column)
     labels = np.zeros(scale.size, int) if several is None else several.labels
     here, there = (_exact_residuals(problem, point, scale) for point in (z, problem.nearest_to_zero))
     worst = mpf(0)
-    for part in set(labels.tolist()):
-        own = np.flatnonzero(labels == part)
+    for component in set(labels.tolist()):
+        own = np.flatnonzero(labels == component)
         top, reference = (max(size[k] * mpf(weights[k]) for k in own) for size in (here, there))
         if top > 0:
             worst = max(worst, top / reference if reference > 0 else mpf("inf"))

@@ -1,10 +1,10 @@
 """How wrong a z is for a problem over cones: the criterion of an LCP, block by block.
 
 The residual of a block is the natural map R_k(z) = z_k − P_K(z_k − ŵ_k / d_k), ŵ = w + μ‖w_T‖ e_N with friction, w
-without, and its size is ‖R_k‖₂. Scales d_k, units and parts are those of the LCP of block norms
+without, and its size is ‖R_k‖₂. Scales d_k, scaling and components are those of the LCP of block norms
 (:attr:`~lcp_plugin.problems.cones.data.Blocks.block_norms`), d_k the mean of the block's diagonal: so SOLVED asks for
-‖R̂_k(z)‖ ≤ tolerance · ‖R̂_P(z°)‖ in every part P, z° the point of K nearest to 0, and for every block to be right in its
-own terms to √tolerance, by the functions that an LCP is judged by.
+‖R̂_k(z)‖ ≤ tolerance · ‖R̂_P(z°)‖ in every component P, z° the point of K nearest to 0, and for every block to be right
+in its own terms to √tolerance, by the functions that an LCP is judged by.
 
 Rounding is enclosed: with |w − w̃|_i ≤ ρ_i, projections being nonexpansive, ‖R_k‖ is off by no more than
 (1 + μ)‖ρ_k‖ / d_k, and what the projection itself rounds is at most 8 (m + 10) u (1 + μ)(‖z_k‖ + (1 + μ)‖w_k‖ / d_k), m
@@ -21,7 +21,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_parts
+from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components
 from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import over, residual_ends_of, rounding_floor, sharp_residual_ends
@@ -72,7 +72,7 @@ class ConeCertificate(Certificate):
 
     @property
     def references(self) -> VectorEnds:
-        """Bounds of ‖R_P(z°)‖ of each part, shape (parts,) each."""
+        """Bounds of ‖R_P(z°)‖ of each component, shape (components,) each."""
         return criterion_of(self.cones).references
 
     def _ends(self, scale: FloatVector) -> VectorEnds:
@@ -116,7 +116,7 @@ class ConeCertificate(Certificate):
         return is_open
 
     def _sharp_ends(self) -> FloatVector:
-        """Return the bounds in parts that z° solves, where only what is exactly 0 will do."""
+        """Return the bounds in components that z° solves, where only what is exactly 0 will do."""
         return self._sharp_ends_at(self._scale)
 
     def _sharp_ends_at(self, scale: FloatVector) -> FloatVector:
@@ -133,7 +133,7 @@ class ConeCertificate(Certificate):
 
     @cached_property
     def _worst(self) -> tuple[float, int]:
-        """The largest residual beside its part's reference, in the unit of z, and its block."""
+        """The largest residual beside its component's reference, in the unit of z, and its block."""
         ends = self._scaled_ends[1]
         with np.errstate(all="ignore"):
             shares = np.where(ends > 0.0, ends * criterion_of(self.cones).weights, 0.0)
@@ -147,8 +147,8 @@ class ConeCertificate(Certificate):
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
-        """True at that level, where the residual is small, or in its part z° cannot be told from an answer either."""
-        is_small = over(*self.residuals_of_parts) <= GAINED
+        """True at that level, where the residual is small, or z° of its component may be an answer, too."""
+        is_small = over(*self.residuals_of_components) <= GAINED
         return self.is_at_rounding_level and bool((is_small | (self.references[0] == 0.0)).all())
 
     @cached_property
@@ -174,14 +174,14 @@ class Criterion(NamedTuple):
 
     Attributes
     ----------
-    references : pair of arrays, shape (parts,) each
-        Bounds of ‖R_P(z°)‖ of each part.
+    references : pair of arrays, shape (components,) each
+        Bounds of ‖R_P(z°)‖ of each component.
     scale : ndarray, shape (k,)
         What w is divided by in each block's residual.
     weights : ndarray, shape (k,)
-        Of each block's ‖R_k‖, so that they are beside the reference of their part; 0 where z° answers it.
+        Of each block's ‖R_k‖, so that they are beside the reference of their component; 0 where z° answers it.
     answered : array of bool, shape (n,), or None
-        Rows of the parts that z° answers; None where there are none.
+        Rows of the components that z° answers; None where there are none.
     """
 
     references: VectorEnds
@@ -200,16 +200,16 @@ def criterion_of(cones: Blocks) -> Criterion:
 
 def _criterion(cones: Blocks) -> Criterion:
     norms, origin = cones.block_norms, ConeCertificate.at(cones, cones.nearest_to_zero)
-    units, scale = origin._units, origin._scale
+    scaling, scale = origin._scaling, origin._scale
     least, most = origin._ends(scale)
     if ((least == 0.0) & (most > 0.0)).any():
         most = np.where(least == 0.0, origin._sharp_ends_at(scale), most)
-    if units is not None:
-        least, most = units.downwards(least), units.upwards(most)
-    references = largest_of_parts(norms, least), largest_of_parts(norms, most)
+    if scaling is not None:
+        least, most = scaling.downwards(least), scaling.upwards(most)
+    references = largest_of_components(norms, least), largest_of_components(norms, most)
     reference = np.broadcast_to(for_each_row(norms, references[1]), least.shape)
     with np.errstate(all="ignore"):
-        weights = (1.0 if units is None else np.ldexp(1.0, -units.column)) / reference
+        weights = (1.0 if scaling is None else np.ldexp(1.0, -scaling.column)) / reference
     is_answered = (reference == 0.0)[cones.block_of_row]
     return Criterion(
         references, scale, np.where(reference == 0.0, 0.0, weights), is_answered if is_answered.any() else None
@@ -217,12 +217,12 @@ def _criterion(cones: Blocks) -> Criterion:
 
 
 def relative_residual(cones: Blocks, z: FloatVector) -> float:
-    """Return ‖R(z)‖ of the worst block beside the reference of its part, as double precision gives it."""
+    """Return ‖R(z)‖ of the worst block beside the reference of its component, as double precision gives it."""
     return float(weighted(cones, cones.residual(z, cones.slack(z))[0]).max(initial=0.0))
 
 
 def weighted(cones: Blocks, residual: FloatVector) -> FloatVector:
-    """Return ‖R_k‖ of each block beside the reference of its part, shape (k,)."""
+    """Return ‖R_k‖ of each block beside the reference of its component, shape (k,)."""
     sizes = cones.norms(residual)
     with np.errstate(all="ignore"):
         return np.where(sizes == 0.0, 0.0, sizes * criterion_of(cones).weights)

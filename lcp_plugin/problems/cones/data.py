@@ -121,7 +121,7 @@ class Blocks:
 
     @cached_property
     def block_norms(self) -> LCP:
-        """The problem of norms by which units, parts and scales are those of an LCP, shape (k, k).
+        """The problem of norms by which scaling, components and scales are those of an LCP, shape (k, k).
 
         Its entries are the Frobenius norms of the blocks of M, on the diagonal the means of theirs, and it has no
         bounds.

@@ -74,7 +74,7 @@ class NoImpulse:
 
     @property
     def margin(self) -> float:
-        """What no residual beside the reference of its part is smaller than, as the criterion measures it."""
+        """What no residual beside the reference of its component is smaller than, as the criterion measures it."""
         problem, criterion = self.problem, criterion_of(self.problem)
         total = sum(Fraction(q) * Fraction(y) for q, y in zip(problem.q.tolist(), self.y.tolist(), strict=True) if y)
         with np.errstate(all="ignore"):

@@ -49,7 +49,7 @@ class NPGS(ConeAlgorithm):
     """
 
     name = "npgs"
-    assumption = "blocks on the diagonal that are positive definite"
+    needs = "blocks on the diagonal that are positive definite"
     converges_on = "cones without friction, M symmetric positive definite (descent by blocks); else observed"
     cost = "one product with M a sweep"
     reference = "Jourdan, Alart, Jean 1998, doi:10.1016/S0045-7825(97)00137-1"
@@ -90,7 +90,7 @@ class Newton(ConeAlgorithm):
     """
 
     name = "newton"
-    assumption = "a factor that fits"
+    needs = "a factor that fits"
     converges_on = "locally, where the generalised derivatives are regular"
     cost = "one factor of the blocks that are not open"
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
@@ -204,7 +204,7 @@ class FixedPoint(ConeAlgorithm):
     """
 
     name = "fixed_point"
-    assumption = "a symmetric part of M that is positive semidefinite"
+    needs = "a symmetric part of M that is positive semidefinite"
     converges_on = "cones without friction, M symmetric positive semidefinite"
     cost = "one conic program, some ten to thirty factors"
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...auto import Single
 from ...core.algorithm import Algorithm
-from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector
 from ...core.communicator import ALONE
@@ -91,7 +91,7 @@ def solve_cones(
     with np.errstate(), threads_for(settings.threads):
         policy = _policy(problem, algorithm, settings, is_warm=z0 is not None)
         judge = ConeJudge(problem, settings)
-        run = Run(judge.units, policy, settings, callback, clock, judge)
+        run = Run(judge.scaling, policy, settings, callback, clock, judge)
         try:
             reason = run.drive(start, policy.first(problem))  # type: ignore[arg-type]
         except KeyboardInterrupt:
@@ -197,10 +197,10 @@ class ConeJudge(Judge):
     }
 
     def __init__(self, problem: Blocks, settings: Settings) -> None:
-        self.units = CommonUnits(problem, problem)  # type: ignore[arg-type]
+        self.scaling = CommonScaling(problem, problem)  # type: ignore[arg-type]
         self.problem: Any = problem
         self.asked, self.settings = problem, settings
-        self.reference = 1.0  # residuals are relative to those of the parts already
+        self.reference = 1.0  # residuals are relative to those of the components already
         self.proof = self._certificate = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
@@ -216,7 +216,7 @@ class ConeJudge(Judge):
         return relative_residual(self.problem, self._held(z))
 
     def _held(self, z: FloatVector) -> FloatVector:
-        """Return z with z° in the parts that z° answers."""
+        """Return z with z° in the components that z° answers."""
         answered = criterion_of(self.problem).answered
         return z if answered is None else np.where(answered, self.problem.nearest_to_zero, z)
 

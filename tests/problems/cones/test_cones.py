@@ -96,7 +96,7 @@ def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
         assert certificate.relative_residual <= exact * (1.0 + 1e-9) + rounding
 
 
-def test_parts_have_their_own_references() -> None:
+def test_components_have_their_own_references() -> None:
     """A light contact beside a heavy one that it does not touch may not hide behind it."""
     problem = FrictionalContact(np.eye(6), [-1e10, 0.0, 0.0, -0.5, 0.0, 0.0], 0.5)
     certificate = solve(problem, z0=[1e10, 0, 0, 0.6, 0, 0], max_iterations=0).certificate

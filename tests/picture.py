@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "lcp_plugin"
-GROUPS = ("methods", "problems", "doors")  # folders of subpackages
+GROUPS = ("methods", "problems", "interfaces")  # folders of subpackages
 
 
 def _section() -> str:

@@ -175,8 +175,8 @@ def certify(
     json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
 ) -> bool:
     """Solve a quadratic program by any solvers, and tell what is proved of their answers."""
-    from ..doors.program_files import load_program
     from ..evidence.convex_solvers import HEAD, JudgedAnswer, judged_answers
+    from ..interfaces.program_files import load_program
     from .solving import OneProcess
 
     names = list(dict.fromkeys(name.strip() for name in ",".join(solver).split(",") if name.strip()))

@@ -19,7 +19,7 @@ from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
-from ..doors.program_files import kind_in, load_least_squares, load_program
+from ..interfaces.program_files import kind_in, load_least_squares, load_program
 from ..problems.programs.program import QuadraticProgram
 from .target import read_target
 from .terminal import LINE, show_search, show_step
@@ -190,7 +190,7 @@ def _tell(
 
 def save_arrays(out: Path, status: Status, arrays: dict[str, Any]) -> list[Path]:
     """Write arrays and the status into an .npz file, whole or not at all; return what was written."""
-    from ..doors.files.files import write_whole
+    from ..interfaces.files.files import write_whole
 
     write_whole({out: lambda file: np.savez_compressed(file, status=np.array(status.name), **arrays)})
     return [out]
@@ -369,7 +369,7 @@ def run_model(
 
 def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
     """Return the answer to AMPL's file."""
-    from ..doors.nl import read_nl
+    from ..interfaces.nl import read_nl
     from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 
     model = read_nl(target)

@@ -66,7 +66,7 @@ class JudgedAnswer:
 
     def save(self, path: Path) -> None:
         """Write x, the multipliers where the solver has told them, and the solver's name into an ``.npz`` file."""
-        from ..doors.files.files import write_whole
+        from ..interfaces.files.files import write_whole
 
         vectors: dict[str, Any] = {"x": self.x, **(self.multipliers or {}), "solver": np.array(self.solver)}
         write_whole({path: lambda file: np.savez_compressed(file, **vectors)})

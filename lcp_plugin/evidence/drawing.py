@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.errors import InvalidOption, LCPError
-from ..doors.files.files import write_whole
+from ..interfaces.files.files import write_whole
 
 FORMATS = (".png", ".pdf", ".svg")
 COLOURS = {

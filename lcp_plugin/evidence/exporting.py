@@ -12,7 +12,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..core.errors import InvalidOption
-from ..doors.files.files import checked_path, write_whole
+from ..interfaces.files.files import checked_path, write_whole
 from .drawing import FORMATS, save
 
 AnyPath = str | PathLike[str]

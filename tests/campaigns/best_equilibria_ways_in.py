@@ -162,7 +162,7 @@ def from_pyomo(problem: EquilibriumProgram) -> Said:
 def from_ampl(problem: EquilibriumProgram) -> Said:
     """Return what the executable writes: no bound, and a value at its x."""
     from lcp_plugin.commands.ampl import main
-    from lcp_plugin.doors.nl import read_nl, read_sol
+    from lcp_plugin.interfaces.nl import read_nl, read_sol
 
     with tempfile.TemporaryDirectory() as folder:
         stub = Path(folder) / "m"
@@ -172,7 +172,7 @@ def from_ampl(problem: EquilibriumProgram) -> Said:
     codes = {0: Status.SOLVED, 200: Status.NO_SOLUTION, 300: Status.UNBOUNDED}
     values = None
     if found.values is not None:
-        from lcp_plugin.doors.nl.checks import evaluated
+        from lcp_plugin.interfaces.nl.checks import evaluated
 
         values = float(evaluated(model.content, np.asarray(found.values))[1][0])
     return Said(codes.get(found.code, Status.STALLED), values, None)

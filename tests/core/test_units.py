@@ -220,7 +220,7 @@ WRONG = np.array([1511.71259, 0.0, 0.0, 1e-4, 423442.392])
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke", "interior_point"])
-def test_no_door_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
+def test_nothing_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
     """solve, watched or not, and solve_batch: a row missed its sign by 0.8 where its terms are 5."""
     problem = LCP(M, Q, **BOUNDS)
     results = [solve(problem, algorithm), solve(problem, algorithm, callback=lambda sample, z: False),

@@ -19,7 +19,7 @@ HEAVY = (
     "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
     "qpsolvers", "quantecon", "cvxpylayers",
 )
-FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "doors")  # which hold nothing but a docstring
+FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "interfaces")  # which hold nothing but a docstring
 LEADS_ON = {  # imports inside a function that lead to what lies above: from which file, to what, why
     "core.lcp": (
         {"contact", "files", "modeling", "programs", "ranks", "reformulations"},
@@ -32,8 +32,8 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     "problems.programs.certification": ({"modeling"}, "certify takes a cvxpy problem as well"),
     "problems.equilibria.branch_and_bound": ({"scip"}, "SCIP is asked where it is installed, in expressions"),
     "proofs.guarantees": ({"auto", "direct"}, "convergence_guarantee takes what solve takes, a name or auto"),
-    "doors.files.files": ({"nl"}, "LCP.load and save take an .nl file as well"),
-    "doors.nl.writing": ({"pyomo"}, "write_nl takes a Pyomo model as well"),
+    "interfaces.files.files": ({"nl"}, "LCP.load and save take an .nl file as well"),
+    "interfaces.nl.writing": ({"pyomo"}, "write_nl takes a Pyomo model as well"),
 }
 
 
@@ -128,7 +128,7 @@ def test_the_core_imports_no_subpackage() -> None:
     assert not ARROWS["core"]
 
 
-def test_the_front_door_offers_a_file_nothing_but_the_version() -> None:
+def test_the_package_offers_a_file_nothing_but_the_version() -> None:
     """Inside the package nobody imports from the package itself but its version; the rest comes from where it is."""
     asked: set[str] = set()
     for file in FILES:
@@ -215,15 +215,15 @@ def test_star_import_needs_no_hypothesis() -> None:
 
 
 def test_layers_ask_for_their_frameworks() -> None:
-    """The help of ``lcp_plugin.doors.learn`` needs none of them; each layer says in words what to install."""
+    """The help of ``lcp_plugin.interfaces.learn`` needs none of them; each layer says in words what to install."""
     code = (
         "import sys, importlib\nsys.modules['torch'] = sys.modules['jax'] = None\n"
-        "import lcp_plugin.doors.learn\n"
+        "import lcp_plugin.interfaces.learn\n"
         "for name in ('torch', 'jax'):\n"
-        "    try:\n        importlib.import_module(f'lcp_plugin.doors.learn.{name}')\n"
+        "    try:\n        importlib.import_module(f'lcp_plugin.interfaces.learn.{name}')\n"
         "    except ImportError as error:\n        print(error)"
     )
-    needed = "lcp_plugin.doors.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
+    needed = "lcp_plugin.interfaces.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
     assert printed_by(code).splitlines() == [needed.format("torch", "PyTorch"), needed.format("jax", "JAX")]
 
 

@@ -18,7 +18,7 @@ import lcp_plugin
 ROOT = Path(__file__).parents[2]
 TOLD = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))
 BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
-SMALL = 1_200_000  # bytes: nothing but code, which grew by the search for the best of all solutions, and SCIP's door
+SMALL = 1_200_000  # bytes: nothing but code, which grew by the search for the best solution and by SCIP's interface
 
 
 @pytest.fixture(scope="module")

@@ -54,8 +54,8 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.core.kind import COMMANDS, WAYS, kind_of
 from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.answer import Answer
-from lcp_plugin.doors.nl import read_nl, read_sol, write_nl
-from lcp_plugin.doors.nl.answers import CODES
+from lcp_plugin.interfaces.nl import read_nl, read_sol, write_nl
+from lcp_plugin.interfaces.nl.answers import CODES
 from lcp_plugin.kinds import KINDS, options_of
 from lcp_plugin.methods.presolve import presolve
 from lcp_plugin.modeling._compat import CVXPY_STATUS

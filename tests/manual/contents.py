@@ -30,9 +30,9 @@ SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages i
         "proofs core.certificates methods.search problems.programs.certification problems.programs.certification",
     ),
     "batch": ("Batch: many problems at once", "problems.batches problems.march problems.programs.stacked_programs"),
-    "differentiate": ("Differentiate: how the answer changes", "doors.learn problems.sensitivity"),
+    "differentiate": ("Differentiate: how the answer changes", "interfaces.learn problems.sensitivity"),
     "measure": ("Measure: scenes, pictures, tests of solvers", "gallery evidence strategies"),
-    "doors": ("Doors: other languages, files, machines", "doors pyomo ranks commands"),
+    "interfaces": ("Interfaces: other languages, files, machines", "interfaces pyomo ranks commands"),
 }
 TOGETHER = ("core.errors",)  # a room whose names stand on one page
 
@@ -206,7 +206,7 @@ class Example:
         return f"examples/{self.name}.html"
 
     def uses(self, name: str) -> bool:
-        """Whether the script imports a public name from the front door."""
+        """Whether the script imports a public name from lcp_plugin itself."""
         imports = re.findall(r"^from lcp_plugin import (.+)$", self.source, re.M)
         return any(name in line.split(", ") for line in imports)
 

@@ -76,7 +76,7 @@ class Site:
     """All pages, and where each name stands."""
 
     def __init__(self) -> None:
-        self.front_door, self.pages, self.examples, self.guides = lcp_plugin, pages(), examples(), guides()
+        self.package, self.pages, self.examples, self.guides = lcp_plugin, pages(), examples(), guides()
         self.addresses = {name: address for page in reversed(self.pages) for name, address in page.anchors()}
         self.templates = Environment(
             loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,

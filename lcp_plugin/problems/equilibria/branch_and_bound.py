@@ -188,7 +188,7 @@ class BranchAndBound:
         return self._result(ended)
 
     def _run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> Status | None:
-        from ...doors.scip import minimize_or_none
+        from ...interfaces.scip import minimize_or_none
 
         engine, is_provable = minimize_or_none(), self.original.is_provable
         if is_provable and not self._root():

@@ -429,11 +429,11 @@ def marched(case: Case, rng: Generator) -> list[str]:
     """A march: the bits of single steps."""
     problem = case.problem
     forcing = np.stack([problem.q, problem.q * 2.0, problem.q])
-    carry = -1.0 if rng.random() < 0.5 else 0.0
+    propagator = -1.0 if rng.random() < 0.5 else 0.0
     state = problem.nearest_to_zero
     bad: list[str] = []
-    for k, step in enumerate(march(problem, forcing, carry)):
-        one = problem.with_q(forcing[k] + sp.csr_array(sp.diags_array(np.full(problem.n, carry))) @ state)
+    for k, step in enumerate(march(problem, forcing, propagator)):
+        one = problem.with_q(forcing[k] + sp.csr_array(sp.diags_array(np.full(problem.n, propagator))) @ state)
         bad += differences(f"march {k}", solve(one, z0=state), step)
         bad += [f"march {k}: false SOLVED"] * (step.is_solved and ExactData(one).is_lie(step.z.tolist(), TOLERANCE))
         state = step.z

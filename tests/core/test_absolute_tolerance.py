@@ -73,7 +73,7 @@ def test_batches_marches_and_nonlinear_problems_take_it() -> None:
     M, q = AT_REST
     batch = solve_batch([M, [[2.0, 0.0], [0.0, 2.0]]], [q, [-1.0, 1.0]], absolute_tolerance=1e-15)
     assert batch.all_solved
-    steps = march(LCP(M, q), [q, q], carry=0.0, absolute_tolerance=1e-15)
+    steps = march(LCP(M, q), [q, q], propagator=0.0, absolute_tolerance=1e-15)
     assert len(steps) == 2
     assert steps.all_solved
 

@@ -205,16 +205,16 @@ def test_boundary_values_written_as_rows_are_told_how_to_be_no_kinks(form: Any) 
     M[[0, -1]] = np.eye(n)[[0, -1]]
     lower, forcing = np.full(n, 0.2), np.full((4, n), -0.1)
     lower[[0, -1]], forcing[:, [0, -1]] = 1.0, -1.0
-    carry = -np.diag([0.0, *np.ones(n - 2), 0.0])
+    propagator = -np.diag([0.0, *np.ones(n - 2), 0.0])
     problem = LCP(form(M), forcing[0], lower=lower)
-    run, result = march(problem, forcing, carry), solve(problem)
+    run, result = march(problem, forcing, propagator), solve(problem)
     for said in (run.explain(), result.explain()):
         assert said.count("M has nothing but a diagonal entry in rows 0 and 8, where") == 1
         assert "leave its bounds out (lower = -inf, upper = inf)" in said
     assert len(derivative(run).degenerate) == 8
     lower[[0, -1]] = -np.inf
     free = LCP(form(M), forcing[0], lower=lower)
-    without, answer = march(free, forcing, carry), solve(free)
+    without, answer = march(free, forcing, propagator), solve(free)
     np.testing.assert_allclose(np.array(without.z), np.array(run.z), atol=1e-12)
     assert not len(derivative(without).degenerate)
     assert not derivative(answer).degenerate.size

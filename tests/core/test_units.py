@@ -304,7 +304,7 @@ def test_a_march_judges_each_step_in_these_units() -> None:
     forcing = np.random.default_rng(0).standard_normal((4, n))
     D, inverse = sp.diags_array(units), sp.diags_array(1.0 / units)
     plain = march(LCP(M, np.zeros(n)), forcing)
-    scaled = march(LCP(sp.csr_array(M @ inverse), np.zeros(n)), forcing, carry=-sp.csr_array(inverse))
+    scaled = march(LCP(sp.csr_array(M @ inverse), np.zeros(n)), forcing, propagator=-sp.csr_array(inverse))
     assert plain.all_solved
     assert scaled.all_solved
     for one, other in zip(plain.z, scaled.z, strict=True):

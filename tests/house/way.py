@@ -86,7 +86,7 @@ def runs() -> dict[str, Callable[[], Any]]:
     found = {
         "LCP, n = 10": lambda: lcp_plugin.solve(lcp),
         "program, n = 10, m = 20": lambda: lcp_plugin.solve(program),
-        "march, n = 50, 5 steps": lambda: lcp_plugin.march(first, forcing, carry=-sp.eye_array(n, format="csr")),
+        "march, n = 50, 5 steps": lambda: lcp_plugin.march(first, forcing, propagator=-sp.eye_array(n, format="csr")),
     }
     import cvxpy as cp
 

@@ -247,8 +247,8 @@ def _largest(values):  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
-    bands, below, is_direct, weights, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data,
-    Q, lower, upper, nearest, tolerance, most_rounds, halves, Z, rounds, ends
+    bands, below, is_direct, weights, scale, indptr, indices, data, propagator_indptr, propagator_indices,
+    propagator_data, Q, lower, upper, nearest, tolerance, most_rounds, halves, Z, rounds, ends
 ):
     """Run rounds for one q after the other, each from its row of Z to its answer there.
 
@@ -258,7 +258,7 @@ def run_all(  # type: ignore[no-untyped-def]
         M: its bands, what `step` asks for, and its entries by rows.
     is_direct : bool
         M is tridiagonal, and its off-diagonal entries are ≤ 0.
-    carry_indptr, carry_indices, carry_data
+    propagator_indptr, propagator_indices, propagator_data
         C by rows, or nothing: C z of each row is added to the q of the next, which starts from that z, in a march that
         ends where it does not converge.
     Q, Z : arrays, shape (k, n)
@@ -280,10 +280,10 @@ def run_all(  # type: ignore[no-untyped-def]
         ends[k, 0] = ends[k, 1] = np.inf
     for k in range(Q.shape[0]):
         q, z, direct, blocks = Q[k], Z[k], 0, 0
-        if carry_indptr.size > 0 and k > 0:
+        if propagator_indptr.size > 0 and k > 0:
             for i in range(n):
                 z[i] = Z[k - 1, i]
-            add_product(carry_indptr, carry_indices, carry_data, z, q)
+            add_product(propagator_indptr, propagator_indices, propagator_data, z, q)
             for i in range(n):
                 z[i] = min(max(z[i], lower[i]), upper[i])
         residual_ends(indptr, indices, data, 0, nearest, q, nearest, lower, upper, scale, smallest, largest)
@@ -299,5 +299,5 @@ def run_all(  # type: ignore[no-untyped-def]
             residual_ends(indptr, indices, data, 0, z, q, z, lower, upper, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = _largest(largest), least
         rounds[k, 0], rounds[k, 1] = direct, blocks
-        if carry_indptr.size > 0 and not ends[k, 0] / ends[k, 1] < tolerance:
+        if propagator_indptr.size > 0 and not ends[k, 0] / ends[k, 1] < tolerance:
             return

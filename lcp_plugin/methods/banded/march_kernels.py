@@ -79,15 +79,15 @@ def _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):  # type:
 
 
 @compiled_on_arrays_apart
-def _next_offset(carry_indptr, carry_indices, carry_data, forcing, z, ratios, q, y, total):  # type: ignore[no-untyped-def]
+def _next_offset(propagator_indptr, propagator_indices, propagator_data, forcing, z, ratios, q, y, total):  # type: ignore[no-untyped-def]
     """Fill q = forcing + C z, and y with what is right of the rows that are eliminated from the last to the first."""
     n, marches = z.shape
     is_common = forcing.shape[1] == 1
     for i in range(n - 1, -1, -1):
         for m in range(marches):
             total[m] = 0.0
-        for k in range(carry_indptr[i], carry_indptr[i + 1]):
-            c, j = carry_data[k], carry_indices[k]
+        for k in range(propagator_indptr[i], propagator_indptr[i + 1]):
+            c, j = propagator_data[k], propagator_indices[k]
             for m in range(marches):
                 total[m] += c * z[j, m]
         if is_common:
@@ -205,8 +205,8 @@ def _are_small(most, least, tolerance, ends):  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def march_all(  # type: ignore[no-untyped-def]
-    bands, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data, forcing, lower, upper, nearest,
-    tolerance, most_rounds, kept, states, Z, rounds, ends
+    bands, scale, indptr, indices, data, propagator_indptr, propagator_indices, propagator_data, forcing, lower, upper,
+    nearest, tolerance, most_rounds, kept, states, Z, rounds, ends
 ):
     """March all along together; return how many steps converged for each of them.
 
@@ -214,7 +214,7 @@ def march_all(  # type: ignore[no-untyped-def]
     ----------
     bands, scale, indptr, indices, data
         M: its three diagonals, its residual scale, and its entries by rows.
-    carry_indptr, carry_indices, carry_data
+    propagator_indptr, propagator_indices, propagator_data
         C by rows: C z of each step is added to the q of the next.
     forcing : array, shape (k, n, MARCHES), or (k, n, 1) for all marches, k = 1 for all steps
     lower, upper, nearest : arrays, shape (n, MARCHES)
@@ -241,7 +241,8 @@ def march_all(  # type: ignore[no-untyped-def]
     for k in range(kept.size):
         z, answer = states[k % 3], states[(k + 1) % 3]
         _next_offset(
-            carry_indptr, carry_indices, carry_data, forcing[min(k, forcing.shape[0] - 1)], z, ratios, q, y, room[0],
+            propagator_indptr, propagator_indices, propagator_data, forcing[min(k, forcing.shape[0] - 1)], z, ratios, q,
+            y, room[0],
         )
         for m in range(marches):
             wrong[m], rounds[k, m] = 1.0, 0

@@ -160,7 +160,7 @@ def settle(  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def tangents(  # type: ignore[no-untyped-def]
-    band, carry, dM, dcarry, dforcing, lower, upper, states, Z, sides, is_plain, first, before, dz
+    band, propagator, dM, dpropagator, dforcing, lower, upper, states, Z, sides, is_plain, first, before, dz
 ):
     """Write how each z changes, from row `first` on; return the row at which that ends.
 
@@ -168,7 +168,7 @@ def tangents(  # type: ignore[no-untyped-def]
     ----------
     band
         As in `settle`.
-    carry, dM, dcarry : tuples
+    propagator, dM, dpropagator : tuples
         Matrices by rows.
     dforcing : array, shape (k, n), or (1, n) for all steps
     lower, upper : arrays, shape (n,)
@@ -191,9 +191,9 @@ def tangents(  # type: ignore[no-untyped-def]
         for i in range(n):
             h[i], state[i] = dforcing[min(k, dforcing.shape[0] - 1), i], sides[k, i]
             value[i] = 0.0 if state[i] == 0 else lower[i] if state[i] < 0 else upper[i]
-        add_product(carry[0], carry[1], carry[2], before, h)
+        add_product(propagator[0], propagator[1], propagator[2], before, h)
         add_product(dM[0], dM[1], dM[2], Z[k], h)
-        add_product(dcarry[0], dcarry[1], dcarry[2], states[k], h)
+        add_product(dpropagator[0], dpropagator[1], dpropagator[2], states[k], h)
         _solve(band, h, value, state, change, rows, room)
         is_regular, rounding = _is_regular(band, h, state, change, w)
         for i in range(n):
@@ -209,26 +209,26 @@ def tangents(  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def adjoints(  # type: ignore[no-untyped-def]
-    band, carry, g, of_matrix, of_carry, states, Z, sides, is_plain, last, after, by_q, by_lower, by_upper, by_M,
-    by_carry
+    band, propagator, g, of_matrix, of_propagator, states, Z, sides, is_plain, last, after, by_q, by_lower, by_upper,
+    by_M, by_propagator
 ):
     """Add the gradients of a function of z, from row `last` backwards; return the row at which that ends, −1 for none.
 
     Parameters
     ----------
-    band, carry
+    band, propagator
         As in `tangents`, but of the transposed matrices.
     g : array, shape (k, n), or (0, n) for nothing
         The gradient by each z.
-    of_matrix, of_carry : pairs of arrays
-        The row and the column of each entry of M and of the carry.
+    of_matrix, of_propagator : pairs of arrays
+        The row and the column of each entry of M and of the propagator.
     states, Z, sides, is_plain
         As in `tangents`.
     after : array, shape (n,)
         The gradient by the z of row `last` that later steps give, then that by the state before the first row.
     by_q : array, shape (k, n)
         Written to, or (0, n) for nothing.
-    by_lower, by_upper, by_M, by_carry : arrays, shapes (n,), (n,), and an entry for each of M and of the carry
+    by_lower, by_upper, by_M, by_propagator : arrays, shapes (n,), (n,), and an entry for each of the two matrices
     """
     n = after.size
     right, value, state, multiplier = np.empty(n), np.zeros(n), np.empty(n, np.int8), np.empty(n)
@@ -252,7 +252,7 @@ def adjoints(  # type: ignore[no-untyped-def]
                 by_q[k, i] = multiplier[i]
         for p in range(by_M.size):
             by_M[p] += multiplier[of_matrix[0][p]] * Z[k, of_matrix[1][p]]
-        for p in range(by_carry.size):
-            by_carry[p] += multiplier[of_carry[0][p]] * states[k, of_carry[1][p]]
-        add_product(carry[0], carry[1], carry[2], multiplier, after)
+        for p in range(by_propagator.size):
+            by_propagator[p] += multiplier[of_propagator[0][p]] * states[k, of_propagator[1][p]]
+        add_product(propagator[0], propagator[1], propagator[2], multiplier, after)
     return -1

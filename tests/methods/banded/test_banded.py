@@ -339,13 +339,13 @@ def test_a_march_in_one_loop_is_its_steps() -> None:
     """Row k is what the fused solve of step k alone is, from the answer before."""
     rng = np.random.default_rng(6)
     for M in (tridiagonal_m(40, rng), dominant(40, 2, 2, rng)):
-        problem, carry = planted(M, rng, boxes=True)[0], sp.csr_array(-0.5 * np.eye(40))
+        problem, propagator = planted(M, rng, boxes=True)[0], sp.csr_array(-0.5 * np.eye(40))
         Q, Z = np.tile(problem.q, (8, 1)) * rng.uniform(0.5, 1.5, (8, 1)), np.tile(problem.nearest_to_zero, (8, 1))
         offsets = Q.copy()
-        together = Banded().fused_solves(problem, Q, Z, 1e-8, 100, carry)
+        together = Banded().fused_solves(problem, Q, Z, 1e-8, 100, propagator)
         before = problem.nearest_to_zero
         for k, step in enumerate(together):
-            own = problem.with_q(offsets[k] + (carry @ before if k else 0.0))
+            own = problem.with_q(offsets[k] + (propagator @ before if k else 0.0))
             alone = Banded().solve_fused(own, before, 1e-8, 100)
             assert step is not None
             assert alone is not None

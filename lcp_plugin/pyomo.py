@@ -54,7 +54,7 @@ the bound is. Values that the variables have are tried first. The newer interfac
 name; in both it is ``"lcp-plugin"``, too.
 
 **Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
-and ``unbounded`` only with a proof; ``noSolution``: none found, none refuted; ``other``: no better in double precision
+and ``unbounded`` only with a proof; ``noSolution``: none found, none excluded; ``other``: no better in double precision
 (where the bounds alone are the answer ``absolute_tolerance`` says how small is small enough), or something beside the
 pairs does not hold. ``results.solver.message`` says it; ``solver.result`` is our own result of the last solve. A
 ``dual`` suffix gets the value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the multipliers

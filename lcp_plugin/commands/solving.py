@@ -410,7 +410,7 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
 def _model_story(target: str, found: ModelAnswer) -> str:
     """Return what a person wants to read after a run."""
     lines = [f"{target}: {found.model}", *found.message, found.result.explain()]
-    if found.result.is_refuted or "x" not in found.vectors:
+    if found.result.has_no_solution or "x" not in found.vectors:
         return "\n".join(lines)
     width, left = max(map(len, found.names[:SHOWN]), default=0), len(found.names) - SHOWN
     values = zip(found.names[:SHOWN], found.vectors["x"][:SHOWN], strict=True)

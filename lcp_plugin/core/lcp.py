@@ -24,7 +24,7 @@ class OriginsCriterion(Protocol):
     def is_answered(self, z: FloatVector, tolerance: float) -> bool:
         """Return whether z, shape (n,), stands for an answer of that where a run has this tolerance."""
 
-    def is_refuted(self, tolerance: float) -> bool:
+    def has_no_solution(self, tolerance: float) -> bool:
         """Return whether that is proved to have none."""
 
 

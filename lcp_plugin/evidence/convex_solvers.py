@@ -73,7 +73,7 @@ class JudgedAnswer:
 
     @property
     def verdict(self) -> str:
-        """Return "proved to 1e-06", "proved to 0.001", "unproved", "refuted" or "no answer"."""
+        """Return "proved to 1e-06", "proved to 0.001", "unproved", "disproved" or "no answer"."""
         if self.certification is None:
             return "no answer"
         said = self.certification.verdict

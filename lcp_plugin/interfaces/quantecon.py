@@ -84,8 +84,10 @@ def lemke(
         found, end, pivots = np.zeros(problem.n), "solved", 0
     else:
         found, end, pivots = lemke_path(problem, covering, max(int(max_iter), 1))
-    if end == "rounding" and (result := solve_lcp(problem, "lemke", tolerance=1e-10, refute=False)).is_solved:
-        found, end = result.z.copy(), "solved"
+    if end == "rounding":
+        result = solve_lcp(problem, "lemke", tolerance=1e-10, prove_infeasibility=False)
+        if result.is_solved:
+            found, end = result.z.copy(), "solved"
     if z is not None:
         z[:] = found
         found = z

@@ -88,9 +88,9 @@ def _neither(proofs: ProgramProofs, tolerance: float) -> Certification:
     proved = [found for found in both if found.verdict == "proved"]
     if proved:
         return proved[0]
-    is_refuted = all(found.verdict == "refuted" for found in both)
+    is_disproved = all(found.verdict == "disproved" for found in both)
     found = replace(both[1], claim="infeasible or unbounded")
-    return found if is_refuted else replace(found, verdict="unproved")
+    return found if is_disproved else replace(found, verdict="unproved")
 
 
 def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tolerance: float) -> Certification:

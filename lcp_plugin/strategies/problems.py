@@ -15,7 +15,7 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..proofs.exact.rational import exact_slack
-from ..proofs.no_solution.refutation import Infeasibility
+from ..proofs.no_solution.proof import Infeasibility
 from .matrices import (
     LARGEST_ENTRY,
     POSITIVE,

@@ -280,7 +280,7 @@ def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
 def complaints(result: Any, known: Truth) -> list[str]:
     """What of a result the truth contradicts."""
     said = []
-    if (result.is_solved or result.is_refuted) and known.status is not (
+    if (result.is_solved or result.has_no_solution) and known.status is not (
         Status.NO_SOLUTION if result.status is Status.INFEASIBLE else result.status
     ):
         said.append(f"says {result.status}, is {known.status}")
@@ -361,7 +361,7 @@ def main() -> int:
         result = minimize_over_solutions(problem, max_seconds=60.0, prove=not asked.believe)
         seconds += time.process_time() - begin
         said = complaints(result, known) + ([] if asked.believe else undetected(result))
-        is_open = not (result.is_solved or result.is_refuted)
+        is_open = not (result.is_solved or result.has_no_solution)
         kinds[f"{known.status}: {result.status}"] += 1
         wrong, opened, exact = wrong + bool(said), opened + is_open, exact + (known.exact is not None)
         pieces, nodes = pieces + known.pieces, nodes + result.nodes

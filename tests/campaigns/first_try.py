@@ -273,7 +273,7 @@ class Campaign:
         result = solve(problem)
         self.count(f"{build.__name__}: {result.status.name}", result.seconds, name)
         self.solvable += 1
-        if result.is_refuted:
+        if result.has_no_solution:
             self.complain(f"WRONG {name}: {result.status.name} although a solution was planted")
         elif not result.is_solved:
             self.left_open(name, result.status.name, result.seconds, lambda by, limit: _is_solved(problem, by, limit))

@@ -7,7 +7,7 @@ measures, recorded, called back, in batches, marches, from files and through cvx
 
 - SOLVED: every part is within the tolerance of its own reference (euclidean: all of it is, absolutely); the residuals
   of certificates are no smaller than the exact ones, and the worst part is named;
-- refuted: the proof verifies, and no planted answer is within the tolerance;
+- infeasible: the proof verifies, and no planted answer is within the tolerance;
 - PRECISION_LIMIT: every row is at its rounding floor, or what contradicts is rounding of the largest number in q;
 - error bounds hold in every component; derivatives are those of the single parts;
 - batches have the bits of single solves, two calls the same bits, and nobody's data are modified;
@@ -46,7 +46,7 @@ from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 Generator = np.random.Generator
 Vector = np.ndarray
 TOLERANCE = 1e-8
-REFUTED = (Status.INFEASIBLE, Status.NO_SOLUTION)
+PROVED = (Status.INFEASIBLE, Status.NO_SOLUTION)
 MOST_STEPS = 3000  # of a named method
 ALL_METHODS_EVERY, GRIDS_EVERY = 20, 250
 UNSOLVED = 0.005
@@ -287,8 +287,8 @@ def complaints(case: Case, result: Any) -> Iterator[str]:
         yield from misnamed(case, z, certificate, residual)
     elif status is Status.SOLVED:
         yield "SOLVED without numbers"
-    if status in REFUTED:
-        yield from refuted(case, result)
+    if status in PROVED:
+        yield from infeasible(case, result)
     if status is Status.PRECISION_LIMIT:
         is_rounding = result.infeasibility is not None and result.infeasibility.is_rounding
         if not is_rounding and not case.data.is_at_rounding_level(z):
@@ -306,7 +306,7 @@ def misnamed(case: Case, z: Any, certificate: Any, residual: Any) -> Iterator[st
         yield f"the worst part is not that of row {worst}"
 
 
-def refuted(case: Case, result: Any) -> Iterator[str]:
+def infeasible(case: Case, result: Any) -> Iterator[str]:
     proof = result.infeasibility
     if not (proof.verify() and proof.margin > TOLERANCE):
         yield f"{result.status.name} without a proof that counts"

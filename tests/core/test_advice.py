@@ -309,7 +309,7 @@ def test_a_stage_is_told_in_words(name: str) -> None:
     assert "1 iterations" not in call().explain()
 
 
-def test_a_refuted_program_tells_the_run_that_refuted_it() -> None:
+def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
     """explain() of a small infeasible program makes no second run, whose stages would contradict what it says."""
     result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
     assert result.status is Status.INFEASIBLE
@@ -346,7 +346,7 @@ def test_lemke_uses_a_start_near_the_solution() -> None:
     """From a z0 with a small residual lemke needs a fraction of its pivots, and says nothing."""
     problem = gallery.obstacle_2d(size=20).problem
     answer = solve(problem, "lemke").z
-    assert not solve(problem, "lemke", max_pivots=30, refute=False).is_solved
+    assert not solve(problem, "lemke", max_pivots=30, prove_infeasibility=False).is_solved
     begun = solve(problem, "lemke", z0=answer * (1.0 + 1e-4), max_pivots=30)
     assert begun.is_solved
     assert "z0 was not used" not in begun.explain()
@@ -452,10 +452,10 @@ def test_every_named_algorithm_exists() -> None:
 
 def test_words_lead_where_they_say() -> None:
     """INFEASIBLE names the proof that README names; a proof is told by its repr; a bound is advised once."""
-    refuted = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0]))
-    assert "result.proof proves it" in refuted.advice
-    assert refuted.proof.verify()
-    assert "row 0 contradicts its bounds" in repr(refuted.proof)
+    infeasible = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0]))
+    assert "result.proof proves it" in infeasible.advice
+    assert infeasible.proof.verify()
+    assert "row 0 contradicts its bounds" in repr(infeasible.proof)
     stiff = LCP(np.diag([1.0, 1e12]) + np.array([[0.0, -1.0], [-3.0, 0.0]]), [-1.0, -1.0])
     for asked in (False, True):
         said = solve(stiff, error_bound=asked).explain()

@@ -68,7 +68,7 @@ def confirm(answer: Any, sample: Sample) -> None:
     assert isinstance(answer, Answer)
     assert answer.status in sample.ends, answer
     assert answer.is_solved == (answer.status is Status.SOLVED)
-    assert answer.is_refuted == (answer.status in (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED))
+    assert answer.has_no_solution == (answer.status in (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED))
     assert isinstance(answer.algorithm, str)
     assert answer.seconds >= 0.0
     assert answer.iterations >= 0
@@ -78,7 +78,7 @@ def confirm(answer: Any, sample: Sample) -> None:
     assert str(answer) == answer.explain()
     assert answer.status.name in str(answer)
     assert json.loads(answer.to_json())["status"] == answer.status.name
-    if answer.is_refuted:
+    if answer.has_no_solution:
         assert answer.proof.verify()
     if answer.is_solved:
         assert answer.require_solved() is answer
@@ -436,8 +436,9 @@ def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_pa
 
 WISHES: dict[str, Any] = {
     "tolerance": 1e-7, "tolerance_on": "error", "max_iterations": 10_000, "max_seconds": 60.0,
-    "absolute_tolerance": 1e-12, "record": True, "error_bound": True, "threads": 1, "verbose": True, "refute": False,
-    "z0": np.ones(2), "x0": np.ones(2), "callback": lambda *given: None, "algorithm": "lemke", "max_nodes": 1000,
+    "absolute_tolerance": 1e-12, "record": True, "error_bound": True, "threads": 1, "verbose": True,
+    "prove_infeasibility": False, "z0": np.ones(2), "x0": np.ones(2), "callback": lambda *given: None,
+    "algorithm": "lemke", "max_nodes": 1000,
 }
 SOLVABLE = [sample for sample in SAMPLES if Status.SOLVED in sample.ends]
 

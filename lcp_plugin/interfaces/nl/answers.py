@@ -357,9 +357,9 @@ class EquilibriumModel(NLModel):
             status = Status.STALLED
         words = wrong if wrong and result.is_solved else "optimal" if result.is_solved else status.name.lower()
         of = "" if self.sign > 0.0 else " (of minus the objective)"
-        reached = "" if result.is_refuted else f"{result.reached()}{of}, "
+        reached = "" if result.has_no_solution else f"{result.reached()}{of}, "
         nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
-        advice = "" if result.is_solved or result.is_refuted else f"; {result.advice}"
+        advice = "" if result.is_solved or result.has_no_solution else f"; {result.advice}"
         message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}{advice}"
         return NLAnswer(x, duals, status, message, result, objective, CODES[status])
 

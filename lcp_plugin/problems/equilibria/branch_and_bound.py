@@ -86,9 +86,9 @@ def minimize_over_solutions(
 
     Notes
     -----
-    Bounds of our own are rigorous for the stored doubles, every infeasible node refuted by multipliers that are checked
-    in rational arithmetic; ``result.verify()`` checks all of it again. The worst case is 2ᵏ nodes of k pairs. SCIP
-    (``pip install 'lcp_plugin[global]'``) takes objectives that are not convex, smooth rows and integers as well.
+    Bounds of our own are rigorous for the stored doubles, every infeasible node proved so by multipliers that are
+    checked in rational arithmetic; ``result.verify()`` checks all of it again. The worst case is 2ᵏ nodes of k pairs.
+    SCIP (``pip install 'lcp_plugin[global]'``) takes objectives that are not convex, smooth rows and integers as well.
 
     Examples
     --------
@@ -337,7 +337,7 @@ class BranchAndBound:
         return int(wrong[np.argmax(violations[wrong])])
 
     def _settle(self, piece: Node) -> None:
-        """Close a piece that is neither solved to its bound nor refuted: it falls without end, or nothing is known."""
+        """Close a piece neither solved to its bound nor infeasible: it falls without end, or nothing is known."""
         program = self.relaxations.program(piece.cases)
         proof = None if program is None else program.proof_of_no_minimum
         if isinstance(proof, QPUnboundedness):

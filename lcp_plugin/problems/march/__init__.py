@@ -318,7 +318,9 @@ def take_steps(
                 with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
                     step = problem.with_q(forcing[before] + propagator @ state)
                 left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
-                of_step = StepPolicy(begin, refutes=settings.refute) if algorithm == "auto" else None
+                of_step = None
+                if algorithm == "auto":
+                    of_step = StepPolicy(begin, prove_infeasibility=settings.prove_infeasibility)
                 found = solve_lcp(step, of_step or algorithm, z0=state, **{**wishes, **left})
                 done.all_solved = found.is_solved
                 if of_step is not None and found.is_solved:

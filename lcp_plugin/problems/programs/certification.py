@@ -93,13 +93,13 @@ def certify(
 
     Notes
     -----
-    Refuted is: x that is proved to violate a constraint by more than the tolerance; a feasible point with an objective
-    lower by more than tolerance (u + |f|), or for ever; a lower bound above f(x) by as much; x that is proved to be
-    farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one; "infeasible" beside a feasible point; "unbounded"
-    beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a direction of
-    descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives bounds where the
-    constraints bound x. Constraints that contradict by less than the tolerance may be
-    met to it: neither is such an x refuted nor "infeasible" proved. u is a power of two that most coefficients of the
+    Disproved is: x that is proved to violate a constraint by more than the tolerance; a feasible point with an
+    objective lower by more than tolerance (u + |f|), or for ever; a lower bound above f(x) by as much; x that is proved
+    to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one; "infeasible" beside a feasible point;
+    "unbounded" beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a
+    direction of descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives
+    bounds where the constraints bound x. Constraints that contradict by less than the tolerance may be
+    met to it: neither is such an x disproved nor "infeasible" proved. u is a power of two that most coefficients of the
     objective are near, v is 1 where nothing shows another unit of x: no verdict depends on the unit of the objective.
 
     An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have
@@ -120,13 +120,13 @@ def certify(
     >>> certify(program, [0.5, 1.51]).reason
     'a constraint is violated by 0.01'
     >>> certify(program, claim="infeasible").verdict
-    'refuted'
+    'disproved'
     """
     _check_options(tolerance, max_seconds)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         if isinstance(problem, QuadraticProgramResult) and x is None:
             problem, x = problem.program, problem
-        if isinstance(x, QuadraticProgramResult) and claim is None and x.is_refuted:
+        if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
             if kind_of(problem) is not None or isinstance(problem, (Answer, QPSolution)):
@@ -197,7 +197,7 @@ class Certification:
     Attributes
     ----------
     verdict : str
-        "proved": the claim holds to the tolerance. "refuted": it is proved to be false. "unproved": neither.
+        "proved": the claim holds to the tolerance. "disproved": it is proved to be false. "unproved": neither.
     claim : str
         "optimal", "infeasible" or "unbounded".
     violation : float or None
@@ -331,7 +331,7 @@ class ProgramProofs:
         """Return what is proved about "infeasible" or "unbounded"."""
         if (proof := self.no_minimum) is not None:
             if proof.verdict != claim:
-                return Certification("refuted", claim, reason=f"the program is {proof}")
+                return Certification("disproved", claim, reason=f"the program is {proof}")
             if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
                 return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")
             return Certification("proved", claim, reason=str(proof))
@@ -340,9 +340,9 @@ class ProgramProofs:
         lower = self.own_lower
         numbers = {"lower": _if_finite(lower), "upper": _if_finite(upper)}
         if claim == "infeasible" and points:
-            return Certification("refuted", claim, **numbers, reason="a feasible point is proved")
+            return Certification("disproved", claim, **numbers, reason="a feasible point is proved")
         if claim == "unbounded" and lower > -np.inf:
-            return Certification("refuted", claim, **numbers, reason=f"no feasible x is below {lower:.9g}")
+            return Certification("disproved", claim, **numbers, reason=f"no feasible x is below {lower:.9g}")
         return Certification("unproved", claim, **numbers, reason=NOTHING)
 
     def of_answer(
@@ -359,7 +359,7 @@ class ProgramProofs:
         found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, unit)
         if self.is_small or not found.is_proved() or found.may_have_bought():
             lower = max(lower, self.own_lower)
-            points = found.points or self.upper(x, exactly=not violation[0] > tolerance)  # or it is refuted anyway
+            points = found.points or self.upper(x, exactly=not violation[0] > tolerance)  # or it is disproved anyway
             found = replace(found, lower=lower, points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
                 complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
@@ -401,8 +401,8 @@ class Proved:
         """A bound of |f(x) − lower|."""
         return math.nextafter(max(self.value[1] - self.lower, self.lower - self.value[0], 0.0), math.inf)
 
-    def refutation(self) -> str:
-        """Return what refutes the answer, or nothing."""
+    def disproof(self) -> str:
+        """Return what disproves the answer, or nothing."""
         below, above = self.value
         allowed = self.tolerance * (self.unit + max(abs(below), abs(above))) * OUTWARD
         if self.violation[0] > self.tolerance:
@@ -432,11 +432,11 @@ class Proved:
         """Return the verdict and its numbers; distances in some of the columns."""
         near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
         near = proofs.sharpened(near, x, self.points, self.lower, columns)
-        refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
+        disproof, is_proved = self.disproof() or self._no_minimum(proofs), self.is_proved()
         size = float(np.maximum(proofs.program.units.unknown, np.abs(x)).max(initial=0.0))
-        refuted = refuted or self._error_of_x(size, far_in_columns, "x")
-        verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
-        reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
+        disproof = disproof or self._error_of_x(size, far_in_columns, "x")
+        verdict = "disproved" if disproof else "proved" if is_proved else "unproved"
+        reason = disproof or self._reason(proofs.bounds.curvature.evidence, is_proved)
         complaint = self._error_of_x(size, far, "x, with the variables that cvxpy added,") or complaint
         if verdict == "proved" and complaint:
             verdict, reason = "unproved", complaint
@@ -448,7 +448,7 @@ class Proved:
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
-        """Return what refutes every answer, whatever its numbers are; looked for where there is no lower bound."""
+        """Return what disproves every answer, whatever its numbers are; looked for where there is no lower bound."""
         proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
         is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
         return f"the program is {proof}" if is_endless else ""

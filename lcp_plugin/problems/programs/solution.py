@@ -48,7 +48,7 @@ class QPSolution:
     Notes
     -----
     The primal and the dual residual are in units of the data (``unit`` and ``dual_unit`` in
-    :mod:`lcp_plugin.problems.programs.constraints`), never relative to x: what is optimal in them cannot be refuted.
+    :mod:`lcp_plugin.problems.programs.constraints`), never relative to x: what is optimal in them cannot be disproved.
     Complementarity is relative to the size of the objective + its largest term. ``row_residual`` compares each row with
     its own terms only: a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing in
     another.
@@ -207,7 +207,7 @@ class QPSolution:
 
         Where it verifies exactly, it is stronger than an x within the tolerance.
         """
-        return None if self.is_sure() else self.program.refutation()
+        return None if self.is_sure() else self.program.accepted_proof()
 
     @property
     def status(self) -> str:

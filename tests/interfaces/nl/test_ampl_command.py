@@ -109,7 +109,7 @@ def hard() -> NLContent:
         (best([0.0, 1.0], is_maximized=np.ones(1, dtype=bool)), [], 300, "unbounded; "),
         (best([0.0, -1.0]), [], 300, "the objective falls without end"),
         (best([0.0, 1.0], upper=np.full(2, 0.25)), [], 200, "the linear constraints contradict one another"),
-        (best([0.0, 1.0], 2.0), [], 200, "every way to make the pairs complementary is refuted"),
+        (best([0.0, 1.0], 2.0), [], 200, "every way to make the pairs complementary is infeasible"),
         (best([0.0, 1.0], objective_trees=CONCAVE, upper=np.ones(2)), [], 0, "bound by SCIP, in floating point"),
         (best([0.0, 1.0], objective_trees=EXPONENTIAL), [], 0, "optimal; objective 1, bound"),
         (best([0.0, 1.0], names=["a", "b"], is_integer=np.array([False, True])), [], 0, "optimal; objective 0, bound"),

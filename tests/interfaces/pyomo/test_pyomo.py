@@ -457,7 +457,7 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS)
 def test_pyomos_own_models_of_each_form(form: str) -> None:
-    """Equations are solved or refuted; what leaves unknowns without an equation is refused in words."""
+    """Equations are solved or proved infeasible; what leaves unknowns without an equation is refused in words."""
     case = PyomosOwn()
     getattr(case, f"test_{form}")()
     assert case.outcome.endswith(FORMS[form])

@@ -90,7 +90,7 @@ def test_infeasible_comes_with_a_proof() -> None:
     solution = solve_problem(problem, NAME)
     assert (solution.found, solution.x, solution.extras["status"]) == (False, None, Status.INFEASIBLE)
     assert solution.extras["result"].proof.verify()
-    assert solution.extras["result"].is_refuted
+    assert solution.extras["result"].has_no_solution
 
 
 def test_a_limit_is_no_solution() -> None:

@@ -215,7 +215,7 @@ def test_without_an_m_matrix_nothing_false_is_said() -> None:
 
 @pytest.mark.parametrize("name", ["auto", "banded"])
 @pytest.mark.parametrize(("right", "status"), [(0.5, Status.INFEASIBLE), (1.0, Status.SOLVED), (2.0, Status.SOLVED)])
-def test_a_string_without_hold_is_refuted_or_solved(name: str, right: float, status: Status) -> None:
+def test_a_string_without_hold_is_proved_infeasible_or_solved(name: str, right: float, status: Status) -> None:
     """Singular, pulled up by 1 at one end and down at the other: no huge z makes its rounding an excuse."""
     diagonal = np.full(30, 2.0)
     diagonal[[0, -1]] = 1.0

@@ -110,7 +110,7 @@ def test_what_is_not_taken_is_said() -> None:
 
 
 def test_an_infeasible_best_has_a_proof() -> None:
-    """Where no piece has a point the condition is infeasible, and every leaf of the tree is refuted."""
+    """Where no piece has a point the condition is infeasible, and every leaf of the tree is proved so."""
     m = bard()
     m.never = pe.Constraint(expr=m.x + m.y >= 20)
     solver = pe.SolverFactory("lcp_plugin")

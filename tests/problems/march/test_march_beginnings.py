@@ -73,7 +73,7 @@ def test_psor_begins_a_step_with_the_relaxation_it_has_found() -> None:
 def test_what_has_become_slow_is_left() -> None:
     """A step whose predecessor's method does not get there is solved by another, with which the next one begins."""
     problem = gallery.build("obstacle_2d", size=40).problem
-    policy = StepPolicy(PSOR(relaxation=1e-3), refutes=True)
+    policy = StepPolicy(PSOR(relaxation=1e-3), prove_infeasibility=True)
     found = solve(problem, policy)
     assert found.status is Status.SOLVED
     assert found.stages[0].name == "psor"
@@ -131,7 +131,7 @@ def test_a_march_that_has_condensed_goes_through_pickle() -> None:
 def test_what_cannot_be_condensed_is_left_to_auto() -> None:
     """Where the block of the rows without bounds is singular, auto takes the step."""
     problem = LCP([[0.0, 1.0], [-1.0, 2.0]], [-1.0, 3.0], lower=[-np.inf, 0.0])
-    policy = StepPolicy(Condensed(), refutes=True)
+    policy = StepPolicy(Condensed(), prove_infeasibility=True)
     found = solve(problem, policy)
     assert found.status is Status.SOLVED
     assert found.stages[0].name == "condensed"

@@ -98,7 +98,7 @@ class Closing:
     weighted: Fraction
 
 
-class Refutation:
+class NoSolutionProof:
     """A proof that no z solves a problem, and what it says of every z within the bounds.
 
     INFEASIBLE and NO_SOLUTION are said only where the margin exceeds the tolerance of the run: no z at all could then
@@ -121,7 +121,7 @@ class Refutation:
         """Yield what closes each case, verified; None for a case that is not closed."""
         raise NotImplementedError
 
-    def in_units(self, problem: LCP, exponents: IntVector) -> Refutation:
+    def in_units(self, problem: LCP, exponents: IntVector) -> NoSolutionProof:
         """Return what this proves of the problem in other units of z: q and bounds of row i times 2^exponents_i.
 
         Parameters
@@ -273,7 +273,7 @@ class Choices(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Infeasibility(Refutation):
+class Infeasibility(NoSolutionProof):
     """A Farkas vector y: for no z within its bounds has w = M z + q only signs that the bounds permit.
 
     Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
@@ -334,7 +334,7 @@ class Infeasibility(Refutation):
         return self.radius == np.inf and self.verify()
 
     def in_units(self, problem: LCP, exponents: IntVector) -> Infeasibility:
-        """Return what this proves of the problem in other units of z; see :meth:`Refutation.in_units`."""
+        """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.in_units`."""
         return Infeasibility.of(problem, dict(enumerate(in_other_units(self.exact_y, exponents))))
 
     def closings(self) -> Iterator[Closing | None]:

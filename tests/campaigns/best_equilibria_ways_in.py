@@ -194,15 +194,15 @@ def ways_of(problem: EquilibriumProgram) -> list[str]:
 
 def complaints(said: Said, status: Status, value: float) -> list[str]:
     """Return what the truth says against an answer."""
-    found, room = [], ACCURACY * max(1.0, abs(value)) if math.isfinite(value) else 0.0
+    found, allowed = [], ACCURACY * max(1.0, abs(value)) if math.isfinite(value) else 0.0
     agrees = {Status.NO_SOLUTION: EXCLUDED, Status.UNBOUNDED: FALLS}.get(status, (status,))
     if said.status in (Status.SOLVED, *EXCLUDED, *FALLS) and said.status not in agrees:
         found.append(f"says {said.status.name}, is {status.name}")
-    if said.value is not None and said.value < value - 2.0 * room:
+    if said.value is not None and said.value < value - 2.0 * allowed:
         found.append(f"value {said.value} below {value}")
-    if said.status is Status.SOLVED and said.value is not None and said.value > value + 2.0 * room:
+    if said.status is Status.SOLVED and said.value is not None and said.value > value + 2.0 * allowed:
         found.append(f"value {said.value} above {value}")
-    if said.bound is not None and said.bound > value + 2.0 * room:
+    if said.bound is not None and said.bound > value + 2.0 * allowed:
         found.append(f"bound {said.bound} above {value}")
     return found
 

@@ -132,9 +132,9 @@ def state(
     slack = float(rng.random() * (rng.random() < 0.8))
     w = -place * slack
     row = row - (there - w)  # its value at x*
-    room = float(rng.random()) + 0.1
-    lower = spot if place < 0 else spot - room
-    upper = spot if place > 0 else spot + room
+    distance = float(rng.random()) + 0.1
+    lower = spot if place < 0 else spot - distance
+    upper = spot if place > 0 else spot + distance
     if kind == "none":
         form = row == 0 if rng.random() < 0.5 else variable * 0.5 == 0.5 * variable - row
         if rng.random() < 0.3:

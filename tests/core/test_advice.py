@@ -105,7 +105,7 @@ FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
 )
 def test_the_call_that_is_advised_solves_the_problem(problem: LCP, failed: dict[str, Any], named: list[str]) -> None:
     """What names an algorithm or a scaling is no call that ran, and each solves the problem that received it."""
-    algorithm_class(failed.get("algorithm", "psor"))  # said to be missing where its room is
+    algorithm_class(failed.get("algorithm", "psor"))  # said to be missing where its module is
     advice = advice_of(lambda: solve(problem, **failed))
     calls = calls_in(advice)
     assert sorted(value if name == "algorithm" else name for call in calls for name, value in call.items()) == named

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from fresh_process import printed_by
-from picture import ARROWS, DRAWN, FOLDERS, LINES, above, explained, room_of
+from picture import ARROWS, DRAWN, FOLDERS, LINES, above, explained, subpackage_of
 
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
@@ -42,7 +42,7 @@ def module_of(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-FILES = sorted(file for file in PACKAGE.rglob("*.py") if room_of(file) not in (*FOLDERS_ALONE, "__init__"))
+FILES = sorted(file for file in PACKAGE.rglob("*.py") if subpackage_of(file) not in (*FOLDERS_ALONE, "__init__"))
 MODULES = {module_of(file): file for file in FILES}
 
 
@@ -76,7 +76,7 @@ INSIDE = {module: imported_modules(file)[1] for module, file in MODULES.items()}
 LED = {
     module: {
         target for target in targets
-        if room_of(MODULES[target]) in LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
+        if subpackage_of(MODULES[target]) in LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
     }
     for module, targets in INSIDE.items()
 }
@@ -94,26 +94,30 @@ def assert_has_no_circle(imports: dict[str, set[str]]) -> None:
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
 def test_arrows_stand_in_the_picture(file: Path) -> None:
     """A file imports from its own subpackage, from the core, and from where the arrows lead, in functions too."""
-    room = room_of(file)
-    assert room in ARROWS, f"README's picture and the table below it lack {room}"
+    subpackage = subpackage_of(file)
+    assert subpackage in ARROWS, f"README's picture and the table below it lack {subpackage}"
     for target in IMPORTS[module_of(file)]:
-        assert room_of(MODULES[target]) in {room, "core", *ARROWS[room]}, f"{module_of(file)} → {target}"
+        allowed = {subpackage, "core", *ARROWS[subpackage]}
+        assert subpackage_of(MODULES[target]) in allowed, f"{module_of(file)} → {target}"
 
 
 def test_every_arrow_is_needed() -> None:
     """The picture draws no arrow that no file has."""
-    drawn = {(room, target) for room, targets in ARROWS.items() for target in targets}
-    has = {(room_of(MODULES[one]), room_of(MODULES[other])) for one, targets in IMPORTS.items() for other in targets}
+    drawn = {(subpackage, target) for subpackage, targets in ARROWS.items() for target in targets}
+    has = {
+        (subpackage_of(MODULES[one]), subpackage_of(MODULES[other]))
+        for one, targets in IMPORTS.items() for other in targets
+    }
     assert not drawn - has
 
 
 def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
     """What a function imports from above is listed with its reason, and nothing is listed in vain."""
     led = {
-        module.removeprefix("lcp_plugin."): {room_of(MODULES[target]) for target in targets}
+        module.removeprefix("lcp_plugin."): {subpackage_of(MODULES[target]) for target in targets}
         for module, targets in LED.items() if targets
     }
-    assert led == {module: rooms for module, (rooms, _) in LEADS_ON.items()}
+    assert led == {module: subpackages for module, (subpackages, _) in LEADS_ON.items()}
     assert all(why for _, why in LEADS_ON.values())
 
 
@@ -146,7 +150,7 @@ def test_the_house_has_few_floors() -> None:
 
 def test_picture_shows_every_subpackage() -> None:
     """The picture names every subpackage once, and nothing else; each lies where its name says."""
-    assert set(ARROWS) == {room_of(file) for file in FILES}
+    assert set(ARROWS) == {subpackage_of(file) for file in FILES}
     assert all(folder.exists() for folder in FOLDERS.values())
     assert above("commands") == set()
 

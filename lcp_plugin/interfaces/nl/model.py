@@ -100,8 +100,8 @@ class FileStatement:
         self.content, self.n, self.m = content, content.lower.size, content.row_lower.size
         self._refuse_discrete()
         low, high = content.row_lower, content.row_upper
-        self._check_room(content.variable, content.lower, content.upper)
-        self._check_room(content.row, low, high)
+        self._check_crossed(content.variable, content.lower, content.upper)
+        self._check_crossed(content.row, low, high)
         is_pair = content.partners >= 0
         self.pairs = np.flatnonzero(is_pair)
         self.equations = np.flatnonzero(~is_pair & (low == high))
@@ -127,7 +127,7 @@ class FileStatement:
         if content.logical_rows:
             raise UnsupportedModel(f"the model has {content.logical_rows} logical constraints; none are taken")
 
-    def _check_room(self, call: Callable[[int], str], low: FloatVector, high: FloatVector) -> None:
+    def _check_crossed(self, call: Callable[[int], str], low: FloatVector, high: FloatVector) -> None:
         """Raise where a lower bound is above an upper one."""
         crossed = np.flatnonzero(low > high)
         if crossed.size:

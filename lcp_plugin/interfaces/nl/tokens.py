@@ -133,7 +133,7 @@ class Tokens:
         self.linear = content.defined_linear
         self._of_defined: list[tuple[float | None, int, int]] = [(None, 0, 0)] * self.defined
         self.uses = self._counted_uses()
-        self._room = MOST_FILL * (size + self.linear.nnz + content.linear.nnz) + 1000
+        self._capacity = MOST_FILL * (size + self.linear.nnz + content.linear.nnz) + 1000
         for tree in range(len(self.starts) - 2, -1, -1):
             self._read(tree)
 
@@ -225,9 +225,9 @@ class Tokens:
         uses = self.uses[number]
         if uses > 1:
             added = (uses - 1) * terms
-            if added <= self._room and (level == 0 or terms <= 1):
+            if added <= self._capacity and (level == 0 or terms <= 1):
                 self.ways[number] = PUT_IN
-                self._room -= added
+                self._capacity -= added
             elif level == 0:
                 self.ways[number], terms = UNKNOWN, 1
             else:

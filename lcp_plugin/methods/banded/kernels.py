@@ -97,11 +97,11 @@ def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: 
 
 
 @compiled_part
-def _choose(n, bands, q, lower, upper, value, state, target, memory, room):  # type: ignore[no-untyped-def]
+def _choose(n, bands, q, lower, upper, value, state, target, memory, workspace):  # type: ignore[no-untyped-def]
     """Fill state with the bounds that are to hold, and value with the z there."""
     if memory[WAY] == DIRECT:
         side, sign = memory[SIDE], float(memory[SIDE])
-        is_held, is_free, stops, slack, blocks = room
+        is_held, is_free, stops, slack, blocks = workspace
         for i in range(n):
             near, far = (lower[i], upper[i]) if side > 0 else (upper[i], lower[i])
             is_held[i] = lower[i] == upper[i] or target[i] == side
@@ -163,13 +163,13 @@ def step(  # type: ignore[no-untyped-def]
         _begin(is_direct, lower, upper, memory, halves)
         memory[LAST_WAY] = BEGINNING
         return _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), True
-    room = _room_for_contacts(z.size)
-    return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room)
+    workspace = _workspace_for_contacts(z.size)
+    return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace)
 
 
 @compiled_part
 def _advanced(  # type: ignore[no-untyped-def]
-    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room
+    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace
 ):
     """Go to the z of the active set in sets[1], taken into the bounds; return its ‖r‖∞, and whether to go on.
 
@@ -183,7 +183,7 @@ def _advanced(  # type: ignore[no-untyped-def]
         for i in range(n):
             value[i] = 0.0
     else:
-        _choose(n, bands, q, lower, upper, value, state, target, memory, room)
+        _choose(n, bands, q, lower, upper, value, state, target, memory, workspace)
     memory[LAST_WAY] = memory[WAY]
     right = w if is_refined else q
     if memory[WAY] == DIRECT:
@@ -205,7 +205,7 @@ def _advanced(  # type: ignore[no-untyped-def]
 
 
 @compiled_in_place
-def _room_for_contacts(n):  # type: ignore[no-untyped-def]
+def _workspace_for_contacts(n):  # type: ignore[no-untyped-def]
     """Return what `_choose` works in."""
     is_held, is_free, stops = np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty(n + 1, np.int64)
     return is_held, is_free, stops, np.empty(n + 1), np.empty((n + 1, 6))
@@ -274,7 +274,8 @@ def run_all(  # type: ignore[no-untyped-def]
     """
     n = Q.shape[1]
     vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
-    rows, smallest, largest, room = np.empty((n, bands.shape[0])), np.empty(n), np.empty(n), _room_for_contacts(n)
+    rows, smallest, largest = np.empty((n, bands.shape[0])), np.empty(n), np.empty(n)
+    workspace = _workspace_for_contacts(n)
     for k in range(Q.shape[0]):
         rounds[k, 0] = rounds[k, 1] = 0
         ends[k, 0] = ends[k, 1] = np.inf
@@ -292,7 +293,7 @@ def run_all(  # type: ignore[no-untyped-def]
         residual, goes_on = _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = _advanced(
-                bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room
+                bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace
             )
             direct, blocks = direct + (memory[LAST_WAY] == DIRECT), blocks + (memory[LAST_WAY] == BLOCKS)
         if least > 0.0 and residual / most <= tolerance:

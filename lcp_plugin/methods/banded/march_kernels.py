@@ -232,7 +232,7 @@ def march_all(  # type: ignore[no-untyped-def]
     """
     n, marches = nearest.shape
     q, y, slope, x = np.empty((n, marches)), np.zeros((n, marches)), np.empty((n, marches)), np.empty((n, marches))
-    state, of_nearest, room = np.zeros((n, marches)), np.empty((n, marches)), np.empty((3, marches))
+    state, of_nearest, workspace = np.zeros((n, marches)), np.empty((n, marches)), np.empty((3, marches))
     rows, no_trust = np.zeros(marches), np.zeros(marches)
     least, most, wrong, inverse_scale = np.empty(marches), np.empty(marches), np.empty(marches), 1.0 / scale
     ratios, inverse_pivots, trust = np.zeros(n), np.empty(n), np.ones(marches)
@@ -242,7 +242,7 @@ def march_all(  # type: ignore[no-untyped-def]
         z, answer = states[k % 3], states[(k + 1) % 3]
         _next_offset(
             propagator_indptr, propagator_indices, propagator_data, forcing[min(k, forcing.shape[0] - 1)], z, ratios, q,
-            y, room[0],
+            y, workspace[0],
         )
         for m in range(marches):
             wrong[m], rounds[k, m] = 1.0, 0
@@ -250,11 +250,11 @@ def march_all(  # type: ignore[no-untyped-def]
             for m in range(marches):
                 rounds[k, m] += 1 if wrong[m] > 0.0 else 0
             _eliminate(
-                bands, inverse_pivots, y, q, lower, upper, no_trust if round_ else trust, state, x, slope, room[0],
-                room[1], room[2],
+                bands, inverse_pivots, y, q, lower, upper, no_trust if round_ else trust, state, x, slope, workspace[0],
+                workspace[1], workspace[2],
             )
             _substitute_and_measure(
-                bands, q, lower, upper, inverse_scale, slope, x, answer, state, room[0], room[1], wrong, most
+                bands, q, lower, upper, inverse_scale, slope, x, answer, state, workspace[0], workspace[1], wrong, most
             )
             if not wrong.any():
                 break
@@ -265,7 +265,7 @@ def march_all(  # type: ignore[no-untyped-def]
         _largest_reference(*of_rows)
         is_within = _are_small(most, least, tolerance, ends[k])
         if not is_within:
-            _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, room[0], rows)
+            _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, workspace[0], rows)
             _largest_reference(*of_rows)
             is_within = _are_small(most, least, tolerance, ends[k])
         if not is_within:
@@ -307,7 +307,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks)
         The rows that stay at their value whatever their w is.
     is_free : array of bool, shape (n,)
     stops, slack, blocks : arrays, shapes (n + 1,) of int64, (n + 1,) and (n + 1, 6)
-        Room: the rows at their bounds so far, their w, and the free rows before each.
+        Workspace: the rows at their bounds so far, their w, and the free rows before each.
 
     Returns
     -------

@@ -111,8 +111,8 @@ class LargestPoint(Algorithm):
     ) -> FloatVector | None:
         """Return y > 0 with −Mᵀy = c, and a little more than that where z has a bound, for what rounds in it."""
         is_bounded = problem.lower > -np.inf
-        room = float(np.where(is_bounded, np.abs(x - problem.lower), 0.0).sum())
-        more = SLIGHTLY * float(short @ short) / room
+        distances = float(np.where(is_bounded, np.abs(x - problem.lower), 0.0).sum())
+        more = SLIGHTLY * float(short @ short) / distances
         y = system.solve(short + more * is_bounded, transposed=True)
         return y if y is not None and bool((y > 0.0).all()) else None
 

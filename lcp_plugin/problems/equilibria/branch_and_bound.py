@@ -347,15 +347,15 @@ class BranchAndBound:
 
     def _result(self, ended: Status | None) -> EquilibriumResult:
         best, value = self.local.best, self.local.value
-        room = self.tolerance * max(1.0, abs(value)) if best is not None else 0.0
+        allowed = self.tolerance * max(1.0, abs(value)) if best is not None else 0.0
         # of the leaves: of what is open Ctrl-C may have lost a node that was being moved
         lower = min([value, *(node.bound for node in self.tree if node.pair < 0)]) if self.tree else -math.inf
         bound_by = "proof" if lower > -math.inf else None
-        if self.outside is not None and value - lower > room and self.outside.bound > lower and best is not None:
+        if self.outside is not None and value - lower > allowed and self.outside.bound > lower and best is not None:
             lower, bound_by = min(self.outside.bound, value), "SCIP"
         if self.descent is not None:
             status, lower, value, best, bound_by = Status.UNBOUNDED, -math.inf, -math.inf, None, None
-        elif best is not None and (value == lower or value - lower <= room):
+        elif best is not None and (value == lower or value - lower <= allowed):
             status = Status.SOLVED
         elif ended is not None:
             status = ended

@@ -27,13 +27,13 @@ KINK = 2  # times the side of a row that is at this bound, with w = 0
 
 
 @compiled_part
-def _solve(band, right, value, state, x, rows, room):  # type: ignore[no-untyped-def]
+def _solve(band, right, value, state, x, rows, workspace):  # type: ignore[no-untyped-def]
     """Fill x with value where state is not 0 and the solution of B x + right = 0 elsewhere."""
     bands, below, is_direct, weights = band
     if is_direct:
-        substitute(bands, right, value, state, x, room)
+        substitute(bands, right, value, state, x, workspace)
     else:
-        eliminate(bands, below, weights, right, value, state, x, rows, room)
+        eliminate(bands, below, weights, right, value, state, x, rows, workspace)
 
 
 @compiled_part
@@ -135,7 +135,7 @@ def settle(  # type: ignore[no-untyped-def]
         Where that succeeded.
     """
     n = Z.shape[1]
-    w, value, step, room = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    w, value, step, workspace = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     change, size, spread, rows = np.empty(n), np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
     for k in range(Z.shape[0]):
         z, state, is_settled, is_plain[k] = Z[k], sides[k], False, False
@@ -149,7 +149,7 @@ def settle(  # type: ignore[no-untyped-def]
                 break
             for i in range(n):
                 value[i] = 0.0 if state[i] == 0 else (lower[i] if state[i] < 0 else upper[i]) - z[i]
-            _solve(band, w, value, state, step, rows, room)
+            _solve(band, w, value, state, step, rows, workspace)
             most = largest = 0.0
             for i in range(n):
                 z[i] = z[i] + step[i] if state[i] == 0 else lower[i] if state[i] < 0 else upper[i]
@@ -184,7 +184,7 @@ def tangents(  # type: ignore[no-untyped-def]
     """
     n = before.size
     h, value, state, change = np.empty(n), np.empty(n), np.empty(n, np.int8), np.empty(n)
-    w, room, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
+    w, workspace, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
     for k in range(first, Z.shape[0]):
         if not is_plain[k]:
             return k
@@ -194,7 +194,7 @@ def tangents(  # type: ignore[no-untyped-def]
         add_product(propagator[0], propagator[1], propagator[2], before, h)
         add_product(dM[0], dM[1], dM[2], Z[k], h)
         add_product(dpropagator[0], dpropagator[1], dpropagator[2], states[k], h)
-        _solve(band, h, value, state, change, rows, room)
+        _solve(band, h, value, state, change, rows, workspace)
         is_regular, rounding = _is_regular(band, h, state, change, w)
         for i in range(n):
             if abs(state[i]) == KINK:  # held, if its slack agrees; else a small LCP has to tell
@@ -232,14 +232,14 @@ def adjoints(  # type: ignore[no-untyped-def]
     """
     n = after.size
     right, value, state, multiplier = np.empty(n), np.zeros(n), np.empty(n, np.int8), np.empty(n)
-    w, room, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
+    w, workspace, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
     for k in range(last, -1, -1):
         if not is_plain[k]:
             return k
         for i in range(n):
             state[i] = sides[k, i]
             right[i] = -(after[i] + g[k, i]) if g.shape[0] > 0 else -after[i]
-        _solve(band, right, value, state, multiplier, rows, room)
+        _solve(band, right, value, state, multiplier, rows, workspace)
         is_regular, _ = _is_regular(band, right, state, multiplier, w)
         if not is_regular:
             return k

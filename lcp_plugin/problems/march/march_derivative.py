@@ -129,7 +129,7 @@ class CompiledSteps:
                 k += 1
 
     def vjp(self, g: FloatVector, sums: Sums, by_q: FloatVector) -> None:
-        """Add what these steps have to the sums, and write their gradients by q where there is room."""
+        """Add what these steps have to the sums, and write their gradients by q where there is an array for them."""
         k, march = len(self) - 1, self.march
         while k >= 0:
             if self.band is not None:
@@ -350,7 +350,7 @@ class MarchDerivative:
         )
 
     def _back(self, g: FloatVector, by_q: FloatVector) -> Sums:
-        """Return the sums over all steps, and write the gradients by q where there is room for them."""
+        """Return the sums over all steps, and write the gradients by q where there is an array for them."""
         problem, n = self.march.problem, self.march.problem.n
         is_last_alone = g.ndim == 1
         after, of_entries = g.copy() if is_last_alone else np.zeros(n), np.zeros(problem.matrix.csr.nnz)

@@ -26,7 +26,7 @@ from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
 from . import BLOCK, March, begun, checked_forcing, has_common_units, march, take_steps
 
-SIDE_BY_SIDE = 16  # as the compiled loop has room for
+SIDE_BY_SIDE = 16  # as the compiled loop has space for
 
 
 def march_many(

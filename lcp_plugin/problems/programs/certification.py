@@ -73,7 +73,7 @@ def certify(
         "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), and
         neither is x proved to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one, nor are multipliers
         that came with it wrong by more than 10 · tolerance beside the terms of their conditions: sign, gradient, and 0
-        where x leaves room. Of "infeasible": that every x violates a constraint by more than this, so that no x can be
+        where x leaves slack. Of "infeasible": that every x violates a constraint by more than this, so that no x can be
         proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
@@ -541,7 +541,7 @@ def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[Floa
         worst = int(np.where(is_wrong, pulls, 0.0).argmin())
         k = int(np.searchsorted(ends, worst, side="right")) - 1
         return f"the multiplier {names[k]}[{worst - ends[k]}] = {every[worst]:.3g} has the wrong sign"
-    if idle := multiplier_beside_room(program, x, every, tolerance):
+    if idle := multiplier_beside_slack(program, x, every, tolerance):
         return idle
     inequality, equality = given[:2]
     terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c)]
@@ -562,8 +562,8 @@ def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[Floa
     return ""
 
 
-def multiplier_beside_room(program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float) -> str:
-    """Return which of the first multipliers is not 0 although x leaves room at its inequality, or nothing.
+def multiplier_beside_slack(program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float) -> str:
+    """Return which of the first multipliers is not 0 although x leaves slack at its inequality, or nothing.
 
     Others may balance it in the gradient. Their product is a part of the gap, and beside f(x) and its own terms here.
     """
@@ -571,13 +571,13 @@ def multiplier_beside_room(program: QuadraticProgram, x: FloatVector, y: FloatVe
     matrix, limit = rows.matrix[:k], rows.limit[:k]
     is_finite = np.isfinite(limit)
     coefficient, objective = program.units.coefficient[:k], program.units.objective
-    room = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), coefficient)  # y itself has to be 0 at no limit
+    slack = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), coefficient)  # y itself has to be 0 at no limit
     terms = np.where(is_finite, np.maximum(np.abs(limit), abs(matrix) @ np.abs(x)), coefficient)
     value = np.where(is_finite, abs(program.objective(x)), 0.0)
-    excess = np.abs(y * room) - LOOSE * tolerance * (objective + np.maximum(value, np.abs(y) * terms))
+    excess = np.abs(y * slack) - LOOSE * tolerance * (objective + np.maximum(value, np.abs(y) * terms))
     excess[rows.is_equality[:k]] = 0.0
     if excess.max(initial=0.0) > 0.0:
         i = int(excess.argmax())
-        what = f"{room[i]:.3g} of room" if is_finite[i] else "no limit"
+        what = f"{slack[i]:.3g} of slack" if is_finite[i] else "no limit"
         return f"a multiplier {y[i]:.3g} stands where there is {what}"
     return ""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MEANINGS = {  # in units of the data, but the last
     "primal_residual": "by how much x violates a constraint",
     "dual_residual": "what is left of the gradient of the Lagrangian",
-    "complementarity": "largest product of a multiplier and the room left at its limit",
+    "complementarity": "largest product of a multiplier and the slack at its limit",
     "row_residual": "worst of all these, relative to the terms of its own row",
 }
 

@@ -495,7 +495,7 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
     yield "two rows for one", twice, "both complementary to variable 1"
     names = r"\(variable 0, variable 1\)"
     yield "not square", content_of(2, [("*", x, y)]), f"1 equation and 2 unknowns without a complementarity {names}"
-    yield "no room", content_of(1, [x], lower=[2.0], upper=[1.0]), "variable 0 has the lower bound 2 above"
+    yield "crossed bounds", content_of(1, [x], lower=[2.0], upper=[1.0]), "variable 0 has the lower bound 2 above"
     yield "0 == 1", replace(paired(content_of(1, [x, 1.0])), **one_equation()), "row 1 holds no unknown"
 
 

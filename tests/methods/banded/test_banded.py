@@ -123,8 +123,8 @@ def test_contacts_are_those_of_the_exact_answer(sign: float) -> None:
         z = np.where(contact, value, np.where(value > -np.inf, value, 0.0) + rng.integers(1, 99, n))
         w = np.where(held, rng.integers(-9, 9, n), np.where(contact, rng.integers(1, 9, n), 0))
         is_free = np.empty(n, dtype=np.bool_)
-        room = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
-        assert contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *room)
+        workspace = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
+        assert contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *workspace)
         np.testing.assert_array_equal(is_free, ~contact)
 
 

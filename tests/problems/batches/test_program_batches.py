@@ -172,7 +172,7 @@ def test_a_controller_is_planned_again_from_many_states(monkeypatch: pytest.Monk
 
 
 def test_a_bad_program_costs_that_one_alone() -> None:
-    """NaN, ∞, bounds without room, P not symmetric, not convex: an error each in words, the others' bits the same."""
+    """NaN, ∞, crossed bounds, P not symmetric, not convex: an error each in words, the others' bits the same."""
     P, c, G, h = dense(12)
     lower, upper = np.full((12, 6), -9.0), np.full((12, 6), 9.0)
     before = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=lower, upper=upper))

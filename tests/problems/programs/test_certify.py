@@ -186,16 +186,16 @@ def test_wrong_multipliers_of_a_right_x_are_told() -> None:
     {"inequality": [8.0, 7.0, 0.0]}, {"inequality": [0.5, 0.0, 0.5]},
     {"inequality": [1.0, 0.0, 0.0], "lower": [7.0, 0.0], "upper": [7.0, 0.0]},
     {"inequality": [1.0, 0.0, 0.0], "lower": [0.0, 7.0], "upper": [0.0, 7.0]},
-], ids=["a row with room", "a row without limit", "two bounds with room", "a bound that is none"])
+], ids=["a row with slack", "a row without limit", "two bounds with slack", "a bound that is none"])
 def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> None:
-    """Multipliers under which the gradient vanishes are wrong all the same where their constraints leave room."""
+    """Multipliers under which the gradient vanishes are wrong all the same where their constraints leave slack."""
     program = QuadraticProgram(
         [[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [-1, -1], [1, 1]], h=[2, 9, INF], lower=[-5.0, -INF], upper=9.0
     )
     assert certify(program, [0.5, 1.5], {"inequality": [1.0, 0.0, 0.0]}).verdict == "proved"
     said = certify(program, [0.5, 1.5], wrong)
     assert said.verdict == "unproved"
-    assert "of room" in said.reason or "no limit" in said.reason
+    assert "of slack" in said.reason or "no limit" in said.reason
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
@@ -220,7 +220,7 @@ def test_duals_of_a_problem_that_cancel_are_wrong_where_nothing_holds() -> None:
         constraint.dual_variables[0].save_value(constraint.dual_value + 7.0)
     said = certify(problem)
     assert said.verdict == "unproved"
-    assert "room" in said.reason
+    assert "slack" in said.reason
 
 
 # --- Numbers at the edge -----------------------------------------------------------------------------------------
@@ -598,8 +598,8 @@ def test_what_is_called_feasible_is() -> None:
         for size in (1e-12, 1e-7, 1e-3):
             found = FeasiblePoints(program).near(inside + size * rng.normal(size=n))
             if found is not None:
-                room = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
-                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(room)) * 2, (seed, size)
+                slack = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
+                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(slack)) * 2, (seed, size)
 
 
 def test_a_point_between_two_vectors_has_the_larger_value() -> None:
@@ -944,7 +944,7 @@ def test_bounds_of_variables_hide_no_entry(attributes: dict[str, Any]) -> None:
 @settings(max_examples=40, deadline=None)
 @given(
     *[st.integers(-40, 40)] * 2, st.integers(-20, 20),
-    st.sampled_from(["right", "with multipliers", "off", "a sign", "beside room", "a gradient"]),
+    st.sampled_from(["right", "with multipliers", "off", "a sign", "beside slack", "a gradient"]),
 )
 def test_verdicts_do_not_depend_on_units(objective: int, row: int, unknowns: int, answer: str) -> None:
     """The objective, a row, and all unknowns times powers of two: the same verdict, of x and of its multipliers."""
@@ -954,7 +954,7 @@ def test_verdicts_do_not_depend_on_units(objective: int, row: int, unknowns: int
     lower, below = np.array([-np.inf, 0.0]), np.array([0.0, 0.0])  # and the bound is met without a multiplier
     assert (P @ x + c + y @ G == below).all()
     x = x - np.array([0.05 * (answer == "off"), 0.0])
-    y = {"a sign": -y, "beside room": np.array([2.0, 0.5]), "a gradient": 0.9 * y}.get(answer, y)
+    y = {"a sign": -y, "beside slack": np.array([2.0, 0.5]), "a gradient": 0.9 * y}.get(answer, y)
     s, r, u = np.ldexp(1.0, [objective, row, unknowns])
     of_rows = np.array([r, 1.0])
     scaled = QuadraticProgram(s * u * u * P, s * u * c, u * of_rows[:, None] * G, of_rows * h, lower=lower / u)

@@ -19,7 +19,7 @@ from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
-from ..doors.program_files import kind_in, load_least_squares, load_problem, load_program
+from ..interfaces.program_files import kind_in, load_least_squares, load_problem, load_program
 from ..problems.programs.program import QuadraticProgram
 from .target import read_target
 from .terminal import LINE, show_search, show_step
@@ -191,7 +191,7 @@ def _tell(
 
 def save_arrays(out: Path, status: Status, arrays: dict[str, Any]) -> list[Path]:
     """Write arrays and the status into an .npz file, whole or not at all; return what was written."""
-    from ..doors.files.files import write_whole
+    from ..interfaces.files.files import write_whole
 
     write_whole({out: lambda file: np.savez_compressed(file, status=np.array(status.name), **arrays)})
     return [out]
@@ -371,7 +371,7 @@ def run_model(
 
 def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
     """Return the answer to AMPL's file."""
-    from ..doors.nl import read_nl
+    from ..interfaces.nl import read_nl
     from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 
     model = read_nl(target)
@@ -416,7 +416,7 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
 def _model_story(target: str, found: ModelAnswer) -> str:
     """Return what a person wants to read after a run."""
     lines = [f"{target}: {found.model}", *found.message, found.result.explain()]
-    if found.result.is_refuted or "x" not in found.vectors:
+    if found.result.has_no_solution or "x" not in found.vectors:
         return "\n".join(lines)
     width, left = max(map(len, found.names[:SHOWN]), default=0), len(found.names) - SHOWN
     values = zip(found.names[:SHOWN], found.vectors["x"][:SHOWN], strict=True)

@@ -55,8 +55,8 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.core.kind import COMMANDS, WAYS, kind_of
 from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.answer import Answer
-from lcp_plugin.doors.nl import read_nl, read_sol, write_nl
-from lcp_plugin.doors.nl.answers import CODES
+from lcp_plugin.interfaces.nl import read_nl, read_sol, write_nl
+from lcp_plugin.interfaces.nl.answers import CODES
 from lcp_plugin.kinds import KINDS, options_of
 from lcp_plugin.methods.presolve import presolve
 from lcp_plugin.modeling._compat import CVXPY_STATUS
@@ -70,7 +70,7 @@ def confirm(answer: Any, sample: Sample) -> None:
     assert isinstance(answer, Answer)
     assert answer.status in sample.ends, answer
     assert answer.is_solved == (answer.status is Status.SOLVED)
-    assert answer.is_refuted == (answer.status in (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED))
+    assert answer.has_no_solution == (answer.status in (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED))
     assert isinstance(answer.algorithm, str)
     assert answer.seconds >= 0.0
     assert answer.iterations >= 0
@@ -80,7 +80,7 @@ def confirm(answer: Any, sample: Sample) -> None:
     assert str(answer) == answer.explain()
     assert answer.status.name in str(answer)
     assert json.loads(answer.to_json())["status"] == answer.status.name
-    if answer.is_refuted:
+    if answer.has_no_solution:
         assert answer.proof.verify()
     if answer.is_solved:
         assert answer.require_solved() is answer
@@ -442,8 +442,9 @@ def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_pa
 
 WISHES: dict[str, Any] = {
     "tolerance": 1e-7, "tolerance_on": "error", "max_iterations": 10_000, "max_seconds": 60.0,
-    "absolute_tolerance": 1e-12, "record": True, "error_bound": True, "threads": 1, "verbose": True, "refute": False,
-    "z0": np.ones(2), "x0": np.ones(2), "callback": lambda *given: None, "algorithm": "lemke", "max_nodes": 1000,
+    "absolute_tolerance": 1e-12, "record": True, "error_bound": True, "threads": 1, "verbose": True,
+    "prove_infeasibility": False, "z0": np.ones(2), "x0": np.ones(2), "callback": lambda *given: None,
+    "algorithm": "lemke", "max_nodes": 1000,
 }
 SOLVABLE = [sample for sample in SAMPLES if Status.SOLVED in sample.ends]
 

@@ -137,8 +137,8 @@ def solve_fused(
 
 def new_workspace(n: int) -> tuple[Any, Any, Any]:
     """Return the work arrays of one problem at a time, as ``kernels.workspace`` has them."""
-    real, whole, room = _shapes(n)
-    return np.empty(real), np.empty(whole, np.int64), np.empty(room)
+    real, whole, matrix = _shapes(n)
+    return np.empty(real), np.empty(whole, np.int64), np.empty(matrix)
 
 
 @cache

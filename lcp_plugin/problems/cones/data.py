@@ -174,7 +174,7 @@ class Blocks:
         UnreadableFile
             Where it cannot be written, or is called otherwise.
         """
-        from ...doors.files.files import save_arrays
+        from ...interfaces.files.files import save_arrays
 
         M = self.rows.csr
         matrix = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}

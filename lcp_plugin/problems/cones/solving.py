@@ -31,7 +31,7 @@ from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
-from .infeasibility import Refutation
+from .infeasibility import ProofOfNoImpulses
 from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
 
 TRIAL = 2  # steps of npgs before its rate is believed
@@ -53,7 +53,7 @@ def solve_cones(
     absolute_tolerance: float = 0.0,
     record: bool = False,
     callback: Callback | None = None,
-    refute: bool = True,
+    prove_infeasibility: bool = True,
     threads: int | None = None,
     verbose: bool = False,
 ) -> ConeResult:
@@ -70,7 +70,7 @@ def solve_cones(
     tolerance : float
         SOLVED means that the measured residual of the returned z is at most this: see
         :mod:`lcp_plugin.problems.cones.certificate`.
-    max_iterations, max_seconds, absolute_tolerance, record, callback, refute, threads, verbose
+    max_iterations, max_seconds, absolute_tolerance, record, callback, prove_infeasibility, threads, verbose
         As for :func:`lcp_plugin.solve`.
 
     Returns
@@ -83,7 +83,8 @@ def solve_cones(
         For a wrong option.
     """
     settings = Settings(
-        tolerance, "residual", max_iterations, max_seconds, absolute_tolerance, record, False, threads, verbose, refute
+        tolerance, "residual", max_iterations, max_seconds, absolute_tolerance, record, False, threads, verbose,
+        prove_infeasibility,
     )
     checked_callback(callback)
     clock = Clock(ALONE)
@@ -110,19 +111,19 @@ def _start(problem: Blocks, z0: ArrayLike | None) -> FloatVector:
 
 def _policy(problem: Blocks, algorithm: Any, settings: Settings, *, is_warm: bool) -> Policy:
     if isinstance(algorithm, ConeAlgorithm):
-        return Single(algorithm, refutes=False)
+        return Single(algorithm, prove_infeasibility=False)
     if isinstance(algorithm, Algorithm) or not isinstance(algorithm, str):
         raise UnknownAlgorithm(
             f"algorithm must be one of {', '.join(METHODS)} or an object of "
             f"lcp_plugin.problems.cones.methods, got {algorithm!r}"
         )
     if algorithm == "auto":
-        return ConeAuto(problem, is_warm=is_warm, refutes=settings.refute)
+        return ConeAuto(problem, is_warm=is_warm, prove_infeasibility=settings.prove_infeasibility)
     if algorithm not in METHODS:
         raise UnknownAlgorithm(
             f"no algorithm for cones is called {algorithm!r}{did_you_mean(algorithm, {'auto', *METHODS})}"
         )
-    return Single(METHODS[algorithm](), refutes=False)
+    return Single(METHODS[algorithm](), prove_infeasibility=False)
 
 
 class ConeAuto(Policy):
@@ -130,8 +131,8 @@ class ConeAuto(Policy):
 
     name = chosen = "auto"
 
-    def __init__(self, problem: Blocks, *, is_warm: bool, refutes: bool) -> None:
-        self._refutes = refutes
+    def __init__(self, problem: Blocks, *, is_warm: bool, prove_infeasibility: bool) -> None:
+        self._prove_infeasibility = prove_infeasibility
         self._left = self._stages(is_warm)
         self._problem = problem
 
@@ -167,8 +168,8 @@ class ConeAuto(Policy):
         else:
             yield Choice(NPGS(), SWEEPS)
         yield Choice(Newton(), "sweeps have found most cases, Newton's steps solve for them")
-        if self._refutes:
-            yield Choice(Refutation(), "is there an answer at all?")
+        if self._prove_infeasibility:
+            yield Choice(ProofOfNoImpulses(), "is there an answer at all?")
         yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)
         yield Choice(Newton(), "from there")
         for seed in STARTS:

@@ -26,7 +26,7 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.problems.cones.certificate import criterion_of
-from lcp_plugin.problems.cones.infeasibility import refutation
+from lcp_plugin.problems.cones.infeasibility import proof_of_no_impulses
 from lcp_plugin.problems.cones.methods import METHODS, Newton
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
@@ -219,7 +219,7 @@ HOPELESS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", HOPELESS)
-def test_what_has_no_answer_is_refuted(name: str) -> None:
+def test_what_has_no_answer_is_infeasible(name: str) -> None:
     """INFEASIBLE with a proof that verifies, and whose margin no point is below."""
     problem = HOPELESS[name]
     result = solve(problem)
@@ -230,15 +230,15 @@ def test_what_has_no_answer_is_refuted(name: str) -> None:
     for size in (0.0, 1.0, 10.0, 1e6):
         z = problem.projected(size * rng.standard_normal(problem.n))
         assert solve(problem, z0=z, max_iterations=0).certificate.relative_residual >= result.proof.margin
-    assert solve(problem, refute=False).status is not Status.INFEASIBLE
+    assert solve(problem, prove_infeasibility=False).status is not Status.INFEASIBLE
 
 
-def test_what_has_an_answer_is_not_refuted() -> None:
+def test_what_has_an_answer_is_not_infeasible() -> None:
     """Planted answers, W of low rank or not: no proof is found."""
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        assert refutation(planted_contacts(4, 2, 1e3, rng)[0]) is None
-        assert refutation(planted_cones(4, rng, rank=0.4)[0]) is None
+        assert proof_of_no_impulses(planted_contacts(4, 2, 1e3, rng)[0]) is None
+        assert proof_of_no_impulses(planted_cones(4, rng, rank=0.4)[0]) is None
 
 
 def test_batches_mix_kinds() -> None:

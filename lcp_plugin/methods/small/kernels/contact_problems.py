@@ -23,7 +23,7 @@ def count_contacts(M, real, whole):  # type: ignore[no-untyped-def]
 
 @partial(interpreted_while_small, longest=PATH_UP_TO)
 def solve_all_contacts(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, starts, tolerance, first, end, real, whole, room, z, residual, made, work, needs_path,
+    M, q, lower, upper, starts, tolerance, first, end, real, whole, matrix, z, residual, made, work, needs_path,
 ):
     """Solve those problems first ≤ item < end of a batch that are of contacts; return how many are left.
 
@@ -57,8 +57,8 @@ def solve_all_contacts(  # type: ignore[no-untyped-def]
             residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
         work[item, ROUND] = n * n / nonzeros
         if not residual[item] <= tolerance:
-            condense(M, k, real, whole, room, unknowns, contacts)
-            work[item, ROUND] += solve_contacts(real, whole, room, n, unknowns, not is_cold) / nonzeros
+            condense(M, k, real, whole, matrix, unknowns, contacts)
+            work[item, ROUND] += solve_contacts(real, whole, matrix, n, unknowns, not is_cold) / nonzeros
             made[item, ROUND] = 1
             size = moved(M, k, real, FOUND, False)
             residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)

@@ -68,25 +68,25 @@ def _are_opposite(M, k, real, speed, i, j):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def condense(M, k, real, whole, room, unknowns, cones):  # type: ignore[no-untyped-def]
-    """Write G, velocities by x, transposed, into the rows of `room` from `unknowns` on; FREELY and STEP."""
+def condense(M, k, real, whole, matrix, unknowns, cones):  # type: ignore[no-untyped-def]
+    """Write G, velocities by x, transposed, into the rows of `matrix` from `unknowns` on; FREELY and STEP."""
     plain = whole[OF_CONES, 1]
     for i in range(unknowns):
         row, unit = whole[ROW, i], real[STEP, i] if i >= plain else 1.0
         real[FREELY, i] = real[Q, row] * unit
         for j in range(plain):
-            room[unknowns + j, i] = M[k, row, whole[ROW, j]] * unit
+            matrix[unknowns + j, i] = M[k, row, whole[ROW, j]] * unit
         for j in range(plain, unknowns):
-            room[unknowns + j, i] = M[k, row, whole[ROW, j]] * real[SLOPE, j] * unit
+            matrix[unknowns + j, i] = M[k, row, whole[ROW, j]] * real[SLOPE, j] * unit
     for i in range(plain):
-        real[STEP, i] = 1.0 / room[unknowns + i, i]
+        real[STEP, i] = 1.0 / matrix[unknowns + i, i]
     for c in range(cones):
         first, end = whole[OF_CONES, 2 * c + 1], whole[OF_CONES, 2 * c + 3]
         largest = 0.0
         for i in range(first, end):
             total = 0.0
             for j in range(first, end):
-                total += abs(room[unknowns + j, i])
+                total += abs(matrix[unknowns + j, i])
             largest = max(largest, total)
         for i in range(first, end):
             real[STEP, i] = 1.0 / largest

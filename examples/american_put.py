@@ -39,7 +39,7 @@ def main(out: Path = Path()) -> None:
     edge[0] = below * payoff[0]  # deep in the money it is exercised; far out of the money it is worth nothing
 
     lower = payoff[1:-1]
-    march_back = march(LCP(M, edge, lower=lower), np.broadcast_to(edge, (STEPS, SIZE)), carry=-1.0, z0=lower)
+    march_back = march(LCP(M, edge, lower=lower), np.broadcast_to(edge, (STEPS, SIZE)), propagator=-1.0, z0=lower)
     steps = [step.require_solved() for step in march_back]
     value, seconds = steps[-1].z, sum(step.seconds for step in steps)
     exercised = [(step.z == lower) & (lower > 0) for step in steps]  # exactly at the bound, no tolerance needed

@@ -65,7 +65,7 @@ def forwards(
     """Return times to maturity, the exercise boundary at each, and from the second on delta, vega, rho; (.., 3, n)."""
     boundary, kept, tangents = [STRIKE], [], [dg for _, dg in changes]
     for found, half, old in done:
-        moves = [found.jvp(dM=half * dA, dcarry=old * dA, dlower=dg, dz0=dV)
+        moves = [found.jvp(dM=half * dA, dpropagator=old * dA, dlower=dg, dz0=dV)
                  for (dA, dg), dV in zip(changes, tangents, strict=True)]
         tangents = [dV[-1] for dV in moves]
         for k in range(len(found) - 1, 0, -KEPT)[::-1] if old else ():  # the damping steps are not drawn
@@ -82,7 +82,7 @@ def backwards(node: int, done: list[Leg], changes: list[tuple[sp.sparray, np.nda
     weights[node] = 1.0
     for found, half, old in reversed(done):
         by = found.vjp(weights)
-        weights, shares = by.z0, half * by.M + old * by.carry
+        weights, shares = by.z0, half * by.M + old * by.propagator
         greeks += [shares.multiply(dA).sum() + by.lower @ dg for dA, dg in changes]
     return greeks + [weights @ dg for _, dg in changes]
 

@@ -11,8 +11,8 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.core.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.proofs")``: what is proved of a matrix, a method, an error, a problem without solution
 - ``help("lcp_plugin.core.certificates.criterion")``: what SOLVED means, in which scaling
-- ``help("lcp_plugin.doors.learn")``: layers for PyTorch and JAX
-- ``help("lcp_plugin.doors")``: Pyomo, AMPL, JuMP, qpsolvers, cvxpylayers, QuantEcon, files, finite elements
+- ``help("lcp_plugin.interfaces.learn")``: layers for PyTorch and JAX
+- ``help("lcp_plugin.interfaces")``: Pyomo, AMPL, JuMP, qpsolvers, cvxpylayers, QuantEcon, files, finite elements
 - ``help("lcp_plugin.evidence")``: scenes and the report; other packages
 - ``help("lcp_plugin.ranks")``: several machines
 - ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver

@@ -28,7 +28,7 @@ def solve(
     problem: LCP, algorithm: str | Algorithm | Policy = "auto", *, z0: ArrayLike | None = None,
     tolerance: float = 1e-8, tolerance_on: str = "residual",
     max_iterations: int | None = None, max_seconds: float | None = None, absolute_tolerance: float = 0.0,
-    record: bool = False, callback: Callback | None = None, error_bound: bool = False, refute: bool = True,
+    record: bool = False, callback: Callback | None = None, error_bound: bool = False, prove_infeasibility: bool = True,
     threads: int | None = None, verbose: bool = False, **options: Any,
 ) -> Result: ...
 @overload
@@ -56,7 +56,7 @@ def solve(
     record: bool = False,
     callback: Callback | None = None,
     error_bound: bool = False,
-    refute: bool = True,
+    prove_infeasibility: bool = True,
     threads: int | None = None,
     verbose: bool = False,
     **options: Any,
@@ -98,7 +98,7 @@ def solve(
     error_bound : bool
         Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
         clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
-    refute : bool
+    prove_infeasibility : bool
         Look for a proof that there is no solution where none is found. False saves the work: a run that finds no
         solution then ends STALLED.
     threads : int, optional
@@ -154,7 +154,8 @@ def solve(
         return solve_lcp(
             problem, algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, max_iterations=max_iterations,
             max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, record=record, callback=callback,
-            error_bound=error_bound, refute=refute, threads=threads, verbose=verbose, **options,
+            error_bound=error_bound, prove_infeasibility=prove_infeasibility, threads=threads, verbose=verbose,
+            **options,
         )
     given, defaults = locals(), solve.__kwdefaults__ or {}
     wishes = {name: given[name] for name in defaults if given[name] is not defaults[name]}

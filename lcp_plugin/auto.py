@@ -100,14 +100,14 @@ PROJECTED_TYPE = Choice(
 class Single(Policy):
     """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility.
 
-    Where `refutes` is False, nobody looks for a proof.
+    Where `prove_infeasibility` is False, nobody looks for a proof.
     """
 
     algorithm: Algorithm
 
-    def __init__(self, algorithm: Algorithm, *, refutes: bool = True) -> None:
+    def __init__(self, algorithm: Algorithm, *, prove_infeasibility: bool = True) -> None:
         self.algorithm = self.chosen = algorithm
-        self.name, self._refutes = algorithm.name, refutes
+        self.name, self._prove_infeasibility = algorithm.name, prove_infeasibility
 
     def first(self, problem: LCP) -> Choice:
         """Return the caller's algorithm."""
@@ -115,7 +115,7 @@ class Single(Policy):
 
     def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
         """Return None, or the feasibility check after a method that ended without a solution."""
-        is_unfit = not self._refutes or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
+        is_unfit = not self._prove_infeasibility or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
         if not failed or len(stages) > 1 or is_unfit:
             return None
         from .methods.search.stages import FeasibilityCheck
@@ -124,15 +124,15 @@ class Single(Policy):
 
 
 class Auto(Policy):
-    """What is predicted to need the least work; where `refutes` is False, without a look for proofs.
+    """What is predicted to need the least work; where `prove_infeasibility` is False, without a look for proofs.
 
     Where `looks_at_cases` is False, a solution near the start is wanted: no search looks for another one.
     """
 
     name = chosen = "auto"
 
-    def __init__(self, *, refutes: bool = True, looks_at_cases: bool = True) -> None:
-        self._refutes, self.looks_at_cases = refutes, looks_at_cases
+    def __init__(self, *, prove_infeasibility: bool = True, looks_at_cases: bool = True) -> None:
+        self._prove_infeasibility, self.looks_at_cases = prove_infeasibility, looks_at_cases
         self._direct: Turns | None = None
 
     @cached_property
@@ -213,13 +213,15 @@ class Auto(Policy):
         """
         from .proofs.no_solution.infeasibility import seems_unheld
 
-        return self._refutes and bool(seems_unheld(problem, by_rows=by_rows))
+        return self._prove_infeasibility and bool(seems_unheld(problem, by_rows=by_rows))
 
     def _turns(self, problem: LCP) -> Turns:
         """Return the direct methods."""
         from .methods.direct import Turns
 
-        return Turns(problem, self._retries, refutes=self._refutes, looks_at_cases=self.looks_at_cases)
+        return Turns(
+            problem, self._retries, prove_infeasibility=self._prove_infeasibility, looks_at_cases=self.looks_at_cases
+        )
 
     def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
         """Return newton or lemke, where they have not begun there."""
@@ -301,13 +303,13 @@ def _exact_order(problem: LCP, now: Stage) -> str | None:
 
 
 def policy_for(
-    algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False, refutes: bool = True,
+    algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False, prove_infeasibility: bool = True,
     looks_at_cases: bool = True,
 ) -> Policy:
     """Return the policy that the caller's `algorithm` and options mean, where the rows lie on several ranks or on one.
 
-    Where `refutes` is False, it has no stage that looks for a proof that there is no solution; where `looks_at_cases`
-    is, none that looks for a solution anywhere.
+    Where `prove_infeasibility` is False, it has no stage that looks for a proof that there is no solution; where
+    `looks_at_cases` is, none that looks for a solution anywhere.
 
     Raises
     ------
@@ -322,7 +324,7 @@ def policy_for(
             )
         if not getattr(algorithm, "name", ""):
             raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
-        return _single(algorithm, on_ranks, refutes)
+        return _single(algorithm, on_ranks, prove_infeasibility)
     if isinstance(algorithm, Policy):
         return algorithm
     if isinstance(algorithm, str) and algorithm == "auto":
@@ -335,20 +337,20 @@ def policy_for(
             from .ranks.auto import AutoOnRanks
 
             return AutoOnRanks()
-        return Auto(refutes=refutes, looks_at_cases=looks_at_cases)
+        return Auto(prove_infeasibility=prove_infeasibility, looks_at_cases=looks_at_cases)
     if isinstance(algorithm, type):
         name = algorithm.__name__
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")
     if not isinstance(algorithm, str):
         raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
-    return _single(create(algorithm, options), on_ranks, refutes)
+    return _single(create(algorithm, options), on_ranks, prove_infeasibility)
 
 
-def _single(algorithm: Algorithm, on_ranks: bool, refutes: bool) -> Single:
+def _single(algorithm: Algorithm, on_ranks: bool, prove_infeasibility: bool) -> Single:
     if on_ranks and not algorithm.runs_on_ranks:
         names = ", ".join(name for name, kind in REGISTRY.items() if kind.runs_on_ranks)
         raise UnknownAlgorithm(f"{algorithm.name!r} does not run on several ranks; auto does, and {names}")
-    return Single(algorithm, refutes=refutes)
+    return Single(algorithm, prove_infeasibility=prove_infeasibility)
 
 
 def solve_lcp(
@@ -364,7 +366,7 @@ def solve_lcp(
     record: bool = False,
     callback: Callback | None = None,
     error_bound: bool = False,
-    refute: bool = True,
+    prove_infeasibility: bool = True,
     threads: int | None = None,
     verbose: bool = False,
     **options: Any,
@@ -382,10 +384,10 @@ def solve_lcp(
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), communicator.interruptions() as clock.hears:
         policy, settings, callback, start = communicator.together(lambda: (
-            policy_for(algorithm, options, on_ranks=problem.is_distributed, refutes=refute),
+            policy_for(algorithm, options, on_ranks=problem.is_distributed, prove_infeasibility=prove_infeasibility),
             Settings(
                 tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
-                threads, verbose, refute,
+                threads, verbose, prove_infeasibility,
             ),
             checked_callback(callback), checked_start(problem, z0),
         ))
@@ -422,4 +424,4 @@ def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[
     """Return what an algorithm and other keyword arguments of `solve` ask for; a start and a callback may be there."""
     settings = Settings(**{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE})
     options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
-    return policy_for(algorithm, options, refutes=settings.refute), settings
+    return policy_for(algorithm, options, prove_infeasibility=settings.prove_infeasibility), settings

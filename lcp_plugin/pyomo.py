@@ -1,4 +1,4 @@
-"""Pyomo's door: ``import lcp_plugin.pyomo``, then ``SolverFactory("lcp_plugin").solve(model)``.
+"""The interface for Pyomo: ``import lcp_plugin.pyomo``, then ``SolverFactory("lcp_plugin").solve(model)``.
 
 Complementarities, equations and convex quadratic programs written in Pyomo are solved in this process, without an
 executable. Pyomo's writer puts the rows into an ``.nl`` file, which the reader of those files turns into the problem;
@@ -54,7 +54,7 @@ the bound is. Values that the variables have are tried first. The newer interfac
 name; in both it is ``"lcp-plugin"``, too.
 
 **Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
-and ``unbounded`` only with a proof; ``noSolution``: none found, none refuted; ``other``: no better in double precision
+and ``unbounded`` only with a proof; ``noSolution``: none found, none excluded; ``other``: no better in double precision
 (where the bounds alone are the answer ``absolute_tolerance`` says how small is small enough), or something beside the
 pairs does not hold. ``results.solver.message`` says it; ``solver.result`` is our own result of the last solve. A
 ``dual`` suffix gets the value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the multipliers
@@ -78,8 +78,8 @@ except ImportError as error:
 from . import __version__
 from .core.errors import InvalidOption, did_you_mean
 from .core.settings import Status
-from .doors.nl.writing import write_nl  # noqa: F401 - offered beside the solver
-from .doors.pyomo.answers import PyomoAnswer, answered, imported
+from .interfaces.nl.writing import write_nl  # noqa: F401 - offered beside the solver
+from .interfaces.pyomo.answers import PyomoAnswer, answered, imported
 
 NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable that is called so
 DOC = "Complementarity problems and convex quadratic programs, by lcp_plugin"
@@ -237,7 +237,7 @@ def _solution_of(answer: PyomoAnswer, model: Any, results: Any) -> Any:
 
 
 try:
-    from .doors.pyomo.answers import register
+    from .interfaces.pyomo.answers import register
 except ImportError:  # an older Pyomo has no such interface, or another one
     pass
 else:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from lcp_plugin.doors.nl import write_nl
-from lcp_plugin.doors.nl.content import BIG_ENDIAN, LITTLE_ENDIAN, PARTNER, NLContent, Token, Trees
-from lcp_plugin.doors.nl.writing import LETTERS, TextWriter, count_behind, stated_bounds, tokens_of
+from lcp_plugin.interfaces.nl import write_nl
+from lcp_plugin.interfaces.nl.content import BIG_ENDIAN, LITTLE_ENDIAN, PARTNER, NLContent, Token, Trees
+from lcp_plugin.interfaces.nl.writing import LETTERS, TextWriter, count_behind, stated_bounds, tokens_of
 
 
 def write_form(content: NLContent, path: Path, *, binary: bool = False, big_endian: bool = False) -> None:

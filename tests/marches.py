@@ -12,11 +12,11 @@ from lcp_plugin.core.checks import FloatVector
 
 
 class Steps(NamedTuple):
-    """What ``march(problem, forcing, carry, z0=z0)`` takes."""
+    """What ``march(problem, forcing, propagator, z0=z0)`` takes."""
 
     problem: LCP
     forcing: FloatVector
-    carry: sp.csr_array
+    propagator: sp.csr_array
     z0: FloatVector
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.doors.nl.content import NLContent, Trees
+from lcp_plugin.interfaces.nl.content import NLContent, Trees
 
 
 def content_of(M: Any, q: Any, **changes: Any) -> NLContent:

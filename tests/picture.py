@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "lcp_plugin"
-GROUPS = ("methods", "problems", "doors")  # folders of subpackages
+GROUPS = ("methods", "problems", "interfaces")  # folders of subpackages
 
 
 def _section() -> str:
@@ -18,8 +18,8 @@ def _arrows(line: str) -> dict[str, set[str]]:
     """Return what the subpackages of a line may import: "a, b → c, d · e" says that a and b may import c and d."""
     found: dict[str, set[str]] = {}
     for part in line.split(" · "):
-        rooms, _, targets = part.partition("→")
-        found |= {room: _named(targets) for room in re.findall(r"\w+", rooms)}
+        subpackages, _, targets = part.partition("→")
+        found |= {subpackage: _named(targets) for subpackage in re.findall(r"\w+", subpackages)}
     return found
 
 
@@ -33,33 +33,33 @@ def _named(targets: str) -> set[str]:
 
 _picture = re.search(r"```text\n(.*?)```", _section(), re.S)
 LINES = _picture[1].splitlines() if _picture else []
-ARROWS = {room: targets for line in LINES for room, targets in _arrows(line).items()}  # beside those to the core
+ARROWS = {name: targets for line in LINES for name, targets in _arrows(line).items()}  # beside those to the core
 DRAWN = set(ARROWS)
 # A method of one file that imports the core alone need not be drawn.
 ARROWS |= {one.stem: set() for one in (PACKAGE / "methods").glob("*.py") if one.stem not in {*DRAWN, "__init__"}}
 PLACES = [PACKAGE / group for group in ("", *GROUPS)]
 FOLDERS = {  # or the file of one that is one
-    room: next((one for one in [*(place / room for place in PLACES), *(place / f"{room}.py" for place in PLACES)]
-                if one.exists()), PACKAGE / room)
-    for room in ARROWS
+    name: next((one for one in [*(place / name for place in PLACES), *(place / f"{name}.py" for place in PLACES)]
+                if one.exists()), PACKAGE / name)
+    for name in ARROWS
 }  # fmt: skip
 
 
 def explained() -> list[str]:
     """The subpackages that the table below the picture explains."""
     rows = _section().split("| subpackage | what is in it |")[1].split("\n\n")[0].splitlines()[2:]
-    return [room for row in rows for room in re.findall(r"`(\w+)`", row.split("|")[1])]
+    return [subpackage for row in rows for subpackage in re.findall(r"`(\w+)`", row.split("|")[1])]
 
 
-def room_of(file: Path) -> str:
+def subpackage_of(file: Path) -> str:
     """The subpackage of a file."""
     parts = file.relative_to(PACKAGE).with_suffix("").parts
     return parts[1] if parts[0] in GROUPS and len(parts) > 1 else parts[0]
 
 
-def above(room: str) -> set[str]:
+def above(subpackage: str) -> set[str]:
     """Those that need it, by one arrow or several."""
     found: set[str] = set()
-    while more := {other for other, targets in ARROWS.items() if targets & {room, *found}} - found:
+    while more := {other for other, targets in ARROWS.items() if targets & {subpackage, *found}} - found:
         found |= more
-    return set(ARROWS) - {"core"} if room == "core" else found
+    return set(ARROWS) - {"core"} if subpackage == "core" else found

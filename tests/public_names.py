@@ -1,4 +1,4 @@
-"""Every public name: what the front door offers, its scenes, strategies and algorithms, and what lives in a room."""
+"""Every public name: what lcp_plugin offers, its scenes, strategies and algorithms, and what lives in a subpackage."""
 
 from __future__ import annotations
 

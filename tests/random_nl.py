@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.doors.nl.content import (
+from lcp_plugin.interfaces.nl.content import (
     BINARY_OPERATORS,
     NARY_OPERATORS,
     PIECEWISE_OPERATOR,
@@ -78,9 +78,9 @@ def _trees(rng: Any, reach: Any) -> Trees:
     tokens: list[tuple[int, float, int]] = []
     starts = [0]
     for k in reach:
-        wanted, room = 1, int(rng.integers(1, 20))
+        wanted, most = 1, int(rng.integers(1, 20))
         while wanted:
-            kind = rng.choice(5, p=[0.25, 0.25, 0.4, 0.05, 0.05]) if len(tokens) - starts[-1] < room else 0
+            kind = rng.choice(5, p=[0.25, 0.25, 0.4, 0.05, 0.05]) if len(tokens) - starts[-1] < most else 0
             value, count = float(_numbers(rng, 1)[0]), 0
             if kind == Token.VARIABLE:
                 value = float(rng.integers(0, k))

@@ -19,10 +19,10 @@ from scipy.optimize import linprog
 
 from lcp_plugin import LCPError
 from lcp_plugin.commands import ampl
-from lcp_plugin.doors.nl import read_nl, read_sol
-from lcp_plugin.doors.nl.answers import CODES
-from lcp_plugin.doors.nl.checks import evaluated
-from lcp_plugin.doors.nl.content import NLContent, Token, Trees
+from lcp_plugin.interfaces.nl import read_nl, read_sol
+from lcp_plugin.interfaces.nl.answers import CODES
+from lcp_plugin.interfaces.nl.checks import evaluated
+from lcp_plugin.interfaces.nl.content import NLContent, Token, Trees
 
 INF = np.inf
 MET = 1e-5  # of the size of a row or a variable

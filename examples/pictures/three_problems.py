@@ -38,7 +38,7 @@ def exercise_boundary(axes: plt.Axes) -> None:
     scene = gallery.american_put_march(size=901, volatility=0.3, steps=150)
     lower, spot = scene.problem.lower, scene.coordinates[0]
     q = np.broadcast_to(scene.advance.boundary, (scene.steps, scene.n))
-    steps = [step.require_solved() for step in march(scene.problem, q, carry=-1.0, z0=lower)]
+    steps = [step.require_solved() for step in march(scene.problem, q, propagator=-1.0, z0=lower)]
     boundary = [100.0, *(spot[(step.z == lower) & (lower > 0)].max() for step in steps)]
     years = np.linspace(1, 0, scene.steps + 1)
     axes.plot(years, boundary, color="#D55E00", linewidth=1.8)

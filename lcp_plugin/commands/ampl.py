@@ -19,7 +19,7 @@ from .. import __version__
 from ..core.errors import InvalidOption, LCPError, UnknownAlgorithm, did_you_mean
 
 if TYPE_CHECKING:
-    from ..doors.nl.content import NLContent
+    from ..interfaces.nl.content import NLContent
 
 NAME = "lcp-plugin-ampl"
 VARIABLE = "lcp_plugin_options"
@@ -187,7 +187,7 @@ def _solve(call: Call) -> int:
 
     of_run = {name: value for name, value in call.settings.items() if name not in ("algorithm", "prove")}
     Settings(**of_run)  # before anything is read
-    from ..doors.nl.reading import read_content, source_of
+    from ..interfaces.nl.reading import read_content, source_of
 
     began = time.perf_counter()
     content = read_content(call.stub)
@@ -198,7 +198,7 @@ def _solve(call: Call) -> int:
     if call.of_command("version"):
         print(_version())
     if call.writes:
-        from ..doors.nl.solution import write_sol
+        from ..interfaces.nl.solution import write_sol
 
         target = Path(call.out) if call.out else source_of(call.stub).with_suffix(".sol")
         write_sol(target, message, x, y, content.options, code, tolerance=content.tolerance,
@@ -212,7 +212,7 @@ def _solve(call: Call) -> int:
 
 def _answer(content: NLContent, call: Call) -> tuple[str, Any, Any, int]:
     """Return message, values, duals and code; a model that is refused is answered by its refusal."""
-    from ..doors.nl.model import model_of
+    from ..interfaces.nl.model import model_of
 
     try:
         with warnings.catch_warnings(record=True) as warned:

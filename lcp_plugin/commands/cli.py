@@ -83,7 +83,7 @@ def solve(
     error_bound: Annotated[bool, typer.Option("--error-bound", help="Bound the error of the answer.")] = False,
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Limit of wall-clock seconds.")] = None,
-    refute: Annotated[bool, typer.Option(help="Look for a proof where there is no solution.")] = True,
+    prove_infeasibility: Annotated[bool, typer.Option(help="Look for a proof where there is no solution.")] = True,
     threads: Annotated[
         int | None, typer.Option(help="How many threads it may use, all by default; BLAS's: OMP_NUM_THREADS.")
     ] = None,
@@ -117,8 +117,9 @@ def solve(
         raise InvalidOption(f"--backend {backend!r} is not offered{did_you_mean(backend, kinds)}")
     settings: dict[str, Any] = dict(
         tolerance_on=tolerance_on, error_bound=error_bound,
-        max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, refute=refute,
-        threads=threads, **({} if tolerance is None else {"tolerance": tolerance}),
+        max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance,
+        prove_infeasibility=prove_infeasibility, threads=threads,
+        **({} if tolerance is None else {"tolerance": tolerance}),
     )
     chosen, options = own_algorithm(algorithm, solving.options(relaxation, option or []))
     picture = solving.Picture.asked(plot, grid, rows, points)
@@ -151,7 +152,7 @@ def check(
 
 @command(
     "certify",
-    "0 every answer is proved, 1 one is unproved, refuted or missing, 2 bad input",
+    "0 every answer is proved, 1 one is unproved, disproved or missing, 2 bad input",
     "certify problem.npz --solver CLARABEL,OSQP", "certify problem.qps --out x.npz",
 )
 def certify(
@@ -175,8 +176,8 @@ def certify(
     json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
 ) -> bool:
     """Solve a quadratic program by any solvers, and tell what is proved of their answers."""
-    from ..doors.program_files import load_program
     from ..evidence.convex_solvers import HEAD, JudgedAnswer, judged_answers
+    from ..interfaces.program_files import load_program
     from .solving import OneProcess
 
     names = list(dict.fromkeys(name.strip() for name in ",".join(solver).split(",") if name.strip()))

@@ -190,7 +190,7 @@ def _say_terminated(number: int, _: Any) -> None:
 
 
 def _make_folder(out: Path, n: int) -> tuple[str, bool]:
-    """Make the folder if it is not there and the disk has room for z and w; return a word for new files in it."""
+    """Make the folder if it is not there and the disk has space for z and w; return a word for new files in it."""
     is_new = not out.exists()
     free = shutil.disk_usage(out.absolute().parent if is_new else out).free
     if (needed := 16 * n) > free:

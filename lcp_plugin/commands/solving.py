@@ -19,7 +19,7 @@ from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
-from ..doors.program_files import kind_in, load_least_squares, load_program
+from ..interfaces.program_files import kind_in, load_least_squares, load_problem, load_program
 from ..problems.programs.program import QuadraticProgram
 from .target import read_target
 from .terminal import LINE, show_search, show_step
@@ -27,6 +27,7 @@ from .terminal import LINE, show_search, show_step
 OWN_FLAGS = ("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "threads", "algorithm")
 WORDS = {"none": None, "true": True, "false": False}
 SHOWN = 20  # variables that a person is told at once
+ON_CONES = ("ConeProblem", "FrictionalContact")
 
 
 class OneProcess:
@@ -190,7 +191,7 @@ def _tell(
 
 def save_arrays(out: Path, status: Status, arrays: dict[str, Any]) -> list[Path]:
     """Write arrays and the status into an .npz file, whole or not at all; return what was written."""
-    from ..doors.files.files import write_whole
+    from ..interfaces.files.files import write_whole
 
     write_whole({out: lambda file: np.savez_compressed(file, status=np.array(status.name), **arrays)})
     return [out]
@@ -351,7 +352,8 @@ def run_model(
     plain = {one.name: one.default for one in fields(Settings)}
     asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
     asked |= {name: options.pop(name) for name in ("prove",) if name in options}  # of a search
-    chosen = policy_for(algorithm, options).chosen
+    is_on_cones = kind_in(target.strip()).__name__ in ON_CONES  # whose algorithms have names of their own
+    chosen = algorithm if is_on_cones else policy_for(algorithm, options).chosen
     OneProcess().check_outputs(target, picture.path, out)
     find = _in_nl if Path(target.strip()).suffix.lower() == ".nl" else _in_arrays
     found = find(target.strip(), chosen, asked)
@@ -369,7 +371,7 @@ def run_model(
 
 def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
     """Return the answer to AMPL's file."""
-    from ..doors.nl import read_nl
+    from ..interfaces.nl import read_nl
     from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 
     model = read_nl(target)
@@ -394,6 +396,10 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
         answer: Any = solve(problem, chosen, **asked, **seen)
         rows = {} if problem.ranges is None else {"y": answer.solution.row_multipliers}
         vectors = answer.duals | rows | ({} if names is None else {"names": np.array(names, dtype=np.str_)})
+    elif kind_in(target).__name__ in ON_CONES:
+        problem, constant, sign, names = load_problem(target), 0.0, 1.0, None
+        answer = solve(problem, chosen, **asked)
+        vectors = {"z": answer.z, "w": answer.w}
     else:
         problem, constant, sign, names = load_least_squares(target), 0.0, 1.0, None
         answer = solve(problem, chosen, **asked)
@@ -410,7 +416,7 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
 def _model_story(target: str, found: ModelAnswer) -> str:
     """Return what a person wants to read after a run."""
     lines = [f"{target}: {found.model}", *found.message, found.result.explain()]
-    if found.result.is_refuted or "x" not in found.vectors:
+    if found.result.has_no_solution or "x" not in found.vectors:
         return "\n".join(lines)
     width, left = max(map(len, found.names[:SHOWN]), default=0), len(found.names) - SHOWN
     values = zip(found.names[:SHOWN], found.vectors["x"][:SHOWN], strict=True)

@@ -188,7 +188,7 @@ def own_algorithm(name: str, options: dict[str, Any]) -> tuple[Any, dict[str, An
 
 def lcp_of_file(path: str, way: str) -> LCP:
     """Return the LCP of a file; raise InvalidOption in the words of the table of kinds where it states another."""
-    from ..doors.program_files import load_problem
+    from ..interfaces.program_files import load_problem
 
     problem = load_problem(path)
     if not isinstance(problem, LCP):

@@ -311,12 +311,12 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 
 def check_order(lower: FloatVector, upper: FloatVector) -> None:
-    """Raise where lower ≤ upper fails or leaves no room for a number."""
+    """Raise where lower ≤ upper fails or admits no number."""
     wrong = (lower > upper) | (lower == np.inf) | (upper == -np.inf)
     if wrong.any():
         i = int(np.argmax(wrong))
         raise InvalidProblem(
-            f"bounds must satisfy lower ≤ upper and leave room for a number, "
+            f"bounds must satisfy lower ≤ upper and admit a number, "
             f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}"
         )
 

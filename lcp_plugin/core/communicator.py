@@ -1,6 +1,6 @@
 """Who holds the other rows of a matrix; here nobody does.
 
-A vector with room for all that the own rows meet holds the own values first and behind them those of foreign unknowns.
+A vector with space for all that the own rows meet holds the own values first and behind them those of foreign unknowns.
 What is computed from all rows is asked of everybody, so that every process takes the same decisions: all of them ask
 the same questions in the same order.
 """

@@ -135,7 +135,7 @@ def _remedy(way: str, given: Any, takes_programs: bool) -> str:
     if kind_of(getattr(given, "problem", None)) is not None:
         return f"write {way}(scene.problem)" if hasattr(given, "grid") else "give its problem"
     if isinstance(given, (str, bytes)) or hasattr(given, "__fspath__"):
-        return "read a file first: load_problem(path), or lcp_plugin.doors.nl.read_nl(path) for a model of AMPL"
+        return "read a file first: load_problem(path), or lcp_plugin.interfaces.nl.read_nl(path) for a model of AMPL"
     if type(given).__module__.startswith("cvxpy."):
         return 'write problem.solve(method="LCP"), or LCP.from_cvxpy(problem)'
     is_list = isinstance(given, (list, tuple)) and bool(given) and kind_of(given[0]) is not None

@@ -24,7 +24,7 @@ class OriginsCriterion(Protocol):
     def is_answered(self, z: FloatVector, tolerance: float) -> bool:
         """Return whether z, shape (n,), stands for an answer of that where a run has this tolerance."""
 
-    def is_refuted(self, tolerance: float) -> bool:
+    def has_no_solution(self, tolerance: float) -> bool:
         """Return whether that is proved to have none."""
 
 
@@ -290,7 +290,7 @@ class LCP:
         if self.is_distributed:
             from ..ranks.on_ranks import save
         else:
-            from ..doors.files.files import save
+            from ..interfaces.files.files import save
         save(self, path)
 
     @classmethod
@@ -401,7 +401,7 @@ class LCP:
         (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
         absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
         which reads these, may end the process on a damaged one. AMPL's
-        ``.nl`` may state other problems, too: :func:`lcp_plugin.doors.nl.read_nl`.
+        ``.nl`` may state other problems, too: :func:`lcp_plugin.interfaces.nl.read_nl`.
 
         Parameters
         ----------
@@ -418,7 +418,7 @@ class LCP:
             Where a ``.nl`` file states something else.
         """
         if comm is None:
-            from ..doors.files.files import load
+            from ..interfaces.files.files import load
 
             return load(LCP, path)
         from ..ranks.on_ranks import load as load_on_ranks

@@ -72,7 +72,7 @@ class Settings:
         At least 1; None means all that the process may use. Ranks may differ in it.
     verbose : bool
         Whether to print the run.
-    refute : bool
+    prove_infeasibility : bool
         Whether to look for a proof that there is no solution.
 
     Raises
@@ -90,7 +90,7 @@ class Settings:
     error_bound: Any = False
     threads: Any = field(default=None, repr=False, compare=False)
     verbose: Any = False
-    refute: Any = True
+    prove_infeasibility: Any = True
 
     def __post_init__(self) -> None:
         given = self.__dict__
@@ -187,7 +187,7 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": _number, "tolerance_on": partial(_choice, choices=TARGETS),
     "max_iterations": _count, "max_seconds": _seconds,
     "absolute_tolerance": _number, "record": _flag, "error_bound": _flag,
-    "threads": checked_threads, "verbose": _flag, "refute": _flag,
+    "threads": checked_threads, "verbose": _flag, "prove_infeasibility": _flag,
 }
 
 

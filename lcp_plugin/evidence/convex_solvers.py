@@ -66,14 +66,14 @@ class JudgedAnswer:
 
     def save(self, path: Path) -> None:
         """Write x, the multipliers where the solver has told them, and the solver's name into an ``.npz`` file."""
-        from ..doors.files.files import write_whole
+        from ..interfaces.files.files import write_whole
 
         vectors: dict[str, Any] = {"x": self.x, **(self.multipliers or {}), "solver": np.array(self.solver)}
         write_whole({path: lambda file: np.savez_compressed(file, **vectors)})
 
     @property
     def verdict(self) -> str:
-        """Return "proved to 1e-06", "proved to 0.001", "unproved", "refuted" or "no answer"."""
+        """Return "proved to 1e-06", "proved to 0.001", "unproved", "disproved" or "no answer"."""
         if self.certification is None:
             return "no answer"
         said = self.certification.verdict

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.errors import InvalidOption, LCPError
-from ..doors.files.files import write_whole
+from ..interfaces.files.files import write_whole
 
 FORMATS = (".png", ".pdf", ".svg")
 COLOURS = {
@@ -50,7 +50,7 @@ COLUMN, PAGE = 3.5, 7.1
 HEIGHT, MOST_COLUMNS, MOST_MAPS = 0.78, 3, 4  # of a panel, as a share of its width; panels and maps side by side
 MARKED = 7  # markers along a line
 LEGEND_LINE, LETTERS = 0.17, 13  # inches; letters of a title to the inch
-NAME_WIDTH, LETTER_WIDTH = 0.5, 0.055  # inches: of a line and the room beside it in a legend, of a letter of its name
+NAME_WIDTH, LETTER_WIDTH = 0.5, 0.055  # inches: of a line and the space beside it in a legend, of a letter of its name
 DEEPEST_BELOW_TOLERANCE = 1e-3
 DIGITS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0), tuple(np.arange(1.0, 10.0, 0.2)))
 """First digits of the ticks, the first set that gives two of them."""

@@ -20,7 +20,7 @@ from ..core.settings import Status
 from ..core.solving.result import Result
 from ..proofs.exact.linear_systems import solved_nearby
 from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution, power_of_two, rational_rows
-from ..proofs.no_solution.refutation import exactly_weighted
+from ..proofs.no_solution.proof import exactly_weighted
 from ..systems.equilibration import equilibrating_exponents
 
 Answer = tuple[Fraction, ...]

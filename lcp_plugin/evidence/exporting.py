@@ -12,7 +12,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..core.errors import InvalidOption
-from ..doors.files.files import checked_path, write_whole
+from ..interfaces.files.files import checked_path, write_whole
 from .drawing import FORMATS, save
 
 AnyPath = str | PathLike[str]
@@ -211,7 +211,7 @@ def _brief(value: float) -> str:
 
 
 def _latex_column(cells: Sequence[str], is_of_numbers: bool) -> str:
-    """Return the kind of a column, of numbers with room for the longest part before and behind the point."""
+    """Return the kind of a column, of numbers with space for the longest part before and behind the point."""
     if not is_of_numbers:
         return "l"
     numbers = [cell for cell in cells if _is_written_number(cell)]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
-from ..doors.files.files import checked_path
+from ..interfaces.files.files import checked_path
 from .collecting import Part, fingerprint
 from .curves import RESIDUAL, Curve, Point, Profile, Report, performance_profile
 from .drawing import FORMATS, Line, Panel, draw_panels, save

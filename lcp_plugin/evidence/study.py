@@ -14,11 +14,11 @@ from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableP
 from ..core.kind import kind_of, refusal
 from ..core.lcp import LCP
 from ..core.settings import Settings
-from ..doors.files.files import checked_path
 from ..gallery import names as scene_names
 from ..gallery import parse
 from ..gallery.parameters import parameters_of
 from ..gallery.scene import Scene, builder_of
+from ..interfaces.files.files import checked_path
 from .collecting import Part, Progress, collect, data_of, machine
 from .contestants import Contestant, as_scene_of, contestants, own_source, told
 from .curves import Curve

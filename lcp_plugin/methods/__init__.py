@@ -1,1 +1,1 @@
-"""Methods, a room each: an iterator with its kernels and its prediction of work."""
+"""Methods, a subpackage each: an iterator with its kernels and its prediction of work."""

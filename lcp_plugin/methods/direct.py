@@ -69,7 +69,7 @@ GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bim
 def direct_methods(problem: LCP) -> Iterator[Choice]:
     """Yield the methods that factorise, pivot or search, in the order of the table."""
     left_out: list[str] = []
-    yield from _first_look(problem, refutes=True)
+    yield from _first_look(problem, prove_infeasibility=True)
     yield from _by_prospects(problem, True, left_out)
     yield from _at_last(problem, True, left_out)
 
@@ -77,8 +77,8 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
 class Turns:
     """The direct methods one after the other; those whose turn is over go on where all others have failed.
 
-    Each has at most two turns, so that there is an end. Where `refutes` is False, nothing looks for proofs; where
-    `looks_at_cases` is, nothing looks for solutions but those that lie near the start.
+    Each has at most two turns, so that there is an end. Where `prove_infeasibility` is False, nothing looks for proofs;
+    where `looks_at_cases` is, nothing looks for solutions but those that lie near the start.
 
     Attributes
     ----------
@@ -87,13 +87,13 @@ class Turns:
     """
 
     def __init__(
-        self, problem: LCP, retries: Retries, *, refutes: bool = True, looks_at_cases: bool = True
+        self, problem: LCP, retries: Retries, *, prove_infeasibility: bool = True, looks_at_cases: bool = True
     ) -> None:
         self._problem, self._waiting, self._retries = problem, list[Choice](), retries
         self.left_out: list[str] = []
-        by_prospects = _by_prospects(problem, refutes, self.left_out)
-        self._last = _at_last(problem, refutes, self.left_out)
-        self._coming = chain(_first_look(problem, refutes) if looks_at_cases else (), by_prospects)
+        by_prospects = _by_prospects(problem, prove_infeasibility, self.left_out)
+        self._last = _at_last(problem, prove_infeasibility, self.left_out)
+        self._coming = chain(_first_look(problem, prove_infeasibility) if looks_at_cases else (), by_prospects)
         self._now: Choice | None = None
 
     def first(self) -> Choice | None:
@@ -109,14 +109,14 @@ class Turns:
         is_overdue = self._now is not None and has_had_its_turn(stage, self._now.turn, self._problem, goal)
         if not (failed or is_overdue):
             return None
-        is_refuted = any(one.refutes_nearby for one in stages)  # what lies that far out is worth one turn, at the most
-        following = next((one for one in self._coming if not (is_refuted and one.turn < math.inf)), None)
-        if following is None and self._waiting and not is_refuted:
+        is_far_out = any(one.has_no_solution_nearby for one in stages)  # worth one turn, at the most
+        following = next((one for one in self._coming if not (is_far_out and one.turn < math.inf)), None)
+        if following is None and self._waiting and not is_far_out:
             following = self._waiting.pop(0)
         if following is not None:
             if self._now is not None and not failed:
                 self._waiting.append(replace(self._now, because="the others have had their turn", turn=math.inf))
-        elif failed and not is_refuted:
+        elif failed and not is_far_out:
             following = self._retries.following(self._problem, stages) or next(self._last, None)
         self._now = following or self._now
         return following
@@ -180,20 +180,21 @@ def is_of_convex_program(origin: Any) -> bool:
     return bool(getattr(origin, "is_of_convex_program", False))
 
 
-def _first_look(problem: LCP, refutes: bool) -> Iterator[Choice]:
+def _first_look(problem: LCP, prove_infeasibility: bool) -> Iterator[Choice]:
     from .search.stages import ExhaustiveSearch
 
     if may_be_searched(problem):
         why = "so few unknowns that every choice of bounds can be tried"
-        yield Choice(ExhaustiveSearch(is_first=True, refutes=refutes), why)
+        yield Choice(ExhaustiveSearch(is_first=True, prove_infeasibility=prove_infeasibility), why)
 
 
-def _by_prospects(problem: LCP, refutes: bool, words: list[str]) -> Iterator[Choice]:
+def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> Iterator[Choice]:
     """Yield the methods in the order of the table; add to the words what is left out for its size."""
     from .search.stages import FeasibilityCheck, LargestPoint
 
     if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
-        yield Choice(LargestPoint(refutes=refutes), "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does")
+        why = "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does"
+        yield Choice(LargestPoint(prove_infeasibility=prove_infeasibility), why)
     # A program has been folded already, and what could be decided of its multipliers is not worth the look.
     is_kkt = getattr(problem.origin, "form", "") == "kkt"
     reduced = None if is_kkt else presolve(problem)
@@ -207,14 +208,14 @@ def _by_prospects(problem: LCP, refutes: bool, words: list[str]) -> Iterator[Cho
     lemke = Choice(Lemke(), f"pivoting needs no property of M{about}", reduced)
     too_large = _too_large(problem, left, is_kkt=is_kkt)
     left_out = [one.algorithm for one in (check, lemke, newton, interior) if one.algorithm.name in too_large]
-    left_out += [] if refutes else [check.algorithm]
-    row = contradictory_row(problem) if refutes else None
+    left_out += [] if prove_infeasibility else [check.algorithm]
+    row = contradictory_row(problem) if prove_infeasibility else None
     is_contradictory = row is not None and row.excludes(EPSILON)
     if not (is_kkt or is_contradictory) and condensing_passes(left) < _passes_of_factors(left, FEWEST_FACTORS):
         yield Choice(Condensed(), f"few rows have a bound: one factor eliminates the others{about}", reduced)
     if is_contradictory:
         yield replace(check, because="one row contradicts its bounds by itself")
-    elif refutes and not problem.is_dense and seems_unheld(problem):
+    elif prove_infeasibility and not problem.is_dense and seems_unheld(problem):
         yield replace(check, because="a factor of M meets a pivot of 0: nothing seems to hold z along some direction")
     elif newton.algorithm not in left_out and _suits_newton(left):
         yield newton
@@ -238,7 +239,7 @@ def _by_prospects(problem: LCP, refutes: bool, words: list[str]) -> Iterator[Cho
     chosen = [choice for choice in order if choice.algorithm not in left_out]
     # A factor that fills in is better than no answer.
     chosen = chosen or [choice for choice in order if choice.algorithm in (newton.algorithm, interior.algorithm)]
-    runs = {choice.algorithm.name for choice in chosen} | ({check.algorithm.name} if not refutes else set())
+    runs = {choice.algorithm.name for choice in chosen} | ({check.algorithm.name} if not prove_infeasibility else set())
     words += [said for name, said in too_large.items() if name not in runs]
     yield from chosen
 
@@ -267,14 +268,14 @@ def _up_to(what: str, most: int, problem: LCP) -> str:
     return f"{what} (up to n = {most}; n = {problem.n} here)"
 
 
-def _at_last(problem: LCP, refutes: bool, words: list[str]) -> Iterator[Choice]:
+def _at_last(problem: LCP, prove_infeasibility: bool, words: list[str]) -> Iterator[Choice]:
     """Yield what is tried where all else has failed; add to the words as `_by_prospects` does."""
     from .search import LARGEST_SIZE
     from .search.stages import ExhaustiveSearch
 
-    if refutes and problem.n <= LARGEST_SIZE:
+    if prove_infeasibility and problem.n <= LARGEST_SIZE:
         yield Choice(ExhaustiveSearch(), "few enough unknowns to try every choice of bounds to the end")
-    elif refutes:
+    elif prove_infeasibility:
         words.append(_up_to("the exhaustive search", LARGEST_SIZE, problem))
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")

@@ -102,8 +102,8 @@ Their status is judged by the program's own residuals; then the objective and th
 measured at the values found. A contradiction is a ``SolverError`` that says what differs. Infeasible and unbounded are
 not said without a proof; cvxpy is believed that the program is the problem. Bounds that cvxpy derives for its own
 variables are not used. All this is in units of the program's data, never relative to x: row i's
-violation counts beside max_j |a_ij| + |b_i|, and a program is refuted only where every x violates some row by more than
-what is called optimal (1e-7 by default).
+violation counts beside max_j |a_ij| + |b_i|, and a program is infeasible only where every x violates some row by more
+than what is called optimal (1e-7 by default).
 
 **Whoever solved it**, ``lcp_plugin.certify(problem)`` tells what is proved of the values and the status:
 

@@ -1,4 +1,4 @@
-"""How each atom of cvxpy is made of what the expressions room knows: sums, products, entries moved, functions.
+"""How each atom of cvxpy is made of what the subpackage `expressions` knows: sums, products, entries moved, functions.
 
 A rule takes a compiler, the node, and its arguments as they were read: arrays and sparse matrices where they are
 constant, else rows. What it returns has the node's entries by columns.

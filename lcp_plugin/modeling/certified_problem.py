@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem, UnsupportedModel
-from ..problems.programs.certification import LOOSE, Certification, ProgramProofs, Proved, multiplier_beside_room
+from ..problems.programs.certification import LOOSE, Certification, ProgramProofs, Proved, multiplier_beside_slack
 from ..problems.programs.convexity import refuse_nonconvex
 from ..problems.programs.dual_bounds import DENSE_UP_TO, least_squares_above
 from ..problems.programs.program import QuadraticProgram
@@ -88,9 +88,9 @@ def _neither(proofs: ProgramProofs, tolerance: float) -> Certification:
     proved = [found for found in both if found.verdict == "proved"]
     if proved:
         return proved[0]
-    is_refuted = all(found.verdict == "refuted" for found in both)
+    is_disproved = all(found.verdict == "disproved" for found in both)
     found = replace(both[1], claim="infeasible or unbounded")
-    return found if is_refuted else replace(found, verdict="unproved")
+    return found if is_disproved else replace(found, verdict="unproved")
 
 
 def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tolerance: float) -> Certification:
@@ -134,7 +134,7 @@ def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance
             return f"the dual value {least:.3g} of {name_of(constraint)} has the wrong sign"
     if y is None:
         return ""
-    if idle := multiplier_beside_room(reduced.program, x, np.nan_to_num(y), tolerance):
+    if idle := multiplier_beside_slack(reduced.program, x, np.nan_to_num(y), tolerance):
         return idle
     left = reduced.gradient_left(y, x, tolerance)
     return f"the dual values leave {left:.3g} of the gradient" if left else ""

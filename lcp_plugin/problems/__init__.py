@@ -1,1 +1,1 @@
-"""Kinds of problems and of questions, a room each: data, conversion, kernels, certificate, result."""
+"""Kinds of problems and of questions, a subpackage each: data, conversion, kernels, certificate, result."""

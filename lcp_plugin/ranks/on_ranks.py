@@ -21,7 +21,7 @@ from ..core.checks import canonical_csr, check_kind
 from ..core.communicator import Communicator
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.matrix.matrix import Matrix
-from ..doors.files.files import MATRIX_KEYS, VECTORS, arrays_of, checked_path, csr_in, read_npz, require_keys
+from ..interfaces.files.files import MATRIX_KEYS, VECTORS, arrays_of, checked_path, csr_in, read_npz, require_keys
 from .petsc.collective import Ranks
 from .petsc.halo import Halo, numbered_over_all, own_rows
 

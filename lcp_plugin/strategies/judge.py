@@ -18,7 +18,7 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution
-from ..proofs.no_solution.refutation import Infeasibility
+from ..proofs.no_solution.proof import Infeasibility
 from ..proofs.verdicts import analyze
 from .matrices import p_matrices, whole_number
 from .problems import Answer, infeasible_lcps, lcps, solved_lcps

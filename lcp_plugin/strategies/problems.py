@@ -15,7 +15,7 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..proofs.exact.rational import exact_slack
-from ..proofs.no_solution.refutation import Infeasibility
+from ..proofs.no_solution.proof import Infeasibility
 from .matrices import (
     LARGEST_ENTRY,
     POSITIVE,
@@ -134,7 +134,7 @@ def solved_lcps(
         w = slack * 2.0 ** draw(vectors(z.size, st.integers(0, 24))) if huge_slacks else slack
         try:
             q = exact_offset(M, z, w)
-        except InvalidProblem:  # no room for huge slacks beside this M
+        except InvalidProblem:  # no space for huge slacks beside this M
             q = exact_offset(M, z, slack)
         return LCP(M, q, lower=lower, upper=upper), fractions_of(z)
 

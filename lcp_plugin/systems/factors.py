@@ -1,4 +1,4 @@
-"""The one door to factors of square matrices: Cholesky and LU, dense and banded by LAPACK, sparse by SuperLU.
+"""Factors of square matrices: Cholesky and LU, dense and banded by LAPACK, sparse by SuperLU.
 
 Callers say what they need: any factor (:func:`factorise`), pivots from the diagonal, as an M-matrix has them
 (:func:`diagonal_pivot_factor`), or positive pivots, which prove a symmetric matrix definite (:func:`positive_factor`).

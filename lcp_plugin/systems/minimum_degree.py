@@ -54,9 +54,9 @@ def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: flo
         others, last = np.flatnonzero(~is_full), int(np.count_nonzero(is_full))
         left = sp.csr_array(pattern[others][:, others]) if last else pattern
         begins, lists = left.indptr.astype(np.int64), left.indices.astype(np.int64)
-        room = np.empty(lists.size + 2 * others.size + 1, np.int64)
-        room[: lists.size] = lists
-        counts = minimum_degree(begins, room, float(last), most_entries, most_operations, most_touched)
+        workspace = np.empty(lists.size + 2 * others.size + 1, np.int64)
+        workspace[: lists.size] = lists
+        counts = minimum_degree(begins, workspace, float(last), most_entries, most_operations, most_touched)
         if counts[2] <= most_touched:
             ends = np.arange(1.0, last + 1.0)
             return counts[0] + float(ends.sum()), counts[1] + float(ends @ ends)
@@ -64,14 +64,14 @@ def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: flo
 
 
 @compiled
-def minimum_degree(begins, room, last, most_entries, most_operations, most_touched):  # type: ignore[no-untyped-def]
+def minimum_degree(begins, workspace, last, most_entries, most_operations, most_touched):  # type: ignore[no-untyped-def]
     """Return Σ count and Σ count² of the columns of L, ∞ and ∞ beyond the limits, and how much of lists was touched.
 
     Parameters
     ----------
     begins : array of int, shape (n + 1,)
         Of each unknown's list of neighbours.
-    room : array of int
+    workspace : array of int
         The lists, and at least 2 n places behind them; overwritten.
     last : float
         Rows that every column has besides.
@@ -97,25 +97,25 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
         head[least] = after[p]
         if after[p] >= 0:
             before[after[p]] = -1
-        # Lists move together where there is no room for another one.
-        if free + left > room.size:
-            free = _together(begin, size, weight, elements, is_gone, room, n)
+        # Lists move together where there is no space for another one.
+        if free + left > workspace.size:
+            free = _together(begin, size, weight, elements, is_gone, workspace, n)
         # The neighbours of p make a new element of it.
         tag += 1
         together, reached, start = weight[p], 0, free
         weight[p] = 0
         for k in range(begin[p], begin[p] + size[p]):
-            e = room[k]
+            e = workspace[k]
             is_element = k < begin[p] + elements[p]
             if is_element and is_gone[e]:
                 continue
             first, end = (begin[e], begin[e] + size[e]) if is_element else (k, k + 1)
             touched += end - first
             for m in range(first, end):
-                i = room[m]
+                i = workspace[m]
                 if weight[i] > 0 and mark[i] != tag:
                     mark[i] = tag
-                    room[free] = i
+                    workspace[free] = i
                     free += 1
                     reached += weight[i]
                     if before[i] >= 0:
@@ -129,18 +129,18 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
         # How much of each element near them lies outside of the new one.
         base = tag * (2 * n + 2)
         for m in range(start, free):
-            i = room[m]
+            i = workspace[m]
             touched += size[i]
             for k in range(begin[i], begin[i] + elements[i]):
-                e = room[k]
+                e = workspace[k]
                 if not is_gone[e]:
                     outside[e] = (outside[e] if outside[e] >= base else base + degree[e]) - weight[i]
         # Their lists become shorter: what the new element has is in none of them.
         for m in range(start, free):
-            i = room[m]
+            i = workspace[m]
             count, near, total, sum_of = 0, 0, 0, p
             for k in range(begin[i], begin[i] + elements[i]):
-                e = room[k]
+                e = workspace[k]
                 if is_gone[e]:
                     continue
                 if outside[e] == base:
@@ -150,7 +150,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
                 count, total, sum_of = count + 1, total + outside[e] - base, sum_of + e
             near = count
             for k in range(begin[i] + elements[i], begin[i] + size[i]):
-                j = room[k]
+                j = workspace[k]
                 if weight[j] > 0 and mark[j] != tag:
                     held[count] = j
                     count, total, sum_of = count + 1, total + weight[j], sum_of + j
@@ -158,16 +158,16 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
                 together, reached = together + weight[i], reached - weight[i]
                 weight[i] = 0
                 continue
-            room[begin[i]] = p
+            workspace[begin[i]] = p
             for k in range(count):
-                room[begin[i] + 1 + k] = held[k]
+                workspace[begin[i] + 1 + k] = held[k]
             size[i], elements[i] = count + 1, near + 1
             degree[i] = min(degree[i], total)
             key[i] = sum_of % n
             chain[i], bucket[key[i]] = bucket[key[i]], i
         # Those with the same neighbours become one.
         for m in range(start, free):
-            i = room[m]
+            i = workspace[m]
             if weight[i] == 0 or bucket[key[i]] < 0:
                 continue
             i, bucket[key[i]] = bucket[key[i]], -1
@@ -175,13 +175,13 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
                 if weight[i] > 0 and chain[i] >= 0:
                     tag += 1
                     for k in range(begin[i] + 1, begin[i] + size[i]):
-                        mark[room[k]] = tag
+                        mark[workspace[k]] = tag
                     j = chain[i]
                     while j >= 0:
                         is_same = weight[j] > 0 and size[j] == size[i] and elements[j] == elements[i]
                         if is_same:
                             for k in range(begin[j] + 1, begin[j] + size[j]):
-                                if mark[room[k]] != tag:
+                                if mark[workspace[k]] != tag:
                                     is_same = False
                                     break
                         if is_same:
@@ -194,7 +194,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
         left -= together
         kept = start
         for m in range(start, free):
-            i = room[m]
+            i = workspace[m]
             if weight[i] == 0:
                 continue
             degree[i] = max(min(degree[i] + reached - weight[i], left - weight[i]), 0)
@@ -203,7 +203,7 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
                 before[after[i]] = i
             head[degree[i]] = i
             least = min(least, degree[i])
-            room[kept] = i
+            workspace[kept] = i
             kept += 1
         free, size[p], degree[p] = kept, kept - start, reached
         if kept == start:
@@ -217,8 +217,8 @@ def minimum_degree(begins, room, last, most_entries, most_operations, most_touch
 
 
 @compiled
-def _together(begin, size, weight, elements, is_gone, room, n):  # type: ignore[no-untyped-def]
-    """Move the lists that are still in use to the front, in their order; return where the room behind them begins."""
+def _together(begin, size, weight, elements, is_gone, workspace, n):  # type: ignore[no-untyped-def]
+    """Move the lists still in use to the front, in their order; return where the free space behind them begins."""
     order = np.argsort(begin)
     free = 0
     for at in range(n):
@@ -228,6 +228,6 @@ def _together(begin, size, weight, elements, is_gone, room, n):  # type: ignore[
         first = begin[i]
         begin[i] = free
         for k in range(size[i]):
-            room[free] = room[first + k]
+            workspace[free] = workspace[first + k]
             free += 1
     return free

@@ -83,13 +83,13 @@ def null_space_by_rows(P: sp.csr_array) -> FloatVector | None:
     True
     """
     diagonal: FloatVector = P.diagonal()
-    room = 2.0 * diagonal - abs(P) @ np.ones(diagonal.size)
-    if not (room >= -EQUAL * diagonal).all():
+    slack = 2.0 * diagonal - abs(P) @ np.ones(diagonal.size)
+    if not (slack >= -EQUAL * diagonal).all():
         return None
     from scipy.sparse.csgraph import connected_components
 
     count, component = connected_components(P, directed=False)
-    is_held = np.bincount(component, room > EQUAL * diagonal, count) > 0.0
+    is_held = np.bincount(component, slack > EQUAL * diagonal, count) > 0.0
     loose = np.flatnonzero(~is_held)
     if not loose.size:
         return np.zeros((diagonal.size, 0))

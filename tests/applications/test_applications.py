@@ -30,8 +30,8 @@ from .table import (
     written,
 )
 
-ROOMS = ("newton", "multigrid", "interior", "lemke", "banded", "small", "presolve", "direct", "search", "programs",
-         "proofs", "equilibria", "contact", "reformulations")  # fmt: skip
+SUBPACKAGES = ("newton", "multigrid", "interior", "lemke", "banded", "small", "presolve", "direct", "search",
+               "programs", "proofs", "equilibria", "contact", "reformulations")  # fmt: skip
 
 
 def worse(*, full: bool, name: str) -> list[str]:

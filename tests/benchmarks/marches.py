@@ -152,7 +152,7 @@ def _alone(steps: marches.Steps) -> tuple[list[Result], list[float]]:
     problem, state, results, seconds = _fresh(steps), steps.z0, [], []
     for force in steps.forcing:
         began = time.process_time()
-        results.append(solve(problem.with_q(force + steps.carry @ state), z0=state, threads=1))
+        results.append(solve(problem.with_q(force + steps.propagator @ state), z0=state, threads=1))
         seconds.append(time.process_time() - began)
         state = results[-1].z
     return results, seconds
@@ -162,7 +162,7 @@ def _together(steps: marches.Steps) -> tuple[list[Result], list[float]]:
     """Tell steps apart by what the first one alone takes."""
     def taken(forcing: FloatVector) -> tuple[Any, float]:
         began = time.process_time()
-        done = march(_fresh(steps), forcing, steps.carry, z0=steps.z0, threads=1)
+        done = march(_fresh(steps), forcing, steps.propagator, z0=steps.z0, threads=1)
         return done, time.process_time() - began
 
     first, done = taken(steps.forcing[:1])[1], taken(steps.forcing)

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import solve
-from lcp_plugin.doors.program_files import load_program
+from lcp_plugin.interfaces.program_files import load_program
 from lcp_plugin.problems.programs.program import QuadraticProgram
 from lcp_plugin.problems.programs.solution import QPSolution
 

@@ -17,7 +17,7 @@ LIMIT, QUICK_LIMIT = 20.0, 3.0  # seconds of each proof
 
 
 def run(*, quick: bool = False) -> Iterator[str]:
-    """Yield a line an answer, and how many answers of each solver are proved, unproved or refuted."""
+    """Yield a line an answer, and how many answers of each solver are proved, unproved or disproved."""
     asked = [solver for solver in ASKED if solver in {OURS, *cp.installed_solvers()}]
     ranks: dict[str, Counter[str]] = {}
     for name, build in SAMPLES.items():

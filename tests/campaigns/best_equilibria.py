@@ -268,10 +268,10 @@ def truth(problem: EquilibriumProgram) -> Truth:
 def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
     """Whether x keeps all constraints to the accuracy, and every pair exactly."""
     program, z, w = problem.program, x[problem.first], x[problem.second]
-    room = ACCURACY * (1.0 + np.abs(x).max())
+    allowed = ACCURACY * (1.0 + np.abs(x).max())
     kept = [
-        program.G @ x <= program.h + room, np.abs(program.A @ x - program.b) <= room, program.lower <= x + room,
-        x <= program.upper + room, problem.lower <= z, z <= problem.upper,
+        program.G @ x <= program.h + allowed, np.abs(program.A @ x - program.b) <= allowed,
+        program.lower <= x + allowed, x <= program.upper + allowed, problem.lower <= z, z <= problem.upper,
         ((z == problem.lower) & (w >= 0)) | (w == 0) | ((z == problem.upper) & (w <= 0)),
     ]
     return all(bool(np.all(one)) for one in kept)
@@ -280,19 +280,19 @@ def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
 def complaints(result: Any, known: Truth) -> list[str]:
     """What of a result the truth contradicts."""
     said = []
-    if (result.is_solved or result.is_refuted) and known.status is not (
+    if (result.is_solved or result.has_no_solution) and known.status is not (
         Status.NO_SOLUTION if result.status is Status.INFEASIBLE else result.status
     ):
         said.append(f"says {result.status}, is {known.status}")
-    room = ACCURACY * max(1.0, abs(known.value)) if math.isfinite(known.value) else 0.0
-    if result.x is not None and result.value < known.value - 2.0 * room:
+    allowed = ACCURACY * max(1.0, abs(known.value)) if math.isfinite(known.value) else 0.0
+    if result.x is not None and result.value < known.value - 2.0 * allowed:
         said.append(f"value {result.value} below {known.value}")
-    if result.is_solved and known.status is Status.SOLVED and result.value > known.value + 2.0 * room:
+    if result.is_solved and known.status is Status.SOLVED and result.value > known.value + 2.0 * allowed:
         said.append(f"value {result.value} above {known.value}")
     if math.isfinite(result.lower_bound) and known.exact is not None and Fraction(result.lower_bound) > known.exact:
         if result.lower_bound - float(known.exact) > 1e-9 * max(1.0, abs(known.value)):
             said.append(f"bound {result.lower_bound} above {float(known.exact)}")
-    elif result.lower_bound > known.value + room:
+    elif result.lower_bound > known.value + allowed:
         said.append(f"bound {result.lower_bound} above {known.value}")
     if result.x is not None and not is_solution(result.problem, result.x):
         said.append("x is no solution")
@@ -361,7 +361,7 @@ def main() -> int:
         result = minimize_over_solutions(problem, max_seconds=60.0, prove=not asked.believe)
         seconds += time.process_time() - begin
         said = complaints(result, known) + ([] if asked.believe else undetected(result))
-        is_open = not (result.is_solved or result.is_refuted)
+        is_open = not (result.is_solved or result.has_no_solution)
         kinds[f"{known.status}: {result.status}"] += 1
         wrong, opened, exact = wrong + bool(said), opened + is_open, exact + (known.exact is not None)
         pieces, nodes = pieces + known.pieces, nodes + result.nodes

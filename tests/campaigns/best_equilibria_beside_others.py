@@ -43,7 +43,7 @@ from best_equilibria import Pieces
 from macmpec import COLLECTION
 
 SECONDS = 5.0
-ROOM = 2e-6  # of max(1, |value|): values that agree; what followers lose, and what a row or a pair misses
+ALLOWED = 2e-6  # of max(1, |value|): values that agree; what followers lose, and what a row or a pair misses
 BIG = 1e4
 MOST_PAIRS, MOST_PIECES = 14, 5000  # that are enumerated
 PUBLISHED = (
@@ -299,8 +299,8 @@ def is_point(case: Case, x: np.ndarray) -> bool:
     """Whether followers' own program, or the rows and pairs of a published model, agree."""
     if case.leader is not None:
         whole = x[case.stated.integers]
-        return case.leader.missed(x) <= ROOM and bool((np.abs(whole - np.rint(whole)) <= ROOM).all())
-    return case.stated.excess(x) <= ROOM * (1.0 + np.abs(x).max())
+        return case.leader.missed(x) <= ALLOWED and bool((np.abs(whole - np.rint(whole)) <= ALLOWED).all())
+    return case.stated.excess(x) <= ALLOWED * (1.0 + np.abs(x).max())
 
 
 def least_of_pieces(problem: EquilibriumProgram) -> float | None:
@@ -348,15 +348,15 @@ def wrongs(case: Case, found: dict[str, Answer], truth: float | None) -> list[st
     if mine.x is not None and not is_point(case, mine.x):
         said.append("no equilibrium")
     value = math.inf if mine.x is None else case.stated.objective(mine.x)
-    room = 2.0 * ROOM * max(1.0, *(abs(one) for one in known.values() if np.isfinite(one))) if known else 0.0
+    allowed = 2.0 * ALLOWED * max(1.0, *(abs(one) for one in known.values() if np.isfinite(one))) if known else 0.0
     for name, one in known.items():
-        if mine.bound > one + room:
+        if mine.bound > one + allowed:
             said.append(f"bound {mine.bound:.9g} above {name}'s {one:.9g}")
-        if mine.is_done and value > one + room:
+        if mine.is_done and value > one + allowed:
             said.append(f"value above {name}'s {one:.9g}")
-        if value > one + room and not mine.is_done:
+        if value > one + allowed and not mine.is_done:
             said.append(f"(open, {name} better: {one:.9g})")
-    if truth is not None and value < truth - room:
+    if truth is not None and value < truth - allowed:
         said.append(f"value below all pieces' {truth:.9g}")
     return said
 

@@ -162,7 +162,7 @@ def from_pyomo(problem: EquilibriumProgram) -> Said:
 def from_ampl(problem: EquilibriumProgram) -> Said:
     """Return what the executable writes: no bound, and a value at its x."""
     from lcp_plugin.commands.ampl import main
-    from lcp_plugin.doors.nl import read_nl, read_sol
+    from lcp_plugin.interfaces.nl import read_nl, read_sol
 
     with tempfile.TemporaryDirectory() as folder:
         stub = Path(folder) / "m"
@@ -172,7 +172,7 @@ def from_ampl(problem: EquilibriumProgram) -> Said:
     codes = {0: Status.SOLVED, 200: Status.NO_SOLUTION, 300: Status.UNBOUNDED}
     values = None
     if found.values is not None:
-        from lcp_plugin.doors.nl.checks import evaluated
+        from lcp_plugin.interfaces.nl.checks import evaluated
 
         values = float(evaluated(model.content, np.asarray(found.values))[1][0])
     return Said(codes.get(found.code, Status.STALLED), values, None)
@@ -194,15 +194,15 @@ def ways_of(problem: EquilibriumProgram) -> list[str]:
 
 def complaints(said: Said, status: Status, value: float) -> list[str]:
     """Return what the truth says against an answer."""
-    found, room = [], ACCURACY * max(1.0, abs(value)) if math.isfinite(value) else 0.0
+    found, allowed = [], ACCURACY * max(1.0, abs(value)) if math.isfinite(value) else 0.0
     agrees = {Status.NO_SOLUTION: EXCLUDED, Status.UNBOUNDED: FALLS}.get(status, (status,))
     if said.status in (Status.SOLVED, *EXCLUDED, *FALLS) and said.status not in agrees:
         found.append(f"says {said.status.name}, is {status.name}")
-    if said.value is not None and said.value < value - 2.0 * room:
+    if said.value is not None and said.value < value - 2.0 * allowed:
         found.append(f"value {said.value} below {value}")
-    if said.status is Status.SOLVED and said.value is not None and said.value > value + 2.0 * room:
+    if said.status is Status.SOLVED and said.value is not None and said.value > value + 2.0 * allowed:
         found.append(f"value {said.value} above {value}")
-    if said.bound is not None and said.bound > value + 2.0 * room:
+    if said.bound is not None and said.bound > value + 2.0 * allowed:
         found.append(f"bound {said.bound} above {value}")
     return found
 

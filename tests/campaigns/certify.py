@@ -2,12 +2,12 @@
 
 Run as ``python tests/campaigns/certify.py --cases 1000 --seed 0``. Data are multiples of 1/8, x* and multipliers come
 first, so that the optimal value is a fraction; every bound is compared with it in fractions, without any allowance.
-Exit code 1 where a bound is violated, a right answer refuted or a wrong one proved.
+Exit code 1 where a bound is violated, a right answer disproved or a wrong one proved.
 
-Of 3040 programs (seeds 901 to 904, 760 each) nothing false was said: no bound was violated, no right answer refuted;
-all 9120 right answers were proved, 98 % of those off by 1e-2 refuted, none of 2798 with a multiplier's sign turned and
-none of 3040 false "infeasible" proved; the gap was the true one in the median. Of 3040 off by 1e-4, 49 were proved, all
-of them optimal to the tolerance: along flat directions of programs that are not definite.
+Of 3040 programs (seeds 901 to 904, 760 each) nothing false was said: no bound was violated, no right answer disproved;
+all 9120 right answers were proved, 98 % of those off by 1e-2 disproved, none of 2798 with a multiplier's sign turned
+and none of 3040 false "infeasible" proved; the gap was the true one in the median. Of 3040 off by 1e-4, 49 were proved,
+all of them optimal to the tolerance: along flat directions of programs that are not definite.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lcp_plugin import Certification, QuadraticProgram, certify
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")
-TOLERANCE, LOOSE = 1e-6, 10  # x is refuted where it is farther than LOOSE · TOLERANCE max(1, ‖x‖∞) from all optima
+TOLERANCE, LOOSE = 1e-6, 10  # x is disproved where it is farther than LOOSE · TOLERANCE max(1, ‖x‖∞) from all optima
 ROUNDING = 1e-13  # gaps below that, beside 1 + |f|, are nobody's to be sharp about
 
 
@@ -112,9 +112,9 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
     is_optimal = missed <= tolerance and abs(value - given.value) <= tolerance * size
     far = LOOSE * tolerance * max(1, Fraction(float(np.abs(x).max(initial=0.0))))
     off = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)), default=0)
-    is_near = off <= far or (missed <= 0 and value == given.value)  # "farther from every optimal one" is refuted
-    if said.verdict == "refuted" and is_optimal and is_near:
-        found.append("wrong refutation")
+    is_near = off <= far or (missed <= 0 and value == given.value)  # "farther from every optimal one" is disproved
+    if said.verdict == "disproved" and is_optimal and is_near:
+        found.append("wrong disproof")
     if said.verdict == "proved" and not is_optimal:
         found.append("wrong proof")
     return found
@@ -200,7 +200,7 @@ def main() -> int:
         counts["infeasible, falsely", said.verdict] += 1
         false.update(["proved: infeasible"] if said.verdict == "proved" else [])
     for name in dict.fromkeys(name for name, _ in counts):
-        row = {verdict: counts[name, verdict] for verdict in ("proved", "unproved", "refuted")}
+        row = {verdict: counts[name, verdict] for verdict in ("proved", "unproved", "disproved")}
         print(f"{name:<45} " + "  ".join(f"{verdict} {count}" for verdict, count in row.items()))
     print(f"gap ÷ true gap: median {np.median(ratios):.3g}, 95 % {np.quantile(ratios, 0.95):.3g}, of {len(ratios)}")
     print(f"false: {dict(false) or 'nothing'}; {arguments.cases} programs, {time.perf_counter() - began:.0f} s")

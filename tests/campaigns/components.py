@@ -7,7 +7,7 @@ both measures, recorded, called back, in batches, marches, from files and throug
 
 - SOLVED: every component is within the tolerance of its own reference (euclidean: all of it is, absolutely); the
   residuals of certificates are no smaller than the exact ones, and the worst component is named;
-- refuted: the proof verifies, and no planted answer is within the tolerance;
+- infeasible: the proof verifies, and no planted answer is within the tolerance;
 - PRECISION_LIMIT: every row is at its rounding floor, or what contradicts is rounding of the largest number in q;
 - error bounds hold in every component; derivatives are those of the single components;
 - batches have the bits of single solves, two calls the same bits, and nobody's data are modified;
@@ -46,7 +46,7 @@ from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 Generator = np.random.Generator
 Vector = np.ndarray
 TOLERANCE = 1e-8
-REFUTED = (Status.INFEASIBLE, Status.NO_SOLUTION)
+PROVED = (Status.INFEASIBLE, Status.NO_SOLUTION)
 MOST_STEPS = 3000  # of a named method
 ALL_METHODS_EVERY, GRIDS_EVERY = 20, 250
 UNSOLVED = 0.005
@@ -290,8 +290,8 @@ def complaints(case: Case, result: Any) -> Iterator[str]:
         yield from misnamed(case, z, certificate, residual)
     elif status is Status.SOLVED:
         yield "SOLVED without numbers"
-    if status in REFUTED:
-        yield from refuted(case, result)
+    if status in PROVED:
+        yield from infeasible(case, result)
     if status is Status.PRECISION_LIMIT:
         is_rounding = result.infeasibility is not None and result.infeasibility.is_rounding
         if not is_rounding and not case.data.is_at_rounding_level(z):
@@ -309,7 +309,7 @@ def misnamed(case: Case, z: Any, certificate: Any, residual: Any) -> Iterator[st
         yield f"the worst component is not that of row {worst}"
 
 
-def refuted(case: Case, result: Any) -> Iterator[str]:
+def infeasible(case: Case, result: Any) -> Iterator[str]:
     proof = result.infeasibility
     if not (proof.verify() and proof.margin > TOLERANCE):
         yield f"{result.status.name} without a proof that counts"
@@ -432,11 +432,11 @@ def marched(case: Case, rng: Generator) -> list[str]:
     """A march: the bits of single steps."""
     problem = case.problem
     forcing = np.stack([problem.q, problem.q * 2.0, problem.q])
-    carry = -1.0 if rng.random() < 0.5 else 0.0
+    propagator = -1.0 if rng.random() < 0.5 else 0.0
     state = problem.nearest_to_zero
     bad: list[str] = []
-    for k, step in enumerate(march(problem, forcing, carry)):
-        one = problem.with_q(forcing[k] + sp.csr_array(sp.diags_array(np.full(problem.n, carry))) @ state)
+    for k, step in enumerate(march(problem, forcing, propagator)):
+        one = problem.with_q(forcing[k] + sp.csr_array(sp.diags_array(np.full(problem.n, propagator))) @ state)
         bad += differences(f"march {k}", solve(one, z0=state), step)
         bad += [f"march {k}: false SOLVED"] * (step.is_solved and ExactData(one).is_lie(step.z.tolist(), TOLERANCE))
         state = step.z

@@ -79,7 +79,7 @@ def main() -> int:
         result = solve(problem)
         look(f"{name}, {contacts} contacts of {bodies}", problem, result)
         if result.is_solved and case % 5 == 0:
-            inner = solve(problem, "interior_point", tolerance=1e-10, refute=False)
+            inner = solve(problem, "interior_point", tolerance=1e-10, prove_infeasibility=False)
             if inner.is_solved:
                 scale = np.abs(origin.velocities).max()
                 is_alike = np.abs(velocities(origin, result) - velocities(origin, inner)).max() <= ALIKE * scale

@@ -7,7 +7,7 @@ by ``solve(lcp_from_qp(program))`` with ``recover``. Counted are
 
 - unsolved: not called optimal, of those that have a minimum; of the others, neither proved nor left "unknown";
 - wrong: called optimal where the objective is off by more than 1e-6 · (1 + |value|), where the conditions, measured
-  here, fail, or where there is no minimum; or refuted where there is one;
+  here, fail, or where there is no minimum; or disproved where there is one;
 - at odds: SOLVED as a complementarity problem and yet not optimal as a program, or the other way round.
 
 Exit code 1 where anything is wrong, or more than 0.1 % of those with a minimum are unsolved.

@@ -36,7 +36,7 @@ RNG = np.random.Generator
 
 
 def planted(rng: RNG, M: Any, *, degenerate: float = 0.2, bounds: bool = True) -> LCP:
-    """The problem of M that has a random answer; some rows have neither room nor slack."""
+    """The problem of M that has a random answer; some rows have neither distance nor slack."""
     n = M.shape[0]
     kind = rng.choice(["zero", "box", "free"], n, p=[0.7, 0.2, 0.1] if bounds else [1.0, 0.0, 0.0])
     z, at = np.abs(rng.standard_normal(n)), rng.random(n)
@@ -273,7 +273,7 @@ class Campaign:
         result = solve(problem)
         self.count(f"{build.__name__}: {result.status.name}", result.seconds, name)
         self.solvable += 1
-        if result.is_refuted:
+        if result.has_no_solution:
             self.complain(f"WRONG {name}: {result.status.name} although a solution was planted")
         elif not result.is_solved:
             self.left_open(name, result.status.name, result.seconds, lambda by, limit: _is_solved(problem, by, limit))

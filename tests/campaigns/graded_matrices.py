@@ -195,14 +195,14 @@ KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
 def exact_arithmetic(is_allowed: bool) -> Iterator[None]:
     """Take the exact arithmetic for small matrices away where it is not allowed, as if they were larger."""
     limits = ((h_matrix, "EXACT_SIZE"), (verdicts, "EXACT_SIZE"), (p_matrix, "LARGEST_WORK"))
-    before = [getattr(room, name) for room, name in limits]
-    for room, name in () if is_allowed else limits:
-        setattr(room, name, 0)
+    before = [getattr(module, name) for module, name in limits]
+    for module, name in () if is_allowed else limits:
+        setattr(module, name, 0)
     try:
         yield
     finally:
-        for (room, name), value in zip(limits, before, strict=True):
-            setattr(room, name, value)
+        for (module, name), value in zip(limits, before, strict=True):
+            setattr(module, name, value)
 
 
 def wrong_verdicts(rng: np.random.Generator, kind: str, M: np.ndarray, counts: Counter[tuple[str, str]]) -> list[str]:

@@ -4,10 +4,10 @@ Run ``python tests/campaigns/infeasible_by_margin.py --cases 10000 --seed 0``; e
 margin is planted: a Farkas vector y and a z̄ that attains its contradiction; fractions written here and used nowhere
 else bound the smallest residual of any z from below (by y) and from above (by z̄). Claimed, at the default tolerance:
 
-- a margin of ten times the tolerance or more, and of rounding of q, is refuted in 99 % by auto, with a proof that
+- a margin of ten times the tolerance or more, and of rounding of q, is proved in 99 % by auto, with a proof that
   verifies;
-- a margin below the tolerance is never refuted, by any method;
-- no problem is SOLVED by one run and refuted by another;
+- a margin below the tolerance is never infeasible, by any method;
+- no problem is SOLVED by one run and infeasible by another;
 - no proof claims a larger margin than z̄ has, or than the z that any method ends with;
 - a program with a margin of a hundredth of the tolerance or less is solved in 99 %.
 
@@ -42,7 +42,7 @@ from lcp_plugin.problems.programs.solving import solve_program
 
 TOLERANCE = 1e-8  # of a run
 CONSTRAINTS = 1e-7  # of a program that is called optimal
-REFUTED = (Status.INFEASIBLE, Status.NO_SOLUTION)
+PROVED = (Status.INFEASIBLE, Status.NO_SOLUTION)
 DIRECT = ("newton", "interior_point", "lemke")
 ALL_METHODS_EVERY = 10  # the others: auto in both measures, and a direct method in one
 MOST_STEPS = 300  # of a named method
@@ -294,9 +294,9 @@ def violations(case: Planted, number: int) -> tuple[list[str], Status]:
             told = result.status
         proof = result.infeasibility
         is_bounded = result.status is Status.INFEASIBLE or not case.is_linear  # z̄ meets the linear constraints only
-        if result.status in REFUTED and is_bounded and margin.high <= TOLERANCE:
+        if result.status in PROVED and is_bounded and margin.high <= TOLERANCE:
             bad.append(f"{name}: {result.status.name} at a margin of {margin.high:.3e}")
-        if result.status in REFUTED and not (proof.verify() and proof.margin > TOLERANCE):
+        if result.status in PROVED and not (proof.verify() and proof.margin > TOLERANCE):
             bad.append(f"{name}: {result.status.name} without a proof that counts")
         if proof is not None and is_bounded and proof.margin > margin.high * (1.0 + 1e-12):
             bad.append(f"{name}: margin {proof.margin:.3e} claimed of {margin.high:.3e}")
@@ -304,7 +304,7 @@ def violations(case: Planted, number: int) -> tuple[list[str], Status]:
         claimed = max(claimed, 0.0 if proof is None else proof.margin)
     if claimed > max(TOLERANCE, reached * (1.0 + 1e-6)):
         bad.append(f"a residual of {reached:.3e} where {claimed:.3e} is claimed to be the least")
-    bad += ["SOLVED and refuted"] * (Status.SOLVED in seen and bool(seen & set(REFUTED)))
+    bad += ["SOLVED and infeasible"] * (Status.SOLVED in seen and bool(seen & set(PROVED)))
     return bad, told
 
 
@@ -318,7 +318,7 @@ def program_violations(case: PlantedProgram) -> tuple[list[str], str]:
         statuses.add(solution.status)
         if solution.status == "infeasible" and not solution.proof.verify():
             bad.append(f"{form}: infeasible without a proof")
-        if result.status in REFUTED and case.margin.high <= CONSTRAINTS and solution.status != "unbounded":
+        if result.status in PROVED and case.margin.high <= CONSTRAINTS and solution.status != "unbounded":
             bad.append(f"{form}: the problem {result.status.name} at a margin of {case.margin.high:.3e}")
     result = solve_program(case.program)
     solution = result.solution
@@ -381,7 +381,7 @@ def table(counts: Counter[tuple[str, str, str]]) -> int:
         total = told.total()
         print(f"{kind:<18}{where:<22}{total:>6}  {', '.join(f'{name} {count}' for name, count in told.most_common())}")
     for kind in sorted({key[0] for key in counts}):
-        wanted = {"≥ refuted": ("INFEASIBLE", "NO_SOLUTION", "infeasible")}
+        wanted = {"≥ proved": ("INFEASIBLE", "NO_SOLUTION", "infeasible")}
         if kind == "program":
             wanted["≤ tolerance/100 solved"] = ("optimal",)
         for what, names in wanted.items():

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 from random_nl import difference, mutilated, random_content
 
 from lcp_plugin.core.errors import UnreadableFile
-from lcp_plugin.doors.nl import read_content, write_nl
+from lcp_plugin.interfaces.nl import read_content, write_nl
 
 FORMS: tuple[dict[str, Any], ...] = ({}, {"binary": True}, {"binary": True, "big_endian": True})
 PLACE = re.compile(r"(line \d+ \(.*\)|byte \d+): ", re.S)

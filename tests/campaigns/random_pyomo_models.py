@@ -37,11 +37,11 @@ from pyomo.core.expr.relational_expr import RelationalExpression
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
 import lcp_plugin.pyomo  # noqa: F401 - it registers the solver
-from lcp_plugin.doors.nl import read_nl
-from lcp_plugin.doors.nl.content import NLContent
-from lcp_plugin.doors.nl.expressions import UNKNOWNS, Expressions
-from lcp_plugin.doors.pyomo.model import Statement, stated
-from lcp_plugin.doors.pyomo.pairs import Pair
+from lcp_plugin.interfaces.nl import read_nl
+from lcp_plugin.interfaces.nl.content import NLContent
+from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions
+from lcp_plugin.interfaces.pyomo.model import Statement, stated
+from lcp_plugin.interfaces.pyomo.pairs import Pair
 from lcp_plugin.modeling.expressions.program import Program
 
 SAME = 1e-12  # of the terms of a row
@@ -132,9 +132,9 @@ def state(
     slack = float(rng.random() * (rng.random() < 0.8))
     w = -place * slack
     row = row - (there - w)  # its value at x*
-    room = float(rng.random()) + 0.1
-    lower = spot if place < 0 else spot - room
-    upper = spot if place > 0 else spot + room
+    distance = float(rng.random()) + 0.1
+    lower = spot if place < 0 else spot - distance
+    upper = spot if place > 0 else spot + distance
     if kind == "none":
         form = row == 0 if rng.random() < 0.5 else variable * 0.5 == 0.5 * variable - row
         if rng.random() < 0.3:

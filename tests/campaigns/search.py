@@ -176,14 +176,14 @@ def violations(M, q, lower, upper):
         listed = [s.pattern for s in every.solutions]
         bad += [f"{p} is not covered" for p in patterns if not any(truth.lies_in(p, other) for other in listed)]
         bad += [f"{p} lies in {o}" for p in listed for o in listed if p != o and truth.lies_in(p, o)]
-    refuted, is_feasible = find_infeasibility(problem), truth.is_linearly_feasible()
-    if refuted is not None and (is_feasible or not refuted.verify()):
+    proof, is_feasible = find_infeasibility(problem), truth.is_linearly_feasible()
+    if proof is not None and (is_feasible or not proof.verify()):
         bad.append("false INFEASIBLE")
     chain = find_forced_contradiction(problem)
     if chain is not None and (patterns or not chain.verify()):
         bad.append("false chain of forced bounds")
     verdict = "solvable" if patterns else "unsolvable" if is_feasible else "infeasible"
-    return bad, verdict, "not refuted" if refuted is None else "refuted", chain is not None
+    return bad, verdict, "not infeasible" if proof is None else "infeasible", chain is not None
 
 
 def wrong_with(truth: Enumeration, s: Solution, is_listed: bool) -> list[str]:

@@ -27,7 +27,7 @@ from lcp_plugin import LCP, Result, Status, solve
 from lcp_plugin.core.errors import ConvergenceWarning
 
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
-REFUTED = (Status.INFEASIBLE, Status.NO_SOLUTION)
+INFEASIBLE = (Status.INFEASIBLE, Status.NO_SOLUTION)
 TOLERANCE = 1e-8
 SECONDS = 20.0
 
@@ -40,8 +40,8 @@ def long_road(drawn: LCP, algorithm: str) -> Result:
 
 
 def verdict(result: Result) -> str:
-    """Return solved, refuted or open."""
-    return "solved" if result.status in SOLVED else "refuted" if result.status in REFUTED else "open"
+    """Return solved, infeasible or open."""
+    return "solved" if result.status in SOLVED else "infeasible" if result.status in INFEASIBLE else "open"
 
 
 def judge(arguments: tuple[int, int, int, int]) -> list[tuple[str, str, str]]:
@@ -61,9 +61,9 @@ def judge(arguments: tuple[int, int, int, int]) -> list[tuple[str, str, str]]:
         if k % long_every == 0:
             long = long_road(LCP(drawn.M, drawn.q, lower=drawn.lower, upper=drawn.upper), algorithm)
             pair = verdict(short), verdict(long)
-            if "solved" in pair and "refuted" in pair:
+            if "solved" in pair and "infeasible" in pair:
                 found.append((family, "CONTRADICTION", where))
-            elif pair == ("open", "solved") or pair == ("open", "refuted"):
+            elif pair == ("open", "solved") or pair == ("open", "infeasible"):
                 found.append((family, f"ONLY THE LONG ROAD: {pair[1]}", where))
             else:
                 found.append((family, f"{algorithm} both: {pair[0]}, long {pair[1]}", ""))

@@ -17,9 +17,9 @@ def false_claim(problem: Any, truth: str, result: Any, tolerance: float) -> str:
         return "lie: the exact residual is above the tolerance"
     if status == "SOLVED" and truth != SOLVABLE:
         return "false SOLVED"
-    data, is_refuted = ExactData(problem), result.infeasibility is not None
+    data, has_no_solution = ExactData(problem), result.infeasibility is not None
     if status == "PRECISION_LIMIT" and not (
-        data.is_at_rounding_level(result.z) or (is_refuted and data.misses_by_rounding_of_q(result.z))
+        data.is_at_rounding_level(result.z) or (has_no_solution and data.misses_by_rounding_of_q(result.z))
     ):
         return "PRECISION_LIMIT, but rounding does not explain the residual"
     if status == "INFEASIBLE" and truth != INFEASIBLE:

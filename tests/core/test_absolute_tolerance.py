@@ -73,7 +73,7 @@ def test_batches_marches_and_nonlinear_problems_take_it() -> None:
     M, q = AT_REST
     batch = solve_batch([M, [[2.0, 0.0], [0.0, 2.0]]], [q, [-1.0, 1.0]], absolute_tolerance=1e-15)
     assert batch.all_solved
-    steps = march(LCP(M, q), [q, q], carry=0.0, absolute_tolerance=1e-15)
+    steps = march(LCP(M, q), [q, q], propagator=0.0, absolute_tolerance=1e-15)
     assert len(steps) == 2
     assert steps.all_solved
 
@@ -115,10 +115,10 @@ def test_large_sparse_problems_stop_at_it() -> None:
 def test_what_doubles_exclude_beside_the_data_may_be_small_enough() -> None:
     """Without a search for proofs, too: no case has a small relative residual, and yet there is a z at rest."""
     M, q = AT_REST
-    result = solve(LCP(M, q), absolute_tolerance=1e-15, refute=False)
+    result = solve(LCP(M, q), absolute_tolerance=1e-15, prove_infeasibility=False)
     assert result.is_solved
-    assert solve_batch([M] * 3, [q] * 3, absolute_tolerance=1e-15, refute=False).all_solved
-    assert not solve_batch([M] * 3, [q] * 3, refute=False).all_solved
+    assert solve_batch([M] * 3, [q] * 3, absolute_tolerance=1e-15, prove_infeasibility=False).all_solved
+    assert not solve_batch([M] * 3, [q] * 3, prove_infeasibility=False).all_solved
 
 
 def test_a_part_at_rest_does_not_hide_another() -> None:

@@ -105,7 +105,7 @@ FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
 )
 def test_the_call_that_is_advised_solves_the_problem(problem: LCP, failed: dict[str, Any], named: list[str]) -> None:
     """What names an algorithm or a scaling is no call that ran, and each solves the problem that received it."""
-    algorithm_class(failed.get("algorithm", "psor"))  # said to be missing where its room is
+    algorithm_class(failed.get("algorithm", "psor"))  # said to be missing where its module is
     advice = advice_of(lambda: solve(problem, **failed))
     calls = calls_in(advice)
     assert sorted(value if name == "algorithm" else name for call in calls for name, value in call.items()) == named
@@ -205,16 +205,16 @@ def test_boundary_values_written_as_rows_are_told_how_to_be_no_kinks(form: Any) 
     M[[0, -1]] = np.eye(n)[[0, -1]]
     lower, forcing = np.full(n, 0.2), np.full((4, n), -0.1)
     lower[[0, -1]], forcing[:, [0, -1]] = 1.0, -1.0
-    carry = -np.diag([0.0, *np.ones(n - 2), 0.0])
+    propagator = -np.diag([0.0, *np.ones(n - 2), 0.0])
     problem = LCP(form(M), forcing[0], lower=lower)
-    run, result = march(problem, forcing, carry), solve(problem)
+    run, result = march(problem, forcing, propagator), solve(problem)
     for said in (run.explain(), result.explain()):
         assert said.count("M has nothing but a diagonal entry in rows 0 and 8, where") == 1
         assert "leave its bounds out (lower = -inf, upper = inf)" in said
     assert len(derivative(run).degenerate) == 8
     lower[[0, -1]] = -np.inf
     free = LCP(form(M), forcing[0], lower=lower)
-    without, answer = march(free, forcing, carry), solve(free)
+    without, answer = march(free, forcing, propagator), solve(free)
     np.testing.assert_allclose(np.array(without.z), np.array(run.z), atol=1e-12)
     assert not len(derivative(without).degenerate)
     assert not derivative(answer).degenerate.size
@@ -309,7 +309,7 @@ def test_a_stage_is_told_in_words(name: str) -> None:
     assert "1 iterations" not in call().explain()
 
 
-def test_a_refuted_program_tells_the_run_that_refuted_it() -> None:
+def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
     """explain() of a small infeasible program makes no second run, whose stages would contradict what it says."""
     result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
     assert result.status is Status.INFEASIBLE
@@ -346,7 +346,7 @@ def test_lemke_uses_a_start_near_the_solution() -> None:
     """From a z0 with a small residual lemke needs a fraction of its pivots, and says nothing."""
     problem = gallery.obstacle_2d(size=20).problem
     answer = solve(problem, "lemke").z
-    assert not solve(problem, "lemke", max_pivots=30, refute=False).is_solved
+    assert not solve(problem, "lemke", max_pivots=30, prove_infeasibility=False).is_solved
     begun = solve(problem, "lemke", z0=answer * (1.0 + 1e-4), max_pivots=30)
     assert begun.is_solved
     assert "z0 was not used" not in begun.explain()
@@ -452,10 +452,10 @@ def test_every_named_algorithm_exists() -> None:
 
 def test_words_lead_where_they_say() -> None:
     """INFEASIBLE names the proof that README names; a proof is told by its repr; a bound is advised once."""
-    refuted = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0]))
-    assert "result.proof proves it" in refuted.advice
-    assert refuted.proof.verify()
-    assert "row 0 contradicts its bounds" in repr(refuted.proof)
+    infeasible = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0]))
+    assert "result.proof proves it" in infeasible.advice
+    assert infeasible.proof.verify()
+    assert "row 0 contradicts its bounds" in repr(infeasible.proof)
     stiff = LCP(np.diag([1.0, 1e12]) + np.array([[0.0, -1.0], [-3.0, 0.0]]), [-1.0, -1.0])
     for asked in (False, True):
         said = solve(stiff, error_bound=asked).explain()

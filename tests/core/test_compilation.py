@@ -256,7 +256,7 @@ def solutions() -> list[bytes]:
         found.append(bounded_least_squares(A, b, upper=0.3 + k, ridge=0.1 * (k % 2)).x)
         found.append(solve(LCP(A.T @ A + np.eye(5), A.T @ b), "interior_point").z)
         programs = QuadraticProgramBatch(np.diag([1.0] * k + [0.0] * (5 - k)), b[:5], A[:, :5], b + 1.0, lower=-1.0)
-        answers = solve_batch(programs, refute=False)
+        answers = solve_batch(programs, prove_infeasibility=False)
         found += [answers.x, answers.inequality, answers.lower, answers.residual]
     return [array.tobytes() for array in found]
 

@@ -144,8 +144,8 @@ def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name: str) 
     assert not is_lie(problem, result.z)
 
 
-def test_refuted_is_refuted_whatever_stands_beside() -> None:
-    """A component without solution refutes the whole, with a proof in the caller's units."""
+def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
+    """A component without solution leaves the whole without one, with a proof in the caller's units."""
     problem = LCP(np.diag([1.0, -1.0, 2.0]), [-1e6, -1e3, -1.0])
     result = solve(problem)
     assert result.status is Status.INFEASIBLE

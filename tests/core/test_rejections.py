@@ -437,7 +437,7 @@ def test_splitting_must_be_a_matrix_like_M(splitting: Any, pattern: str) -> None
 def test_integer_beyond_every_double_is_refused(option: str) -> None:
     """An integer that no double can hold is out of range like infinity, for every algorithm with that option."""
     if option == "omega":
-        algorithm_class("mgs")  # said to be missing where its room is
+        algorithm_class("mgs")  # said to be missing where its module is
     names = [name for name, options in OPTIONS.items() if option in options]
     assert names
     for name in names:

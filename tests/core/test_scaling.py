@@ -220,7 +220,7 @@ WRONG = np.array([1511.71259, 0.0, 0.0, 1e-4, 423442.392])
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke", "interior_point"])
-def test_no_door_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
+def test_nothing_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
     """solve, watched or not, and solve_batch: a row missed its sign by 0.8 where its terms are 5."""
     problem = LCP(M, Q, **BOUNDS)
     results = [solve(problem, algorithm), solve(problem, algorithm, callback=lambda sample, z: False),
@@ -304,7 +304,7 @@ def test_a_march_judges_each_step_in_these_units() -> None:
     forcing = np.random.default_rng(0).standard_normal((4, n))
     D, inverse = sp.diags_array(units), sp.diags_array(1.0 / units)
     plain = march(LCP(M, np.zeros(n)), forcing)
-    scaled = march(LCP(sp.csr_array(M @ inverse), np.zeros(n)), forcing, carry=-sp.csr_array(inverse))
+    scaled = march(LCP(sp.csr_array(M @ inverse), np.zeros(n)), forcing, propagator=-sp.csr_array(inverse))
     assert plain.all_solved
     assert scaled.all_solved
     for one, other in zip(plain.z, scaled.z, strict=True):

@@ -174,7 +174,7 @@ def test_out_replaces_an_older_answer_and_nothing_else(tmp_path: Path) -> None:
     assert "it is a file" in end.stderr
 
 
-def test_front_door_solves_rows_on_ranks() -> None:
+def test_solve_takes_rows_on_ranks() -> None:
     """lcp_plugin.solve takes an LCP with its rows on ranks and gives every rank its own part."""
     code = """
 from mpi4py import MPI

@@ -1,4 +1,4 @@
-"""The collection: what its entries claim is true, and auto solves, refutes or certifies every one of them."""
+"""The collection: what its entries claim is true, and auto solves, proves infeasible or certifies every one of them."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def places(package: Path) -> dict[str, list[str]]:
             for job, names in NAMED.items():
                 if name.rpartition(".")[2] in names and re.search(FOLDERS.get(job, ""), where):
                     found[job].append(f"{where}: {name}")
-            if isinstance(node, ast.FunctionDef) and not where.startswith(("doors/", "modeling/")):  # others' data
+            if isinstance(node, ast.FunctionDef) and not where.startswith(("interfaces/", "modeling/")):  # others' data
                 for job, is_one in READ.items():
                     if is_one(node):
                         found[job].append(f"{where}: {name}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from fresh_process import printed_by
-from picture import ARROWS, DRAWN, FOLDERS, LINES, above, explained, room_of
+from picture import ARROWS, DRAWN, FOLDERS, LINES, above, explained, subpackage_of
 
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
@@ -19,7 +19,7 @@ HEAVY = (
     "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
     "qpsolvers", "quantecon", "cvxpylayers",
 )
-FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "doors")  # which hold nothing but a docstring
+FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "interfaces")  # which hold nothing but a docstring
 LEADS_ON = {  # imports inside a function that lead to what lies above: from which file, to what, why
     "core.lcp": (
         {"contact", "files", "modeling", "programs", "ranks", "reformulations"},
@@ -29,11 +29,12 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     "core.solving.result": ({"proofs"}, "explain() says what may mislead, guarantee what is proved"),
     "core.solving.answer": ({"evidence"}, "plot() of every answer"),
     "problems.many.answers": ({"evidence"}, "plot() of many answers"),
+    "problems.cones.data": ({"files"}, "save() of a problem over cones"),
     "problems.programs.certification": ({"modeling"}, "certify takes a cvxpy problem as well"),
     "problems.equilibria.branch_and_bound": ({"scip"}, "SCIP is asked where it is installed, in expressions"),
     "proofs.guarantees": ({"auto", "direct"}, "convergence_guarantee takes what solve takes, a name or auto"),
-    "doors.files.files": ({"nl"}, "LCP.load and save take an .nl file as well"),
-    "doors.nl.writing": ({"pyomo"}, "write_nl takes a Pyomo model as well"),
+    "interfaces.files.files": ({"nl"}, "LCP.load and save take an .nl file as well"),
+    "interfaces.nl.writing": ({"pyomo"}, "write_nl takes a Pyomo model as well"),
 }
 
 
@@ -42,7 +43,7 @@ def module_of(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-FILES = sorted(file for file in PACKAGE.rglob("*.py") if room_of(file) not in (*FOLDERS_ALONE, "__init__"))
+FILES = sorted(file for file in PACKAGE.rglob("*.py") if subpackage_of(file) not in (*FOLDERS_ALONE, "__init__"))
 MODULES = {module_of(file): file for file in FILES}
 
 
@@ -76,7 +77,7 @@ INSIDE = {module: imported_modules(file)[1] for module, file in MODULES.items()}
 LED = {
     module: {
         target for target in targets
-        if room_of(MODULES[target]) in LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
+        if subpackage_of(MODULES[target]) in LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
     }
     for module, targets in INSIDE.items()
 }
@@ -94,26 +95,30 @@ def assert_has_no_circle(imports: dict[str, set[str]]) -> None:
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
 def test_arrows_stand_in_the_picture(file: Path) -> None:
     """A file imports from its own subpackage, from the core, and from where the arrows lead, in functions too."""
-    room = room_of(file)
-    assert room in ARROWS, f"README's picture and the table below it lack {room}"
+    subpackage = subpackage_of(file)
+    assert subpackage in ARROWS, f"README's picture and the table below it lack {subpackage}"
     for target in IMPORTS[module_of(file)]:
-        assert room_of(MODULES[target]) in {room, "core", *ARROWS[room]}, f"{module_of(file)} → {target}"
+        allowed = {subpackage, "core", *ARROWS[subpackage]}
+        assert subpackage_of(MODULES[target]) in allowed, f"{module_of(file)} → {target}"
 
 
 def test_every_arrow_is_needed() -> None:
     """The picture draws no arrow that no file has."""
-    drawn = {(room, target) for room, targets in ARROWS.items() for target in targets}
-    has = {(room_of(MODULES[one]), room_of(MODULES[other])) for one, targets in IMPORTS.items() for other in targets}
+    drawn = {(subpackage, target) for subpackage, targets in ARROWS.items() for target in targets}
+    has = {
+        (subpackage_of(MODULES[one]), subpackage_of(MODULES[other]))
+        for one, targets in IMPORTS.items() for other in targets
+    }
     assert not drawn - has
 
 
 def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
     """What a function imports from above is listed with its reason, and nothing is listed in vain."""
     led = {
-        module.removeprefix("lcp_plugin."): {room_of(MODULES[target]) for target in targets}
+        module.removeprefix("lcp_plugin."): {subpackage_of(MODULES[target]) for target in targets}
         for module, targets in LED.items() if targets
     }
-    assert led == {module: rooms for module, (rooms, _) in LEADS_ON.items()}
+    assert led == {module: subpackages for module, (subpackages, _) in LEADS_ON.items()}
     assert all(why for _, why in LEADS_ON.values())
 
 
@@ -128,7 +133,7 @@ def test_the_core_imports_no_subpackage() -> None:
     assert not ARROWS["core"]
 
 
-def test_the_front_door_offers_a_file_nothing_but_the_version() -> None:
+def test_the_package_offers_a_file_nothing_but_the_version() -> None:
     """Inside the package nobody imports from the package itself but its version; the rest comes from where it is."""
     asked: set[str] = set()
     for file in FILES:
@@ -146,7 +151,7 @@ def test_the_house_has_few_floors() -> None:
 
 def test_picture_shows_every_subpackage() -> None:
     """The picture names every subpackage once, and nothing else; each lies where its name says."""
-    assert set(ARROWS) == {room_of(file) for file in FILES}
+    assert set(ARROWS) == {subpackage_of(file) for file in FILES}
     assert all(folder.exists() for folder in FOLDERS.values())
     assert above("commands") == set()
 
@@ -215,15 +220,15 @@ def test_star_import_needs_no_hypothesis() -> None:
 
 
 def test_layers_ask_for_their_frameworks() -> None:
-    """The help of ``lcp_plugin.doors.learn`` needs none of them; each layer says in words what to install."""
+    """The help of ``lcp_plugin.interfaces.learn`` needs none of them; each layer says in words what to install."""
     code = (
         "import sys, importlib\nsys.modules['torch'] = sys.modules['jax'] = None\n"
-        "import lcp_plugin.doors.learn\n"
+        "import lcp_plugin.interfaces.learn\n"
         "for name in ('torch', 'jax'):\n"
-        "    try:\n        importlib.import_module(f'lcp_plugin.doors.learn.{name}')\n"
+        "    try:\n        importlib.import_module(f'lcp_plugin.interfaces.learn.{name}')\n"
         "    except ImportError as error:\n        print(error)"
     )
-    needed = "lcp_plugin.doors.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
+    needed = "lcp_plugin.interfaces.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
     assert printed_by(code).splitlines() == [needed.format("torch", "PyTorch"), needed.format("jax", "JAX")]
 
 

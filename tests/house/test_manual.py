@@ -204,13 +204,13 @@ def test_every_example_has_its_picture_its_code_and_what_it_printed(folder: Path
 
 
 def test_a_name_without_a_subject_is_an_error() -> None:
-    """Every room of a public name belongs to a subject, the longest match first; the message says what to do."""
-    assert [subject_of(room) for room in ("api", "problems.sensitivity", "doors")] == [
-        "solve", "differentiate", "doors",
+    """Every subpackage of a public name belongs to a subject, the longest match first; the message says what to do."""
+    assert [subject_of(subpackage) for subpackage in ("api", "problems.sensitivity", "interfaces")] == [
+        "solve", "differentiate", "interfaces",
     ]
-    with pytest.raises(LookupError, match=r"no subject of the manual shows lcp_plugin\.bathroom: add it to SUBJECTS"):
-        subject_of("bathroom")
-    assert list(SUBJECTS) == ["solve", "model", "prove", "batch", "differentiate", "measure", "doors"]
+    with pytest.raises(LookupError, match=r"no subject of the manual shows lcp_plugin\.garden: add it to SUBJECTS"):
+        subject_of("garden")
+    assert list(SUBJECTS) == ["solve", "model", "prove", "batch", "differentiate", "measure", "interfaces"]
 
 
 def test_help_that_is_nowhere_is_an_error() -> None:

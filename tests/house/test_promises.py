@@ -148,7 +148,7 @@ def test_verdicts_are_proved(last: float) -> None:
         assert all(Fraction(d) * Fraction(x) > Fraction(y) for d, x, y in rows)
 
 
-def test_refutations_are_proofs() -> None:
+def test_infeasible_means_proved() -> None:
     """“INFEASIBLE, NO_SOLUTION and UNBOUNDED come with a proof”: it verifies, and what is solved has none."""
     infeasible = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0]))
     nothing = solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [1.0, -1.0], upper=[np.inf, np.inf]))

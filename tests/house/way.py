@@ -1,8 +1,8 @@
 """The way of a second, warm solve, as its calls draw it; ``python tests/house/way.py [--calls]`` prints the table.
 
 - files: those of the package whose functions run, kernels being compiled;
-- moves: pairs of files in different rooms, a function of one of which calls one of the other; rooms are the README's,
-  and in the core its folders (its single files are one, ``core``);
+- moves: pairs of files in different subpackages, a function of one of which calls one of the other; subpackages are the
+  README's, and in the core its folders (its single files are one, ``core``);
 - climbs: those of them where the file that calls imports the other neither itself nor through others, the package's
   front left out: what it calls was handed to it, or found by a name in a string.
 """
@@ -21,7 +21,7 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1]))
 
 import scipy.sparse as sp
-from picture import PACKAGE, room_of
+from picture import PACKAGE, subpackage_of
 from test_architecture import IMPORTS, MODULES
 
 import lcp_plugin
@@ -30,11 +30,11 @@ from lcp_plugin.core.kernels.compilation import compiling_at_once
 Function = tuple[str, str]  # its file and its name
 
 
-def room(file: str) -> str:
+def subpackage(file: str) -> str:
     parts = Path(file).relative_to(PACKAGE).parts
     if parts[0] == "core":
         return f"core.{parts[1]}" if len(parts) > 2 else "core"
-    return room_of(Path(file)) if len(parts) > 1 else "front"
+    return subpackage_of(Path(file)) if len(parts) > 1 else "front"
 
 
 def reach() -> dict[str, set[str]]:
@@ -86,7 +86,7 @@ def runs() -> dict[str, Callable[[], Any]]:
     found = {
         "LCP, n = 10": lambda: lcp_plugin.solve(lcp),
         "program, n = 10, m = 20": lambda: lcp_plugin.solve(program),
-        "march, n = 50, 5 steps": lambda: lcp_plugin.march(first, forcing, carry=-sp.eye_array(n, format="csr")),
+        "march, n = 50, 5 steps": lambda: lcp_plugin.march(first, forcing, propagator=-sp.eye_array(n, format="csr")),
     }
     import cvxpy as cp
 
@@ -98,7 +98,7 @@ def runs() -> dict[str, Callable[[], Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--calls", action="store_true", help="print every move between rooms as well")
+    parser.add_argument("--calls", action="store_true", help="print every move between subpackages as well")
     shown = parser.parse_args().calls
     imported = reach()
     print(f"{'warm solve':28} {'calls':>6} {'files':>6} {'moves':>6} {'climbs':>7}")
@@ -109,7 +109,7 @@ def main() -> None:
             calls = calls_of(run)
         files = dict.fromkeys(other[0] for _, other in calls)
         moves = dict.fromkeys(
-            (one[0], other[0]) for one, other in calls if one is not None and room(one[0]) != room(other[0])
+            (one[0], other[0]) for one, other in calls if one is not None and subpackage(one[0]) != subpackage(other[0])
         )
         climbs = [(one, other) for one, other in moves if other not in imported.get(one, ())]
         print(f"{title:28} {len(calls):6} {len(files):6} {len(moves):6} {len(climbs):7}")

@@ -1,4 +1,4 @@
-"""What the manual holds: guides, subjects by room, pages of names and of help, and where each name is found."""
+"""What the manual holds: guides, subjects by subpackage, pages of names and of help, and where each name is found."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GUIDES = (  # files beside this one, in the order in which they are read
     "first_model", "which_algorithm", "what_is_proved", "contact", "options_in_time", "equilibria_and_leaders",
     "layers", "many_machines",
 )
-SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages it shows; the longest match counts
+SUBJECTS = {  # subject: what it is about, and the subpackages whose names and pages it shows; the longest match counts
     "solve": ("Solve: problems, methods, what comes back", "core algorithms api auto methods problems"),
     "model": ("Model: in cvxpy, as a program, a game, an equation", "modeling problems.programs "
               "problems.reformulations"),
@@ -30,19 +30,19 @@ SUBJECTS = {  # subject: what it is about, and the rooms whose names and pages i
         "proofs core.certificates methods.search problems.programs.certification problems.programs.certification",
     ),
     "batch": ("Batch: many problems at once", "problems.batches problems.march problems.programs.stacked_programs"),
-    "differentiate": ("Differentiate: how the answer changes", "doors.learn problems.sensitivity"),
+    "differentiate": ("Differentiate: how the answer changes", "interfaces.learn problems.sensitivity"),
     "measure": ("Measure: scenes, pictures, tests of solvers", "gallery evidence strategies"),
-    "doors": ("Doors: other languages, files, machines", "doors pyomo ranks commands"),
+    "interfaces": ("Interfaces: other languages, files, machines", "interfaces pyomo ranks commands"),
 }
-TOGETHER = ("core.errors",)  # a room whose names stand on one page
+TOGETHER = ("core.errors",)  # a subpackage whose names stand on one page
 
 
-def subject_of(room: str) -> str:
-    """Return the subject that shows a room's names."""
-    fits = [(len(own), subject) for subject, (_, rooms) in SUBJECTS.items() for own in rooms.split()
-            if f"{room}.".startswith(f"{own}.")]
+def subject_of(subpackage: str) -> str:
+    """Return the subject that shows a subpackage's names."""
+    fits = [(len(own), subject) for subject, (_, subpackages) in SUBJECTS.items() for own in subpackages.split()
+            if f"{subpackage}.".startswith(f"{own}.")]
     if not fits:
-        raise LookupError(f"no subject of the manual shows lcp_plugin.{room}: add it to SUBJECTS in {__file__}")
+        raise LookupError(f"no subject of the manual shows lcp_plugin.{subpackage}: add it to SUBJECTS in {__file__}")
     return max(fits)[1]
 
 
@@ -71,7 +71,7 @@ class Page:
     """A page of one name, or of a module with the names that stand there."""
 
     name: str  # as one writes it after "lcp_plugin."
-    room: str
+    subpackage: str
     thing: Any
     entries: dict[str, Any] = field(default_factory=dict)
 
@@ -95,50 +95,51 @@ class Page:
         """Yield each name that is told here, and its address."""
         yield self.name, self.address
         yield f"lcp_plugin.{self.name}", self.address
-        yield f"lcp_plugin.{self.room}" if self.is_help else f"lcp_plugin.{self.room}.{self.name}", self.address
+        home = f"lcp_plugin.{self.subpackage}"
+        yield home if self.is_help else f"{home}.{self.name}", self.address
         things = self.entries or {self.name: self.thing}
         for name, thing in things.items():
             if self.entries:
-                yield from ((f"{start}{name}", f"{self.address}#{name}") for start in ("", f"lcp_plugin.{self.room}."))
+                yield from ((f"{start}{name}", f"{self.address}#{name}") for start in ("", f"{home}."))
                 yield f"{self.name}.{name}", f"{self.address}#{name}"
             for member in members_of(thing):
                 for start in ("", "lcp_plugin."):
                     yield f"{start}{name}.{member}", f"{self.address}#{name}.{member}"
 
 
-def help_page(room: str, entries: dict[str, Any], name: str = "") -> Page:
+def help_page(subpackage: str, entries: dict[str, Any], name: str = "") -> Page:
     """Return the page of a module."""
-    return Page(name or room, room, import_module(f"lcp_plugin.{room}"), entries)
+    return Page(name or subpackage, subpackage, import_module(f"lcp_plugin.{subpackage}"), entries)
 
 
 def pages() -> list[Page]:
     """Return every page but those of examples and subjects: first what is a help page, then the names."""
     homes = lcp_plugin._HOME
-    rooms = {room: {} for room in re.findall(r'help\("lcp_plugin\.([\w.]+)"\)', lcp_plugin.__doc__ or "")}
-    for room, names in ELSEWHERE.items():
-        module = import_module(f"lcp_plugin.{room}")
-        rooms.setdefault(room, {}).update({name: getattr(module, name) for name in names.split()})
-    rooms["algorithms"] |= {algorithm_class(name).__name__: algorithm_class(name) for name in REGISTRY}
+    subpackages = {name: {} for name in re.findall(r'help\("lcp_plugin\.([\w.]+)"\)', lcp_plugin.__doc__ or "")}
+    for subpackage, names in ELSEWHERE.items():
+        module = import_module(f"lcp_plugin.{subpackage}")
+        subpackages.setdefault(subpackage, {}).update({name: getattr(module, name) for name in names.split()})
+    subpackages["algorithms"] |= {algorithm_class(name).__name__: algorithm_class(name) for name in REGISTRY}
     alone, names = [], {}
     for name, home in homes.items():
         thing = getattr(lcp_plugin, name)
         if inspect.ismodule(thing):
-            rooms.setdefault(home, {}).update({each: getattr(thing, each) for each in thing.__all__})
+            subpackages.setdefault(home, {}).update({each: getattr(thing, each) for each in thing.__all__})
             names[home] = name
         elif home in TOGETHER:
-            rooms.setdefault(home, {})[name] = thing
+            subpackages.setdefault(home, {})[name] = thing
         else:
             alone.append(Page(name, home, thing))
-    found = [help_page(room, entries, names.get(room, "")) for room, entries in rooms.items()] + alone
+    found = [help_page(home, entries, names.get(home, "")) for home, entries in subpackages.items()] + alone
     return found + further(found)
 
 
 def further(found: list[Page]) -> list[Page]:
     """Return the pages that others name as help("lcp_plugin.…"), in turn."""
     told = " ".join(inspect.getdoc(thing) or "" for page in found for thing in told_on(page))
-    rooms = dict.fromkeys(re.findall(r'help\("lcp_plugin\.([\w.]+)"\)', told))
-    there = {page.room for page in found if page.is_help}
-    new = [help_page(room, {}) for room in rooms if room not in there]
+    subpackages = dict.fromkeys(re.findall(r'help\("lcp_plugin\.([\w.]+)"\)', told))
+    there = {page.subpackage for page in found if page.is_help}
+    new = [help_page(subpackage, {}) for subpackage in subpackages if subpackage not in there]
     return new + further(found + new) if new else []
 
 
@@ -206,7 +207,7 @@ class Example:
         return f"examples/{self.name}.html"
 
     def uses(self, name: str) -> bool:
-        """Whether the script imports a public name from the front door."""
+        """Whether the script imports a public name from lcp_plugin itself."""
         imports = re.findall(r"^from lcp_plugin import (.+)$", self.source, re.M)
         return any(name in line.split(", ") for line in imports)
 

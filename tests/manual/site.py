@@ -76,7 +76,7 @@ class Site:
     """All pages, and where each name stands."""
 
     def __init__(self) -> None:
-        self.front_door, self.pages, self.examples, self.guides = lcp_plugin, pages(), examples(), guides()
+        self.package, self.pages, self.examples, self.guides = lcp_plugin, pages(), examples(), guides()
         self.addresses = {name: address for page in reversed(self.pages) for name, address in page.anchors()}
         self.templates = Environment(
             loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
@@ -90,7 +90,7 @@ class Site:
 
     def of_subject(self, subject: str) -> list[Page]:
         """Return the pages of a subject, help first."""
-        return [page for page in self.pages if subject_of(page.room) == subject]
+        return [page for page in self.pages if subject_of(page.subpackage) == subject]
 
     def using(self, name: str) -> list[Example]:
         """Return the examples that use a public name, where these are few enough to say something."""
@@ -132,7 +132,7 @@ class Site:
         for subject in SUBJECTS:
             yield f"subject.{subject}.html", make["subject"](up="", subject=subject)
         for page in self.pages:
-            yield page.address, make["page"](up="", subject=subject_of(page.room), page=page)
+            yield page.address, make["page"](up="", subject=subject_of(page.subpackage), page=page)
         for k, example in enumerate(self.examples):
             story, code = told_and_code(example)
             output = (folder / "examples" / f"{example.name}.txt").read_text(encoding="utf-8")

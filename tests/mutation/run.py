@@ -58,8 +58,8 @@ TESTS = {
     "lcp_plugin/proofs/exact/rational.py": BOUND_TESTS,
     "lcp_plugin/core/rounding.py": ("tests/core/test_rounding.py", "tests/proofs/test_error_bounds.py"),
     **{str(file.relative_to(ROOT)): CLASS_TESTS for file in sorted(
-        file for room in (CLASSES, "lcp_plugin/core/matrix",
-            "lcp_plugin/systems") for file in (ROOT / room).glob("[a-z]*.py")
+        file for folder in (CLASSES, "lcp_plugin/core/matrix",
+            "lcp_plugin/systems") for file in (ROOT / folder).glob("[a-z]*.py")
     )},
 }
 # Operators are exchanged within a group: floats have no shifts, and `x is None` is `x == None`.

@@ -28,7 +28,7 @@ from lcp_plugin.proofs.no_solution.infeasibility import (
     find_infeasibility,
 )
 from lcp_plugin.proofs.no_solution.linear_constraints import LinearConstraints
-from lcp_plugin.proofs.no_solution.refutation import Choices, Infeasibility, exactly_weighted
+from lcp_plugin.proofs.no_solution.proof import Choices, Infeasibility, exactly_weighted
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:
@@ -149,7 +149,7 @@ def test_a_wrong_vector_does_not_verify() -> None:
 
 
 def test_tiny_and_limited_problems_end_well() -> None:
-    """An empty problem is feasible; without effort nothing is refuted unless a row speaks for itself."""
+    """An empty problem is feasible; without effort nothing is infeasible unless a row speaks for itself."""
     assert find_infeasibility(LCP(np.zeros((0, 0)), [])) is None
     assert find_infeasibility(LCP([[-2, 1], [1, -2]], [-1, -1]), effort_limit=0) is None
     assert find_infeasibility(LCP([[0]], [-1]), effort_limit=0) is not None
@@ -217,7 +217,7 @@ def test_exact_solves_satisfy_their_equations(seed: int) -> None:
         assert [sum(a * v for a, v in zip(row, x, strict=True)) for row in A] == b
 
 
-def test_signs_of_one_row_refute_a_large_problem() -> None:
+def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:
     """A row of M ≤ 0 with q < 0 is a proof that a look at each entry finds; rows that can be satisfied are none."""
     M = -abs(sp.random_array((5000, 5000), density=0.001, rng=np.random.default_rng(1), format="csr"))
     proof = contradictory_row(LCP(M, np.full(5000, -1.0)))
@@ -262,14 +262,14 @@ def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) 
 
 @pytest.mark.parametrize("name", ["auto", "newton", "interior_point", "lemke"])
 def test_infeasible_is_said_only_beyond_the_tolerance(name: str) -> None:
-    """The same contradiction of 5e-7: refuted at a tolerance of 1e-8, solved at 1e-5, by every method."""
+    """The same contradiction of 5e-7: infeasible at a tolerance of 1e-8, solved at 1e-5, by every method."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
-    refuted = solve(problem, name)
-    assert refuted.status is Status.INFEASIBLE
-    assert refuted.infeasibility.margin > 1e-8
+    infeasible = solve(problem, name)
+    assert infeasible.status is Status.INFEASIBLE
+    assert infeasible.infeasibility.margin > 1e-8
     accepted = solve(problem, name, tolerance=1e-5)
     assert accepted.status not in (Status.INFEASIBLE, Status.NO_SOLUTION)
-    assert accepted.residual >= refuted.infeasibility.margin * (1.0 - 1e-12)
+    assert accepted.residual >= infeasible.infeasibility.margin * (1.0 - 1e-12)
 
 
 def test_a_small_contradiction_is_an_advice() -> None:
@@ -283,7 +283,7 @@ def test_a_small_contradiction_is_an_advice() -> None:
     assert "infeasible, but only by 1e-12 relative" in result.advice
     assert "infeasible, but only by 1e-12 relative" in result.explain()
     assert result.infeasibility.exact
-    assert not result.is_refuted
+    assert not result.has_no_solution
     assert 0.0 < result.infeasibility.margin < 1e-8
 
 
@@ -341,7 +341,7 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
 
 
 def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> None:
-    """Where rounding is all that acts in the optimality conditions of a consistent program, nothing is refuted."""
+    """Where rounding is all that acts in the optimality conditions of a consistent program, nothing is infeasible."""
     assert infeasible_by_margin.one(16, 1685)[0] == []
 
 

@@ -262,7 +262,7 @@ def test_symmetric_part_is_rounded_once() -> None:
     assert is_positive_definite(np.array([[1e-320, 0.0], [0.0, 1.0]])) is True
 
 
-# --- What other rooms use -----------------------------------------------------------------------------------
+# --- What other subpackages use -----------------------------------------------------------------------------------
 
 
 def random_graph(n: int, degree: int, shift: float) -> sp.csr_array:
@@ -516,14 +516,14 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
     _seems_monotone(problem(), None)
 
 
-def test_a_library_without_room_is_no_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_without_memory_is_no_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where memory ends while scipy is being loaded, analyze says MemoryError, not ImportError, and keeps nothing."""
-    def no_room(report: object) -> None:
+    def no_memory(report: object) -> None:
         raise ImportError("failed to map segment from shared object")
 
     report = analyze([[2.0, 1.0], [1.0, 2.0]])
     with monkeypatch.context() as patched:
-        patched.setattr(type(report).is_positive_definite, "decide", no_room)
+        patched.setattr(type(report).is_positive_definite, "decide", no_memory)
         with pytest.raises(MemoryError, match="is_positive_definite was to be decided: failed to map"):
             report.verdict("is_positive_definite")
     assert report.is_positive_definite is True

@@ -1,4 +1,4 @@
-"""Rows that should depend on each other but do not as doubles: what is refuted within a radius, and what not."""
+"""Rows that should depend on each other but do not as doubles: what is excluded within a radius, and what not."""
 
 from __future__ import annotations
 
@@ -69,12 +69,12 @@ def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status
 
 @pytest.mark.full
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
-def test_redundant_decimal_programs_are_refuted(kind: str) -> None:
+def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
     """All of 200 random programs get a proof that verifies and says so within a wide radius, or plainly."""
     within = 0
     for seed in range(200):
         program = redundant_program(kind, seed)
-        proof = program.refutation()
+        proof = program.accepted_proof()
         assert proof is not None, seed
         assert proof.verdict == kind, seed
         assert proof.verify(), seed
@@ -83,9 +83,9 @@ def test_redundant_decimal_programs_are_refuted(kind: str) -> None:
 
 
 @pytest.mark.full
-def test_redundant_decimal_programs_that_are_met_are_never_refuted() -> None:
+def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
     """None of 200 consistent programs with the same rows has a proof that counts."""
-    assert [seed for seed in range(200) if redundant_program("optimal", seed).refutation() is not None] == []
+    assert [seed for seed in range(200) if redundant_program("optimal", seed).accepted_proof() is not None] == []
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -93,7 +93,7 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
     """Every x up to the radius misses some row by the margin, in exact arithmetic; far beyond it one meets them all."""
     rng = np.random.default_rng(seed)
     program = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
-    proof = program.refutation()
+    proof = program.accepted_proof()
     assert isinstance(proof, QPInfeasibility)
     unit = program.constraints.unit
 
@@ -113,8 +113,8 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
 
 def test_a_tampered_proof_within_a_radius_does_not_verify() -> None:
     """Other signs, a direction upwards, or rounding replaced by data: no proof."""
-    infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY).refutation()
-    unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET).refutation()
+    infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY).accepted_proof()
+    unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET).accepted_proof()
     assert isinstance(infeasible, QPInfeasibility)
     assert isinstance(unbounded, QPUnboundedness)
     first, *rest = infeasible.multipliers
@@ -132,7 +132,7 @@ def test_a_small_coefficient_is_data_and_no_rounding(small: float) -> None:
     for P in (np.zeros((2, 2)), np.eye(2)):
         assert QuadraticProgram(P, [0.0, 0.0], A=A, b=b).proof_of_no_minimum is None
     result = solve(LCP(A, -b, lower=-np.inf))
-    assert not result.is_refuted
+    assert not result.has_no_solution
     assert result.infeasibility is None
 
 
@@ -140,7 +140,7 @@ def test_a_linear_complementarity_problem_within_a_radius() -> None:
     """Free rows that contradict but for rounding: no status, as M near a singular one has answers that far out."""
     problem = LCP(DECIMAL, -np.array(CONTRADICTORY), lower=-np.inf)
     result = solve(problem)
-    assert not result.is_refuted
+    assert not result.has_no_solution
     assert not result.is_solved
     assert "infeasible up to ‖z‖∞ = " in result.advice
     proof = result.infeasibility
@@ -162,7 +162,7 @@ def test_certify_proves_nothing_within_a_radius() -> None:
     assert certify(unbounded, claim="unbounded").verdict != "proved"
 
 
-def test_values_of_another_solver_far_out_refute_no_answer() -> None:
+def test_values_of_another_solver_far_out_disprove_no_answer() -> None:
     """An earlier value of 4e16 in the variables, where rows that should cancel do not, says nothing of an optimum."""
     A = np.array([[0.8, 0.4, 0.9, 0.6, -0.7, 0.1, 0.5, 0.9]] * 2)
     x = cp.Variable(8)

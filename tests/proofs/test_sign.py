@@ -102,8 +102,8 @@ def test_a_negated_z_matrix_that_is_no_m_matrix_is_left_to_others() -> None:
 
 
 def test_without_proofs_the_contradiction_is_told() -> None:
-    """With refute=False the run ends STALLED where doubles say that no z is near a solution."""
-    result = solve(LCP(negated_laplacian(12), np.random.default_rng(0).standard_normal(144)), refute=False)
+    """With prove_infeasibility=False the run ends STALLED where doubles say that no z is near a solution."""
+    result = solve(LCP(negated_laplacian(12), np.random.default_rng(0).standard_normal(144)), prove_infeasibility=False)
     assert result.status is Status.STALLED
     assert result.infeasibility is None
     assert "in double precision no z within its bounds has w ≥ 0" in result.advice

@@ -59,7 +59,7 @@ def test_a_problem_of_a_structure_that_nothing_holds_is_not_solved(name: str) ->
     assert result.proof is not None or result.infeasibility is not None
     assert result.infeasibility.verify()
     assert result.infeasibility.is_free_motion
-    assert result.is_refuted or "nothing holds unknowns" in result.advice
+    assert result.has_no_solution or "nothing holds unknowns" in result.advice
     assert "nothing holds unknowns" in result.explain()
 
 
@@ -95,7 +95,7 @@ def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n: int, stiff: int, weak:
     x = (2.0**weak + np.append(np.ones(n - 1), 0.0)) / unit.diagonal()
     structure = Structure(K, -(K @ x), np.full(n, -np.inf))  # without any rounding: x is the minimum
     for result in (solve(structure.problem), solve(structure.program)):
-        assert not result.is_refuted
+        assert not result.has_no_solution
         assert "nothing holds" not in result.explain()
 
 
@@ -190,13 +190,13 @@ def test_a_named_algorithm_ends_with_the_same_words(algorithm: str) -> None:
 
 
 def test_a_prepared_problem_and_one_that_asks_for_no_proof() -> None:
-    """Prepare changes no verdict; refute=False looks for none."""
+    """Prepare changes no verdict; prove_infeasibility=False looks for none."""
     structure: Structure = chain(28, 1.0)
     problem = prepare(structure.problem)
     assert isinstance(problem, LCP)
     assert solve(problem).status is Status.INFEASIBLE
-    assert solve(structure.problem, refute=False).status is Status.STALLED
-    assert not solve(structure.program, refute=False).is_refuted
+    assert solve(structure.problem, prove_infeasibility=False).status is Status.STALLED
+    assert not solve(structure.program, prove_infeasibility=False).has_no_solution
 
 
 @pytest.mark.parametrize("stored", [np.asarray, sp.csr_array], ids=["dense", "sparse"])

@@ -85,7 +85,7 @@ def test_coarse_matrices_are_galerkin_products(hierarchy: Hierarchy) -> None:
 
 @given(st.integers(0, 10**6), st.integers(2, 40), st.floats(0.02, 1.0))
 def test_products_and_transposes_of_any_matrices(seed: int, n: int, density: float) -> None:
-    """RMP and Pᵀ agree with scipy for matrices of any density, whether or not the first room suffices."""
+    """RMP and Pᵀ agree with scipy for matrices of any density, whether or not the first capacity suffices."""
     M = random_matrix(seed, n, density)
     generator = np.random.default_rng(seed + 1)
     columns = int(generator.integers(1, n + 1))
@@ -99,7 +99,7 @@ def test_products_and_transposes_of_any_matrices(seed: int, n: int, density: flo
     assert galerkin.count_products(M.indptr, M.indices, P.indptr) == (P != 0).sum(axis=1) @ ((M != 0) @ (P != 0).sum(1))
 
 
-def test_a_product_that_outgrows_its_room() -> None:
+def test_a_product_that_outgrows_its_capacity() -> None:
     """A coarse matrix with many more entries than the fine one is complete."""
     n = 400
     M = sp.csr_array(sp.eye_array(n, format="csr"))

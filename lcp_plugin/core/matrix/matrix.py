@@ -22,7 +22,7 @@ T = TypeVar("T")
 class fact(Generic[P, T]):  # noqa: N801 - a decorator
     """A function of a matrix (and of hashable arguments) whose value is kept with the matrix; of a problem as well.
 
-    A fact about M is one such function, in whichever room knows it: the function is its key, its annotation the type.
+    A fact about M is one such function, in whichever module knows it: the function is its key, its annotation the type.
 
     Examples
     --------

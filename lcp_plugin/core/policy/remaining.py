@@ -102,8 +102,8 @@ def _least_sweeps(problem: LCP, now: Stage, goal: float) -> float:
         return 0.0
     gain = now.residuals[-1][1] / goal
     with np.errstate(all="ignore"):
-        room = NEAR * max(now.z.max(), -now.z.min())  # npsor approaches a bound without reaching it
-        is_free = (problem.lower + room < now.z) & (now.z < problem.upper - room)
+        margin = NEAR * max(now.z.max(), -now.z.min())  # npsor approaches a bound without reaching it
+        is_free = (problem.lower + margin < now.z) & (now.z < problem.upper - margin)
         free = is_free.astype(np.float64)
         sums, diagonal = problem.csr @ free, problem.diagonal
         share, least = free @ sums / (free @ diagonal), (sums / diagonal).min(initial=1.0, where=is_free)

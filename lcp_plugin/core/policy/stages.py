@@ -58,10 +58,10 @@ class Stage:
 
     `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
     several; `from_start` says that it began where the run began; `least_residual` is that of its steps; `settles`, that
-    steps have said their residuals may rise for a while; `refutes_nearby`, that a step has proved that no z within a
-    radius, far beyond the data, is a solution; `z` is the latest iterate, as long as the stage lasts; `moves` counts
-    the unknowns that came to a bound or left it, window by window, where the policy watches them; `successor`, what
-    its algorithm would be with all that it has learned.
+    steps have said their residuals may rise for a while; `has_no_solution_nearby`, that a step has proved that no z
+    within a radius, far beyond the data, is a solution; `z` is the latest iterate, as long as the stage lasts; `moves`
+    counts the unknowns that came to a bound or left it, window by window, where the policy watches them; `successor`,
+    what its algorithm would be with all that it has learned.
     """
 
     algorithm: Algorithm
@@ -72,7 +72,7 @@ class Stage:
     remark: str = ""
     least_residual: float = 0.0
     settles: bool = False
-    refutes_nearby: bool = False
+    has_no_solution_nearby: bool = False
     z: FloatVector | None = None
     successor: Algorithm | None = None
     residuals: list[tuple[int, float]] = field(default_factory=list)

@@ -63,7 +63,7 @@ def advice_of_run(
     goes_on = reached is None or chosen.uses_start(problem, reached)
     for status in LIMITS:
         said[status] += ", or go on from z0=result.z" * goes_on + f", or try {other}" * bool(other)
-    is_far_out = any(stage.refutes_nearby for stage in stages)
+    is_far_out = any(stage.has_no_solution_nearby for stage in stages)
     end = FAR_OUT if is_far_out else f"try {other}" if other else _elsewhere(left_out)
     end = beyond_doubles(problem) or end
     for status in WITHOUT_END:

@@ -66,7 +66,7 @@ class Answer:
         return self.status is Status.SOLVED
 
     @property
-    def is_refuted(self) -> bool:
+    def has_no_solution(self) -> bool:
         """True where a proof says that there is no answer: INFEASIBLE, NO_SOLUTION or UNBOUNDED."""
         return self.status in PROVEN
 

@@ -27,7 +27,7 @@ class End(Enum):
     """Why the steps of a run ended; what that makes of its best z only :meth:`Judge.verdict` says."""
 
     CONVERGED = "the judge was content with a step"
-    REFUTED = "a step proved that there is no solution"
+    NO_SOLUTION = "a step proved that there is no solution"
     AT_FLOOR = "the residual is no larger than rounding explains"
     STALLED = "the residual has stopped falling, or falls too slowly"
     DIVERGED = "the residual left every reasonable range"
@@ -159,7 +159,7 @@ class Judge:
         """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
 
         It is one in the units of the run; kept is what it says in the caller's. Where the problem is made from a
-        program, that has to be refuted in its own units as well.
+        program, that has to be proved infeasible in its own units as well.
         """
         settings, scaling = self.settings, self.scaling
         if scaling.row_exponents is not None:
@@ -173,7 +173,7 @@ class Judge:
             return False  # a near-singular M has solutions that large
         if not proof.excludes(settings.tolerance, settings.tolerance_on, settings.absolute_tolerance):
             return False
-        return criterion is None or criterion.is_refuted(settings.tolerance)
+        return criterion is None or criterion.has_no_solution(settings.tolerance)
 
     def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
@@ -205,7 +205,7 @@ class Judge:
             return ended_by.status  # type: ignore[no-any-return]
         if self.is_solved_by(certificate):
             return Status.SOLVED
-        if end is End.REFUTED:
+        if end is End.NO_SOLUTION:
             return self.proof.status  # type: ignore[no-any-return]
         if certificate.is_limited_by_rounding or self.misses_by_rounding(self.scaling.inward(certificate.z)):
             return Status.PRECISION_LIMIT

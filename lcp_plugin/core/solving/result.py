@@ -101,7 +101,7 @@ class Result(Answer):
         Empty unless asked for with ``record=True``.
     stages : tuple of StageRecord
         What ran, in order; more than one for ``auto``.
-    infeasibility : Refutation or None
+    infeasibility : NoSolutionProof or None
         A proof that the stored doubles have no solution, which can ``verify()`` itself on the problem's data. Its
         ``margin`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION where
         that exceeds the tolerance. With another status the contradiction is smaller: `advice` says by how much.
@@ -165,7 +165,7 @@ class Result(Answer):
     @property
     def proof(self) -> Any:
         """The proof that there is no solution, `infeasibility`, where the status says so; otherwise None."""
-        return self.infeasibility if self.is_refuted else None
+        return self.infeasibility if self.has_no_solution else None
 
     @property
     def residual(self) -> float:
@@ -176,8 +176,8 @@ class Result(Answer):
     def advice(self) -> str:
         """What the status means for this run, in a sentence."""
         advice = self._advice.get(self.status, self.status.value)
-        if self.is_solved or self.is_refuted:
-            return "; ".join([advice, *(self._sign() if self.is_refuted else [])])
+        if self.is_solved or self.has_no_solution:
+            return "; ".join([advice, *(self._sign() if self.has_no_solution else [])])
         remarks = [stage.remark for stage in self.stages if stage.remark]
         return "; ".join([*self._small_contradiction(), advice, *remarks, *self._sign()])
 
@@ -190,7 +190,7 @@ class Result(Answer):
 
     def _small_contradiction(self) -> list[str]:
         """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
-        if self.infeasibility is None or self.is_refuted:
+        if self.infeasibility is None or self.has_no_solution:
             return []
         return [self.infeasibility.how_small(self.tolerance, self.absolute_tolerance, self.certificate.scaled_residual)]
 

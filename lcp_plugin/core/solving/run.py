@@ -140,8 +140,8 @@ class Run:
             end = end or End.INTERRUPTED
         if step.proof is not None and end is None:
             if self.judge.counts(step.proof):
-                return End.REFUTED
-            state.stages[-1].refutes_nearby = getattr(self.judge.proof, "radius", math.inf) < math.inf
+                return End.NO_SOLUTION
+            state.stages[-1].has_no_solution_nearby = getattr(self.judge.proof, "radius", math.inf) < math.inf
             if self.judge.misses_by_rounding(self.incumbent.z):
                 return End.AT_FLOOR
         return end
@@ -234,9 +234,9 @@ class Run:
                 goal, least = settings.goal, settings.least_reference
                 if certificate.relative_above(least) <= goal < certificate.term_above(goal * least):
                     words = advice_beside_a_wrong_row(words, certificate.wrong_row)
-        if not settings.refute:
+        if not settings.prove_infeasibility:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
-            words[Status.STALLED] = f"{stalled}; not refuted: you asked for none"
+            words[Status.STALLED] = f"{stalled}; not proved infeasible: you asked for no proof"
         result = Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on,

@@ -136,7 +136,8 @@ class Banded(Algorithm):
         return self.fused_solves(problem, problem.q[None].copy(), z0[None].copy(), tolerance, max_iterations)[0]
 
     def fused_solves(
-        self, problem: LCP, Q: FloatVector, Z: FloatVector, tolerance: float, max_iterations: int, carry: Any = None
+        self, problem: LCP, Q: FloatVector, Z: FloatVector, tolerance: float, max_iterations: int,
+        propagator: Any = None
     ) -> list[FusedSolve | None]:
         """Return the fused solve of each row of Q, one after the other in one compiled loop.
 
@@ -148,9 +149,9 @@ class Banded(Algorithm):
             Offsets, and starts within the bounds; the latter are overwritten by the answers, and read-only then.
         tolerance, max_iterations
             As for `solve_fused`, of each.
-        carry : CSR array, shape (n, n), optional
-            The march in time: Q[k] becomes Q[k] + carry @ z of the row before, and that z its start. Where a row does
-            not converge, the next ones have to wait, None.
+        propagator : CSR array, shape (n, n), optional
+            The march in time: Q[k] becomes Q[k] + propagator @ z of the row before, and that z its start. Where a row
+            does not converge, the next ones have to wait, None.
         """
         k, n = Q.shape
         if n == 0 or (problem.is_dense and n > 1):  # the products of an ndarray are BLAS's, summed in its own order
@@ -159,13 +160,13 @@ class Banded(Algorithm):
 
         band, M = self._bands(problem), problem.csr
         rounds, ends = np.empty((k, 2), np.int64), np.empty((k, 2))
-        carried = [M.indptr[:0], M.indices[:0], M.data[:0]]
-        if carry is not None:
+        arrays = [M.indptr[:0], M.indices[:0], M.data[:0]]
+        if propagator is not None:
             index = M.indptr.dtype
-            carried = [carry.indptr.astype(index), carry.indices.astype(index), carry.data]
+            arrays = [propagator.indptr.astype(index), propagator.indices.astype(index), propagator.data]
         run_all(
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
-            M.data, *carried, Q, problem.lower, problem.upper, problem.nearest_to_zero, tolerance, max_iterations,
+            M.data, *arrays, Q, problem.lower, problem.upper, problem.nearest_to_zero, tolerance, max_iterations,
             self._halves(), Z, rounds, ends,
         )
         costs = _costs(band, problem)
@@ -178,8 +179,8 @@ class Banded(Algorithm):
         return found
 
     def fused_marches(
-        self, problem: LCP, forcing: FloatVector, carry: Any, lower: FloatVector, upper: FloatVector, z: FloatVector,
-        kept: IntVector, tolerance: float, max_iterations: int,
+        self, problem: LCP, forcing: FloatVector, propagator: Any, lower: FloatVector, upper: FloatVector,
+        z: FloatVector, kept: IntVector, tolerance: float, max_iterations: int,
     ) -> FusedMarches:
         """Return the first steps of some marches, as many as have converged in all of them.
 
@@ -188,7 +189,7 @@ class Banded(Algorithm):
         problem : LCP
             Gives M, tridiagonal, with no positive entry off the diagonal.
         forcing : array, shape (k, n, m), or (k, n, 1) for all marches, k = 1 for all steps
-        carry : CSR array, shape (n, n)
+        propagator : CSR array, shape (n, n)
         lower, upper, z : arrays, shape (n, m)
             Bounds, and the states before the first step; there are at most `march_kernels.MARCHES`.
         kept : array of int, shape (k,)
@@ -206,9 +207,9 @@ class Banded(Algorithm):
         ends, states = np.empty((*rounds.shape, 2)), np.empty((3, n, MARCHES))
         lower, upper = filled(lower), filled(upper)
         states[0] = filled(z)
-        whole = [A.astype(np.int64) for A in (M.indptr, M.indices, carry.indptr, carry.indices)]
+        whole = [A.astype(np.int64) for A in (M.indptr, M.indices, propagator.indptr, propagator.indices)]
         steps = march_all(
-            band.entries, problem.residual_scale, *whole[:2], M.data, *whole[2:], carry.data,
+            band.entries, problem.residual_scale, *whole[:2], M.data, *whole[2:], propagator.data,
             forcing if forcing.shape[-1] == 1 else filled(forcing), lower, upper, np.clip(0.0, lower, upper),
             tolerance, max_iterations, kept, states, answers, rounds, ends,
         )

@@ -97,11 +97,11 @@ def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: 
 
 
 @compiled_part
-def _choose(n, bands, q, lower, upper, value, state, target, memory, room):  # type: ignore[no-untyped-def]
+def _choose(n, bands, q, lower, upper, value, state, target, memory, workspace):  # type: ignore[no-untyped-def]
     """Fill state with the bounds that are to hold, and value with the z there."""
     if memory[WAY] == DIRECT:
         side, sign = memory[SIDE], float(memory[SIDE])
-        is_held, is_free, stops, slack, blocks = room
+        is_held, is_free, stops, slack, blocks = workspace
         for i in range(n):
             near, far = (lower[i], upper[i]) if side > 0 else (upper[i], lower[i])
             is_held[i] = lower[i] == upper[i] or target[i] == side
@@ -163,13 +163,13 @@ def step(  # type: ignore[no-untyped-def]
         _begin(is_direct, lower, upper, memory, halves)
         memory[LAST_WAY] = BEGINNING
         return _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), True
-    room = _room_for_contacts(z.size)
-    return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room)
+    workspace = _workspace_for_contacts(z.size)
+    return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace)
 
 
 @compiled_part
 def _advanced(  # type: ignore[no-untyped-def]
-    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room
+    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace
 ):
     """Go to the z of the active set in sets[1], taken into the bounds; return its ‖r‖∞, and whether to go on.
 
@@ -183,7 +183,7 @@ def _advanced(  # type: ignore[no-untyped-def]
         for i in range(n):
             value[i] = 0.0
     else:
-        _choose(n, bands, q, lower, upper, value, state, target, memory, room)
+        _choose(n, bands, q, lower, upper, value, state, target, memory, workspace)
     memory[LAST_WAY] = memory[WAY]
     right = w if is_refined else q
     if memory[WAY] == DIRECT:
@@ -205,7 +205,7 @@ def _advanced(  # type: ignore[no-untyped-def]
 
 
 @compiled_in_place
-def _room_for_contacts(n):  # type: ignore[no-untyped-def]
+def _workspace_for_contacts(n):  # type: ignore[no-untyped-def]
     """Return what `_choose` works in."""
     is_held, is_free, stops = np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty(n + 1, np.int64)
     return is_held, is_free, stops, np.empty(n + 1), np.empty((n + 1, 6))
@@ -247,8 +247,8 @@ def _largest(values):  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
-    bands, below, is_direct, weights, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data,
-    Q, lower, upper, nearest, tolerance, most_rounds, halves, Z, rounds, ends
+    bands, below, is_direct, weights, scale, indptr, indices, data, propagator_indptr, propagator_indices,
+    propagator_data, Q, lower, upper, nearest, tolerance, most_rounds, halves, Z, rounds, ends
 ):
     """Run rounds for one q after the other, each from its row of Z to its answer there.
 
@@ -258,7 +258,7 @@ def run_all(  # type: ignore[no-untyped-def]
         M: its bands, what `step` asks for, and its entries by rows.
     is_direct : bool
         M is tridiagonal, and its off-diagonal entries are ≤ 0.
-    carry_indptr, carry_indices, carry_data
+    propagator_indptr, propagator_indices, propagator_data
         C by rows, or nothing: C z of each row is added to the q of the next, which starts from that z, in a march that
         ends where it does not converge.
     Q, Z : arrays, shape (k, n)
@@ -274,16 +274,17 @@ def run_all(  # type: ignore[no-untyped-def]
     """
     n = Q.shape[1]
     vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
-    rows, smallest, largest, room = np.empty((n, bands.shape[0])), np.empty(n), np.empty(n), _room_for_contacts(n)
+    rows, smallest, largest = np.empty((n, bands.shape[0])), np.empty(n), np.empty(n)
+    workspace = _workspace_for_contacts(n)
     for k in range(Q.shape[0]):
         rounds[k, 0] = rounds[k, 1] = 0
         ends[k, 0] = ends[k, 1] = np.inf
     for k in range(Q.shape[0]):
         q, z, direct, blocks = Q[k], Z[k], 0, 0
-        if carry_indptr.size > 0 and k > 0:
+        if propagator_indptr.size > 0 and k > 0:
             for i in range(n):
                 z[i] = Z[k - 1, i]
-            add_product(carry_indptr, carry_indices, carry_data, z, q)
+            add_product(propagator_indptr, propagator_indices, propagator_data, z, q)
             for i in range(n):
                 z[i] = min(max(z[i], lower[i]), upper[i])
         residual_ends(indptr, indices, data, 0, nearest, q, nearest, lower, upper, scale, smallest, largest)
@@ -292,12 +293,12 @@ def run_all(  # type: ignore[no-untyped-def]
         residual, goes_on = _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = _advanced(
-                bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, room
+                bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace
             )
             direct, blocks = direct + (memory[LAST_WAY] == DIRECT), blocks + (memory[LAST_WAY] == BLOCKS)
         if least > 0.0 and residual / most <= tolerance:
             residual_ends(indptr, indices, data, 0, z, q, z, lower, upper, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = _largest(largest), least
         rounds[k, 0], rounds[k, 1] = direct, blocks
-        if carry_indptr.size > 0 and not ends[k, 0] / ends[k, 1] < tolerance:
+        if propagator_indptr.size > 0 and not ends[k, 0] / ends[k, 1] < tolerance:
             return

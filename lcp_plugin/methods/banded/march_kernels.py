@@ -79,15 +79,15 @@ def _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):  # type:
 
 
 @compiled_on_arrays_apart
-def _next_offset(carry_indptr, carry_indices, carry_data, forcing, z, ratios, q, y, total):  # type: ignore[no-untyped-def]
+def _next_offset(propagator_indptr, propagator_indices, propagator_data, forcing, z, ratios, q, y, total):  # type: ignore[no-untyped-def]
     """Fill q = forcing + C z, and y with what is right of the rows that are eliminated from the last to the first."""
     n, marches = z.shape
     is_common = forcing.shape[1] == 1
     for i in range(n - 1, -1, -1):
         for m in range(marches):
             total[m] = 0.0
-        for k in range(carry_indptr[i], carry_indptr[i + 1]):
-            c, j = carry_data[k], carry_indices[k]
+        for k in range(propagator_indptr[i], propagator_indptr[i + 1]):
+            c, j = propagator_data[k], propagator_indices[k]
             for m in range(marches):
                 total[m] += c * z[j, m]
         if is_common:
@@ -205,8 +205,8 @@ def _are_small(most, least, tolerance, ends):  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def march_all(  # type: ignore[no-untyped-def]
-    bands, scale, indptr, indices, data, carry_indptr, carry_indices, carry_data, forcing, lower, upper, nearest,
-    tolerance, most_rounds, kept, states, Z, rounds, ends
+    bands, scale, indptr, indices, data, propagator_indptr, propagator_indices, propagator_data, forcing, lower, upper,
+    nearest, tolerance, most_rounds, kept, states, Z, rounds, ends
 ):
     """March all along together; return how many steps converged for each of them.
 
@@ -214,7 +214,7 @@ def march_all(  # type: ignore[no-untyped-def]
     ----------
     bands, scale, indptr, indices, data
         M: its three diagonals, its residual scale, and its entries by rows.
-    carry_indptr, carry_indices, carry_data
+    propagator_indptr, propagator_indices, propagator_data
         C by rows: C z of each step is added to the q of the next.
     forcing : array, shape (k, n, MARCHES), or (k, n, 1) for all marches, k = 1 for all steps
     lower, upper, nearest : arrays, shape (n, MARCHES)
@@ -232,7 +232,7 @@ def march_all(  # type: ignore[no-untyped-def]
     """
     n, marches = nearest.shape
     q, y, slope, x = np.empty((n, marches)), np.zeros((n, marches)), np.empty((n, marches)), np.empty((n, marches))
-    state, of_nearest, room = np.zeros((n, marches)), np.empty((n, marches)), np.empty((3, marches))
+    state, of_nearest, workspace = np.zeros((n, marches)), np.empty((n, marches)), np.empty((3, marches))
     rows, no_trust = np.zeros(marches), np.zeros(marches)
     least, most, wrong, inverse_scale = np.empty(marches), np.empty(marches), np.empty(marches), 1.0 / scale
     ratios, inverse_pivots, trust = np.zeros(n), np.empty(n), np.ones(marches)
@@ -241,7 +241,8 @@ def march_all(  # type: ignore[no-untyped-def]
     for k in range(kept.size):
         z, answer = states[k % 3], states[(k + 1) % 3]
         _next_offset(
-            carry_indptr, carry_indices, carry_data, forcing[min(k, forcing.shape[0] - 1)], z, ratios, q, y, room[0],
+            propagator_indptr, propagator_indices, propagator_data, forcing[min(k, forcing.shape[0] - 1)], z, ratios, q,
+            y, workspace[0],
         )
         for m in range(marches):
             wrong[m], rounds[k, m] = 1.0, 0
@@ -249,11 +250,11 @@ def march_all(  # type: ignore[no-untyped-def]
             for m in range(marches):
                 rounds[k, m] += 1 if wrong[m] > 0.0 else 0
             _eliminate(
-                bands, inverse_pivots, y, q, lower, upper, no_trust if round_ else trust, state, x, slope, room[0],
-                room[1], room[2],
+                bands, inverse_pivots, y, q, lower, upper, no_trust if round_ else trust, state, x, slope, workspace[0],
+                workspace[1], workspace[2],
             )
             _substitute_and_measure(
-                bands, q, lower, upper, inverse_scale, slope, x, answer, state, room[0], room[1], wrong, most
+                bands, q, lower, upper, inverse_scale, slope, x, answer, state, workspace[0], workspace[1], wrong, most
             )
             if not wrong.any():
                 break
@@ -264,7 +265,7 @@ def march_all(  # type: ignore[no-untyped-def]
         _largest_reference(*of_rows)
         is_within = _are_small(most, least, tolerance, ends[k])
         if not is_within:
-            _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, room[0], rows)
+            _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, workspace[0], rows)
             _largest_reference(*of_rows)
             is_within = _are_small(most, least, tolerance, ends[k])
         if not is_within:
@@ -306,7 +307,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks)
         The rows that stay at their value whatever their w is.
     is_free : array of bool, shape (n,)
     stops, slack, blocks : arrays, shapes (n + 1,) of int64, (n + 1,) and (n + 1, 6)
-        Room: the rows at their bounds so far, their w, and the free rows before each.
+        Workspace: the rows at their bounds so far, their w, and the free rows before each.
 
     Returns
     -------

@@ -139,9 +139,9 @@ def in_order(M: sp.csr_array, order: Any) -> Symbolic:
     position[order] = np.arange(n)
     above = _above(at, position[rows[at]], position[M.indices[at]], n)
     upper = above.indptr.astype(np.int64), above.indices.astype(np.int64)
-    room, starts = np.empty((2, n), dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
+    workspace, starts = np.empty((2, n), dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
     columns = np.empty(2 * at.size + n, dtype=np.int64)
-    while (count := dense_ends.rows_of_factor(*upper, *room, starts, columns)) > columns.size:
+    while (count := dense_ends.rows_of_factor(*upper, *workspace, starts, columns)) > columns.size:
         columns = np.empty(count, dtype=np.int64)
     L = sp.csr_array((np.ones(count), columns[:count], starts), shape=(n, n))
     return _of(M.indptr, M.indices, order, L, above)

@@ -46,14 +46,14 @@ class UpdatedFactor:
             self.shift = max(100.0 * self.shift, FIRST_SHIFT * largest)
             if not 0.0 < self.shift <= LARGEST_SHIFT * largest:
                 raise NotConvex
-        room = min(M.shape[0], rows.size + rows.size // 4 + CHANGES)
-        self._lower = np.empty((room, room))
+        capacity = min(M.shape[0], rows.size + rows.size // 4 + CHANGES)
+        self._lower = np.empty((capacity, capacity))
         self._lower[: rows.size, : rows.size] = upper.T
-        self._order = np.empty(room, dtype=np.intp)
+        self._order = np.empty(capacity, dtype=np.intp)
         self._order[: rows.size] = rows
 
     def join(self, rows: NDArray[np.intp]) -> bool:
-        """Let rows join; return False, and be of no more use, where there is no room or the block seems singular."""
+        """Let rows join; return False, and be of no more use, where the arrays are full or the block seems singular."""
         from .kernels import triangles
 
         if self.size + rows.size > self._order.size:

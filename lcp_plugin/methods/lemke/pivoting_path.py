@@ -56,12 +56,12 @@ class Path:
         self.M, self.q, self.upper = M, q, upper
         self.n = n = q.size
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
-        real, whole, room = shapes(n)  # type: ignore[no-untyped-call]
-        self.real, self.whole, self.room = np.zeros(real), np.zeros(whole, dtype=np.int64), np.zeros(room)
+        real, whole, matrix = shapes(n)  # type: ignore[no-untyped-call]
+        self.real, self.whole, self.matrix = np.zeros(real), np.zeros(whole, dtype=np.int64), np.zeros(matrix)
         self.real[WIDTH, :n] = upper
         self.basis, self.others, self.side = self.whole[BASIC, :n], self.whole[OTHER, :n + 1], self.whole[SIDE, :n]
         self.start_side = self.whole[START, :n]
-        self.values, self.tableau = self.real[KEPT, :n], self.room[:n]
+        self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
         self.entries = self._told = 0.0  # touched so far, and up to when that was asked last
         self.fresh_for = max(FRESH_FOR, n)
         self.is_well_conditioned = True  # the basis, when the tableau was last computed
@@ -128,7 +128,7 @@ class Path:
 
     def _run(self, limit: int) -> int:
         outcome, driven, value, direction, made = tableau.pivots(
-            self.real, self.whole, self.room, self.n, self.driven, self.value, self.direction, self.age == 0, limit,
+            self.real, self.whole, self.matrix, self.n, self.driven, self.value, self.direction, self.age == 0, limit,
         )
         self.driven, self.value, self.direction = int(driven), float(value), float(direction)
         self.pivots += int(made)

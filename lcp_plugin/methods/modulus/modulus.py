@@ -39,7 +39,7 @@ class ModulusBased(Splitting):
     Raises
     ------
     UnsuitableProblem
-        On rows without a finite lower bound or with a finite upper bound: the substitution has no room for them.
+        On rows without a finite lower bound or with a finite upper bound: the substitution has no place for them.
 
     Notes
     -----

@@ -14,7 +14,7 @@ from ...core.lcp import LCP
 from ...proofs.exact.rational import integer_matrix, slack_bounds
 from ...proofs.exact.simplex import Bound, Effort, ExactSimplex
 from ...proofs.no_solution.infeasibility import Case
-from ...proofs.no_solution.refutation import FIXED, LOWER, SLACKLESS, UPPER, Choices, row_choices
+from ...proofs.no_solution.proof import FIXED, LOWER, SLACKLESS, UPPER, Choices, row_choices
 
 Point = tuple[Fraction, ...]
 
@@ -80,7 +80,7 @@ class Explorer:
             return list(case.branches)
         if case.y is not None and Choices(self.problem, dict(self.path)).closed_by(dict(enumerate(case.y))) is not None:
             return []
-        case.y = yield from self.simplex.refutation()
+        case.y = yield from self.simplex.infeasibility_proof()
         if case.y is not None:
             return []
         decided = {i for i, _ in self.path}
@@ -98,7 +98,7 @@ class Explorer:
         return [choice for choice in self.choices[i] if (i, choice) not in closed]
 
     def _conclusions(self) -> tuple[dict[tuple[int, str], list[Fraction]], dict[int, str]]:
-        """Return the choices that a row of the tableau refutes, each with its proof, and choices that always hold."""
+        """Return the choices that a row of the tableau excludes, each with its proof, and choices that always hold."""
         simplex, n = self.simplex, self.n
         closed: dict[tuple[int, str], list[Fraction]] = {}
         implied: dict[int, str] = {}
@@ -177,7 +177,7 @@ class Explorer:
         for i in undecided:
             self.choose(i, self._choice_at_point(i))
         simplex = self.simplex
-        yield from simplex.refutation()
+        yield from simplex.infeasibility_proof()
         yield from simplex.go_to_vertex()
         pattern = dict(self.path)
         complete = tuple(pattern.get(i, self.choices[i][0]) for i in range(self.n))
@@ -242,7 +242,7 @@ def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
     for i, choice in enumerate(pattern):
         if len(explorer.choices[i]) > 1:
             explorer.choose(i, choice)
-    if _finish(simplex.refutation()) is None:
+    if _finish(simplex.infeasibility_proof()) is None:
         bounds = [(x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)) if at is not None]
         found = set()
         for point in _corners(simplex, sorted(bounds), 0):
@@ -263,10 +263,10 @@ def _corners(simplex: ExactSimplex, bounds: list[tuple[int, int]], first: int) -
         if before == (at, at):
             continue
         simplex.set_bounds(x, at, at)
-        if _finish(simplex.refutation()) is None and _finish(simplex.release_fixed()) < dimension:
+        if _finish(simplex.infeasibility_proof()) is None and _finish(simplex.release_fixed()) < dimension:
             yield from _corners(simplex, bounds, k + 1)
         simplex.set_bounds(x, *before)
-        _finish(simplex.refutation())
+        _finish(simplex.infeasibility_proof())
 
 
 def _finish(steps: Iterator[None]) -> Any:

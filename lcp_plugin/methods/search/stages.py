@@ -24,7 +24,7 @@ from ...core.matrix.structure import IntVector
 from ...proofs.exact.rational import integers
 from ...proofs.exact.simplex import QUANTUM
 from ...proofs.no_solution.infeasibility import Case, find_forced_contradiction, find_infeasibility
-from ...proofs.no_solution.refutation import LOWER, SLACKLESS, UPPER, Infeasibility
+from ...proofs.no_solution.proof import LOWER, SLACKLESS, UPPER, Infeasibility
 from ...systems.free_systems import FreeSystem
 from ..small.small_dense import as_dense
 from . import Effort, Found, NoSolution, explore, is_searchable
@@ -74,11 +74,11 @@ class LargestPoint(Algorithm):
 
     Parameters
     ----------
-    refutes : bool
+    prove_infeasibility : bool
         Where False, or above the size up to which proofs are looked for, the contradiction is told as doubles have it.
     """
 
-    refutes: bool = True
+    prove_infeasibility: bool = True
 
     name: ClassVar[str] = "largest_point"
     is_monotone: ClassVar[bool] = False
@@ -98,7 +98,7 @@ class LargestPoint(Algorithm):
         y = self._multipliers(problem, system, x, short) if short.any() else None
         if y is None:
             return
-        if self.refutes and problem.n <= LINEAR_PROGRAM_UP_TO:
+        if self.prove_infeasibility and problem.n <= LINEAR_PROGRAM_UP_TO:
             yield Step(z0, proof=Infeasibility.of(problem, dict(enumerate(y.tolist()))))
             return
         margin = float(short @ short / (y @ (problem.residual_scale * reference_residual(problem))))
@@ -111,8 +111,8 @@ class LargestPoint(Algorithm):
     ) -> FloatVector | None:
         """Return y > 0 with −Mᵀy = c, and a little more than that where z has a bound, for what rounds in it."""
         is_bounded = problem.lower > -np.inf
-        room = float(np.where(is_bounded, np.abs(x - problem.lower), 0.0).sum())
-        more = SLIGHTLY * float(short @ short) / room
+        distances = float(np.where(is_bounded, np.abs(x - problem.lower), 0.0).sum())
+        more = SLIGHTLY * float(short @ short) / distances
         y = system.solve(short + more * is_bounded, transposed=True)
         return y if y is not None and bool((y > 0.0).all()) else None
 
@@ -128,12 +128,12 @@ class ExhaustiveSearch(Algorithm):
     ----------
     is_first : bool
         A look before other methods, with less patience; what it leaves open is said by another one at the end.
-    refutes : bool
+    prove_infeasibility : bool
         Where False, the pass in doubles looks for a solution and nothing is proved.
     """
 
     is_first: bool = False
-    refutes: bool = True
+    prove_infeasibility: bool = True
 
     name: ClassVar[str] = "search"
     is_monotone: ClassVar[bool] = False
@@ -146,14 +146,14 @@ class ExhaustiveSearch(Algorithm):
         yield Step(z0, work=0.0)
         seen = outline(problem, FIRST_ENTRIES if self.is_first else MOST_ENTRIES)
         step = Step(z0 if seen.z is None else seen.z, work=seen.entries / max(problem.nonzeros, 1))
-        if seen.tree is not None and self.refutes:
+        if seen.tree is not None and self.prove_infeasibility:
             proof = NoSolution(problem, seen.tree, seen.cases)
             step.proof = proof.infeasibility or proof
         elif seen.tree is not None:
             step.least_residual, step.remark = seen.least_residual, "in double precision every case contradicts"
         yield step
         is_proved = step.proof is not None and step.proof.exact  # but the contradiction is too small for the run
-        if self.refutes and not is_proved and is_searchable(problem):
+        if self.prove_infeasibility and not is_proved and is_searchable(problem):
             yield from self._exactly(problem, z0, seen.tree)
 
     def _exactly(self, problem: LCP, z0: FloatVector, tree: Case | None) -> Iterator[Step]:

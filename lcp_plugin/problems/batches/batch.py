@@ -84,27 +84,27 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
 @overload
 def solve_batch(
     M: QuadraticProgramBatch, *, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
-    max_iterations: int | None = None, max_seconds: float | None = None, refute: bool = True,
+    max_iterations: int | None = None, max_seconds: float | None = None, prove_infeasibility: bool = True,
     threads: int | None = None,
 ) -> ProgramBatchResult: ...
 @overload
 def solve_batch(  # type: ignore[overload-overlap]  # a list of LCPs is one of problems, too
     M: Sequence[LCP], *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
     max_iterations: int | None = None, max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0, refute: bool = True, threads: int | None = None,
+    absolute_tolerance: float = 0.0, prove_infeasibility: bool = True, threads: int | None = None,
 ) -> BatchResult: ...
 @overload
 def solve_batch(
     M: Sequence[LCP | QuadraticProgram | EquilibriumProgram | BoundedLeastSquares], *,
     algorithm: str | Algorithm = "auto", tolerance: float = 1e-8, max_iterations: int | None = None,
-    max_seconds: float | None = None, refute: bool = True, threads: int | None = None,
+    max_seconds: float | None = None, prove_infeasibility: bool = True, threads: int | None = None,
 ) -> AnswerList: ...
 @overload
 def solve_batch(
     M: Any, q: ArrayLike | None = None, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf,
     z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
     max_iterations: int | None = None, max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0, refute: bool = True, threads: int | None = None,
+    absolute_tolerance: float = 0.0, prove_infeasibility: bool = True, threads: int | None = None,
 ) -> BatchResult: ...
 def solve_batch(
     M: Any,
@@ -118,7 +118,7 @@ def solve_batch(
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     absolute_tolerance: float = 0.0,
-    refute: bool = True,
+    prove_infeasibility: bool = True,
     threads: int | None = None,
 ) -> BatchResult | ProgramBatchResult | AnswerList:
     """Return the answers to many problems, or quadratic programs, small ones in one compiled loop.
@@ -134,7 +134,7 @@ def solve_batch(
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
         Warm starts; a list of vectors, or None, beside a list of LCPs.
-    algorithm, tolerance, max_iterations, absolute_tolerance, refute
+    algorithm, tolerance, max_iterations, absolute_tolerance, prove_infeasibility
         For each problem, as in :func:`lcp_plugin.solve`.
     max_seconds : float, optional
         In seconds, for the whole batch: those not solved by then end with MAX_SECONDS.
@@ -148,7 +148,7 @@ def solve_batch(
         Each problem judged by its own certificate. One with NaN in it costs that one alone, and so does one without
         solution: what the compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED.
         Each program is judged by its own residuals, those of a QPSolution to 1e-6. Where the compiled loop meets a
-        contradiction that proves it infeasible, this is said with refute=False, too.
+        contradiction that proves it infeasible, this is said with prove_infeasibility=False, too.
 
     Raises
     ------
@@ -176,7 +176,10 @@ def solve_batch(
         if z0 is not None or absolute_tolerance != 0.0:
             raise InvalidOption("a batch of programs takes no z0 or absolute_tolerance; leave them out")
         _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
-        of_each = {"tolerance": tolerance, "max_iterations": max_iterations, "refute": refute, "threads": 1}
+        of_each = {
+            "tolerance": tolerance, "max_iterations": max_iterations, "prove_infeasibility": prove_infeasibility,
+            "threads": 1,
+        }
         return ProgramBatchRun(M, algorithm, of_each, threads=checked, limit=limit).run()
     items: Items
     if (kind := kind_of(M)) is not None:
@@ -192,7 +195,7 @@ def solve_batch(
                 raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
         _refuse_data("these problems", "new ones", q, lower, upper)
         asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, max_iterations=max_iterations,
-                     absolute_tolerance=absolute_tolerance, refute=refute)
+                     absolute_tolerance=absolute_tolerance, prove_infeasibility=prove_infeasibility)
         defaults = solve_batch.__kwdefaults__ or {}
         wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
         return MixedRun(M, wishes, limit=limit).run()
@@ -202,7 +205,7 @@ def solve_batch(
         items = Stacked(M, q, lower, upper, z0)
     wishes = {
         "tolerance": tolerance, "max_iterations": max_iterations,
-        "absolute_tolerance": absolute_tolerance, "refute": refute, "threads": 1,
+        "absolute_tolerance": absolute_tolerance, "prove_infeasibility": prove_infeasibility, "threads": 1,
     }
     return BatchRun(items, algorithm, wishes, threads=checked, limit=limit).run()
 

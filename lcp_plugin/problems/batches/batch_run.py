@@ -212,7 +212,7 @@ class BatchRun(BatchLoop):
         """Note what a pass over all cases excludes, one iteration after those that were made; no proof is wanted."""
         made = answers.made.sum(1) + 1
         left = np.flatnonzero(self.is_open[group.items] & (made < self.settings.max_iterations))
-        is_asked = self.settings.refute or self.settings.absolute_tolerance or self.policy.chosen != "auto"
+        is_asked = self.settings.prove_infeasibility or self.settings.absolute_tolerance or self.policy.chosen != "auto"
         if is_asked or not left.size or not self.has_time:
             return
         if not isinstance(self.items, Stacked):

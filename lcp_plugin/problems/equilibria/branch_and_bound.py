@@ -86,9 +86,9 @@ def minimize_over_solutions(
 
     Notes
     -----
-    Bounds of our own are rigorous for the stored doubles, every infeasible node refuted by multipliers that are checked
-    in rational arithmetic; ``result.verify()`` checks all of it again. The worst case is 2ᵏ nodes of k pairs. SCIP
-    (``pip install 'lcp_plugin[global]'``) takes objectives that are not convex, smooth rows and integers as well.
+    Bounds of our own are rigorous for the stored doubles, every infeasible node proved so by multipliers that are
+    checked in rational arithmetic; ``result.verify()`` checks all of it again. The worst case is 2ᵏ nodes of k pairs.
+    SCIP (``pip install 'lcp_plugin[global]'``) takes objectives that are not convex, smooth rows and integers as well.
 
     Examples
     --------
@@ -188,7 +188,7 @@ class BranchAndBound:
         return self._result(ended)
 
     def _run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> Status | None:
-        from ...doors.scip import minimize_or_none
+        from ...interfaces.scip import minimize_or_none
 
         engine, is_provable = minimize_or_none(), self.original.is_provable
         if is_provable and not self._root():
@@ -337,7 +337,7 @@ class BranchAndBound:
         return int(wrong[np.argmax(violations[wrong])])
 
     def _settle(self, piece: Node) -> None:
-        """Close a piece that is neither solved to its bound nor refuted: it falls without end, or nothing is known."""
+        """Close a piece neither solved to its bound nor infeasible: it falls without end, or nothing is known."""
         program = self.relaxations.program(piece.cases)
         proof = None if program is None else program.proof_of_no_minimum
         if isinstance(proof, QPUnboundedness):
@@ -347,15 +347,15 @@ class BranchAndBound:
 
     def _result(self, ended: Status | None) -> EquilibriumResult:
         best, value = self.local.best, self.local.value
-        room = self.tolerance * max(1.0, abs(value)) if best is not None else 0.0
+        allowed = self.tolerance * max(1.0, abs(value)) if best is not None else 0.0
         # of the leaves: of what is open Ctrl-C may have lost a node that was being moved
         lower = min([value, *(node.bound for node in self.tree if node.pair < 0)]) if self.tree else -math.inf
         bound_by = "proof" if lower > -math.inf else None
-        if self.outside is not None and value - lower > room and self.outside.bound > lower and best is not None:
+        if self.outside is not None and value - lower > allowed and self.outside.bound > lower and best is not None:
             lower, bound_by = min(self.outside.bound, value), "SCIP"
         if self.descent is not None:
             status, lower, value, best, bound_by = Status.UNBOUNDED, -math.inf, -math.inf, None, None
-        elif best is not None and (value == lower or value - lower <= room):
+        elif best is not None and (value == lower or value - lower <= allowed):
             status = Status.SOLVED
         elif ended is not None:
             status = ended

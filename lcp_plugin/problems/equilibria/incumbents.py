@@ -255,7 +255,7 @@ def _followed(problem: EquilibriumProgram, is_leader: BoolVector, values: FloatV
     limit = seconds_left()
     try:
         followers = LCP(M, q, lower=lower, upper=upper)
-        found = solve_lcp(followers, refute=False, max_seconds=None if math.isinf(limit) else limit)
+        found = solve_lcp(followers, prove_infeasibility=False, max_seconds=None if math.isinf(limit) else limit)
     except LCPError:
         return None
     if found.status is Status.INTERRUPTED:

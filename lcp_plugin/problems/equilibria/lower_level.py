@@ -57,10 +57,10 @@ def _largest(S: FloatVector, r: FloatVector, weights: FloatVector) -> FloatVecto
     most = np.maximum(middle + reach + error * (np.abs(middle) + reach), 0.0)
     inverse = np.linalg.inv(S)
     center, spread = 0.5 * inverse @ r, np.diag(inverse)
-    room = float(center @ S @ center)
-    if not (np.isfinite(inverse).all() and room > 0.0 and (spread > 0.0).all()):
+    level = float(center @ S @ center)
+    if not (np.isfinite(inverse).all() and level > 0.0 and (spread > 0.0).all()):
         return most
-    touched = center[:, None] + inverse * np.sqrt(room / spread)  # column i where zᵢ is largest
+    touched = center[:, None] + inverse * np.sqrt(level / spread)  # column i where zᵢ is largest
     bent, size = S @ touched, np.abs(S) @ np.abs(touched)
     slopes = 2.0 * bent - r[:, None] - error * (2.0 * size + np.abs(r)[:, None])
     heights = (touched * bent).sum(axis=0) + error * (np.abs(touched) * size).sum(axis=0)

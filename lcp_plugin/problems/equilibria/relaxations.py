@@ -1,4 +1,4 @@
-"""The programs of nodes and pieces: solved, bounded, or refuted with proofs.
+"""The programs of nodes and pieces: solved, bounded, or proved infeasible.
 
 A node leaves some cases of every pair open. What holds in all of them are bounds of variables, so that the programs of
 all nodes differ in these alone. The lower bound of a node is the rigorous one that any multipliers give
@@ -110,7 +110,7 @@ class Relaxations:
         return self.problem.program.with_vectors(lower=lower, upper=upper)
 
     def node(self, cases: Cases, parent: Node | None = None) -> Node:
-        """Return the node of some cases, solved, and bounded or refuted."""
+        """Return the node of some cases, solved, and bounded or proved infeasible."""
         node = self.solved_node(cases)
         node.parent = parent
         if node.value < math.inf and (program := self.program(cases)) is not None and node.dual is not None:
@@ -121,7 +121,7 @@ class Relaxations:
         return node
 
     def solved_node(self, cases: Cases) -> Node:
-        """Return the node of some cases, solved or refuted, but without a bound."""
+        """Return the node of some cases, solved or proved infeasible, but without a bound."""
         self.solved += 1
         node, program = Node(cases), self.program(cases)
         if program is None:
@@ -253,7 +253,7 @@ class _Around:
 
 def _by_steps(program: QuadraticProgram, **options: Any) -> QPSolution:
     """Return what a run of steps finds; Ctrl-C, which ends it with a status, ends the search, too."""
-    result = solve_program(program, tolerance=TOLERANCE, refute=False, **options)
+    result = solve_program(program, tolerance=TOLERANCE, prove_infeasibility=False, **options)
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return result.solution

@@ -28,14 +28,14 @@ ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
     Status.INFEASIBLE: "the linear constraints contradict one another, and result.proof proves it: check the data",
     Status.NO_SOLUTION: (
-        "every way to make the pairs complementary is refuted, and result.proof proves it: check the pairs and the "
+        "every way to make the pairs complementary is infeasible, and result.proof proves it: check the pairs and the "
         "constraints beside them"
     ),
     Status.MAX_ITERATIONS: "the limit of nodes came first: raise it",
     Status.MAX_SECONDS: "max_seconds came first: raise it",
     Status.STALLED: (
-        "some way to make the pairs complementary could be neither solved nor refuted: bound the unknowns, or rescale "
-        "the data"
+        "some way to make the pairs complementary could be neither solved nor proved infeasible: bound the unknowns, "
+        "or rescale the data"
     ),
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
@@ -69,10 +69,10 @@ class EquilibriumResult(Answer):
     searched : EquilibriumProgram
         The same, or with the bounds that its lower level proves: the tree's.
     status : Status
-        SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: the linear constraints are refuted by
-        a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls without end. MAX_ITERATIONS,
+        SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: the linear constraints are infeasible
+        by a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls without end. MAX_ITERATIONS,
         MAX_SECONDS, INTERRUPTED: nodes, time, Ctrl-C or the callback ended the search. STALLED: some piece could be
-        neither solved nor refuted, or nothing bounds the objective.
+        neither solved nor proved infeasible, or nothing bounds the objective.
     x : ndarray, shape (n,), or None
         In every pair one side is at its bound, or zero, as a double; no row is missed by more than 1e-7 of its terms.
     value : float
@@ -229,7 +229,7 @@ class EquilibriumResult(Answer):
     @property
     def proof(self) -> EquilibriumResult | None:
         """The result itself, which can ``verify()``, where a status is proved."""
-        return self if (self.is_solved or self.is_refuted) and self.bound_by != "SCIP" else None
+        return self if (self.is_solved or self.has_no_solution) and self.bound_by != "SCIP" else None
 
     @property
     def advice(self) -> str:
@@ -277,7 +277,7 @@ class EquilibriumResult(Answer):
 
     def reached(self) -> str:
         """Return the value and the bound."""
-        if self.is_refuted:
+        if self.has_no_solution:
             return "no least objective" if self.status is Status.UNBOUNDED else "no solution"
         bound = f"bound {self.lower_bound:.9g}" if self.lower_bound > -math.inf else "no bound"
         bound += f" ({BY_SCIP})" if self.bound_by == "SCIP" else ""

@@ -91,7 +91,7 @@ def lcp_from_least_squares(
     ridge : float
         ≥ 0.
     l1 : number or array, shape (n,)
-        ≥ 0. Where a column has room on both sides of 0, the subgradient s ∈ [−l1, l1] of its penalty is an unknown
+        ≥ 0. Where a column may take both signs, the subgradient s ∈ [−l1, l1] of its penalty is an unknown
         behind the others, with w = −x; elsewhere the penalty is linear and no more than a part of q.
     form : {"auto", "normal", "mixed"}
         - normal: M = AᵀWA + ridge I, q = −AᵀWb, z = x; n rows, symmetric positive semidefinite. Its condition is that
@@ -161,7 +161,7 @@ def lcp_from_least_squares(
 
 
 def kinks(problem: BoundedLeastSquares) -> IntVector:
-    """Return the columns with a penalty and room on both sides of 0, where that is no linear term."""
+    """Return the columns with a penalty that may take both signs, where that is no linear term."""
     return np.flatnonzero((problem.l1 > 0.0) & (problem.lower < 0.0) & (problem.upper > 0.0))
 
 

@@ -210,7 +210,7 @@ class ScaledLeastSquares:
     ----------
     lower, upper, ridge, l1, linear : ndarray, shape (n,)
     has_kink : ndarray of bool, shape (n,)
-        Which columns have a penalty and room on both sides of 0.
+        Which columns have a penalty and may take both signs.
     whole : ScaledLeastSquares
         What this is an orthant of, or itself.
     b : ndarray, shape (m,)

@@ -137,8 +137,8 @@ class FacePoint:
 
     def farthest(self, direction: FloatVector) -> float:
         """Return how far one may go along the direction before a bound stops it."""
-        room = np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x) / direction
-        return float(np.min(room, initial=np.inf, where=direction != 0.0))
+        slack = np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x) / direction
+        return float(np.min(slack, initial=np.inf, where=direction != 0.0))
 
     def rise(self, direction: FloatVector, product: FloatVector) -> float:
         """Return by how much the cost rises at x + d, of d and A d; costs themselves would cancel."""

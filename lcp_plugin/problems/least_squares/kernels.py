@@ -106,9 +106,9 @@ def _orthogonalise(A, y, slope, scales, work, sets, v):  # type: ignore[no-untyp
 
 
 @compiled_part
-def _find_scales(A, weights, ridge, root, scales, room):  # type: ignore[no-untyped-def]
+def _find_scales(A, weights, ridge, root, scales, workspace):  # type: ignore[no-untyped-def]
     """Write the roots of the weights, and the powers of two just above the lengths of the columns."""
-    squares = room[0]
+    squares = workspace[0]
     for i in range(weights.size):
         root[i] = math.sqrt(weights[i])
     for j in range(scales.size):
@@ -116,19 +116,19 @@ def _find_scales(A, weights, ridge, root, scales, room):  # type: ignore[no-unty
     part_of_largest(scales, A, root)
     for j in range(scales.size):
         scales[j] = power_above(scales[j])
-    part_of_squares(squares, A, root, scales, room[1])
+    part_of_squares(squares, A, root, scales, workspace[1])
     for j in range(scales.size):
         scales[j] = power_above(np.hypot(scales[j] * math.sqrt(squares[j]), math.sqrt(ridge)))
 
 
 @compiled_part
 def _minimum(  # type: ignore[no-untyped-def]
-    A, b, root, ridge, l1, lower, upper, scales, most, x, work, room, sets
+    A, b, root, ridge, l1, lower, upper, scales, most, x, work, workspace, sets
 ):
     """Write x, each column free or exactly at its bound; return the faces solved."""
     m, n = A.shape
-    rows, right, low, high = work.shape[1], work[n], room[6], room[7]
-    penalty, least, greatest = room[9], room[12], room[13]
+    rows, right, low, high = work.shape[1], work[n], workspace[6], workspace[7]
+    penalty, least, greatest = workspace[9], workspace[12], workspace[13]
     size = 0.0
     for i in range(m):
         size = max(size, abs(root[i] * b[i]))
@@ -150,7 +150,7 @@ def _minimum(  # type: ignore[no-untyped-def]
         least[j], greatest[j], penalty[j] = low[j], high[j], l1[j] / scales[j] / size
         if ridge > 0.0:
             work[j, m + j] = math.sqrt(ridge) / scales[j]
-    rounds = _exchange(work, right, low, high, x, most, work[n + 1], room[8:], sets)
+    rounds = _exchange(work, right, low, high, x, most, work[n + 1], workspace[8:], sets)
     for j in range(n):
         there = min(max(x[j] * (size / scales[j]), lower[j]), upper[j])
         x[j] = lower[j] if x[j] <= least[j] else upper[j] if x[j] >= greatest[j] else there
@@ -158,14 +158,14 @@ def _minimum(  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _exchange(work, right, low, high, x, most, mirror, room, sets):  # type: ignore[no-untyped-def]
+def _exchange(work, right, low, high, x, most, mirror, workspace, sets):  # type: ignore[no-untyped-def]
     """Move x to the minimum, a column at a time; return the faces solved, −1 − those where that takes too many.
 
-    The rooms are for what is solved for on a face, the penalties, the slopes ±penalty of the sides on which columns
+    The workspace is for what is solved for on a face, the penalties, the slopes ±penalty of the sides on which columns
     are, what they are as right-hand sides of the triangle, and the bounds, of which low and high are those of a side.
     """
     n = x.size
-    z, penalty, linear, turned, least, greatest = room
+    z, penalty, linear, turned, least, greatest = workspace
     has_penalty = False
     free, is_free, is_rejected = sets[0], sets[1], sets[2]
     count = rounds = 0

@@ -84,11 +84,11 @@ def refined_steps(start: FacePoint) -> Iterator[FacePoint]:
 
 def _share(x: FloatVector, moved: FloatVector, lower: FloatVector, upper: FloatVector) -> tuple[float, IntVector]:
     """Return how far one may go, and the columns that are stopped there; none where one may go all the way."""
-    room = np.where(moved > 0.0, upper - x, lower - x)
-    crossing = np.where(moved != 0.0, np.abs(moved) > np.abs(room), False)
+    slack = np.where(moved > 0.0, upper - x, lower - x)
+    crossing = np.where(moved != 0.0, np.abs(moved) > np.abs(slack), False)
     if not crossing.any():
         return 1.0, np.empty(0, np.intp)
-    shares = np.where(crossing, room / np.where(crossing, moved, 1.0), np.inf)
+    shares = np.where(crossing, slack / np.where(crossing, moved, 1.0), np.inf)
     return float(shares.min()), np.flatnonzero(shares <= shares.min())
 
 

@@ -130,10 +130,10 @@ def _gap_beside_cost(  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _fall(slant, room, off, unit, share):  # type: ignore[no-untyped-def]
-    """Return by how much the cost falls at the most over the room, in units, at a slant known up to `off`."""
+def _fall(slant, slack, off, unit, share):  # type: ignore[no-untyped-def]
+    """Return by how much the cost falls at the most over the slack, in units, at a slant known up to `off`."""
     steep = (slant + off) / unit
-    return steep * (room * share) + TINY if steep > 0.0 and room > 0.0 else 0.0
+    return steep * (slack * share) + TINY if steep > 0.0 and slack > 0.0 else 0.0
 
 
 @compiled_into_others

@@ -36,7 +36,7 @@ class March(AnswerSequence[Result]):
 
     Parameters
     ----------
-    problem, forcing, carry, z0 : LCP, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
+    problem, forcing, propagator, z0 : LCP, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
         What :func:`march` was given; they are read again where an answer was not kept.
     keep_every : int
         How many steps there are from one kept answer to the next. The last one is kept, too.
@@ -58,10 +58,11 @@ class March(AnswerSequence[Result]):
     all_solved = True
 
     def __init__(
-        self, problem: LCP, forcing: FloatVector, carry: sp.csr_array, z0: FloatVector, keep_every: int,
+        self, problem: LCP, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector, keep_every: int,
         again: Callable[..., March],
     ) -> None:
-        self.problem, self.forcing, self.carry, self.z0, self.keep_every = problem, forcing, carry, z0, keep_every
+        self.problem, self.forcing, self.propagator = problem, forcing, propagator
+        self.z0, self.keep_every = z0, keep_every
         self.seconds = 0.0
         self.error: LCPError | None = None
         self._again, self._count = again, 0
@@ -114,7 +115,7 @@ class March(AnswerSequence[Result]):
     def explain(self) -> str:
         """Return how many steps of how many were taken, how they ended, and the story of the last one."""
         last = f"the last step: {self[-1]}" if len(self) else ""
-        return "\n".join(filter(None, [*self._summary(), carry_remark(self.problem, self.carry), last]))
+        return "\n".join(filter(None, [*self._summary(), propagator_remark(self.problem, self.propagator), last]))
 
     def _summary(self) -> list[str]:
         steps = f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
@@ -168,10 +169,10 @@ class _Answers(Results[FloatVector]):
 
 
 def march(
-    problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, z0: ArrayLike | None = None,
+    problem: LCP, forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
 ) -> March:
-    """Return the results of steps in time: step k has q = forcing[k] + carry @ z, z being the step before.
+    """Return the results of steps in time: step k has q = forcing[k] + propagator @ z, z being the step before.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ def march(
         Gives M and the bounds; its own q is not used.
     forcing : array, shape (k, n)
         A row a step; ``np.broadcast_to(row, (k, n))`` where it is always the same.
-    carry : number or array or sparse array, shape (n, n)
+    propagator : number or array or sparse array, shape (n, n)
         What the z of one step adds to the q of the next; a number stands for a multiple of the identity. An implicit
         Euler step (I + Δt A) z = z_before has −1.
     z0 : array, shape (n,), optional
@@ -210,9 +211,10 @@ def march(
     first two steps; the others begin with the iteration that ended the step before. Where few rows have a bound, as in
     contact, the others are eliminated by one factor, once for all steps, if that pays.
 
-    A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the carry
-    (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only where it
-    is damped: by four implicit steps at first, half as long, which have the same M, and the carry −B (Rannacher 1984).
+    A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
+    propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only
+    where it is damped: by four implicit steps at first, half as long, which have the same M, and the propagator −B
+    (Rannacher 1984).
 
     References
     ----------
@@ -228,11 +230,11 @@ def march(
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("march", problem))
     problem.matrix.require_all_rows()
-    offsets, rows = checked_forcing(forcing, problem.n), _checked_carry(carry, problem.n)
+    offsets, rows = checked_forcing(forcing, problem.n), _checked_propagator(propagator, problem.n)
     if given := [name for name in ("lower", "upper") if name in wishes]:
         raise InvalidOption(
             f"march has no option {given[0]!r}: the bounds are the problem's, problem.with_q(problem.q, {given[0]}=…); "
-            f"several marches, each with its own, are march_many(problem, forcing, carry, {given[0]}=…)"
+            f"several marches, each with its own, are march_many(problem, forcing, propagator, {given[0]}=…)"
         )
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
@@ -246,48 +248,49 @@ def march(
     return done
 
 
-def carry_remark(problem: LCP, carry: sp.csr_array) -> str:
-    """Return a sentence where every step raises the q of the next one, as a wrong sign of the carry does; else ''.
+def propagator_remark(problem: LCP, propagator: sp.csr_array) -> str:
+    """Return a sentence where every step raises the q of the next one, as a wrong sign of the propagator does; else ''.
 
     Parameters
     ----------
     problem : LCP
-    carry : csr_array, shape (n, n)
+    propagator : csr_array, shape (n, n)
 
     Examples
     --------
     >>> rod = LCP([[3, -1], [-1, 3]], [0, 0])
-    >>> print(carry_remark(rod, sp.csr_array(np.eye(2))))
-    carry[0, 0] = 1.0 and no entry of carry is negative: a larger z raises the q of the next step, which lowers z there;
-    an implicit Euler step (I + Δt A) z = z_before has carry −1
-    >>> carry_remark(rod, sp.csr_array(-np.eye(2)))
+    >>> print(propagator_remark(rod, sp.csr_array(np.eye(2))))
+    propagator[0, 0] = 1.0 and no entry of propagator is negative: a larger z raises the q of the next step, which
+    lowers z there; an implicit Euler step (I + Δt A) z = z_before has propagator −1
+    >>> propagator_remark(rod, sp.csr_array(-np.eye(2)))
     ''
     """
-    diagonal = carry.diagonal()
+    diagonal = propagator.diagonal()
     rows = np.flatnonzero((diagonal > 0.0) & (problem.diagonal > 0.0))
-    if not rows.size or (carry.data < 0.0).any():
+    if not rows.size or (propagator.data < 0.0).any():
         return ""
     return (
-        f"carry[{rows[0]}, {rows[0]}] = {diagonal[rows[0]]} and no entry of carry is negative: a larger z raises the q "
-        "of the next step, which lowers z there; an implicit Euler step (I + Δt A) z = z_before has carry −1"
+        f"propagator[{rows[0]}, {rows[0]}] = {diagonal[rows[0]]} and no entry of propagator is negative: a larger z "
+        "raises the q of the next step, which lowers z there; an implicit Euler step "
+        "(I + Δt A) z = z_before has propagator −1"
     )
 
 
 def begun(
-    problem: LCP, forcing: FloatVector, carry: sp.csr_array, z0: FloatVector, keep_every: int,
+    problem: LCP, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector, keep_every: int,
     algorithm: str | Algorithm, wishes: dict[str, Any],
 ) -> March:
     """Return a march before its first step."""
     quiet = {name: wish for name, wish in wishes.items() if name not in ("callback", "verbose")}
-    return March(problem, forcing, carry, z0, keep_every, partial(_part, problem, carry, algorithm, quiet))
+    return March(problem, forcing, propagator, z0, keep_every, partial(_part, problem, propagator, algorithm, quiet))
 
 
 def _part(
-    problem: LCP, carry: sp.csr_array, algorithm: str | Algorithm, wishes: dict[str, Any], forcing: FloatVector, *,
+    problem: LCP, propagator: sp.csr_array, algorithm: str | Algorithm, wishes: dict[str, Any], forcing: FloatVector, *,
     z0: FloatVector, **where: Any,
 ) -> March:
     """Return the march along a part of the forcing, with every answer."""
-    done = begun(problem, forcing, carry, z0, 1, algorithm, wishes)
+    done = begun(problem, forcing, propagator, z0, 1, algorithm, wishes)
     take_steps(done, len(forcing), algorithm, wishes, **where)
     return done
 
@@ -302,20 +305,22 @@ def take_steps(
     what is dear may pay as well.
     """
     (policy, settings), clock = asked_of_solve(algorithm, wishes), Clock(done.problem.communicator)
-    problem, forcing, carry = done.problem, done.forcing[:end], done.carry
+    problem, forcing, propagator = done.problem, done.forcing[:end], done.propagator
     is_unobserved, total = settings.is_unobserved and wishes.get("callback") is None, total or len(done.forcing)
     state, begin = done._kept[len(done) - 1] if len(done) else (done.z0, begin)
     while len(done) < end and done.all_solved:
         before = len(done)
         try:
             if is_unobserved and clock.read() < limit:
-                for z, result in _fused(problem, policy, settings, forcing[before : before + BLOCK], carry, state):
+                for z, result in _fused(problem, policy, settings, forcing[before : before + BLOCK], propagator, state):
                     done._take(z, result, begin)
             if len(done) == before:
                 with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
-                    step = problem.with_q(forcing[before] + carry @ state)
+                    step = problem.with_q(forcing[before] + propagator @ state)
                 left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
-                of_step = StepPolicy(begin, refutes=settings.refute) if algorithm == "auto" else None
+                of_step = None
+                if algorithm == "auto":
+                    of_step = StepPolicy(begin, prove_infeasibility=settings.prove_infeasibility)
                 found = solve_lcp(step, of_step or algorithm, z0=state, **{**wishes, **left})
                 done.all_solved = found.is_solved
                 if of_step is not None and found.is_solved:
@@ -334,16 +339,16 @@ def take_steps(
 
 
 def _fused(
-    problem: LCP, policy: Policy, settings: Settings, offsets: FloatVector, carry: sp.csr_array, state: FloatVector
+    problem: LCP, policy: Policy, settings: Settings, offsets: FloatVector, propagator: sp.csr_array, state: FloatVector
 ) -> Iterator[tuple[FloatVector, Callable[[], Result]]]:
     """Yield the steps that one compiled loop takes, up to the first that does not converge."""
     first, clock = policy.first(problem), Clock(problem.communicator)
     if not (isinstance(first.algorithm, Banded) and needs_no_scaling(problem)):
         return
     Q, Z = np.array(offsets), np.empty(offsets.shape)
-    Q[0] += carry @ state
+    Q[0] += propagator @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])
-    found = first.algorithm.fused_solves(problem, Q, Z, settings.tolerance, settings.max_iterations, carry)
+    found = first.algorithm.fused_solves(problem, Q, Z, settings.tolerance, settings.max_iterations, propagator)
     seconds = clock.read() / len(found)
 
     def result_of(q: FloatVector, one: FusedSolve) -> Result:
@@ -375,16 +380,16 @@ def checked_forcing(
     return offsets
 
 
-def _checked_carry(carry: Any, n: int) -> sp.csr_array:
-    need = f"carry must be a number or a finite array of shape ({n}, {n})"
-    if is_number(carry):
-        carry = float(carry) * sp.eye_array(n)
-    elif not sp.issparse(carry):
-        carry = real_array(carry, need)
-    if carry.shape != (n, n):
-        raise InvalidProblem(f"{need}, got shape {carry.shape}")
-    check_kind(carry.dtype, need)
-    rows = sp.csr_array(carry, dtype=np.float64)
+def _checked_propagator(propagator: Any, n: int) -> sp.csr_array:
+    need = f"propagator must be a number or a finite array of shape ({n}, {n})"
+    if is_number(propagator):
+        propagator = float(propagator) * sp.eye_array(n)
+    elif not sp.issparse(propagator):
+        propagator = real_array(propagator, need)
+    if propagator.shape != (n, n):
+        raise InvalidProblem(f"{need}, got shape {propagator.shape}")
+    check_kind(propagator.dtype, need)
+    rows = sp.csr_array(propagator, dtype=np.float64)
     if not np.isfinite(rows.data).all():
         raise InvalidProblem(f"{need}, got NaN or infinite entries; repair them")
     return rows

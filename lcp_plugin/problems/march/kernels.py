@@ -27,13 +27,13 @@ KINK = 2  # times the side of a row that is at this bound, with w = 0
 
 
 @compiled_part
-def _solve(band, right, value, state, x, rows, room):  # type: ignore[no-untyped-def]
+def _solve(band, right, value, state, x, rows, workspace):  # type: ignore[no-untyped-def]
     """Fill x with value where state is not 0 and the solution of B x + right = 0 elsewhere."""
     bands, below, is_direct, weights = band
     if is_direct:
-        substitute(bands, right, value, state, x, room)
+        substitute(bands, right, value, state, x, workspace)
     else:
-        eliminate(bands, below, weights, right, value, state, x, rows, room)
+        eliminate(bands, below, weights, right, value, state, x, rows, workspace)
 
 
 @compiled_part
@@ -135,7 +135,7 @@ def settle(  # type: ignore[no-untyped-def]
         Where that succeeded.
     """
     n = Z.shape[1]
-    w, value, step, room = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    w, value, step, workspace = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     change, size, spread, rows = np.empty(n), np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
     for k in range(Z.shape[0]):
         z, state, is_settled, is_plain[k] = Z[k], sides[k], False, False
@@ -149,7 +149,7 @@ def settle(  # type: ignore[no-untyped-def]
                 break
             for i in range(n):
                 value[i] = 0.0 if state[i] == 0 else (lower[i] if state[i] < 0 else upper[i]) - z[i]
-            _solve(band, w, value, state, step, rows, room)
+            _solve(band, w, value, state, step, rows, workspace)
             most = largest = 0.0
             for i in range(n):
                 z[i] = z[i] + step[i] if state[i] == 0 else lower[i] if state[i] < 0 else upper[i]
@@ -160,7 +160,7 @@ def settle(  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def tangents(  # type: ignore[no-untyped-def]
-    band, carry, dM, dcarry, dforcing, lower, upper, states, Z, sides, is_plain, first, before, dz
+    band, propagator, dM, dpropagator, dforcing, lower, upper, states, Z, sides, is_plain, first, before, dz
 ):
     """Write how each z changes, from row `first` on; return the row at which that ends.
 
@@ -168,7 +168,7 @@ def tangents(  # type: ignore[no-untyped-def]
     ----------
     band
         As in `settle`.
-    carry, dM, dcarry : tuples
+    propagator, dM, dpropagator : tuples
         Matrices by rows.
     dforcing : array, shape (k, n), or (1, n) for all steps
     lower, upper : arrays, shape (n,)
@@ -184,17 +184,17 @@ def tangents(  # type: ignore[no-untyped-def]
     """
     n = before.size
     h, value, state, change = np.empty(n), np.empty(n), np.empty(n, np.int8), np.empty(n)
-    w, room, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
+    w, workspace, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
     for k in range(first, Z.shape[0]):
         if not is_plain[k]:
             return k
         for i in range(n):
             h[i], state[i] = dforcing[min(k, dforcing.shape[0] - 1), i], sides[k, i]
             value[i] = 0.0 if state[i] == 0 else lower[i] if state[i] < 0 else upper[i]
-        add_product(carry[0], carry[1], carry[2], before, h)
+        add_product(propagator[0], propagator[1], propagator[2], before, h)
         add_product(dM[0], dM[1], dM[2], Z[k], h)
-        add_product(dcarry[0], dcarry[1], dcarry[2], states[k], h)
-        _solve(band, h, value, state, change, rows, room)
+        add_product(dpropagator[0], dpropagator[1], dpropagator[2], states[k], h)
+        _solve(band, h, value, state, change, rows, workspace)
         is_regular, rounding = _is_regular(band, h, state, change, w)
         for i in range(n):
             if abs(state[i]) == KINK:  # held, if its slack agrees; else a small LCP has to tell
@@ -209,37 +209,37 @@ def tangents(  # type: ignore[no-untyped-def]
 
 @interpreted_while_small
 def adjoints(  # type: ignore[no-untyped-def]
-    band, carry, g, of_matrix, of_carry, states, Z, sides, is_plain, last, after, by_q, by_lower, by_upper, by_M,
-    by_carry
+    band, propagator, g, of_matrix, of_propagator, states, Z, sides, is_plain, last, after, by_q, by_lower, by_upper,
+    by_M, by_propagator
 ):
     """Add the gradients of a function of z, from row `last` backwards; return the row at which that ends, −1 for none.
 
     Parameters
     ----------
-    band, carry
+    band, propagator
         As in `tangents`, but of the transposed matrices.
     g : array, shape (k, n), or (0, n) for nothing
         The gradient by each z.
-    of_matrix, of_carry : pairs of arrays
-        The row and the column of each entry of M and of the carry.
+    of_matrix, of_propagator : pairs of arrays
+        The row and the column of each entry of M and of the propagator.
     states, Z, sides, is_plain
         As in `tangents`.
     after : array, shape (n,)
         The gradient by the z of row `last` that later steps give, then that by the state before the first row.
     by_q : array, shape (k, n)
         Written to, or (0, n) for nothing.
-    by_lower, by_upper, by_M, by_carry : arrays, shapes (n,), (n,), and an entry for each of M and of the carry
+    by_lower, by_upper, by_M, by_propagator : arrays, shapes (n,), (n,), and an entry for each of the two matrices
     """
     n = after.size
     right, value, state, multiplier = np.empty(n), np.zeros(n), np.empty(n, np.int8), np.empty(n)
-    w, room, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
+    w, workspace, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
     for k in range(last, -1, -1):
         if not is_plain[k]:
             return k
         for i in range(n):
             state[i] = sides[k, i]
             right[i] = -(after[i] + g[k, i]) if g.shape[0] > 0 else -after[i]
-        _solve(band, right, value, state, multiplier, rows, room)
+        _solve(band, right, value, state, multiplier, rows, workspace)
         is_regular, _ = _is_regular(band, right, state, multiplier, w)
         if not is_regular:
             return k
@@ -252,7 +252,7 @@ def adjoints(  # type: ignore[no-untyped-def]
                 by_q[k, i] = multiplier[i]
         for p in range(by_M.size):
             by_M[p] += multiplier[of_matrix[0][p]] * Z[k, of_matrix[1][p]]
-        for p in range(by_carry.size):
-            by_carry[p] += multiplier[of_carry[0][p]] * states[k, of_carry[1][p]]
-        add_product(carry[0], carry[1], carry[2], multiplier, after)
+        for p in range(by_propagator.size):
+            by_propagator[p] += multiplier[of_propagator[0][p]] * states[k, of_propagator[1][p]]
+        add_product(propagator[0], propagator[1], propagator[2], multiplier, after)
     return -1

@@ -28,7 +28,7 @@ from . import BLOCK, March
 if TYPE_CHECKING:
     from ..sensitivity import Derivative
 
-CHANGES = ("dM", "dforcing", "dcarry", "dz0", "dlower", "dupper", "only_last")
+CHANGES = ("dM", "dforcing", "dpropagator", "dz0", "dlower", "dupper", "only_last")
 
 
 class Sums(NamedTuple):
@@ -38,22 +38,22 @@ class Sums(NamedTuple):
     lower: FloatVector
     upper: FloatVector
     M: FloatVector
-    carry: FloatVector
+    propagator: FloatVector
 
 
 class Band(NamedTuple):
-    """What the compiled loops take of a narrow band: M, the carry, both transposed; where their entries are."""
+    """What the compiled loops take of a narrow band: M, the propagator, both transposed; where their entries are."""
 
     band: Any
     transposed: Any
     rows: Any
-    carry: Any
-    transposed_carry: Any
+    propagator: Any
+    transposed_propagator: Any
     of_matrix: Any
-    of_carry: Any
+    of_propagator: Any
 
     @classmethod
-    def of(cls, matrix: Matrix, carry: sp.csr_array) -> Band | None:
+    def of(cls, matrix: Matrix, propagator: sp.csr_array) -> Band | None:
         """Return it, None where the band is not narrow."""
         if sum(bandwidth(matrix) or (matrix.n, matrix.n)) > BANDED_UP_TO:
             return None
@@ -61,8 +61,9 @@ class Band(NamedTuple):
         if len(found) < 2:
             return None
         band, back = ((band.entries, band.below, band.is_tridiagonal_z, band.weights) for band in found)
-        across = _by_rows(sp.csr_array(carry.T))
-        return cls(band, back, _by_rows(matrix.csr), _by_rows(carry), across, _places(matrix.csr), _places(carry))
+        across = _by_rows(sp.csr_array(propagator.T))
+        places = _places(matrix.csr), _places(propagator)
+        return cls(band, back, _by_rows(matrix.csr), _by_rows(propagator), across, *places)
 
 
 def _by_rows(A: sp.csr_array) -> Any:
@@ -82,7 +83,7 @@ class CompiledSteps:
     def __init__(self, whole: MarchDerivative, first: int, states: FloatVector) -> None:
         self.whole, self.march, self.band, self.first, self.states = whole, whole.march, whole.band, first, states
         march, count = whole.march, len(states) - 1
-        self.q = np.add(march.forcing[first : first + count], (march.carry @ states[:-1].T).T, order="C")
+        self.q = np.add(march.forcing[first : first + count], (march.propagator @ states[:-1].T).T, order="C")
         self.z, self.sides = states[1:].copy(), np.zeros((count, states.shape[1]), np.int8)
         self._of_step: tuple[int, Derivative] | None = None
         self.is_plain = np.zeros(count, np.bool_)
@@ -108,44 +109,44 @@ class CompiledSteps:
         return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain[k] else self.at(k).degenerate
 
     def jvp(
-        self, dM: sp.csr_array, dforcing: FloatVector, dcarry: sp.csr_array, dlower: FloatVector, dupper: FloatVector,
-        before: FloatVector, dz: FloatVector,
+        self, dM: sp.csr_array, dforcing: FloatVector, dpropagator: sp.csr_array, dlower: FloatVector,
+        dupper: FloatVector, before: FloatVector, dz: FloatVector,
     ) -> None:
         """Write the changes of the answers, and that of the state, which comes with that before the first step."""
-        k, carry = 0, self.march.carry
+        k, propagator = 0, self.march.propagator
         while k < len(self):
             if self.band is not None:
                 from .kernels import tangents
 
                 k = tangents(
-                    self.band.band, self.band.carry, _by_rows(dM), _by_rows(dcarry), dforcing, dlower, dupper,
+                    self.band.band, self.band.propagator, _by_rows(dM), _by_rows(dpropagator), dforcing, dlower, dupper,
                     self.states, self.z, self.sides, self.is_plain, k, before, dz,
                 )
             if k < len(self):
-                dq = dforcing[min(k, len(dforcing) - 1)] + dcarry @ self.states[k] + carry @ before
+                dq = dforcing[min(k, len(dforcing) - 1)] + dpropagator @ self.states[k] + propagator @ before
                 before[:] = self.at(k).jvp(dq=dq + dM @ self.at(k).z, dlower=dlower, dupper=dupper)
                 dz[min(k, len(dz) - 1)] = before
                 k += 1
 
     def vjp(self, g: FloatVector, sums: Sums, by_q: FloatVector) -> None:
-        """Add what these steps have to the sums, and write their gradients by q where there is room."""
+        """Add what these steps have to the sums, and write their gradients by q where there is an array for them."""
         k, march = len(self) - 1, self.march
         while k >= 0:
             if self.band is not None:
                 from .kernels import adjoints
 
                 k = adjoints(
-                    self.band.transposed, self.band.transposed_carry, g, self.band.of_matrix, self.band.of_carry,
-                    self.states, self.z, self.sides, self.is_plain, k, sums.after, by_q, sums.lower, sums.upper,
-                    sums.M, sums.carry,
+                    self.band.transposed, self.band.transposed_propagator, g, self.band.of_matrix,
+                    self.band.of_propagator, self.states, self.z, self.sides, self.is_plain, k, sums.after, by_q,
+                    sums.lower, sums.upper, sums.M, sums.propagator,
                 )
             if k >= 0:
                 found = self.at(k).vjp(sums.after + g[k] if len(g) else sums.after)
                 sums.lower[:] += found.lower
                 sums.upper[:] += found.upper
                 sums.M[:] += found.M.data
-                sums.carry[:] += found.q[row_numbers(march.carry)] * self.states[k][march.carry.indices]
-                sums.after[:] = march.carry.T @ found.q
+                sums.propagator[:] += found.q[row_numbers(march.propagator)] * self.states[k][march.propagator.indices]
+                sums.after[:] = march.propagator.T @ found.q
                 if len(by_q):
                     by_q[k] = found.q
                 k -= 1
@@ -158,18 +159,19 @@ class MarchGradient:
     ----------
     z0, lower, upper : array, shape (n,)
         By the state before the first step, also where that was left to its default, and by the bounds of all steps.
-    M, carry : csr_array, shape (n, n)
-        By the entries that M and the carry have, in their places. A carry that is a number has that of the diagonal's
-        sum.
+    M, propagator : csr_array, shape (n, n)
+        By the entries that M and the propagator have, in their places. A propagator that is a number has that of the
+        diagonal's sum.
     by_forcing : callable
         Gives forcing, shape (k, n).
     """
 
     def __init__(
-        self, z0: FloatVector, lower: FloatVector, upper: FloatVector, M: sp.csr_array, carry: sp.csr_array,
+        self, z0: FloatVector, lower: FloatVector, upper: FloatVector, M: sp.csr_array, propagator: sp.csr_array,
         by_forcing: Callable[[], FloatVector],
     ) -> None:
-        self.z0, self.lower, self.upper, self.M, self.carry, self._by_forcing = z0, lower, upper, M, carry, by_forcing
+        self.z0, self.lower, self.upper, self.M = z0, lower, upper, M
+        self.propagator, self._by_forcing = propagator, by_forcing
 
     @cached_property
     def forcing(self) -> FloatVector:
@@ -178,7 +180,7 @@ class MarchGradient:
 
 
 class MarchDerivative:
-    """The derivative of all steps in time with respect to M, forcing, carry, z0 and bounds.
+    """The derivative of all steps in time with respect to M, forcing, propagator, z0 and bounds.
 
     ``found[k]`` is the :class:`~lcp_plugin.Derivative` of step k by its own q, which says what is proved of it.
 
@@ -242,8 +244,9 @@ class MarchDerivative:
         return True if all(self[k].is_unique for k in range(len(self))) else None
 
     def jvp(
-        self, *, dM: Any = None, dforcing: ArrayLike | None = None, dcarry: Any = None, dz0: ArrayLike | None = None,
-        dlower: ArrayLike | None = None, dupper: ArrayLike | None = None, only_last: bool = False, **named: Any,
+        self, *, dM: Any = None, dforcing: ArrayLike | None = None, dpropagator: Any = None,
+        dz0: ArrayLike | None = None, dlower: ArrayLike | None = None, dupper: ArrayLike | None = None,
+        only_last: bool = False, **named: Any,
     ) -> FloatVector:
         """Return how the answers change with the data, dz; one-sided where rows are degenerate.
 
@@ -253,8 +256,8 @@ class MarchDerivative:
             The change of M, on any pattern.
         dforcing : array, shape (k, n) or (n,), optional
             Of each step, or the same for all.
-        dcarry : number or array or sparse array, shape (n, n), optional
-            The change of the carry, on any pattern; a number stands for a multiple of the identity.
+        dpropagator : number or array or sparse array, shape (n, n), optional
+            The change of the propagator, on any pattern; a number stands for a multiple of the identity.
         dz0 : array, shape (n,), optional
         dlower, dupper : number or array, shape (n,), optional
             The change of the bounds; only those that hold matter.
@@ -293,18 +296,18 @@ class MarchDerivative:
                 f"dforcing=problem.origin.changes({', '.join(f'{name}=…' for name in named)})[\"dq\"]"
             )
         rows = np.atleast_2d(_rows(np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"))
-        dM, dcarry = _matrix(dM, "dM", n), _matrix(dcarry, "dcarry", n)
+        dM, dpropagator = _matrix(dM, "dM", n), _matrix(dpropagator, "dpropagator", n)
         dM = sp.csr_array(dM + more["dM"]) if "dM" in more else dM
         low, high = _vector(dlower, "dlower", n), _vector(dupper, "dupper", n)
         before, dz = _vector(dz0, "dz0", n, may_be_number=False).copy(), np.empty((1 if only_last else steps, n))
         for part in self._parts():
             here = slice(part.first, part.first + len(part))
             own = rows[here] if len(rows) > 1 else rows
-            part.jvp(dM, own, dcarry, low, high, before, dz if only_last else dz[here])
+            part.jvp(dM, own, dpropagator, low, high, before, dz if only_last else dz[here])
         return dz if not only_last else dz[0] if steps else before
 
     def vjp(self, g: ArrayLike) -> MarchGradient:
-        """Return the gradients of a function L of the answers by M, the forcing, the carry, z0 and the bounds.
+        """Return the gradients of a function L of the answers by M, the forcing, the propagator, z0 and the bounds.
 
         Where rows are degenerate, this is the gradient of one of the pieces that meet there: see ``Derivative.vjp``.
 
@@ -325,7 +328,7 @@ class MarchDerivative:
         >>> from lcp_plugin import LCP, derivative, march
         >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)
         >>> gradient = derivative(march(rod, [[-1, 0], [-1, 0]], z0=[1, 1])).vjp([1, 0])
-        >>> gradient.z0, gradient.carry.diagonal()
+        >>> gradient.z0, gradient.propagator.diagonal()
         (array([0.15625, 0.09375]), array([-0.484375, -0.171875]))
         >>> gradient.forcing
         array([[-0.15625, -0.09375],
@@ -340,18 +343,18 @@ class MarchDerivative:
             self._back(rows, by_q)
             return by_q
 
-        M, carry = self.march.problem.matrix.csr, self.march.carry
+        M, propagator = self.march.problem.matrix.csr, self.march.propagator
         return MarchGradient(
             found.after, found.lower, found.upper, sp.csr_array((found.M, M.indices, M.indptr), shape=(n, n)),
-            sp.csr_array((found.carry, carry.indices, carry.indptr), shape=(n, n)), by_forcing,
+            sp.csr_array((found.propagator, propagator.indices, propagator.indptr), shape=(n, n)), by_forcing,
         )
 
     def _back(self, g: FloatVector, by_q: FloatVector) -> Sums:
-        """Return the sums over all steps, and write the gradients by q where there is room for them."""
+        """Return the sums over all steps, and write the gradients by q where there is an array for them."""
         problem, n = self.march.problem, self.march.problem.n
         is_last_alone = g.ndim == 1
         after, of_entries = g.copy() if is_last_alone else np.zeros(n), np.zeros(problem.matrix.csr.nnz)
-        sums = Sums(after, np.zeros(n), np.zeros(n), of_entries, np.zeros(self.march.carry.nnz))
+        sums = Sums(after, np.zeros(n), np.zeros(n), of_entries, np.zeros(self.march.propagator.nnz))
         for part in self._parts(backwards=True):
             here = slice(part.first, part.first + len(part))
             part.vjp(g[:0].reshape(0, n) if is_last_alone else g[here], sums, by_q[here])
@@ -371,13 +374,13 @@ class MarchDerivative:
     @cached_property
     def band(self) -> Band | None:
         """What the compiled loops take, where M is a narrow band."""
-        return Band.of(self.march.problem.matrix, self.march.carry)
+        return Band.of(self.march.problem.matrix, self.march.propagator)
 
 
 def _matrix(given: Any, name: str, n: int) -> sp.csr_array:
     if given is None:
         return sp.csr_array((n, n))
-    if name == "dcarry" and is_number(given):
+    if name == "dpropagator" and is_number(given):
         given = float(given) * sp.eye_array(n)
     return sp.csr_array(rectangular_matrix(given, name, n, n))
 

@@ -26,22 +26,22 @@ from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
 from . import BLOCK, March, begun, checked_forcing, march, needs_no_scaling, take_steps
 
-SIDE_BY_SIDE = 16  # as the compiled loop has room for
+SIDE_BY_SIDE = 16  # as the compiled loop has space for
 
 
 def march_many(
-    problem: LCP, forcing: ArrayLike, carry: Any = -1.0, *, lower: ArrayLike | None = None,
+    problem: LCP, forcing: ArrayLike, propagator: Any = -1.0, *, lower: ArrayLike | None = None,
     upper: ArrayLike | None = None, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",
     max_seconds: float | None = None, keep_every: int = 1, threads: int | None = None, **wishes: Any,
 ) -> list[March]:
-    """Return the steps in time of several forcings, bounds or states, with one M and one carry.
+    """Return the steps in time of several forcings, bounds or states, with one M and one propagator.
 
     Parameters
     ----------
     problem : LCP
         Gives M, and the bounds where no others are given; its own q is not used.
     forcing : array, shape (m, k, n), or (k, n) for all marches
-    carry
+    propagator
         As for :func:`lcp_plugin.march`.
     lower, upper : number or array, shape (m, n) or (n,), optional
         The bounds of each march, or of all.
@@ -94,10 +94,12 @@ def march_many(
         start = own.pop("z0", None)
         of_march = problem.with_q(problem.q, **own) if own else problem
         if not marches:  # what all share is checked once
-            one = march(of_march, offsets[0][:0], carry, z0=start, algorithm=algorithm, keep_every=keep_every, **wishes)
+            one = march(
+                of_march, offsets[0][:0], propagator, z0=start, algorithm=algorithm, keep_every=keep_every, **wishes
+            )
         else:
             state = of_march.nearest_to_zero if start is None else checked_vector(start, "z0", n)
-            one = begun(of_march, one.forcing, one.carry, state, one.keep_every, algorithm, wishes)
+            one = begun(of_march, one.forcing, one.propagator, state, one.keep_every, algorithm, wishes)
         one.forcing = offsets[min(j, len(offsets) - 1)]
         marches.append(one)
     steps = _Steps(marches, algorithm, wishes, limit, clock)
@@ -169,13 +171,13 @@ class _Steps:
         kept = np.full(end - first, -1)
         kept[here] = np.arange(len(here))
         found = algorithm.fused_marches(
-            leader.problem, _forcing_of(group, first, end), leader.carry, lower, upper, states, kept,
+            leader.problem, _forcing_of(group, first, end), leader.propagator, lower, upper, states, kept,
             settings.tolerance, settings.max_iterations,
         )
         seconds = clock.read() / max(len(group) * found.steps, 1)
 
         def result_of(one: March, j: int, k: int, before: FloatVector, z: FloatVector) -> Result:
-            q, fused = one.forcing[first + k] + one.carry @ before, found.solve_of(j, k, z)
+            q, fused = one.forcing[first + k] + one.propagator @ before, found.solve_of(j, k, z)
             certificate = Certificate.of(one.problem.with_q(q), z)
             return fused_result(certificate, policy, choice, fused, settings, seconds)
 

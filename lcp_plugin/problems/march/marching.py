@@ -30,12 +30,12 @@ class StepPolicy(Auto):
     ----------
     begin : Algorithm or None
         What the step begins with; None where `auto` asks.
-    refutes : bool
+    prove_infeasibility : bool
         Whether anybody looks for proofs, where there is no solution.
     """
 
-    def __init__(self, begin: Algorithm | None, *, refutes: bool) -> None:
-        super().__init__(refutes=refutes)
+    def __init__(self, begin: Algorithm | None, *, prove_infeasibility: bool) -> None:
+        super().__init__(prove_infeasibility=prove_infeasibility)
         self._begin = begin
         self._stages: Sequence[Stage] = ()
 

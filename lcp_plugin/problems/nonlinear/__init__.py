@@ -8,7 +8,7 @@ NONLINEAR_PROBLEM = Kind(
     "problem.linearised(x) is the LCP at a point x",
     {
         "z0=": "a start is called x0 here",
-        "refute=": "nothing refutes a nonlinear problem, leave it out",
+        "prove_infeasibility=": "nothing proves a nonlinear problem infeasible, leave it out",
         "tolerance_on=": "error_bound=True proves a solution near x, given an enclosure",
         "solve_batch": "write [solve(problem, x0=…) for problem in problems]",
         "solve_many": "write [solve(problem, x0=…) for problem in problems]",

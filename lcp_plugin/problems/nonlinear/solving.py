@@ -137,7 +137,7 @@ def solve_nonlinear(
         asked = settings.goal
         newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(judge.scaling, Single(newton, refutes=False), settings, callback, clock, judge)
+        run = Run(judge.scaling, Single(newton, prove_infeasibility=False), settings, callback, clock, judge)
         try:
             if check_jacobian and problem.jacobian is not None:
                 require_true_jacobian(first)

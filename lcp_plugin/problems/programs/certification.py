@@ -73,7 +73,7 @@ def certify(
         "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), and
         neither is x proved to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one, nor are multipliers
         that came with it wrong by more than 10 · tolerance beside the terms of their conditions: sign, gradient, and 0
-        where x leaves room. Of "infeasible": that every x violates a constraint by more than this, so that no x can be
+        where x leaves slack. Of "infeasible": that every x violates a constraint by more than this, so that no x can be
         proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
@@ -93,13 +93,13 @@ def certify(
 
     Notes
     -----
-    Refuted is: x that is proved to violate a constraint by more than the tolerance; a feasible point with an objective
-    lower by more than tolerance (u + |f|), or for ever; a lower bound above f(x) by as much; x that is proved to be
-    farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one; "infeasible" beside a feasible point; "unbounded"
-    beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a direction of
-    descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives bounds where the
-    constraints bound x. Constraints that contradict by less than the tolerance may be
-    met to it: neither is such an x refuted nor "infeasible" proved. u is a power of two that most coefficients of the
+    Disproved is: x that is proved to violate a constraint by more than the tolerance; a feasible point with an
+    objective lower by more than tolerance (u + |f|), or for ever; a lower bound above f(x) by as much; x that is proved
+    to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one; "infeasible" beside a feasible point;
+    "unbounded" beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a
+    direction of descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives
+    bounds where the constraints bound x. Constraints that contradict by less than the tolerance may be
+    met to it: neither is such an x disproved nor "infeasible" proved. u is a power of two that most coefficients of the
     objective are near, v is 1 where nothing shows another unit of x: no verdict depends on the unit of the objective.
 
     An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have
@@ -120,13 +120,13 @@ def certify(
     >>> certify(program, [0.5, 1.51]).reason
     'a constraint is violated by 0.01'
     >>> certify(program, claim="infeasible").verdict
-    'refuted'
+    'disproved'
     """
     _check_options(tolerance, max_seconds)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         if isinstance(problem, QuadraticProgramResult) and x is None:
             problem, x = problem.program, problem
-        if isinstance(x, QuadraticProgramResult) and claim is None and x.is_refuted:
+        if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
             if kind_of(problem) is not None or isinstance(problem, (Answer, QPSolution)):
@@ -197,7 +197,7 @@ class Certification:
     Attributes
     ----------
     verdict : str
-        "proved": the claim holds to the tolerance. "refuted": it is proved to be false. "unproved": neither.
+        "proved": the claim holds to the tolerance. "disproved": it is proved to be false. "unproved": neither.
     claim : str
         "optimal", "infeasible" or "unbounded".
     violation : float or None
@@ -331,7 +331,7 @@ class ProgramProofs:
         """Return what is proved about "infeasible" or "unbounded"."""
         if (proof := self.no_minimum) is not None:
             if proof.verdict != claim:
-                return Certification("refuted", claim, reason=f"the program is {proof}")
+                return Certification("disproved", claim, reason=f"the program is {proof}")
             if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
                 return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")
             return Certification("proved", claim, reason=str(proof))
@@ -340,9 +340,9 @@ class ProgramProofs:
         lower = self.own_lower
         numbers = {"lower": _if_finite(lower), "upper": _if_finite(upper)}
         if claim == "infeasible" and points:
-            return Certification("refuted", claim, **numbers, reason="a feasible point is proved")
+            return Certification("disproved", claim, **numbers, reason="a feasible point is proved")
         if claim == "unbounded" and lower > -np.inf:
-            return Certification("refuted", claim, **numbers, reason=f"no feasible x is below {lower:.9g}")
+            return Certification("disproved", claim, **numbers, reason=f"no feasible x is below {lower:.9g}")
         return Certification("unproved", claim, **numbers, reason=NOTHING)
 
     def of_answer(
@@ -359,7 +359,7 @@ class ProgramProofs:
         found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, unit)
         if self.is_small or not found.is_proved() or found.may_have_bought():
             lower = max(lower, self.own_lower)
-            points = found.points or self.upper(x, exactly=not violation[0] > tolerance)  # or it is refuted anyway
+            points = found.points or self.upper(x, exactly=not violation[0] > tolerance)  # or it is disproved anyway
             found = replace(found, lower=lower, points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
                 complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
@@ -401,8 +401,8 @@ class Proved:
         """A bound of |f(x) − lower|."""
         return math.nextafter(max(self.value[1] - self.lower, self.lower - self.value[0], 0.0), math.inf)
 
-    def refutation(self) -> str:
-        """Return what refutes the answer, or nothing."""
+    def disproof(self) -> str:
+        """Return what disproves the answer, or nothing."""
         below, above = self.value
         allowed = self.tolerance * (self.unit + max(abs(below), abs(above))) * OUTWARD
         if self.violation[0] > self.tolerance:
@@ -432,11 +432,11 @@ class Proved:
         """Return the verdict and its numbers; distances in some of the columns."""
         near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
         near = proofs.sharpened(near, x, self.points, self.lower, columns)
-        refuted, is_proved = self.refutation() or self._no_minimum(proofs), self.is_proved()
+        disproof, is_proved = self.disproof() or self._no_minimum(proofs), self.is_proved()
         size = float(np.maximum(proofs.program.scaling.unknown, np.abs(x)).max(initial=0.0))
-        refuted = refuted or self._error_of_x(size, far_in_columns, "x")
-        verdict = "refuted" if refuted else "proved" if is_proved else "unproved"
-        reason = refuted or self._reason(proofs.bounds.curvature.evidence, is_proved)
+        disproof = disproof or self._error_of_x(size, far_in_columns, "x")
+        verdict = "disproved" if disproof else "proved" if is_proved else "unproved"
+        reason = disproof or self._reason(proofs.bounds.curvature.evidence, is_proved)
         complaint = self._error_of_x(size, far, "x, with the variables that cvxpy added,") or complaint
         if verdict == "proved" and complaint:
             verdict, reason = "unproved", complaint
@@ -448,7 +448,7 @@ class Proved:
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
-        """Return what refutes every answer, whatever its numbers are; looked for where there is no lower bound."""
+        """Return what disproves every answer, whatever its numbers are; looked for where there is no lower bound."""
         proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
         is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
         return f"the program is {proof}" if is_endless else ""
@@ -541,7 +541,7 @@ def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[Floa
         worst = int(np.where(is_wrong, pulls, 0.0).argmin())
         k = int(np.searchsorted(ends, worst, side="right")) - 1
         return f"the multiplier {names[k]}[{worst - ends[k]}] = {every[worst]:.3g} has the wrong sign"
-    if idle := multiplier_beside_room(program, x, every, tolerance):
+    if idle := multiplier_beside_slack(program, x, every, tolerance):
         return idle
     inequality, equality = given[:2]
     terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c)]
@@ -562,8 +562,8 @@ def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[Floa
     return ""
 
 
-def multiplier_beside_room(program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float) -> str:
-    """Return which of the first multipliers is not 0 although x leaves room at its inequality, or nothing.
+def multiplier_beside_slack(program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float) -> str:
+    """Return which of the first multipliers is not 0 although x leaves slack at its inequality, or nothing.
 
     Others may balance it in the gradient. Their product is a part of the gap, and beside f(x) and its own terms here.
     """
@@ -571,13 +571,13 @@ def multiplier_beside_room(program: QuadraticProgram, x: FloatVector, y: FloatVe
     matrix, limit = rows.matrix[:k], rows.limit[:k]
     is_finite = np.isfinite(limit)
     coefficient, objective = program.scaling.coefficient[:k], program.scaling.objective
-    room = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), coefficient)  # y itself has to be 0 at no limit
+    slack = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), coefficient)  # y itself has to be 0 at no limit
     terms = np.where(is_finite, np.maximum(np.abs(limit), abs(matrix) @ np.abs(x)), coefficient)
     value = np.where(is_finite, abs(program.objective(x)), 0.0)
-    excess = np.abs(y * room) - LOOSE * tolerance * (objective + np.maximum(value, np.abs(y) * terms))
+    excess = np.abs(y * slack) - LOOSE * tolerance * (objective + np.maximum(value, np.abs(y) * terms))
     excess[rows.is_equality[:k]] = 0.0
     if excess.max(initial=0.0) > 0.0:
         i = int(excess.argmax())
-        what = f"{room[i]:.3g} of room" if is_finite[i] else "no limit"
+        what = f"{slack[i]:.3g} of slack" if is_finite[i] else "no limit"
         return f"a multiplier {y[i]:.3g} stands where there is {what}"
     return ""

@@ -312,7 +312,7 @@ class QPOrigin:
         ----------
         answer : Result or array, shape (rows of the problem,)
             Right or wrong: the solution's residuals say which. Multipliers of inequalities lose a wrong sign here. A
-            result with a proof that there is no solution has no multipliers, NaN, where the program is refuted too:
+            result with a proof that there is no solution has no multipliers, NaN, where the program has none either:
             what is a contradiction beside the problem's data may be none beside the program's.
 
         Raises
@@ -321,7 +321,7 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, y = self._split(answer)
-        if getattr(answer, "is_refuted", False) and self.program.refutation() is not None:
+        if getattr(answer, "has_no_solution", False) and self.program.accepted_proof() is not None:
             return QPSolution.without_multipliers(self.program, self.reduction.point(x))
         key = x.tobytes() + y.tobytes()
         solution = self._latest.get(key)  # a run's judge may have asked for it
@@ -336,7 +336,7 @@ class QPOrigin:
         goal = program_goal(tolerance)
         if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
             return False
-        return solution.is_sure(goal) or self.program.refutation(goal, is_met=True) is None
+        return solution.is_sure(goal) or self.program.accepted_proof(goal, is_met=True) is None
 
     def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers y, or of smaller ones that are as good."""
@@ -373,13 +373,13 @@ class QPOrigin:
             return QPSolution(self.program, x, *self.program.constraints.split(every))  # which refuses it in words
         return QPSolution.of_rows(self.program, x, every)
 
-    def is_refuted(self, tolerance: float) -> bool:
+    def has_no_solution(self, tolerance: float) -> bool:
         """Return whether the program is proved to have no minimum, in units of its own data.
 
         A contradiction of the problem alone may be one of rounding: an equation 1e-16 = 0 may be all that acts there.
         A tolerance of the problem below 1e-6 is none of the program.
         """
-        return self.program.refutation(max(tolerance, PROGRAM_TOLERANCE)) is not None
+        return self.program.accepted_proof(max(tolerance, PROGRAM_TOLERANCE)) is not None
 
     def end_by(self, proof: QPInfeasibility | QPUnboundedness) -> None:
         """Take note of the proof that ends a run."""

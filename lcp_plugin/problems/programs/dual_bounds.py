@@ -9,7 +9,7 @@ Where the weights are those of P + ρ AᵀA, ½ ρ‖A x̂ − b‖² is to be t
 multipliers ν − ρ (A x̂ − b).
 
 Everything is evaluated downwards. Where a box is open on the side to which s_i falls and μ_i = 0, the sum is −∞: then
-(x̂, λ, ν) is repaired first, by least squares with some room, and where s_i must be exactly zero in rational arithmetic.
+(x̂, λ, ν) is repaired first, by least squares with some slack, and where s_i must be exactly zero in rationals.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from ...proofs.exact.upward import product_above, quotient_above, sum_above
 from .program import QuadraticProgram
 from .reductions import FoldedRows
 
-ROOMS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, beyond what least squares round
+SLACKS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, beyond what least squares round
 NOISE = 2.0**-44  # of the largest multiplier
-ROUNDS = 4  # of least squares: components that were right may need room after those that were wrong
+ROUNDS = 4  # of least squares: components that were right may need slack after those that were wrong
 NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
 ITERATIONS = 100  # of bounded least squares, each an unbounded one
@@ -82,10 +82,10 @@ class DualBounds:
         if found < enough and (clean := given._replace(y=_without_rounding(given.y))).y.any():
             points.append(clean)
             found = max(found, self.value(clean))
-        for room in ROOMS:
+        for slack in SLACKS:
             if found >= enough or is_over():
                 return found
-            points.append(self._with_room(given, room))
+            points.append(self._with_slack(given, slack))
             found = max(found, self.value(points[-1]))
         for point in points:
             if found >= enough or is_over():
@@ -142,8 +142,8 @@ class DualBounds:
 
     # --- Repairs ------------------------------------------------------------------------------------------------
 
-    def _with_room(self, at: DualPoint, room: float) -> DualPoint:
-        """Return a point beside this one whose s has the signs that the open sides ask for, with room if it can be."""
+    def _with_slack(self, at: DualPoint, slack: float) -> DualPoint:
+        """Return a point beside this one whose s has the signs that the open sides ask for, with slack if it can be."""
         needs_rise, needs_fall = self._open_sides
         is_free = needs_rise & needs_fall
         sign = np.where(needs_rise, 1.0, -1.0)
@@ -152,9 +152,9 @@ class DualBounds:
             v = np.concatenate(at)
             s = self._stacked @ v + self.program.c
             size = np.maximum(abs(self._stacked) @ np.abs(v) + np.abs(self.program.c), largest)
-            target = np.where(is_free, 0.0, sign * np.maximum(sign * s, room * size))
+            target = np.where(is_free, 0.0, sign * np.maximum(sign * s, slack * size))
             asked = needs_rise | needs_fall
-            if not (asked & (np.abs(target - s) > 0.1 * room * size)).any():
+            if not (asked & (np.abs(target - s) > 0.1 * slack * size)).any():
                 break
             # What is nearly zero must not become wrong by what is put right elsewhere.
             near = np.flatnonzero(asked & (is_free | (sign * s <= NEAR * size)))
@@ -173,7 +173,7 @@ class DualBounds:
         needs_rise, needs_fall = self._open_sides
         v = np.concatenate(at)
         s = self._stacked @ v + self.program.c
-        rounding = ROOMS[0] * (abs(self._stacked) @ np.abs(v) + np.abs(self.program.c))
+        rounding = SLACKS[0] * (abs(self._stacked) @ np.abs(v) + np.abs(self.program.c))
         zero = np.flatnonzero((needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding)))
         rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
         target = [-Fraction(self.program.c[j]) for j in zero.tolist()]

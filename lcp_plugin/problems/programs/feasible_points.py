@@ -2,7 +2,7 @@
 
 A point is moved onto the equations and off the rows that are tight, by least squares, and every row evaluated with its
 rounding; that the equations have a solution near by is proved by an approximate inverse. Where they depend on each
-other or leave no room, in small programs, the equations and the rows that are tight are solved in rational arithmetic;
+other or leave no slack, in small programs, the equations and the rows that are tight are solved in rational arithmetic;
 where that leaves a row violated, the point is moved towards one that a linear program finds inside, and checked again.
 """
 
@@ -22,7 +22,7 @@ from ...core.rounding import compensated_pair, compensated_product, gamma, upper
 from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import Vector, enclosures, products, rational
 from ...proofs.exact.upward import product_above, sum_above
-from .dual_bounds import ROOMS, least_squares
+from .dual_bounds import SLACKS, least_squares
 from .no_minimum import feasible_point, losses
 from .program import QuadraticProgram
 
@@ -69,7 +69,7 @@ class FeasiblePoints:
         """Return a feasible point near x, x itself where it is one; None where doubles prove none."""
         if not (self.program.constraints.excess(x) > 0.0).any():
             return FeasiblePoint.of(self.program, x, x)
-        points = (self._enclosed(self._moved_off(x, room)) for room in ROOMS)
+        points = (self._enclosed(self._moved_off(x, slack)) for slack in SLACKS)
         return next((point for point in points if point is not None), None)
 
     def exactly_near(self, x: FloatVector) -> FeasiblePoint | None:
@@ -91,8 +91,8 @@ class FeasiblePoints:
         """Whether rational arithmetic is tried."""
         return self.program.b.size <= EXACT_UP_TO and self.program.n + self.program.constraints.rows <= SMALL
 
-    def _moved_off(self, x: FloatVector, room: float) -> FloatVector:
-        """Return the nearest point on the equations with some room in what else x nearly meets, to rounding."""
+    def _moved_off(self, x: FloatVector, slack: float) -> FloatVector:
+        """Return the nearest point on the equations with some slack in what else x nearly meets, to rounding."""
         rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
         is_row = np.arange(rows.limit.size) < rows.rows
         with np.errstate(invalid="ignore"):
@@ -100,14 +100,14 @@ class FeasiblePoints:
         tight = np.flatnonzero(is_row & (rows.is_equality | (value > -NEAR * rows.unit)))
         at_bound = (x <= self.program.lower) | (x >= self.program.upper)
         free = np.flatnonzero(~at_bound)
-        right = np.where(rows.is_equality, -value, np.minimum(-value - room * rows.unit, 0.0))[tight]
+        right = np.where(rows.is_equality, -value, np.minimum(-value - slack * rows.unit, 0.0))[tight]
         moved = x.copy()
         moved[free] += least_squares(rows.matrix[tight][:, free], right)
         return np.clip(moved, self.program.lower, self.program.upper)
 
     @np.errstate(all="ignore")  # a row without a limit has no excess
     def _enclosed(self, x: FloatVector) -> FeasiblePoint | None:
-        """Return the point near x that satisfies the equations; None where x leaves no room for that elsewhere."""
+        """Return the point near x that satisfies the equations; None where x leaves no slack for that elsewhere."""
         program, rows = self.program, self.program.constraints
         excess = rows.excess(x)
         if not (excess > 0.0).any():

@@ -50,7 +50,7 @@ class Begun:
 
 
 def solved_by_interior_points(
-    begun: Begun, tolerance: float, *, refutes: bool = True
+    begun: Begun, tolerance: float, *, prove_infeasibility: bool = True
 ) -> Found | QPInfeasibility | QPUnboundedness | None:
     """Return the answer by interior points; None where another form comes first, or where they find none.
 
@@ -65,7 +65,7 @@ def solved_by_interior_points(
         begun.z, begun.steps, begun.work = z, steps, work
         if solution.is_stationary(goal):
             return Found(solution, StageRecord(InteriorPoint.name, BECAUSE, steps, work), clock.read(), origin)
-        if is_at_end and refutes and (proof := program.refutation(goal)) is not None:
+        if is_at_end and prove_infeasibility and (proof := program.accepted_proof(goal)) is not None:
             return proof
     if not is_over():
         origin.note_attempt(InteriorPoint.name)

@@ -42,7 +42,7 @@ MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
 LARGEST_DENSE = 1500
 LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
-NARROW = 1e-7  # a room that may be none
+NARROW = 1e-7  # a slack that may be none
 
 
 @dataclass(frozen=True, eq=False)

@@ -204,7 +204,8 @@ class QuadraticProgram:
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
 
-        It holds for the stored doubles, by however little: `margin` says by how much, `refutation` whether it counts.
+        It holds for the stored doubles, by however little: `margin` says by how much, `accepted_proof` whether it
+        counts.
         """
         if "_proof" not in self.__dict__:
             own = self.rescaled
@@ -238,7 +239,7 @@ class QuadraticProgram:
         found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.reduced.proof_of_descent)
         return found if isinstance(found, QPUnboundedness) else None
 
-    def refutation(
+    def accepted_proof(
         self, tolerance: float = 1e-6, *, is_met: bool = False
     ) -> QPInfeasibility | QPUnboundedness | None:
         """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none.

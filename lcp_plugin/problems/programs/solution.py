@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MEANINGS = {  # in units of the data, but the last
     "primal_residual": "by how much x violates a constraint",
     "dual_residual": "what is left of the gradient of the Lagrangian",
-    "complementarity": "largest product of a multiplier and the room left at its limit",
+    "complementarity": "largest product of a multiplier and the slack at its limit",
     "row_residual": "worst of all these, relative to the terms of its own row",
 }
 
@@ -48,7 +48,7 @@ class QPSolution:
     Notes
     -----
     The primal and the dual residual are in units of the data (``unit`` and ``dual_unit`` in
-    :mod:`lcp_plugin.problems.programs.constraints`), never relative to x: what is optimal in them cannot be refuted.
+    :mod:`lcp_plugin.problems.programs.constraints`), never relative to x: what is optimal in them cannot be disproved.
     Complementarity is relative to the size of the objective + its largest term. ``row_residual`` compares each row with
     its own terms only: a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing in
     another.
@@ -207,7 +207,7 @@ class QPSolution:
 
         Where it verifies exactly, it is stronger than an x within the tolerance.
         """
-        return None if self.is_sure() else self.program.refutation()
+        return None if self.is_sure() else self.program.accepted_proof()
 
     @property
     def status(self) -> str:

@@ -53,7 +53,7 @@ SHARE = 0.75  # of a limit that interior points may take before there is a run
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
 BY_FACTOR = "factor of P"  # that meets a pivot of 0
-REFUTED = "it came upon a proof that the program has no minimum"
+NO_MINIMUM = "it came upon a proof that the program has no minimum"
 VECTORS = {"c", "h", "b", "lower", "upper"}
 
 
@@ -152,7 +152,7 @@ class QuadraticProgramResult(Answer):
     @property
     def objective(self) -> float | None:
         """½ xᵀP x + cᵀx; None where a proof says that there is no minimum."""
-        return None if self.is_refuted else self.solution.objective
+        return None if self.has_no_solution else self.solution.objective
 
     @property
     def duals(self) -> dict[str, FloatVector]:
@@ -188,7 +188,7 @@ class QuadraticProgramResult(Answer):
 
     def _numbers(self) -> dict[str, float]:
         names = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
-        residuals = {} if self.is_refuted else {name: float(getattr(self.solution, name)) for name in names}
+        residuals = {} if self.has_no_solution else {name: float(getattr(self.solution, name)) for name in names}
         return {**super()._numbers(), **residuals, "goal": self.goal, "setup_seconds": self.setup_seconds}
 
     def reached(self) -> str:
@@ -213,9 +213,9 @@ def solve_program(
         Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
         residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on, and where
         it ends so, the KKT form without substitutions is tried. A limit of the caller holds for each trial and ends
-        them all. Where the interior point and the feasibility check end without a solution, ``program.refutation`` is
-        looked for, which ends them, too; not so with ``refute=False``. A `z0` is a guess, an earlier answer's z:
-        programs are solved in several forms, and it is the start of those that have as many unknowns.
+        them all. Where the interior point and the feasibility check end without a solution, ``program.accepted_proof``
+        is looked for, which ends them, too; not so with ``prove_infeasibility=False``. A `z0` is a guess, an earlier
+        answer's z: programs are solved in several forms, and it is the start of those that have as many unknowns.
 
     Raises
     ------
@@ -234,19 +234,19 @@ def solve_program(
         return _solved_rescaled(program.rescaled, algorithm, tolerance, options)
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
-    goal, refutes, begun = program_goal(tolerance), options.get("refute", True), Begun(program)
+    goal, prove_infeasibility, begun = program_goal(tolerance), options.get("prove_infeasibility", True), Begun(program)
     by, found = _at_once(begun, tolerance, guess, options) if is_one_call else ("", None)
-    if isinstance(found, Found) and refutes and not found.solution.is_sure(goal):
-        found = program.refutation(goal, is_met=True) or found
+    if isinstance(found, Found) and prove_infeasibility and not found.solution.is_sure(goal):
+        found = program.accepted_proof(goal, is_met=True) or found
     if isinstance(found, Found):
         return QuadraticProgramResult(
             Status.SOLVED, found.solution, goal, f"auto: {by}", found.stage.iterations, found.seconds, tolerance,
             (found.stage,), _origin=found.origin,
         )
     if found is not None:
-        return _refuted(program, found, by, tolerance, clock.read())
+        return _without_minimum(program, found, by, tolerance, clock.read())
     is_auto = isinstance(algorithm, str) and algorithm == "auto"
-    may_ask = is_auto and refutes and sp.issparse(program.P) and (
+    may_ask = is_auto and prove_infeasibility and sp.issparse(program.P) and (
         program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None
     )
     # What is asked before a run, between its stages, and after it knows of the limit by this.
@@ -255,11 +255,11 @@ def solve_program(
         if unheld is not None:
             if options.get("verbose"):
                 say(f"{unheld.status.name}: the program is {unheld}")
-            return _refuted(program, unheld, BY_FACTOR, tolerance, clock.read())
+            return _without_minimum(program, unheld, BY_FACTOR, tolerance, clock.read())
         result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options, begun)
     is_optimal = solution.is_stationary(goal)
-    if proof is None and refutes and not ended_by_caller(result, options) and not solution.is_sure(goal):
-        proof = program.refutation(goal, is_met=is_optimal)
+    if proof is None and prove_infeasibility and not ended_by_caller(result, options) and not solution.is_sure(goal):
+        proof = program.accepted_proof(goal, is_met=is_optimal)
     status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
     if options.get("verbose") and status is not result.status:
         say(f"{status.name}: {ADVICE.get(status, status.value) if proof is None else proof}")
@@ -292,14 +292,14 @@ def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
     return proof if isinstance(proof, QPUnboundedness) else None
 
 
-def _refuted(
+def _without_minimum(
     program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, by: str, tolerance: float, seconds: float
 ) -> QuadraticProgramResult:
     """Return the result of a program that has no minimum, as was found without a run."""
     x = np.clip(numbers(proof.point) if isinstance(proof, QPUnboundedness) else 0.0, program.lower, program.upper)
     return QuadraticProgramResult(
         proof.status, QPSolution.without_multipliers(program, x), program_goal(tolerance), f"auto: {by}", 0, seconds,
-        tolerance, (StageRecord(by, REFUTED, 0, 0.0),), proof=proof,
+        tolerance, (StageRecord(by, NO_MINIMUM, 0, 0.0),), proof=proof,
     )
 
 
@@ -310,7 +310,7 @@ def _status(
         return proof.status
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
         return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
-    if result.status is Status.STALLED or result.is_refuted:  # in the run's units, not the program's
+    if result.status is Status.STALLED or result.has_no_solution:  # in the run's units, not the program's
         return Status.SOLVED if is_optimal else Status.STALLED
     return result.status
 
@@ -334,17 +334,17 @@ def _at_once(
     begun: Begun, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
 ) -> tuple[str, Found | QPInfeasibility | QPUnboundedness | None]:
     """Return what found it, and the answer, a proof or None: the active set of a guess, one call or interior points."""
-    refutes, by = options.get("refute", True), InteriorPoint.name
+    prove_infeasibility, by = options.get("prove_infeasibility", True), InteriorPoint.name
     try:
         if guess is not None and (again := solved_again(begun, guess, tolerance)) is not None:
             return by, again
         if (at_once := settled_at_once(begun.program, tolerance)) is not None or "max_iterations" in options:
             return ACTIVE_SET, at_once
         if (limit := options.get("max_seconds", math.inf)) == math.inf:
-            return by, solved_by_interior_points(begun, tolerance, refutes=refutes)
+            return by, solved_by_interior_points(begun, tolerance, prove_infeasibility=prove_infeasibility)
         clock, found = Clock(ALONE), None
         with suppress(OutOfTimeError), time_limit(min(SHARE * limit, seconds_left()), is_enforced=True):
-            found = solved_by_interior_points(begun, tolerance, refutes=refutes)
+            found = solved_by_interior_points(begun, tolerance, prove_infeasibility=prove_infeasibility)
         options["max_seconds"] = max(limit - clock.read(), SHORTEST)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
@@ -360,13 +360,13 @@ def _by_forms(
     refuse_nonconvex(program)
     goal, proofs = program_goal(tolerance), list[Any]()
 
-    def refutation() -> Any:
-        proofs.append(program.refutation(goal))
+    def find_proof() -> Any:
+        proofs.append(program.accepted_proof(goal))
         return proofs[-1]
 
     runs = list(program_runs(
         program, algorithm, (tolerance,), (goal, goal), guess=guess,
-        refutation=refutation if options.get("refute", True) else None, begun=begun, **options,
+        find_proof=find_proof if options.get("prove_infeasibility", True) else None, begun=begun, **options,
     ))
     best = min(runs, key=lambda run: run.solution.error)
     return replace(best.result, stages=_stages(runs, best)), best.solution, proofs[-1] if proofs else None
@@ -374,7 +374,7 @@ def _by_forms(
 
 def program_runs(
     program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, ...], goals: tuple[float, float], *,
-    guess: FloatVector | None = None, refutation: Callable[[], Any] | None = None, callback: Any = None,
+    guess: FloatVector | None = None, find_proof: Callable[[], Any] | None = None, callback: Any = None,
     begun: Begun | None = None, **options: Any,
 ) -> Iterator[ProgramRun]:
     """Yield runs on the forms of a program until one is stationary to the first goal, or something ends them all.
@@ -389,7 +389,7 @@ def program_runs(
         labels.add(sample.label)
         wants_end = callback is not None and bool(callback(sample, z))
         is_last_resort = sample.label == FeasibilityCheck.name or labels >= PIVOTS_AT_LAST
-        if wants_end or refutation is None or not is_last_resort or (proof := refutation()) is None:
+        if wants_end or find_proof is None or not is_last_resort or (proof := find_proof()) is None:
             return wants_end
         origin.end_by(proof)
         return True
@@ -405,7 +405,7 @@ def program_runs(
             try:
                 result = solve_lcp(
                     attempt.problem, algorithm, tolerance=tolerance,
-                    callback=partial(ends, attempt.problem.origin) if callback or refutation else None,
+                    callback=partial(ends, attempt.problem.origin) if callback or find_proof else None,
                     **{**start, **options},
                 )
             except (UnsuitableMatrix, UnsuitableProblem) as error:
@@ -421,7 +421,7 @@ def program_runs(
             # Where it is not solved, a smaller tolerance would change nothing.
             if solution.is_stationary(goals[1]) or not result.is_solved:
                 break
-        if has_run and (solution.is_stationary(goals[0]) or (refutation is not None and refutation() is not None)):
+        if has_run and (solution.is_stationary(goals[0]) or (find_proof is not None and find_proof() is not None)):
             return
     if not has_run:
         what = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"

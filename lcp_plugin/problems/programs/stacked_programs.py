@@ -95,9 +95,9 @@ class QuadraticProgramBatch:
         """Which of them are programs, shape (B,), as far as vectors and the symmetry of P say."""
         c, h, b, lower, upper = self.vectors.values()
         with np.errstate(invalid="ignore"):
-            has_room = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
+            has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
             is_finite = np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1) & (h > -np.inf).all(axis=1)
-        return np.broadcast_to(has_room & is_finite & self._is_symmetric, self.count)
+        return np.broadcast_to(has_values & is_finite & self._is_symmetric, self.count)
 
     def refuse_nonconvex(self) -> None:
         """Raise where one P for all is not convex.

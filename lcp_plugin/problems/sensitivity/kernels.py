@@ -53,22 +53,22 @@ def settle_all(M, q, lower, upper, first, end, z, side, is_plain):  # type: igno
     Only rows of z with `is_plain` are looked at.
     """
     n = M.shape[1]
-    of_real, of_whole, of_room = sizes(n)
-    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    of_real, of_whole, of_matrix = sizes(n)
+    real, whole, matrix = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_matrix)
     for k in range(first, end):
         if not is_plain[k]:
             continue
         take(q, lower, upper, k, real, n)
         for i in range(n):
             real[Z, i] = z[k, i]
-        is_plain[k] = _settled(M, k if M.shape[0] > 1 else 0, real, whole, room)
+        is_plain[k] = _settled(M, k if M.shape[0] > 1 else 0, real, whole, matrix)
         if is_plain[k]:
             for i in range(n):
                 z[k, i], side[k, i] = real[FOUND, i], whole[SIDE, i]
 
 
 @compiled_in_place
-def _settled(M, k, real, whole, room):  # type: ignore[no-untyped-def]
+def _settled(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     """Write FOUND and SIDE, from Z; return whether every row is clearly on one."""
     n = M.shape[1]
     _, is_usual, _, is_symmetric = look_at(M, k, real)
@@ -84,9 +84,9 @@ def _settled(M, k, real, whole, room):  # type: ignore[no-untyped-def]
             beside = max(beside, abs(real[FOUND, i])) if step == STEPS - 1 else 0.0
         is_exact, is_clear = _judged(M, k, real, whole, beside)
         if is_exact:
-            _choose(M, k, real, whole, room, is_symmetric)
+            _choose(M, k, real, whole, matrix, is_symmetric)
             return is_clear
-        if solve_free(M, k, real, whole, room, is_symmetric) < 0:
+        if solve_free(M, k, real, whole, matrix, is_symmetric) < 0:
             _hold(real, whole, n)
     return False
 
@@ -100,7 +100,7 @@ def _hold(real, whole, n):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _choose(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
+def _choose(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped-def]
     """Free the rows at a kink where the block is singular without them and regular with them."""
     n, kinks = M.shape[1], 0
     for i in range(n):
@@ -112,7 +112,7 @@ def _choose(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-d
         for i in range(n):
             if whole[CANDIDATE, i] >= KINK:
                 whole[SIDE, i] = BETWEEN if freed else whole[CANDIDATE, i] % KINK
-        is_regular = _solved(M, k, real, whole, room, is_symmetric)
+        is_regular = _solved(M, k, real, whole, matrix, is_symmetric)
         if is_regular:
             break
     for i in range(n):
@@ -154,16 +154,16 @@ def _judged(M, k, real, whole, beside):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _solved(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
+def _solved(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped-def]
     """Write FOUND by one linear solve; return whether no pivot is half rounding.
 
     Pivots of a block that is not symmetric are in units of their rows.
     """
-    free = solve_free(M, k, real, whole, room, is_symmetric)
+    free = solve_free(M, k, real, whole, matrix, is_symmetric)
     keeps_digits = free >= 0
     for p in range(free):
         unit = real[SCALE, whole[FREE, p]] if is_symmetric else 1.0
-        keeps_digits &= abs(room[p, p]) > HALF * unit
+        keeps_digits &= abs(matrix[p, p]) > HALF * unit
     return keeps_digits
 
 
@@ -171,8 +171,8 @@ def _solved(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-d
 def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignore[no-untyped-def]
     """Write how z changes with h = dM z + dq and with the bounds, first ≤ k < end; `is_plain` as above."""
     n = M.shape[1]
-    of_real, of_whole, of_room = sizes(n)
-    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    of_real, of_whole, of_matrix = sizes(n)
+    real, whole, matrix = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_matrix)
     for k in range(first, end):
         if not is_plain[k]:
             continue
@@ -182,7 +182,7 @@ def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignor
             is_plain[k] &= side[k, i] < KINK  # others solve a small LCP
         of = k if M.shape[0] > 1 else 0
         is_symmetric = look_at(M, of, real)[3]
-        is_plain[k] = is_plain[k] and _solved(M, of, real, whole, room, is_symmetric)
+        is_plain[k] = is_plain[k] and _solved(M, of, real, whole, matrix, is_symmetric)
         for i in range(n):
             dz[k, i] = real[FOUND, i]
 
@@ -191,8 +191,8 @@ def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignor
 def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain):  # type: ignore[no-untyped-def]
     """Write the gradients by q and the bounds of functions with ∂L/∂z = g, ∂L/∂w = by_w; the rest as in `tangents`."""
     n = M.shape[1]
-    of_real, of_whole, of_room = sizes(n)
-    real, whole, room = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_room)
+    of_real, of_whole, of_matrix = sizes(n)
+    real, whole, matrix = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_matrix)
     turned = np.empty((1, n, n))
     for k in range(first, end):
         if not is_plain[k]:
@@ -208,7 +208,7 @@ def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain): 
         slack(turned, 0, real, KEPT)  # g + Mᵀ ∂L/∂w
         for i in range(n):
             real[Q, i] = -real[W, i]
-        is_plain[k] = _solved(turned, 0, real, whole, room, is_symmetric)
+        is_plain[k] = _solved(turned, 0, real, whole, matrix, is_symmetric)
         slack(turned, 0, real, FOUND)
         for i in range(n):
             by_q[k, i] = real[KEPT, i] - real[FOUND, i]

@@ -155,7 +155,7 @@ def _with_neighbours(size: Any, floor: FloatVector, scale: FloatVector) -> Float
     """Return the rounding floor, where a row has no data of its own that of its neighbours; size is |M|.
 
     A row with q_i = 0, whose unknown and whose neighbours' are 0, has the floor 0. But what rounding makes of the data
-    of a row next door moves its unknown, too.
+    of a neighbouring row moves its unknown, too.
     """
     for _ in range(STEPS):
         spread = size @ floor / scale

@@ -74,7 +74,7 @@ class ExactSimplex:
 
     Variable i < n is z_i, variable n + i is w_i times a positive `row_scale`; all values are integers (nonbasic) or
     integers over one common `denominator` (basic), in one `unit`. Bounds can be narrowed and put back at any
-    time; :meth:`refutation` then repairs the point or proves that there is none.
+    time; :meth:`infeasibility_proof` then repairs the point or proves that there is none.
 
     Equations of free rows are solved at the beginning: no pivot looks at their w and the z that they determine again.
     What pivots is a generator: it yields between two rows when enough was computed, and returns its answer.
@@ -135,11 +135,11 @@ class ExactSimplex:
         return self.lower[x], self.upper[x]
 
     def set_bounds(self, x: int, lower: Bound, upper: Bound) -> None:
-        """Give a variable other bounds; `refutation` must run before the point is looked at."""
+        """Give a variable other bounds; `infeasibility_proof` must run before the point is looked at."""
         self.lower[x], self.upper[x] = lower, upper
         self.value[x] = _clipped(self.value[x], lower, upper)
 
-    def refutation(self) -> Generator[None, None, list[Fraction] | None]:
+    def infeasibility_proof(self) -> Generator[None, None, list[Fraction] | None]:
         """Move to a point within all bounds and return None, or return a Farkas vector y that there is none.
 
         sup (Mᵀy)ᵀz − yᵀw + qᵀy over the bounds is negative; shape (n,).

@@ -206,7 +206,7 @@ def is_unified(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) 
 
 
 def next_weights(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None) -> FloatVector:
-    """Return what |e| ≤ v may become in one sweep, shape (n,): weights with a better rate, or a refutation.
+    """Return what |e| ≤ v may become in one sweep, shape (n,): weights with a better rate, or a proof against both.
 
     Where it is ≥ v in every row, no weights at all give a contraction.
     """

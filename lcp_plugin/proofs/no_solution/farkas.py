@@ -38,8 +38,8 @@ MOST = 1e5  # times the unit: what a linear program in double precision can tell
 CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
 ALIKE = 1.0 - 2.0**-40  # margins that differ by less are rounded differently
 NEAR_ENOUGH = 0.5  # of the margin that the linear program promises
-KEPT = 0.55  # of the optimum, where room is looked for: near enough in spite of rounding
-ROOM = 0.1  # of the norm of v, for all of its entries together
+KEPT = 0.55  # of the optimum, where slack is looked for: near enough in spite of rounding
+SLACK = 0.1  # of the norm of v, for all of its entries together
 
 
 class HasMargin(Protocol):
@@ -153,23 +153,23 @@ class FarkasProgram:
         return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
 
     def _tried(self, answer: FarkasAnswer) -> Iterator[Multipliers]:
-        """Yield vectors near the answer, then near others that leave room."""
+        """Yield vectors near the answer, then near others that leave slack."""
         yield from self.candidates(self._form.vector(answer.multipliers))
-        for rooms in self._rooms:
-            roomy = self._with_room(answer, rooms)
-            if roomy is not None:
-                yield from self.candidates(self._form.vector(roomy))
+        for slacks in self._slacks:
+            moved = self._with_slack(answer, slacks)
+            if moved is not None:
+                yield from self.candidates(self._form.vector(moved))
 
-    def _with_room(self, answer: FarkasAnswer, rooms: sp.csr_array) -> FloatVector | None:
-        """Return v ≥ rooms · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
+    def _with_slack(self, answer: FarkasAnswer, slacks: sp.csr_array) -> FloatVector | None:
+        """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
 
         A vertex has as few positive multipliers as it can: where the coefficients carry rounding errors, those may
-        vanish together only, and what is proven with rounding margins wants all its inequalities to hold with room.
+        vanish together only, and what is proven with rounding margins wants all its inequalities to hold with slack.
         """
         form = self._form
-        size, count = rooms.shape
-        both = sp.hstack([sp.eye_array(size), rooms], format="csc")  # v = the rest + rooms · t
-        largest = ROOM * size / (count * form.norm.sum())
+        size, count = slacks.shape
+        both = sp.hstack([sp.eye_array(size), slacks], format="csc")  # v = the rest + slacks · t
+        largest = SLACK * size / (count * form.norm.sum())
         result = linear_program(
             np.repeat([0.0, -1.0], [size, count]), form.equations @ both, 0.0,
             np.repeat([[0.0, np.inf], [0.0, largest]], [size, count], axis=0),
@@ -178,8 +178,8 @@ class FarkasProgram:
         return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
 
     @cached_property
-    def _rooms(self) -> list[sp.csr_array]:
-        """Which multipliers share a room: those of bounds without another opposite one room, then each its own."""
+    def _slacks(self) -> list[sp.csr_array]:
+        """Which multipliers share a slack: those of bounds without one opposite do; each other has its own."""
         form = self._form
         is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
         shares = np.append(np.zeros(form.m), is_open)[form.place]
@@ -248,7 +248,7 @@ class FarkasProgram:
         yield self._polished(y)
 
     def _polished(self, y: FloatVector) -> FloatVector:
-        """Return the vector beside y that satisfies to rounding the equalities which y satisfies without room.
+        """Return the vector beside y that satisfies to rounding the equalities which y satisfies without slack.
 
         What should depend on each other is independent by rounding: singular values below that count as none.
         """
@@ -268,7 +268,7 @@ class FarkasProgram:
         return y
 
     def _repaired(self, y: FloatVector, tight: float) -> dict[int, Fraction] | None:
-        """Return the vector beside y that satisfies exactly the (in)equalities which y satisfies without room."""
+        """Return the vector beside y that satisfies exactly the (in)equalities which y satisfies without slack."""
         support, equalities = self._tight(y, tight)
         if min(support.size, equalities.size) > MOST_UNKNOWNS:
             return None
@@ -278,7 +278,7 @@ class FarkasProgram:
         return None if exact is None else dict(zip(support.tolist(), exact, strict=True))
 
     def _tight(self, y: FloatVector, tight: float) -> tuple[Any, Any]:
-        """Return which entries of y are not 0, and at which open columns Mᵀy has no room."""
+        """Return which entries of y are not 0, and at which open columns Mᵀy has no slack."""
         size = abs(self.matrix).T @ np.abs(y)
         is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
         is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)

@@ -26,14 +26,14 @@ from ...systems.null_space import null_space_by_rows, null_space_of
 from ..exact.rational import Rational
 from .free_motion import falling_directions
 from .linear_constraints import DECISIVE, LinearConstraints, activity
-from .refutation import (
+from .proof import (
     LOWER,
     SLACKLESS,
     UPPER,
     Choices,
     Closing,
     Infeasibility,
-    Refutation,
+    NoSolutionProof,
     rescaled_multipliers,
     row_choices,
 )
@@ -181,7 +181,7 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
 
 
 @dataclass(frozen=True, eq=False)
-class ForcedContradiction(Refutation):
+class ForcedContradiction(NoSolutionProof):
     """A chain of rows, each forcing z_i to a bound for all z still possible, that ends in a row with no z left.
 
     Attributes
@@ -195,7 +195,7 @@ class ForcedContradiction(Refutation):
     steps: tuple[tuple[int, int], ...]
 
     def rescaled(self, problem: LCP, exponents: IntVector) -> ForcedContradiction:
-        """Return what this proves of the problem in other units of z; see :meth:`Refutation.rescaled`."""
+        """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
         return ForcedContradiction(problem, self.steps)
 
     def closings(self) -> Iterator[Closing | None]:
@@ -243,9 +243,9 @@ def find_forced_contradiction(problem: LCP) -> ForcedContradiction | None:
         low, high = slack_range(problem, lower, upper)
         signs = (low > 0.0).astype(int) - (high < 0.0)
         bound = np.where(signs > 0, problem.lower, problem.upper)
-        refuted = (signs != 0) & (np.isinf(bound) | (bound < lower) | (bound > upper))
-        if refuted.any():
-            i = int(np.flatnonzero(refuted)[0])
+        contradicts = (signs != 0) & (np.isinf(bound) | (bound < lower) | (bound > upper))
+        if contradicts.any():
+            i = int(np.flatnonzero(contradicts)[0])
             proof = ForcedContradiction(problem, (*_needed(problem, steps, i), (i, int(signs[i]))))
             return proof if proof.verify() else None
         new = np.flatnonzero((signs != 0) & ~is_forced)
@@ -297,7 +297,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class NoSolution(Refutation):
+class NoSolution(NoSolutionProof):
     """No z solves the problem: every case of a complete tree contradicts, exactly; `margin` says by how much.
 
     Attributes
@@ -330,7 +330,7 @@ class NoSolution(Refutation):
         return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
 
     def rescaled(self, problem: LCP, exponents: IntVector) -> NoSolution:
-        """Return what this proves of the problem in other units of z; see :meth:`Refutation.rescaled`."""
+        """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
         return NoSolution(problem, self.tree.rescaled(exponents), self.nodes)
 
     def closings(self) -> Iterator[Closing | None]:

@@ -25,7 +25,7 @@ from ..exact.rational import ZERO, IntegerMatrix, common_denominator, integers, 
 BoolVector = NDArray[np.bool_]
 
 DECISIVE = 1e-3  # a margin that no tolerance in use reaches: where one row has a larger one, no other is looked for
-WIDE = 1e8  # times the size of the data: a proof within a smaller radius refutes nothing
+WIDE = 1e8  # times the size of the data: a proof within a smaller radius does not count
 MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 

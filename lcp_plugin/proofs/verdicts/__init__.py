@@ -1,7 +1,7 @@
 """What kind of matrix is it? Verdicts with evidence, and the certificates that bounds and guarantees stand on.
 
-For other rooms: :func:`comparison_certificate` (v with ⟨M⟩v ≥ margin > 0), :func:`comparison_weights` (the same where
-v is no vector of doubles), :func:`comparison_solve` (approximate solutions of systems with ⟨M⟩).
+For other subpackages: :func:`comparison_certificate` (v with ⟨M⟩v ≥ margin > 0), :func:`comparison_weights` (the same
+where v is no vector of doubles), :func:`comparison_solve` (approximate solutions of systems with ⟨M⟩).
 """
 
 from ...systems.comparison import comparison_solve

@@ -149,7 +149,7 @@ class MatrixReport:
         try:
             with np.errstate(all="ignore"):  # what overflows fails its check
                 return CLAIMS[name].decide(self.matrix)
-        except ImportError as error:  # a library that is installed, but finds no room
+        except ImportError as error:  # a library that is installed, but finds no memory
             raise MemoryError(f"memory ended where {name} was to be decided: {error}") from error
 
     def to_content(self) -> dict[str, Any]:

@@ -172,7 +172,7 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
 ):
     """Write rows that reach through fine unknowns; return their number of entries, and how many were read for all rows.
 
-    `p_indices` and `p_data` have room for the entries of M and MOST_WEIGHTS more a row.
+    `p_indices` and `p_data` have space for the entries of M and MOST_WEIGHTS more a row.
     """
     one = uintp(1)
     size, read = uintp(0), 4 * indices.size  # twice to find the strong coarse ones, twice for the rows themselves

@@ -153,24 +153,25 @@ def _product_piece(operands: tuple[Any, ...], columns: int, n: int, first: int, 
     """Return the rows [first, end) of the n of R M P, which do not depend on where pieces begin."""
     indptr, indices = operands[:2]
     width, rows = operands[3].size - 1, end - first
-    room = indices.size * rows // max(n, 1) + rows if first else indices.size + n
-    c_indptr, c_indices, c_data = np.zeros(rows + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
+    capacity = indices.size * rows // max(n, 1) + rows if first else indices.size + n
+    c_indptr = np.zeros(rows + 1, indptr.dtype)
+    c_indices, c_data = np.empty(capacity, indices.dtype), np.empty(capacity)
     space = *_row_space(width, indices.dtype), *_row_space(columns, indices.dtype)[::2]
     row = _product_rows(*operands, first, first, end, *space, c_indptr, c_indices, c_data)
-    while row < end:  # the room did not suffice
-        size, room = int(c_indptr[row - first]), room + room // 2 + max(n, columns)
-        c_indices, c_data = _enlarged(c_indices, size, room), _enlarged(c_data, size, room)
+    while row < end:  # the capacity did not suffice
+        size, capacity = int(c_indptr[row - first]), capacity + capacity // 2 + max(n, columns)
+        c_indices, c_data = _enlarged(c_indices, size, capacity), _enlarged(c_data, size, capacity)
         row = _product_rows(*operands, first, row, end, *space, c_indptr, c_indices, c_data)
     return c_indptr, c_indices, c_data
 
 
 def _row_space(width: int, dtype: Any) -> tuple[Indices, Indices, FloatVector]:
-    """Return room for one row of so many columns: where each stands, zero if nowhere; which they are; their sums."""
+    """Return workspace for a row of so many columns: where each stands, zero if nowhere; which they are; their sums."""
     return np.zeros(width, dtype), np.empty(width, dtype), np.empty(width)
 
 
-def _enlarged(values: Any, size: int, room: int) -> Any:
-    larger = np.empty(room, values.dtype)
+def _enlarged(values: Any, size: int, capacity: int) -> Any:
+    larger = np.empty(capacity, values.dtype)
     larger[:size] = values[:size]
     return larger
 
@@ -223,17 +224,17 @@ def _product_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
     step, repeats, longest, first, next_row, end, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
 ):
-    """Compute the rows [first, end) of R M P from `next_row` on; return the first that the room may not hold, or `end`.
+    """Compute the rows [first, end) of R M P from `next_row` on; return the first that may not fit, or `end`.
 
     A row of R M comes first: it meets a fine unknown many times, and so multiplies by its row of P but once.
     """
     one = uintp(1)
-    room = uintp(c_indices.size)
+    capacity = uintp(c_indices.size)
     size = uintp(c_indptr[next_row - first])
     for row in range(uintp(next_row), uintp(end)):
         begin, own = size, row - uintp(first)
         if step > 0 and own > 0 and _repeats(row, step, repeats, r_indptr, r_indices, r_data):
-            if room - size < size - uintp(c_indptr[own - one]):
+            if capacity - size < size - uintp(c_indptr[own - one]):
                 return row
             for k in range(uintp(c_indptr[own - one]), begin):
                 c_indices[size], c_data[size] = c_indices[k] + 1, c_data[k]
@@ -256,7 +257,7 @@ def _product_rows(  # type: ignore[no-untyped-def]
                     fine_sums[at - one] += weight * data[b]
         for f in range(count):
             fine_place[uintp(fine[f])] = 0
-        if room - size < min(one + count * uintp(longest), uintp(place.size)):
+        if capacity - size < min(one + count * uintp(longest), uintp(place.size)):
             return row
         c_indices[size] = row
         sums[0] = 0.0
@@ -335,7 +336,7 @@ def _update_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_interpolated, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
     fine_place, fine, fine_sums, sums, first, end,
-):  # `c_is_free` and `c_free_changed` have room for foreign unknowns, which are left as they are
+):  # `c_is_free` and `c_free_changed` have space for foreign unknowns, which are left as they are
     """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
 
     A coarse unknown all of whose fine ones are fixed or held, or whose pivot is not positive, is fixed itself.

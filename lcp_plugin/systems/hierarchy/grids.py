@@ -224,7 +224,7 @@ SMALLEST_PIECE = 16384  # rows
 
 
 def joined(pieces: list[Arrays]) -> Arrays:
-    """Return the CSR rows of consecutive pieces of rows; the first may have room for those of the others behind it."""
+    """Return the CSR rows of consecutive pieces of rows; the first may have space for those of the others behind it."""
     sizes = [int(indptr[-1]) for indptr, _, _ in pieces]
     ends = np.cumsum(sizes, dtype=pieces[0][0].dtype)
     further = [piece[0][1:] + before for piece, before in zip(pieces[1:], ends, strict=False)]
@@ -247,14 +247,14 @@ def _appended(parts: list[Any], sizes: list[int], total: int) -> Any:
 
 
 def written_rows(kernel: Any, operands: tuple[Any, ...], more: int, smallest: int) -> tuple[Arrays, int]:
-    """Return the rows of P that a kernel writes with room for those of M and `more` a row, and what else it tells."""
+    """Return the rows of P that a kernel writes with space for those of M and `more` a row, and what else it tells."""
     indptr, indices = operands[:2]
     n = indptr.size - 1
 
     def piece(first: int, end: int) -> tuple[Arrays, int]:
         last = end if first else n  # memory that nothing is written to was never touched
-        room = int(indptr[last] - indptr[first]) + more * (last - first)
-        rows = np.empty(end - first + 1, indptr.dtype), np.empty(room, indices.dtype), np.empty(room)
+        capacity = int(indptr[last] - indptr[first]) + more * (last - first)
+        rows = np.empty(end - first + 1, indptr.dtype), np.empty(capacity, indices.dtype), np.empty(capacity)
         _, told = kernel(*operands, first, end, *rows)
         return rows, told
 

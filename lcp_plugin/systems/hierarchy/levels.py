@@ -163,7 +163,7 @@ def build_hierarchy(
         grids.append(grid)
         transfers.append(transfer)
     if single and carries_single(grids, transfers):
-        for k, transfer in enumerate(transfers):  # one after the other: there is no room for all of them twice
+        for k, transfer in enumerate(transfers):  # one after the other: there is no memory for all of them twice
             transfers[k], grids[k + 1] = transfer.single(), grids[k + 1].single()
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True, extends=bool(extends))
 

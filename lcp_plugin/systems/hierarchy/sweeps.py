@@ -108,8 +108,8 @@ def free_rows(
     )
 
     def piece(first: int, end: int) -> tuple[float, int]:
-        room = np.empty(2 * LONGEST_REACH, z.dtype)
-        found: tuple[float, int] = _products(*operands, room, room.view(NO_BITS[z.dtype].dtype), first, end)
+        workspace = np.empty(2 * LONGEST_REACH, z.dtype)
+        found: tuple[float, int] = _products(*operands, workspace, workspace.view(NO_BITS[z.dtype].dtype), first, end)
         return found
 
     # With `snaps` the next rows meet what is put at a bound.
@@ -283,12 +283,12 @@ def _snap(begin, end, w, inverse, lower, upper, z):  # type: ignore[no-untyped-d
 @compiled
 def _products(  # type: ignore[no-untyped-def]
     indptr, begins, further, indices, data, runs, inverse, sign, b, adds, x, product,
-    looks, snaps, lower, upper, is_free, is_changed, room, bits, first_row, last_row,
+    looks, snaps, lower, upper, is_free, is_changed, workspace, bits, first_row, last_row,
 ):
     """Product ← sign · M x on the free rows, 0 elsewhere; the entries of row i begin at begins[i] + further.
 
     Where it `adds`, b is added; only these rows are looked at. Where it `looks`, w = M x + b says which rows are free,
-    and product ← −w there: return the largest scaled residual, and how many rows changed. `room` is work space, shape
+    and product ← −w there: return the largest scaled residual, and how many rows changed. `workspace` has shape
     (2 LONGEST_REACH,), and `bits` the same memory as integers: of numbers ≥ 0 they have the same order, and NaN is the
     largest.
     """
@@ -301,27 +301,27 @@ def _products(  # type: ignore[no-untyped-def]
             size, start = min(reach if reach > 0 else LONGEST_REACH, end - i), uintp(i)
             if looks:
                 for p in range(uintp(size)):
-                    room[p] = b[start + p]
+                    workspace[p] = b[start + p]
             else:
                 for p in range(uintp(size)):
-                    room[p] = zero
+                    workspace[p] = zero
             if reach > 0:
                 last = uintp(indptr[first + 1])
-                _add_products(uintp(begins[first]) + further, last, last, i - first, indices, data, x, size, room)
+                _add_products(uintp(begins[first]) + further, last, last, i - first, indices, data, x, size, workspace)
             else:
                 for p in range(uintp(size)):
                     row = start + p
                     begin = uintp(begins[row]) + further
-                    room[p] = _plus_products(room[p], begin, uintp(indptr[row + one]), indices, data, x)
+                    workspace[p] = _plus_products(workspace[p], begin, uintp(indptr[row + one]), indices, data, x)
             i += size
             if not looks:
                 for p in range(uintp(size)):
                     row = start + p
-                    total = sign * room[p] + b[row] if adds else sign * room[p]
+                    total = sign * workspace[p] + b[row] if adds else sign * workspace[p]
                     product[row] = total if inverse[row] != 0.0 else zero
                 continue
             for p in range(uintp(size)):
-                product[start + p] = room[p]
+                product[start + p] = workspace[p]
             if i - done < LONGEST_REACH and i < last_row:
                 continue  # short runs are looked at together
             start, size, done = uintp(done), uintp(i - done), i
@@ -330,7 +330,7 @@ def _products(  # type: ignore[no-untyped-def]
             for k in range(size):
                 row = start + k
                 w, above, below = product[row], x[row] - lower[row], x[row] - upper[row]
-                room[k] = abs(_clamped(w * inverse[row], below, above))
+                workspace[k] = abs(_clamped(w * inverse[row], below, above))
                 is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
                 is_changed[row] = is_off != is_free[row]
                 is_free[row] = is_off
@@ -341,4 +341,4 @@ def _products(  # type: ignore[no-untyped-def]
         s += 1
     if looks:
         bits[0] = largest
-    return room[0], changed
+    return workspace[0], changed

@@ -105,7 +105,7 @@ class Truncation:
         self.spare: list[FloatVector] = []  # memory touched for the first time is dearer than what is done with it
 
     def vector(self) -> FloatVector:
-        """Return room for the own values of the finest grid, shape (n,), filled with anything."""
+        """Return a vector for the own values of the finest grid, shape (n,), filled with anything."""
         return self.spare.pop() if self.spare else np.empty(self.grids[0].grid.n)
 
     def take_work(self) -> float:
@@ -189,7 +189,7 @@ class Truncation:
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def restrict(self, k: int, residual: FloatVector) -> None:
-        """Write into b of grid k + 1 what it has to answer; `residual` has room for what others tell."""
+        """Write into b of grid k + 1 what it has to answer; `residual` has space for what others tell."""
         level, held = self.grids[k], self.grids[k].held
         kept = residual[held]
         residual[held] = 0.0
@@ -281,7 +281,7 @@ class KrylovCorrection:
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
 
     def give_back(self) -> None:
-        """Leave the room of all vectors to the next correction; this one has ended."""
+        """Leave the workspace to the next correction; this one has ended."""
         self.truncation.spare.append(self._sum)
         self._forget_directions()
 
@@ -307,8 +307,8 @@ class KrylovCorrection:
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         top.b = self.residual
-        takes_room = top.x.size == top.grid.n and not self.transposed  # the cycle's own room, and gives other for it
-        p, product = (top.x, top.residual) if takes_room else (self.truncation.vector(), self.truncation.vector())
+        shares_workspace = top.x.size == top.grid.n and not self.transposed  # the cycle's own, and gives other for it
+        p, product = (top.x, top.residual) if shares_workspace else (self.truncation.vector(), self.truncation.vector())
         if self.transposed:
             self.truncation.correct_transposed(0)
             np.copyto(p, top.x)
@@ -317,7 +317,7 @@ class KrylovCorrection:
             product *= top.is_free
         else:
             self.truncation.correct(0)
-            if not takes_room:
+            if not shares_workspace:
                 np.copyto(p, top.x[: top.grid.n])
             self.communicator.fetch(top.x)
             sweeps.free_product(top.rows, top.inverse, top.x, product)
@@ -334,7 +334,7 @@ class KrylovCorrection:
         if self.is_symmetric:
             self._forget_directions()
         self.directions.append((p, product, scale))
-        if takes_room:
+        if shares_workspace:
             top.x, top.residual = self.truncation.vector(), self.truncation.vector()
         return True
 

@@ -123,8 +123,8 @@ def test_contacts_are_those_of_the_exact_answer(sign: float) -> None:
         z = np.where(contact, value, np.where(value > -np.inf, value, 0.0) + rng.integers(1, 99, n))
         w = np.where(held, rng.integers(-9, 9, n), np.where(contact, rng.integers(1, 9, n), 0))
         is_free = np.empty(n, dtype=np.bool_)
-        room = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
-        assert contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *room)
+        workspace = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
+        assert contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *workspace)
         np.testing.assert_array_equal(is_free, ~contact)
 
 
@@ -215,7 +215,7 @@ def test_without_an_m_matrix_nothing_false_is_said() -> None:
 
 @pytest.mark.parametrize("name", ["auto", "banded"])
 @pytest.mark.parametrize(("right", "status"), [(0.5, Status.INFEASIBLE), (1.0, Status.SOLVED), (2.0, Status.SOLVED)])
-def test_a_string_without_hold_is_refuted_or_solved(name: str, right: float, status: Status) -> None:
+def test_a_string_without_hold_is_proved_infeasible_or_solved(name: str, right: float, status: Status) -> None:
     """Singular, pulled up by 1 at one end and down at the other: no huge z makes its rounding an excuse."""
     diagonal = np.full(30, 2.0)
     diagonal[[0, -1]] = 1.0
@@ -339,13 +339,13 @@ def test_a_march_in_one_loop_is_its_steps() -> None:
     """Row k is what the fused solve of step k alone is, from the answer before."""
     rng = np.random.default_rng(6)
     for M in (tridiagonal_m(40, rng), dominant(40, 2, 2, rng)):
-        problem, carry = planted(M, rng, boxes=True)[0], sp.csr_array(-0.5 * np.eye(40))
+        problem, propagator = planted(M, rng, boxes=True)[0], sp.csr_array(-0.5 * np.eye(40))
         Q, Z = np.tile(problem.q, (8, 1)) * rng.uniform(0.5, 1.5, (8, 1)), np.tile(problem.nearest_to_zero, (8, 1))
         offsets = Q.copy()
-        together = Banded().fused_solves(problem, Q, Z, 1e-8, 100, carry)
+        together = Banded().fused_solves(problem, Q, Z, 1e-8, 100, propagator)
         before = problem.nearest_to_zero
         for k, step in enumerate(together):
-            own = problem.with_q(offsets[k] + (carry @ before if k else 0.0))
+            own = problem.with_q(offsets[k] + (propagator @ before if k else 0.0))
             alone = Banded().solve_fused(own, before, 1e-8, 100)
             assert step is not None
             assert alone is not None

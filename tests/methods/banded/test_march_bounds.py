@@ -22,7 +22,7 @@ class Marches(NamedTuple):
 
     problem: LCP
     forcing: np.ndarray
-    carry: sp.csr_array
+    propagator: sp.csr_array
     lower: np.ndarray
     upper: np.ndarray
     states: np.ndarray
@@ -73,14 +73,14 @@ def test_the_residual_of_each_step_is_bounded(kind: str) -> None:
     """No step of a march has a larger exact relative residual than the compiled loop says, nor far below it."""
     rng, checked, sharp = np.random.default_rng(58), 0, 0
     for _ in range(5):
-        given = problem, forcing, carry, lower, upper, states = drawn(rng, kind)
+        given = problem, forcing, propagator, lower, upper, states = drawn(rng, kind)
         M, claim = exact_rows(problem.csr), 1e-6
         found = Banded().fused_marches(*given, np.arange(STEPS), claim, 100)
         for j in range(MARCHES):
             before, bounds = states[:, j], np.array([lower[:, j], upper[:, j]])
             nearest = np.clip(0.0, *bounds)
             for k, z in enumerate(found.answers[j, : found.steps]):
-                q = forcing[k, :, j] + carry @ before
+                q = forcing[k, :, j] + propagator @ before
                 residual = exact_residual(problem, M, q, bounds, z)
                 reference = exact_residual(problem, M, q, bounds, nearest)
                 said = found.solve_of(j, k, z).residual

@@ -538,8 +538,8 @@ BLOCKS = [(grids, "SMALLEST_BLOCK", 64), (grids, "SHARED_FROM", 64), (grids, "SM
 ])
 def test_neither_threads_nor_records_change_a_bit(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows are shared here as they are from 10⁵ on; z, iterations and work are those of one thread."""
-    for room, name, value in BLOCKS:
-        for module in (room, sweeps, vectors, galerkin, levels):
+    for origin, name, value in BLOCKS:
+        for module in (origin, sweeps, vectors, galerkin, levels):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, value)
     shared: list[int] = []

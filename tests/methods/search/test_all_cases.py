@@ -1,4 +1,4 @@
-"""The look at all cases in doubles, and what is asked of it: solutions, verified proofs, or neither (refute=False)."""
+"""The look at all cases in doubles, and what it gives: solutions, proofs, or neither (prove_infeasibility=False)."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_status_agrees_with_all_complementary_bases(n: int) -> None:
         else:
             assert result.status in PROVEN
             assert result.infeasibility.verify()
-        assert solve(problem, refute=False).is_solved is result.is_solved
+        assert solve(problem, prove_infeasibility=False).is_solved is result.is_solved
 
 
 @pytest.mark.parametrize("block", range(6))
@@ -85,8 +85,8 @@ def test_what_doubles_exclude_is_never_believed_unverified(block: int) -> None:
 
 
 @pytest.mark.parametrize("n", [3, 6, 8, 12])
-def test_planted_problems_are_never_refuted(n: int) -> None:
-    """Integer data, a solution with active, inactive and degenerate rows: solved, with refute and without."""
+def test_planted_problems_are_never_infeasible(n: int) -> None:
+    """Integer data, a solution with active, inactive and degenerate rows: solved, with a look for proofs or without."""
     for seed in range(40):
         rng = np.random.default_rng([32, seed, n])
         M = rng.integers(-4, 5, (n, n)).astype(float)
@@ -95,8 +95,8 @@ def test_planted_problems_are_never_refuted(n: int) -> None:
         problem = LCP(M, w - M @ z)
         seen = outline(problem, FIRST_ENTRIES)
         assert seen.tree is None or not NoSolution(problem, seen.tree).verify()
-        for refute in (True, False):
-            result = solve(problem, refute=refute)
+        for prove_infeasibility in (True, False):
+            result = solve(problem, prove_infeasibility=prove_infeasibility)
             assert result.is_solved
             assert result.infeasibility is None
 
@@ -110,48 +110,48 @@ def test_random_problems_are_decided() -> None:
 
 
 @pytest.mark.parametrize("name", ["auto", "newton", "lemke", "interior_point"])
-def test_without_refute_nothing_is_proved(name: str) -> None:
-    """STALLED with words that say why, and no proof, where refute=True ends INFEASIBLE."""
+def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
+    """STALLED with words that say why, and no proof, where prove_infeasibility=True ends INFEASIBLE."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
     assert solve(problem, name).status is Status.INFEASIBLE
-    result = solve(problem, name, refute=False)
+    result = solve(problem, name, prove_infeasibility=False)
     assert result.status is Status.STALLED
     assert result.infeasibility is None
-    assert "not refuted: you asked for none" in result.advice
+    assert "not proved infeasible: you asked for no proof" in result.advice
 
 
-def test_a_watched_run_without_refute_ends_alike() -> None:
+def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
     """With a record of the steps the run is driven, and ends after the look at all cases as well."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
-    result = solve(problem, refute=False, record=True)
-    assert np.array_equal(result.z, solve(problem, refute=False).z)
+    result = solve(problem, prove_infeasibility=False, record=True)
+    assert np.array_equal(result.z, solve(problem, prove_infeasibility=False).z)
     assert result.status is Status.STALLED
     assert result.stages[-1].name == "search"
-    assert "not refuted: you asked for none" in result.advice
+    assert "not proved infeasible: you asked for no proof" in result.advice
     assert "in double precision every case contradicts" in result.advice
 
 
-@pytest.mark.parametrize("refute", [True, False])
-def test_a_batch_answers_as_solve_does(refute: bool) -> None:
+@pytest.mark.parametrize("prove_infeasibility", [True, False])
+def test_a_batch_answers_as_solve_does(prove_infeasibility: bool) -> None:
     """Status, z and iterations, bit for bit; of boxes and warm starts too."""
     rng = np.random.default_rng(5)
     M, q, upper, z0 = *(rng.standard_normal(s) for s in ((40, 5, 5), (40, 5))), rng.random((40, 5)), rng.random((40, 5))
     for more in ({}, {"upper": upper}, {"upper": upper, "z0": z0}):
-        batch = solve_batch(M, q, refute=refute, **more)
+        batch = solve_batch(M, q, prove_infeasibility=prove_infeasibility, **more)
         for k in range(40):
             bounds = {"upper": upper[k]} if more else {}
             start: Any = z0[k] if "z0" in more else None
-            alone = solve(LCP(M[k], q[k], **bounds), refute=refute, z0=start)
+            alone = solve(LCP(M[k], q[k], **bounds), prove_infeasibility=prove_infeasibility, z0=start)
             assert alone.status is batch.status[k] is batch[k].status
             assert np.array_equal(alone.z, batch.z[k])
             assert alone.iterations == batch.iterations[k]
 
 
 def test_a_contradiction_within_the_tolerance_ends_nothing() -> None:
-    """What contradicts by 5e-7 in every case is excluded at 1e-8, and solved at 1e-5, with refute=False as well."""
+    """What contradicts by 5e-7 in every case is excluded at 1e-8, and solved at 1e-5, a proof looked for or not."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
-    assert solve(problem, refute=False).status is Status.STALLED
-    assert solve(problem, refute=False, tolerance=1e-5).is_solved
+    assert solve(problem, prove_infeasibility=False).status is Status.STALLED
+    assert solve(problem, prove_infeasibility=False, tolerance=1e-5).is_solved
 
 
 def test_the_look_ends_by_counted_work() -> None:
@@ -163,10 +163,13 @@ def test_the_look_ends_by_counted_work() -> None:
     assert (cut.z, cut.tree, cut.least_residual, cut.cases) == (None, None, 0.0, 2)
 
 
-def test_refute_is_true_or_false() -> None:
+def test_prove_infeasibility_is_true_or_false() -> None:
     """Anything else is refused by name."""
-    for call in (lambda: solve(LCP([[1.0]], [1.0]), refute="no"), lambda: solve_batch([[[1.0]]], [[1.0]], refute=1)):
-        with pytest.raises(InvalidOption, match="refute must be True or False"):
+    for call in (
+        lambda: solve(LCP([[1.0]], [1.0]), prove_infeasibility="no"),
+        lambda: solve_batch([[[1.0]]], [[1.0]], prove_infeasibility=1),
+    ):
+        with pytest.raises(InvalidOption, match="prove_infeasibility must be True or False"):
             call()
 
 
@@ -181,4 +184,4 @@ def test_beyond_the_exact_search_what_doubles_exclude_is_proved_or_left_open() -
         q = random.standard_normal(n)
         q[:2] = -1.0, 1.0 - gap
         result = solve(LCP(M, q))
-        assert not result.is_refuted or result.infeasibility.verify()
+        assert not result.has_no_solution or result.infeasibility.verify()

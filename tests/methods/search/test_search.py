@@ -17,7 +17,7 @@ from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_g
 from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.proofs.exact.simplex import QUANTUM
 from lcp_plugin.proofs.no_solution.infeasibility import Case, NoSolution
-from lcp_plugin.proofs.no_solution.refutation import row_choices
+from lcp_plugin.proofs.no_solution.proof import row_choices
 
 
 @pytest.mark.sampled(2)

@@ -40,7 +40,7 @@ def test_watching_a_run_changes_nothing(family: str, algorithm: str) -> None:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_roads_agree(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the compiled road solves is no lie, by exact arithmetic, and the long road refutes none of it."""
+    """What the compiled road solves is no lie, by exact arithmetic, and the long road disproves none of it."""
     for drawn in draw(family, 12, 8):
         short = solve(drawn)
         if short.status is Status.SOLVED:

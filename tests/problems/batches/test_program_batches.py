@@ -145,7 +145,7 @@ def test_programs_with_one_minimum_have_it(drawn: tuple[QuadraticProgram, QPAnsw
     program, answer = drawn
     others = np.stack([program.c, -program.c, program.c + 1.0])
     vectors = (program.h, program.A, program.b, program.lower, program.upper)
-    answers = solve_batch(QuadraticProgramBatch(program.P, others, program.G, *vectors), refute=False)
+    answers = solve_batch(QuadraticProgramBatch(program.P, others, program.G, *vectors), prove_infeasibility=False)
     np.testing.assert_allclose(answers.x[0], np.array(answer.x, dtype=float), rtol=1e-5, atol=1e-5)
 
 
@@ -172,7 +172,7 @@ def test_a_controller_is_planned_again_from_many_states(monkeypatch: pytest.Monk
 
 
 def test_a_bad_program_costs_that_one_alone() -> None:
-    """NaN, ∞, bounds without room, P not symmetric, not convex: an error each in words, the others' bits the same."""
+    """NaN, ∞, crossed bounds, P not symmetric, not convex: an error each in words, the others' bits the same."""
     P, c, G, h = dense(12)
     lower, upper = np.full((12, 6), -9.0), np.full((12, 6), 9.0)
     before = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=lower, upper=upper))
@@ -199,7 +199,7 @@ def test_a_bad_program_costs_that_one_alone() -> None:
 
 
 def test_programs_without_a_minimum_come_with_a_proof() -> None:
-    """Contradicting rows, a slope without end, and one that has a minimum; without refute a proof is not looked for.
+    """Contradicting rows, a slope without end, and one with a minimum; where no proof is wanted, none is looked for.
 
     That of contradicting rows is found on the way.
     """
@@ -212,7 +212,8 @@ def test_programs_without_a_minimum_come_with_a_proof() -> None:
     assert isinstance(answers[0].proof, QPInfeasibility)
     assert isinstance(answers[1].proof, QPUnboundedness)
     assert answers[1].proof.verify()
-    assert solve_batch(programs, refute=False).status.tolist() == [Status.INFEASIBLE, Status.STALLED, Status.SOLVED]
+    unproved = solve_batch(programs, prove_infeasibility=False)
+    assert unproved.status.tolist() == [Status.INFEASIBLE, Status.STALLED, Status.SOLVED]
 
 
 def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -322,7 +323,7 @@ def test_nothing_that_is_handed_over_is_modified() -> None:
 def test_after_the_time_limit_nothing_is_begun() -> None:
     """Those left end with MAX_SECONDS, x the point within the bounds nearest to 0, without multipliers."""
     P, c, G, h = dense(6)
-    answers = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=1.0), max_seconds=0.0, refute=False)
+    answers = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=1.0), max_seconds=0.0, prove_infeasibility=False)
     assert set(answers.status) == {Status.MAX_SECONDS}
     np.testing.assert_array_equal(answers.x, np.ones((6, 6)))
     assert np.isnan(answers.residual).all()

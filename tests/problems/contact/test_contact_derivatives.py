@@ -196,7 +196,7 @@ def test_a_march_is_differentiated_by_what_changes_its_matrix() -> None:
     def last(friction: float) -> Any:
         problem = LCP.from_contacts(block, friction, push)
         forcing = problem.q * np.array([[1.0], [1.5], [0.5]])
-        return march(problem, forcing, carry=0.1, tolerance=1e-13)
+        return march(problem, forcing, propagator=0.1, tolerance=1e-13)
 
     found = derivative(last(0.3))
     difference = (last(0.3 + 1e-6).z[-1] - last(0.3).z[-1]) / 1e-6

@@ -20,7 +20,7 @@ from lcp_plugin import (
     minimize_over_solutions,
     solve,
 )
-from lcp_plugin.doors import scip
+from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria.incumbents import LocalSearch
 from lcp_plugin.problems.equilibria.lower_level import tightened
 

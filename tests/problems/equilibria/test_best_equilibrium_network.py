@@ -15,7 +15,7 @@ from network import network
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, minimize_over_solutions
 from lcp_plugin.core.errors import LCPError, UnsupportedModel
-from lcp_plugin.doors import scip
+from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria import branch_and_bound
 
 

@@ -28,7 +28,7 @@ def planted(
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any], np.ndarray]:
     """Whole numbers A, b, penalties, weights and bounds, and an answer x, chosen first with its residual y.
 
-    Each column is free, at 0 with room to spare or without, at 0 because of a bound, or at a bound beside 0; its
+    Each column is free, at 0 with slack or without, at 0 because of a bound, or at a bound beside 0; its
     penalty is what the slope s = AᵀWy + ridge x then needs.
     """
     rng = np.random.default_rng(seed)
@@ -153,7 +153,7 @@ def test_a_penalty_that_is_large_enough_leaves_nothing() -> None:
 
 @pytest.mark.parametrize("form", ["normal", "mixed"])
 def test_the_lcp_of_a_lasso_has_its_answer(form: str) -> None:
-    """Subgradients behind x where there is room on both sides of 0, a linear term elsewhere."""
+    """Subgradients behind x where both signs may be taken, a linear term elsewhere."""
     A, b, rest, _ = planted(7, 5, 3)
     problem = lcp_from_least_squares(A, b, form=form, **rest)
     solution = problem.origin.recover(solve(problem).require_solved())

@@ -29,7 +29,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.core.kernels.compilation import compiling_at_once
-from lcp_plugin.problems.march import March, carry_remark, kernels
+from lcp_plugin.problems.march import March, kernels, propagator_remark
 
 # --- What is kept ---------------------------------------------------------------------------------------------
 
@@ -90,7 +90,7 @@ EPSILON = np.finfo(np.float64).eps
 
 
 def drawn(n: int, seed: int, width: int = 1, *, z: bool = False) -> tuple[LCP, sp.csr_array]:
-    """A box problem on a band that is not symmetric, and a carry on another one; M is an M-matrix where asked for."""
+    """A box problem on a band that is not symmetric, and a propagator on another; M is an M-matrix where asked for."""
     rng = np.random.default_rng(seed)
 
     def banded(below: int, above: int) -> sp.csr_array:
@@ -100,24 +100,24 @@ def drawn(n: int, seed: int, width: int = 1, *, z: bool = False) -> tuple[LCP, s
     M = banded(width, width + (0 if z else 1))
     M = -abs(M) if z else M
     M = sp.csr_array(M + sp.diags_array(1.0 + abs(M).sum(axis=1)))
-    carry = sp.csr_array(banded(1, 2) - sp.eye_array(n))
+    propagator = sp.csr_array(banded(1, 2) - sp.eye_array(n))
     lower, upper = -rng.uniform(0.0, 0.6, n), rng.uniform(0.0, 0.6, n)
     lower[::5], upper[1::5] = -INF, INF
     lower[3] = upper[3] = 0.1
-    return LCP(M, np.zeros(n), lower=lower, upper=upper), carry
+    return LCP(M, np.zeros(n), lower=lower, upper=upper), propagator
 
 
-def marched(problem: LCP, carry: sp.csr_array, k: int, seed: int, **options: Any) -> March:
+def marched(problem: LCP, propagator: sp.csr_array, k: int, seed: int, **options: Any) -> March:
     rng = np.random.default_rng(seed)
-    return march(problem, rng.normal(size=(k, problem.n)), carry, z0=rng.normal(size=problem.n), **options)
+    return march(problem, rng.normal(size=(k, problem.n)), propagator, z0=rng.normal(size=problem.n), **options)
 
 
 def stacked(done: March) -> Derivative:
     """The derivative of the whole march as one problem: all steps below each other, M on the diagonal, C below it."""
     k, problem = len(done), done.problem
-    M = sp.csr_array(sp.kron(sp.eye_array(k), problem.csr) + sp.kron(sp.eye_array(k, k=-1), done.carry))
+    M = sp.csr_array(sp.kron(sp.eye_array(k), problem.csr) + sp.kron(sp.eye_array(k, k=-1), done.propagator))
     q = np.array(done.forcing)
-    q[0] += done.carry @ done.z0
+    q[0] += done.propagator @ done.z0
     return derivative(
         solve(LCP(M, q.ravel(), lower=np.tile(problem.lower, k), upper=np.tile(problem.upper, k)), tolerance=1e-13)
     )
@@ -146,7 +146,7 @@ def change_of(done: March, seed: int) -> dict[str, Any]:
     rng, n = np.random.default_rng(seed), done.problem.n
     move = rng.normal(size=n)
     return {
-        "dM": sp.random_array((n, n), density=0.3, rng=rng), "dcarry": rng.normal(size=(n, n)),
+        "dM": sp.random_array((n, n), density=0.3, rng=rng), "dpropagator": rng.normal(size=(n, n)),
         "dforcing": rng.normal(size=(len(done), n)), "dz0": rng.normal(size=n), "dlower": move, "dupper": move,
     }
 
@@ -157,10 +157,10 @@ def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
     done = CASES[case]()
     k, n, change = len(done), done.problem.n, change_of(done, 7)
     dq = np.array(change["dforcing"])
-    dq[0] += change["dcarry"] @ done.z0 + done.carry @ change["dz0"]
+    dq[0] += change["dpropagator"] @ done.z0 + done.propagator @ change["dz0"]
     expected = stacked(done).jvp(
-        dM=sp.kron(sp.eye_array(k), change["dM"]) + sp.kron(sp.eye_array(k, k=-1), change["dcarry"]), dq=dq.ravel(),
-        dlower=np.tile(change["dlower"], k), dupper=np.tile(change["dupper"], k),
+        dM=sp.kron(sp.eye_array(k), change["dM"]) + sp.kron(sp.eye_array(k, k=-1), change["dpropagator"]),
+        dq=dq.ravel(), dlower=np.tile(change["dlower"], k), dupper=np.tile(change["dupper"], k),
     ).reshape(k, n)
     found = derivative(done)
     held = [(one.free.sum() > 0, one.free.sum() < n) for one in found]
@@ -171,18 +171,18 @@ def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
-    """⟨g, dz⟩ is what the gradients by M, forcing, carry, z0 and bounds say, for all steps and the last one alone."""
+    """⟨g, dz⟩ is what the gradients by M, forcing, propagator, z0 and bounds say, for all steps and for the last."""
     done = CASES[case]()
     found, change, rng = derivative(done), change_of(done, 8), np.random.default_rng(9)
     change["dM"] = sp.csr_array(done.problem.csr * rng.normal(size=done.problem.csr.shape))  # on the patterns
-    change["dcarry"] = sp.csr_array(done.carry * rng.normal(size=done.carry.shape))
+    change["dpropagator"] = sp.csr_array(done.propagator * rng.normal(size=done.propagator.shape))
     dz = found.jvp(**change)
     for g in (rng.normal(size=dz.shape), rng.normal(size=done.problem.n)):
         gradient = found.vjp(g)
         assert gradient.M.nnz == done.problem.csr.nnz
-        assert gradient.carry.nnz == done.carry.nnz
+        assert gradient.propagator.nnz == done.propagator.nnz
         terms = [
-            gradient.M.multiply(change["dM"]).sum(), gradient.carry.multiply(change["dcarry"]).sum(),
+            gradient.M.multiply(change["dM"]).sum(), gradient.propagator.multiply(change["dpropagator"]).sum(),
             (gradient.forcing * change["dforcing"]).sum(), gradient.z0 @ change["dz0"],
             gradient.lower @ change["dlower"], gradient.upper @ change["dupper"],
         ]
@@ -191,7 +191,7 @@ def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
 
 
 def test_gradients_are_those_of_differences() -> None:
-    """Of M, forcing, carry, z0 and the bounds, each by central differences of whole marches."""
+    """Of M, forcing, propagator, z0 and the bounds, each by central differences of whole marches."""
     done = marched(*drawn(15, 11), 6, 12)
     problem, rng = done.problem, np.random.default_rng(1)
     g = rng.normal(size=(6, 15))
@@ -199,11 +199,11 @@ def test_gradients_are_those_of_differences() -> None:
 
     def loss(**moved: Any) -> float:
         data = {"M": problem.csr, "lower": problem.lower, "upper": problem.upper, "forcing": done.forcing,
-                "carry": done.carry, "z0": done.z0, **moved}
+                "propagator": done.propagator, "z0": done.z0, **moved}
         again = LCP(data["M"], np.zeros(15), lower=data["lower"], upper=data["upper"])
-        return float((g * np.array(march(again, data["forcing"], data["carry"], z0=data["z0"]).z)).sum())
+        return float((g * np.array(march(again, data["forcing"], data["propagator"], z0=data["z0"]).z)).sum())
 
-    for name, at in (("M", problem.csr), ("carry", done.carry), ("forcing", done.forcing), ("z0", done.z0)):
+    for name, at in (("M", problem.csr), ("propagator", done.propagator), ("forcing", done.forcing), ("z0", done.z0)):
         step = at.copy() if not sp.issparse(at) else sp.csr_array((rng.normal(size=at.nnz), at.indices, at.indptr))
         step = rng.normal(size=at.shape) if not sp.issparse(at) else step
         slope = (loss(**{name: at + 1e-6 * step}) - loss(**{name: at - 1e-6 * step})) / 2e-6
@@ -221,17 +221,17 @@ def test_tiny_marches_in_exact_arithmetic(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n, k = 4, 3
     M = sp.csr_array(np.tril(np.triu(rng.integers(-3, 4, (n, n)), -1), 1) + 8 * np.eye(n))
-    carry = sp.csr_array(rng.integers(-4, 5, (n, n)) / 2.0)
+    propagator = sp.csr_array(rng.integers(-4, 5, (n, n)) / 2.0)
     problem = LCP(M, np.zeros(n), lower=-0.25, upper=[0.5, INF, 0.75, 0.5])
-    done = march(problem, rng.integers(-9, 10, (k, n)) / 2.0, carry, z0=[1.0, -1.0, 0.5, 0.25])
+    done = march(problem, rng.integers(-9, 10, (k, n)) / 2.0, propagator, z0=[1.0, -1.0, 0.5, 0.25])
     found, change = derivative(done), change_of(done, seed)
-    dM, dcarry = np.asarray(change["dM"].todense()), change["dcarry"]
-    of_carry, dz = exact_rows(done.carry.toarray()), [found.jvp(**change)]
+    dM, dpropagator = np.asarray(change["dM"].todense()), change["dpropagator"]
+    of_propagator, dz = exact_rows(done.propagator.toarray()), [found.jvp(**change)]
     z, moved = exact(done.z0), exact(change["dz0"])
     for step, answer in enumerate(dz[0]):
-        q = [a + b for a, b in zip(exact(done.forcing[step]), product(of_carry, z), strict=True)]
-        dq = [sum(parts) for parts in zip(exact(change["dforcing"][step]), product(exact_rows(dcarry), z),
-                                          product(of_carry, moved), strict=True)]
+        q = [a + b for a, b in zip(exact(done.forcing[step]), product(of_propagator, z), strict=True)]
+        dq = [sum(parts) for parts in zip(exact(change["dforcing"][step]), product(exact_rows(dpropagator), z),
+                                          product(of_propagator, moved), strict=True)]
         piece = piece_at(problem, done.z[step], found[step].free)
         M_of = piece.M
         ends = {-1: problem.lower, 1: problem.upper}
@@ -257,7 +257,7 @@ def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
     forcing = np.zeros((3, 40))
     forcing[:, :10] = -1.0
     forcing[1, 30] = 1.0  # the others far right are 0 with w ≥ 0, and rounding decides nothing there
-    wide = march(rod, forcing, carry=0.0)
+    wide = march(rod, forcing, propagator=0.0)
     still = march(rod, np.zeros((3, 40)))
     found = derivative(still)
     assert (found.is_unique, len(found.degenerate)) == (False, 120)
@@ -279,7 +279,7 @@ def test_tails_that_underflow_are_left_to_no_small_problem() -> None:
     assert 0.0 < done.z[-1][done.z[-1] > 0.0].min() < 1e-300
     found, change = derivative(done), change_of(done, 1)
     assert all(part.is_plain.all() for part in found._parts())
-    change["dM"], change["dcarry"], change["dforcing"] = M, 0.5, np.zeros((k, n))
+    change["dM"], change["dpropagator"], change["dforcing"] = M, 0.5, np.zeros((k, n))
     del change["dupper"]
     change["dz0"] = change["dlower"] = np.where(payoff > 0.0, change["dlower"], 0.0)
     dz, eps = found.jvp(**change), 1e-6
@@ -291,19 +291,19 @@ def test_tails_that_underflow_are_left_to_no_small_problem() -> None:
     np.testing.assert_allclose(dz, (moved(eps) - moved(-eps)) / (2 * eps), rtol=0, atol=1e-7)
     g = np.random.default_rng(0).normal(size=(k, n))
     gradient = found.vjp(g)
-    total = gradient.M.multiply(M).sum() + 0.5 * gradient.carry.diagonal().sum()
+    total = gradient.M.multiply(M).sum() + 0.5 * gradient.propagator.diagonal().sum()
     assert total + (gradient.lower + gradient.z0) @ change["dlower"] == pytest.approx((g * dz).sum(), rel=1e-10)
 
 
 def test_steps_that_need_more_digits_are_taken_one_by_one() -> None:
     """A row nearly at a kink is left by the compiled loop, in the middle of others, and all agree with one problem."""
-    problem, carry = drawn(20, 1, z=True)
-    done = marched(problem, carry, 6, 1)
+    problem, propagator = drawn(20, 1, z=True)
+    done = marched(problem, propagator, 6, 1)
     forcing = np.array(done.forcing)
     w = done[3].w
     held = int(np.argmax((done.z[3] == problem.lower) & (problem.lower < problem.upper)))
     forcing[3, held] -= w[held] - 2e-15  # z stays, and w is rounding
-    near = march(problem, forcing, carry, z0=done.z0)
+    near = march(problem, forcing, propagator, z0=done.z0)
     found = derivative(near)
     plain = np.concatenate([part.is_plain for part in found._parts()])
     assert plain.tolist() == [True, True, True, False, True, True]
@@ -312,7 +312,7 @@ def test_steps_that_need_more_digits_are_taken_one_by_one() -> None:
     assert np.isfinite(found.jvp(**change)).all()
     left, by_z = gradient.z0, np.zeros(20)
     for k in range(5, -1, -1):
-        by_z = carry.T @ found[k].vjp(g[k] + by_z).q
+        by_z = propagator.T @ found[k].vjp(g[k] + by_z).q
     np.testing.assert_allclose(left, by_z, rtol=1e-11)
 
 
@@ -333,7 +333,7 @@ def test_the_gradients_of_a_step_are_those_of_its_derivative() -> None:
     ({"dforcing": np.zeros((2, 5))}, r"dforcing must be a finite array of shape \(4, 5\), or \(5,\) for all steps"),
     ({"dforcing": np.full((4, 5), np.nan)}, r"dforcing must be .* but dforcing\[0, 0\] is not"),
     ({"dM": np.eye(4)}, "dM must be"),
-    ({"dcarry": np.eye(4)}, "dcarry must be"),
+    ({"dpropagator": np.eye(4)}, "dpropagator must be"),
     ({"dlower": np.inf}, "dlower must be finite"),
 ])
 def test_what_changes_are_refused(given: dict[str, Any], message: str) -> None:
@@ -352,7 +352,7 @@ def test_what_has_no_derivative() -> None:
     cut = heated(5, 4, algorithm="psor", max_iterations=0)
     with pytest.raises(UnsuitableProblem, match=r"only a march solved to its end.* 1 of 4 steps, and step 0 ended"):
         derivative(cut)
-    overflown = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, carry=-1e200)
+    overflown = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, propagator=-1e200)
     with pytest.raises(UnsuitableProblem, match="it took 2 of 3 steps, and step 1 q must be"):
         derivative(overflown)
 
@@ -372,9 +372,9 @@ def test_all_ways_to_ask_run_what_one_has_compiled() -> None:
         first, dz = derivative(done).vjp(g), derivative(done).jvp(**change)
         compiled = [kernel.settle, kernel.adjoints, kernel.tangents]
         before = [len(one.signatures) for one in compiled]
-        steady = march(done.problem, np.broadcast_to(done.forcing[0], (5, 40)), done.carry, z0=done.z0)
+        steady = march(done.problem, np.broadcast_to(done.forcing[0], (5, 40)), done.propagator, z0=done.z0)
         derivative(steady).vjp(g[0])
-        derivative(steady).jvp(dforcing=g[0], dcarry=2.0, only_last=True)
+        derivative(steady).jvp(dforcing=g[0], dpropagator=2.0, only_last=True)
         change["dforcing"] = np.asfortranarray(change["dforcing"])
         again = marched(*drawn(40, 1, z=True), 30, 1, keep_every=7)
         for found in (derivative(done), derivative(again)):
@@ -390,22 +390,24 @@ def test_all_ways_to_ask_run_what_one_has_compiled() -> None:
 
 
 def strikes(n: int, k: int, count: int) -> tuple[LCP, np.ndarray, sp.csr_array]:
-    """American puts with one M: the problem, the payoff of each strike, a carry of a Crank–Nicolson scheme."""
+    """American puts with one M: the problem, the payoff of each strike, a propagator of a Crank–Nicolson scheme."""
     x = np.linspace(-1.0, 1.0, n)
     A = sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (0.02 * (n / 2) ** 2)
     payoff = np.maximum(np.linspace(0.8, 1.2, count)[:, None] - np.exp(x), 0.0)
-    carry = sp.csr_array(A / (2 * k) - sp.eye_array(n))
-    return LCP(sp.csr_array(sp.eye_array(n) + A / (2 * k)), np.zeros(n)), payoff, carry
+    propagator = sp.csr_array(A / (2 * k) - sp.eye_array(n))
+    return LCP(sp.csr_array(sp.eye_array(n) + A / (2 * k)), np.zeros(n)), payoff, propagator
 
 
 @pytest.mark.parametrize("keep_every", [1, 9])
 def test_strikes_at_once_are_those_one_by_one(keep_every: int) -> None:
     """Bit for bit, on any number of threads, with results that say the same."""
-    problem, payoff, carry = strikes(120, 100, 41)
+    problem, payoff, propagator = strikes(120, 100, 41)
     forcing = np.zeros((100, 120))
-    alone = [march(problem.with_q(problem.q, lower=g), forcing, carry, z0=g) for g in payoff]
+    alone = [march(problem.with_q(problem.q, lower=g), forcing, propagator, z0=g) for g in payoff]
     for threads in (1, 2, 3):
-        found = march_many(problem, forcing, carry, lower=payoff, z0=payoff, threads=threads, keep_every=keep_every)
+        found = march_many(
+            problem, forcing, propagator, lower=payoff, z0=payoff, threads=threads, keep_every=keep_every
+        )
         assert len(found) == 41
         for ours, theirs in zip(found, alone, strict=True):
             assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
@@ -425,21 +427,21 @@ def test_strikes_at_once_are_those_one_by_one(keep_every: int) -> None:
 ])
 def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) -> None:
     """Forcings, bounds and states of their own, or one for all; where steps are hard, and on any matrix."""
-    (problem, carry), rng = make(), np.random.default_rng(3)
+    (problem, propagator), rng = make(), np.random.default_rng(3)
     forcing, states = rng.normal(scale=5.0, size=(6, 8, 25)), rng.normal(size=(6, 25))
     lower, upper = -rng.uniform(0.1, 1.0, (6, 25)), rng.uniform(0.1, 1.0, (6, 25))
     upper[:, 3] = lower[:, 3]
-    found = march_many(problem, forcing, carry, lower=lower, upper=upper, z0=states)
+    found = march_many(problem, forcing, propagator, lower=lower, upper=upper, z0=states)
     for j, one in enumerate(found):
-        alone = march(problem.with_q(problem.q, lower=lower[j], upper=upper[j]), forcing[j], carry, z0=states[j])
+        alone = march(problem.with_q(problem.q, lower=lower[j], upper=upper[j]), forcing[j], propagator, z0=states[j])
         assert one.all_solved
         for ours, theirs in zip(one.z, alone.z, strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-7 * abs(theirs).max())
-    same = march_many(problem, forcing[0], carry, z0=states)
-    assert all(np.allclose(one.z[0], march(problem, forcing[0][:1], carry, z0=z).z[0], atol=1e-7)
+    same = march_many(problem, forcing[0], propagator, z0=states)
+    assert all(np.allclose(one.z[0], march(problem, forcing[0][:1], propagator, z0=z).z[0], atol=1e-7)
                for one, z in zip(same, states, strict=True))
-    assert [len(one) for one in march_many(problem, forcing[:, :0], carry)] == [0] * 6
-    assert len(march_many(problem, forcing[0], carry)) == 1
+    assert [len(one) for one in march_many(problem, forcing[:, :0], propagator)] == [0] * 6
+    assert len(march_many(problem, forcing[0], propagator)) == 1
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -488,7 +490,7 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
     ({"forcing": np.full((1, 2, 3), np.nan)}, r"but forcing\[0, 0, 0\] = nan; repair that entry"),
     ({"z0": np.zeros((4, 3))}, "must be equally long, got forcing 2, z0 4"),
     ({"lower": np.zeros((2, 5))}, r"lower must have shape \(B, n\)"),
-    ({"carry": np.eye(2)}, "carry must be"),
+    ({"propagator": np.eye(2)}, "propagator must be"),
 ])
 def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
     """Data of other shapes or not finite, in words and before the first step."""
@@ -573,12 +575,12 @@ def test_greeks_of_a_european_put_are_those_of_the_formula() -> None:
     for name, dA, dz0 in (("delta", 0.0 * by_rate, shift), ("vega", by_volatility, 0.0 * x), ("rho", by_rate, 0.0 * x)):
         dz = dz0
         for found, old in legs:
-            dz = found.jvp(dM=half * dA, dcarry=old * dA, dz0=dz, only_last=True)
+            dz = found.jvp(dM=half * dA, dpropagator=old * dA, dz0=dz, only_last=True)
         assert abs(dz - expected[name])[180:300].max() <= 1e-3 * abs(expected[name]).max()
         g, back = np.eye(n)[node], 0.0
         for found, old in reversed(legs):
             gradient = found.vjp(g)
-            back, g = back + (half * gradient.M + old * gradient.carry).multiply(dA).sum(), gradient.z0
+            back, g = back + (half * gradient.M + old * gradient.propagator).multiply(dA).sum(), gradient.z0
         assert back + g @ dz0 == pytest.approx(dz[node], rel=1e-10)
 
 
@@ -586,7 +588,7 @@ STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))
 
 
 @pytest.mark.parametrize(
-    ("carry", "is_remarked"),
+    ("propagator", "is_remarked"),
     [
         (sp.eye_array(16), True),
         (MASS, True),  # a consistent mass matrix with the wrong sign
@@ -597,7 +599,7 @@ STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))
         (sp.eye_array(16, k=1), False),  # a delay
     ],
 )
-def test_a_carry_of_the_wrong_sign_is_remarked(carry: Any, is_remarked: bool) -> None:
-    """A carry that raises every q has a sentence that names the sign of an implicit step; other carries have none."""
-    said = carry_remark(LCP(STIFFNESS + sp.eye_array(16), np.zeros(16)), sp.csr_array(carry))
-    assert ("has carry −1" in said) == is_remarked == bool(said)
+def test_a_propagator_of_the_wrong_sign_is_remarked(propagator: Any, is_remarked: bool) -> None:
+    """A propagator that raises every q is remarked on with the sign of an implicit step; others are not."""
+    said = propagator_remark(LCP(STIFFNESS + sp.eye_array(16), np.zeros(16)), sp.csr_array(propagator))
+    assert ("has propagator −1" in said) == is_remarked == bool(said)

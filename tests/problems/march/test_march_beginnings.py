@@ -24,7 +24,7 @@ SMALL = {
 
 
 def marched(steps: marches.Steps, **options: object) -> object:
-    return march(steps.problem, steps.forcing, steps.carry, z0=steps.z0, **options)
+    return march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0, **options)
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -35,7 +35,7 @@ def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
     assert done.all_solved
     assert len(done) == len(steps.forcing)
     for force, z in zip(steps.forcing, done.z, strict=True):
-        alone = solve(steps.problem.with_q(force + steps.carry @ state), z0=state, tolerance=1e-10).z
+        alone = solve(steps.problem.with_q(force + steps.propagator @ state), z0=state, tolerance=1e-10).z
         assert np.abs(z - alone).max() <= 1e-8 * max(np.abs(alone).max(), 1e-300)
         state = z
 
@@ -66,14 +66,14 @@ def test_psor_begins_a_step_with_the_relaxation_it_has_found() -> None:
     steps = marches.basket(60, 5)
     done = marched(steps)
     assert [stage.name for stage in done[-1].stages] == ["psor"]
-    alone = solve(steps.problem.with_q(steps.forcing[-1] + steps.carry @ done.z[-2]), PSOR(), z0=done.z[-2])
+    alone = solve(steps.problem.with_q(steps.forcing[-1] + steps.propagator @ done.z[-2]), PSOR(), z0=done.z[-2])
     assert done[-1].iterations < alone.iterations
 
 
 def test_what_has_become_slow_is_left() -> None:
     """A step whose predecessor's method does not get there is solved by another, with which the next one begins."""
     problem = gallery.build("obstacle_2d", size=40).problem
-    policy = StepPolicy(PSOR(relaxation=1e-3), refutes=True)
+    policy = StepPolicy(PSOR(relaxation=1e-3), prove_infeasibility=True)
     found = solve(problem, policy)
     assert found.status is Status.SOLVED
     assert found.stages[0].name == "psor"
@@ -131,7 +131,7 @@ def test_a_march_that_has_condensed_goes_through_pickle() -> None:
 def test_what_cannot_be_condensed_is_left_to_auto() -> None:
     """Where the block of the rows without bounds is singular, auto takes the step."""
     problem = LCP([[0.0, 1.0], [-1.0, 2.0]], [-1.0, 3.0], lower=[-np.inf, 0.0])
-    policy = StepPolicy(Condensed(), refutes=True)
+    policy = StepPolicy(Condensed(), prove_infeasibility=True)
     found = solve(problem, policy)
     assert found.status is Status.SOLVED
     assert found.stages[0].name == "condensed"
@@ -165,7 +165,7 @@ def test_ctrl_c_keeps_the_steps_before(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_solve_knows_nothing_of_marches_before_it() -> None:
     """solve() on the same problem gives the same bits after a march as before it."""
     steps = SMALL["basket"]()
-    problem = steps.problem.with_q(steps.forcing[0] + steps.carry @ steps.z0)
+    problem = steps.problem.with_q(steps.forcing[0] + steps.propagator @ steps.z0)
     before = solve(problem, z0=steps.z0)
     marched(steps)
     after = solve(problem, z0=steps.z0)

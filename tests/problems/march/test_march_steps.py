@@ -33,7 +33,7 @@ def test_a_march_is_its_steps_one_by_one() -> None:
         assert [step.iterations for step in steps[:3]] == [steps[k].iterations for k in range(3)]
 
 
-def test_a_march_carries_a_matrix_and_forces_that_change() -> None:
+def test_a_march_has_a_propagator_and_forces_that_change() -> None:
     """Crank–Nicolson: (2I + A) z = (2I − A) z_before + f_k, between bounds; each step solves its own problem."""
     rng = np.random.default_rng(4)
     n, k = 60, 30
@@ -89,8 +89,8 @@ def test_a_march_ends_where_a_step_is_not_solved() -> None:
 @pytest.mark.parametrize(("given", "message"), [
     ({"forcing": np.zeros(3)}, r"forcing must be .* \(k, n\), a row a step, n = 3, got shape \(3,\)"),
     ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair that entry"),
-    ({"carry": np.eye(2)}, r"carry must be a number or a finite array of shape \(3, 3\), got shape \(2, 2\)"),
-    ({"carry": np.full((3, 3), np.inf)}, "carry must be .* got NaN or infinite entries; repair them"),
+    ({"propagator": np.eye(2)}, r"propagator must be a number or a finite array of shape \(3, 3\), got shape \(2, 2\)"),
+    ({"propagator": np.full((3, 3), np.inf)}, "propagator must be .* got NaN or infinite entries; repair them"),
     ({"z0": np.zeros(2)}, "z0 must be"),
 ])
 def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
@@ -103,11 +103,11 @@ def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
 
 def test_a_march_keeps_what_it_has() -> None:
     """A q that overflows on the way ends it and says so; the first step's is refused."""
-    steps = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, carry=-1e200)
+    steps = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, propagator=-1e200)
     assert not steps.all_solved
     assert 1 <= len(steps) < 3
     assert "q[0]" in str(steps.error)
     assert "ended by" in repr(steps)
     with pytest.raises(InvalidProblem):
-        march(LCP([[1.0]], [0.0]), [[-1.0]], carry=[[1j]])
+        march(LCP([[1.0]], [0.0]), [[-1.0]], propagator=[[1j]])
     assert march(LCP([[2.0]], [0.0]), sp.csr_array([[-1.0], [-1.0]])).all_solved

@@ -89,7 +89,7 @@ def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
             may_be_proved = name not in CAMPAIGN.MULTIPLIERS and CAMPAIGN.is_still_right(case, x)
             assert said.verdict != "proved" or may_be_proved, (name, said)
             off += [said.verdict] if name == "off by 1e-2" else []
-    assert off.count("refuted") >= 4
+    assert off.count("disproved") >= 4
 
 
 @settings.get_profile("few")
@@ -99,7 +99,7 @@ def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
     program, answer = drawn
     x = np.array([float(value) for value in answer.x])
     said = certify(program, x)
-    assert said.verdict != "refuted"
+    assert said.verdict != "disproved"
     assert said.lower is None or Fraction(said.lower) <= answer.objective
     assert said.upper is None or Fraction(said.upper) >= answer.objective
 
@@ -117,10 +117,10 @@ def test_what_proves_is_said() -> None:
     ([0.5, 1.51], "a constraint is violated by 0.01"),
     ([0.4, 1.4], "a feasible point has the objective -4.5, below"),
 ])
-def test_what_refutes_is_said(x: list[float], reason: str) -> None:
+def test_what_disproves_is_said(x: list[float], reason: str) -> None:
     """A violated constraint; a better feasible point."""
     said = certify(SIMPLE, x)
-    assert said.verdict == "refuted"
+    assert said.verdict == "disproved"
     assert said.reason.startswith(reason)
 
 
@@ -137,21 +137,21 @@ def test_proofs_are_kept_with_a_program_and_left_out_of_pickles() -> None:
     assert str(certify(copy, [0.5, 1.5])) == str(said)
 
 
-def test_a_value_that_no_feasible_point_has_is_refuted() -> None:
+def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
     """A violation within the tolerance that buys much more than the tolerance in the objective."""
     program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
     said = certify(program, [1.0 + 9e-7], tolerance=1e-6)
     assert said.verdict == "proved"  # relative to the objective's unit + |f|
     steep = QuadraticProgram([[1e4, 0.0], [0.0, 1e4]], [-1e4, 1e4], G=[[1e-3, -1e-3]], h=[0.0])
     said = certify(steep, [9e-4, 0.0], tolerance=1e-6)
-    assert said.verdict == "refuted"
+    assert said.verdict == "disproved"
     assert "no feasible x is below" in said.reason
 
 
 def test_an_error_that_the_objective_does_not_see_is_not_proved() -> None:
-    """X off by 1e-4 has an objective optimal to 1e-8; it is proved to be off, and so refuted, in words."""
+    """X off by 1e-4 has an objective optimal to 1e-8; it is proved to be off, and so disproved, in words."""
     said = certify(SIMPLE, [0.5 + 1e-4, 1.5 - 1e-4])
-    assert said.verdict == "refuted"
+    assert said.verdict == "disproved"
     assert said.reason.endswith("from every optimal one, though the objective is proved to be optimal")
     flat = QuadraticProgram([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, -1.0, 0.0])
     assert certify(flat, [0.5, 0.5 + 1e-4, 0.0]).reason.startswith("x is proved to be")
@@ -186,16 +186,16 @@ def test_wrong_multipliers_of_a_right_x_are_told() -> None:
     {"inequality": [8.0, 7.0, 0.0]}, {"inequality": [0.5, 0.0, 0.5]},
     {"inequality": [1.0, 0.0, 0.0], "lower": [7.0, 0.0], "upper": [7.0, 0.0]},
     {"inequality": [1.0, 0.0, 0.0], "lower": [0.0, 7.0], "upper": [0.0, 7.0]},
-], ids=["a row with room", "a row without limit", "two bounds with room", "a bound that is none"])
+], ids=["a row with slack", "a row without limit", "two bounds with slack", "a bound that is none"])
 def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> None:
-    """Multipliers under which the gradient vanishes are wrong all the same where their constraints leave room."""
+    """Multipliers under which the gradient vanishes are wrong all the same where their constraints leave slack."""
     program = QuadraticProgram(
         [[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [-1, -1], [1, 1]], h=[2, 9, INF], lower=[-5.0, -INF], upper=9.0
     )
     assert certify(program, [0.5, 1.5], {"inequality": [1.0, 0.0, 0.0]}).verdict == "proved"
     said = certify(program, [0.5, 1.5], wrong)
     assert said.verdict == "unproved"
-    assert "of room" in said.reason or "no limit" in said.reason
+    assert "of slack" in said.reason or "no limit" in said.reason
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
@@ -206,7 +206,7 @@ def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance: float
     program = QuadraticProgram(P, np.append(-1e3, np.zeros(n - 1)), G=sp.csr_array(([1e-7], ([0], [0])), (1, n)), h=[0])
     x = np.append(1.0, np.zeros(n - 1))  # the minimum of the objective alone, and −500 instead of 0
     assert certify(program, 0.0 * x, [1e10]).verdict == "proved"
-    assert certify(program, x, [0.0], tolerance=tolerance).verdict == "refuted"
+    assert certify(program, x, [0.0], tolerance=tolerance).verdict == "disproved"
 
 
 def test_duals_of_a_problem_that_cancel_are_wrong_where_nothing_holds() -> None:
@@ -220,7 +220,7 @@ def test_duals_of_a_problem_that_cancel_are_wrong_where_nothing_holds() -> None:
         constraint.dual_variables[0].save_value(constraint.dual_value + 7.0)
     said = certify(problem)
     assert said.verdict == "unproved"
-    assert "room" in said.reason
+    assert "slack" in said.reason
 
 
 # --- Numbers at the edge -----------------------------------------------------------------------------------------
@@ -284,7 +284,7 @@ def test_equations_of_tiny_numbers_give_no_curvature(row: list[float]) -> None:
 # --- Claims ------------------------------------------------------------------------------------------------------
 
 
-def test_claims_are_proved_by_proofs_and_refuted_by_points() -> None:
+def test_claims_are_proved_by_proofs_and_disproved_by_points() -> None:
     """Infeasible and unbounded, right and wrong."""
     infeasible = QuadraticProgram([[0.0]], [1.0], G=[[1.0], [-1.0]], h=[0.0, -1.0])
     unbounded = QuadraticProgram([[0.0]], [1.0], upper=1.0)
@@ -292,11 +292,11 @@ def test_claims_are_proved_by_proofs_and_refuted_by_points() -> None:
         [certify(program, claim=claim).verdict for claim in ("infeasible", "unbounded")]
         for program in (infeasible, unbounded, SIMPLE)
     ]
-    assert verdicts == [["proved", "refuted"], ["refuted", "proved"], ["refuted", "refuted"]]
+    assert verdicts == [["proved", "disproved"], ["disproved", "proved"], ["disproved", "disproved"]]
     answer = certify(unbounded, [0.0])
-    assert (answer.verdict, answer.lower) == ("refuted", None)
+    assert (answer.verdict, answer.lower) == ("disproved", None)
     assert answer.reason.startswith("the program is unbounded")
-    assert certify(infeasible, [0.5]).verdict == "refuted"
+    assert certify(infeasible, [0.5]).verdict == "disproved"
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -326,7 +326,7 @@ def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
     """Constraints that contradict by less than the tolerance are met to it; by more, "infeasible" is proved."""
     program = QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[1.0, -1.0 - miss])
     claimed, answered = certify(program, claim="infeasible"), certify(program, [1.0 + miss / 2.0])
-    assert (claimed.verdict, answered.verdict) == (("unproved", "proved") if miss < 1e-6 else ("proved", "refuted"))
+    assert (claimed.verdict, answered.verdict) == (("unproved", "proved") if miss < 1e-6 else ("proved", "disproved"))
     assert ("only" in claimed.reason) == (miss < 1e-6)
 
 
@@ -539,8 +539,8 @@ def test_free_columns_are_repaired() -> None:
 
 
 @pytest.mark.parametrize("rows", [10, 100])  # below and above what is solved once more for a sharper bound
-def test_a_violated_answer_is_refuted_without_fractions(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
-    """Noise that violates constraints refutes an answer by itself, with bounds of the optimal value beside it."""
+def test_a_violated_answer_is_disproved_without_fractions(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+    """Noise that violates constraints disproves an answer by itself, with bounds of the optimal value beside it."""
     monkeypatch.setattr(FeasiblePoints, "exactly_near", lambda *_: pytest.fail("fractions were asked"))
     monkeypatch.setattr(FeasiblePoints, "inside", property(lambda _: pytest.fail("fractions were asked")))
     rng = np.random.default_rng(3)
@@ -550,7 +550,7 @@ def test_a_violated_answer_is_refuted_without_fractions(monkeypatch: pytest.Monk
     program = QuadraticProgram(factor @ factor.T / n, rng.standard_normal(n), G, G @ x + 0.1, A, A @ x, 0.0)
     noisy = solve(program).x + 1e-4 * rng.standard_normal(n)
     found = certify(program, noisy)
-    assert found.verdict == "refuted"
+    assert found.verdict == "disproved"
     assert "violated" in found.reason
     assert found.lower is not None
     assert found.upper is not None
@@ -598,8 +598,8 @@ def test_what_is_called_feasible_is() -> None:
         for size in (1e-12, 1e-7, 1e-3):
             found = FeasiblePoints(program).near(inside + size * rng.normal(size=n))
             if found is not None:
-                room = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
-                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(room)) * 2, (seed, size)
+                slack = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
+                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(slack)) * 2, (seed, size)
 
 
 def test_a_point_between_two_vectors_has_the_larger_value() -> None:
@@ -650,13 +650,13 @@ def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None
 
 
 def test_wrong_values_of_cvxpy_variables() -> None:
-    """Off by 1e-4: never proved; off by 1e-2, and the answer without a constraint: refuted; a dual's sign: unproved."""
+    """Off by 1e-4: never proved; off by 1e-2, and the answer without a row: disproved; a dual's sign: unproved."""
     problem = models()["portfolio"]
     problem.solve(solver="CLARABEL")
     y, budget = problem.variables()[0], problem.constraints[0]
     right = y.value
     # One share more of the second and less of the first.
-    for off, verdicts in ((1e-4, ("unproved", "refuted")), (1e-2, ("refuted",))):
+    for off, verdicts in ((1e-4, ("unproved", "disproved")), (1e-2, ("disproved",))):
         y.save_value(right + off * np.array([1.0, -1.0, 0.0, 0.0]))
         assert certify(problem).verdict in verdicts
     y.save_value(right)
@@ -669,7 +669,7 @@ def test_wrong_values_of_cvxpy_variables() -> None:
     free = cp.Problem(other.objective)
     free.solve(solver="CLARABEL")
     other._status = "optimal"
-    assert certify(other).verdict == "refuted"
+    assert certify(other).verdict == "disproved"
 
 
 @pytest.mark.parametrize("value", [0.0, 0.25, 1.0])
@@ -683,7 +683,7 @@ def test_every_optimal_value_is_proved(value: float) -> None:
     assert said.verdict == "proved", said
     assert said.distance is None
     x.save_value(np.array(1.0 + 1e-4))
-    assert certify(problem).verdict == "refuted"
+    assert certify(problem).verdict == "disproved"
 
 
 def test_terms_of_sparse_expressions_are_looked_at_sparse() -> None:
@@ -715,7 +715,7 @@ def test_claims_of_cvxpy_solvers() -> None:
     fine.solve(solver="CLARABEL")
     for status in ("infeasible", "unbounded"):
         fine._status = status
-        assert certify(fine).verdict == "refuted"
+        assert certify(fine).verdict == "disproved"
 
 
 # --- Refused in words ---------------------------------------------------------------------------------------------
@@ -944,7 +944,7 @@ def test_bounds_of_variables_hide_no_entry(attributes: dict[str, Any]) -> None:
 @settings(max_examples=40, deadline=None)
 @given(
     *[st.integers(-40, 40)] * 2, st.integers(-20, 20),
-    st.sampled_from(["right", "with multipliers", "off", "a sign", "beside room", "a gradient"]),
+    st.sampled_from(["right", "with multipliers", "off", "a sign", "beside slack", "a gradient"]),
 )
 def test_verdicts_do_not_depend_on_units(objective: int, row: int, unknowns: int, answer: str) -> None:
     """The objective, a row, and all unknowns times powers of two: the same verdict, of x and of its multipliers."""
@@ -954,7 +954,7 @@ def test_verdicts_do_not_depend_on_units(objective: int, row: int, unknowns: int
     lower, below = np.array([-np.inf, 0.0]), np.array([0.0, 0.0])  # and the bound is met without a multiplier
     assert (P @ x + c + y @ G == below).all()
     x = x - np.array([0.05 * (answer == "off"), 0.0])
-    y = {"a sign": -y, "beside room": np.array([2.0, 0.5]), "a gradient": 0.9 * y}.get(answer, y)
+    y = {"a sign": -y, "beside slack": np.array([2.0, 0.5]), "a gradient": 0.9 * y}.get(answer, y)
     s, r, u = np.ldexp(1.0, [objective, row, unknowns])
     of_rows = np.array([r, 1.0])
     scaled = QuadraticProgram(s * u * u * P, s * u * c, u * of_rows[:, None] * G, of_rows * h, lower=lower / u)
@@ -962,7 +962,7 @@ def test_verdicts_do_not_depend_on_units(objective: int, row: int, unknowns: int
     given_units = QuadraticProgram(P, c, G, h, lower=lower)
     expected = certify(given_units, x, None if multipliers is None else (y, [], below, below))
     found = certify(scaled, x / u, multipliers)
-    verdicts = {"right": "proved", "with multipliers": "proved", "off": "refuted"}
+    verdicts = {"right": "proved", "with multipliers": "proved", "off": "disproved"}
     assert expected.verdict == verdicts.get(answer, "unproved")
     assert found.verdict == expected.verdict
     if found.lower is not None and expected.lower is not None:

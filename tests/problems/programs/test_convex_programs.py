@@ -177,7 +177,7 @@ def test_units_and_limits_that_nobody_reaches_cost_no_steps(
     for case in cases:
         program, value = CAMPAIGN.case(family, seed, case, largest)
         problem = lcp_from_qp(program, "kkt")
-        result = solve(problem, INTERIOR, tolerance=1e-9, refute=False)
+        result = solve(problem, INTERIOR, tolerance=1e-9, prove_infeasibility=False)
         solution = problem.origin.recover(result)
         assert solution.is_stationary(1e-6), (case, result, str(solution))
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
@@ -202,7 +202,7 @@ def test_programs_that_need_pivots_a_ridge_or_their_own_criterion_are_solved(
     assert result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
-def test_rows_that_contradict_by_rounding_refute_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_contradict_by_rounding_prove_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A proof by a margin of 1e-12, which holds for the stored doubles alone, is no answer."""
     program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf])
     monkeypatch.setattr(solving, "settled_at_once", lambda *_: None)
@@ -267,15 +267,15 @@ def test_at_a_small_tolerance_a_program_ends_where_its_own_criterion_holds() -> 
 
 
 def test_no_contradiction_is_looked_for_beside_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An x that meets all constraints refutes every contradiction, and a definite P falls along no direction."""
+    """An x that meets all constraints excludes every contradiction, and a definite P falls along no direction."""
     program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, -1.0]], [-1.0])
     monkeypatch.setattr(no_minimum, "linear_program", lambda *_, **__: pytest.fail("a linear program"))
     monkeypatch.setattr(no_minimum, "FarkasProgram", lambda *_: pytest.fail("a linear program"))
-    assert program.refutation(is_met=True) is None
+    assert program.accepted_proof(is_met=True) is None
     semidefinite = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, 1.0], lower=[-np.inf, 0.0])
     monkeypatch.undo()
-    assert semidefinite.refutation(is_met=True) is None
-    unbounded = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, -1.0], lower=[-np.inf, 0.0]).refutation(is_met=True)
+    assert semidefinite.accepted_proof(is_met=True) is None
+    unbounded = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, -1.0], lower=[-np.inf, 0.0]).accepted_proof(is_met=True)
     assert unbounded is not None
     assert unbounded.verify()
     assert unbounded.status is Status.UNBOUNDED
@@ -348,7 +348,7 @@ def test_of_many_programs_each_goes_on_from_the_last_answer() -> None:
     assert alone.iterations > 1
 
 
-def test_a_start_hides_no_refutation() -> None:
+def test_a_start_hides_no_proof_of_infeasibility() -> None:
     """From an earlier answer, an infeasible program is INFEASIBLE and one that is not convex is refused."""
     program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
     z = solve(program).z
@@ -495,7 +495,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
     """Programs with a planted minimum have no proof that there is none, but for data rounded to few digits."""
     case, _ = CAMPAIGN.case(kind, seed, 6, 10)
-    assert case.refutation(1e-6) is None
+    assert case.accepted_proof(1e-6) is None
     assert CAMPAIGN.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
 
 
@@ -561,7 +561,7 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
     (QuadraticProgram(None, [1.0, 1.0], [[1.0, 1.0], [1.0, -1.0]], [-1.0, -1.0]), "unbounded"),
 ])
 def test_a_run_that_a_proof_ends_says_so(program: Any, word: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """With verbose=True and without, a refuted program has no multipliers, and the last line names the proof."""
+    """With verbose=True and without, an infeasible program has no multipliers, and the last line names the proof."""
     watched, quiet = solve(program, verbose=True), solve(program)
     end = capsys.readouterr().out.splitlines()[-1]
     assert end.startswith(f"{word.upper()}: ")
@@ -621,7 +621,7 @@ def test_a_proof_that_time_has_cut_short_is_looked_for_again(monkeypatch: pytest
     (contradicting, Status.INFEASIBLE, 150), (contradicting, Status.INFEASIBLE, 450),
     (falling, Status.UNBOUNDED, 150), (falling, Status.UNBOUNDED, 450),
 ])
-def test_large_dense_programs_are_refuted_before_methods_creep(made: Any, status: Status, n: int) -> None:
+def test_large_dense_programs_are_proved_infeasible_before_methods_creep(made: Any, status: Status, n: int) -> None:
     """In seconds, where interior points end: a proof that counts, within a radius, is not searched for in fractions."""
     result = solve(made(n), max_seconds=60.0)
     assert result.status is status
@@ -754,7 +754,7 @@ def test_a_component_of_a_small_unit_falls_for_ever(cost: float) -> None:
     """Of −cost x₁ − x₂ with x₁ ≤ 1: the 1 was nothing beside 1e6, and is a tenth of its own terms whatever y is."""
     program = QuadraticProgram(np.zeros((2, 2)), [-cost, -1.0], lower=[0.0, 0.0], upper=[1.0, np.inf])
     assert solve_program(program).status is Status.UNBOUNDED
-    proof = program.refutation()
+    proof = program.accepted_proof()
     assert isinstance(proof, QPUnboundedness)
     least = proof.row_margin
     assert least > 0.1
@@ -765,7 +765,7 @@ def test_a_component_of_a_small_unit_falls_for_ever(cost: float) -> None:
 
 
 def test_terms_that_may_cancel_prove_nothing_of_a_row() -> None:
-    """x₁ = x₂ in two rows whose multipliers 1e7 hide the cost 1 in any row's own terms: no row is refuted so.
+    """x₁ = x₂ in two rows whose multipliers 1e7 hide the cost 1 in any row's own terms: no row proves so.
 
     The program is, beside the cost of 1e8, as the proof is exact.
     """
@@ -962,7 +962,7 @@ def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> 
     """A program whose equation contradicts the bounds by 9e-16 is optimal at x = 0, never infeasible."""
     problem = LCP.from_qp(P, c, A=[ROUNDED], b=[8.9e-16], lower=0.0, form=form)
     result = solve(problem)
-    assert not result.is_refuted
+    assert not result.has_no_solution
     solution = problem.origin.recover(result)
     assert solution.is_optimal()
     assert solution.status == "optimal"
@@ -974,12 +974,12 @@ def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> 
     assert program.status == cp.OPTIMAL
     exact = problem.origin.program.proof_of_no_minimum
     assert exact is None or (exact.verify() and exact.margin < 1e-15)
-    assert problem.origin.program.refutation() is None
+    assert problem.origin.program.accepted_proof() is None
 
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
-def test_infeasible_by_a_millionth_is_refuted(size: float) -> None:
-    """x₁ − x₂ = s and = s (1 + 2e-6) contradict by 1e-6 of their scale: refuted with a proof at default tolerance."""
+def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
+    """x₁ − x₂ = s and = s (1 + 2e-6) contradict by 1e-6 of their scale: proved at default tolerance."""
     x = cp.Variable(2)
     constraints = [x[0] - x[1] == size, x[0] - x[1] == size * (1 + 2e-6)]
     program = cp.Problem(cp.Minimize(cp.sum_squares(x)), constraints)
@@ -994,7 +994,7 @@ def test_infeasible_by_a_millionth_is_refuted(size: float) -> None:
 def test_nothing_is_optimal_relative_to_x(size: float) -> None:
     """x₁ − x₂ = 1 and x₁ − x₂ = 2 are as far from each other at x = 1e9 as at x = 1; beside a proof none is optimal."""
     program = QuadraticProgram(np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0])
-    proof = program.refutation()
+    proof = program.accepted_proof()
     assert proof is not None
     near = QPSolution(program, [size + 1.5, size], [], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
     assert near.primal_residual >= proof.margin * (1 - 1e-12)
@@ -1007,8 +1007,8 @@ def test_nothing_is_optimal_beside_a_direction_of_descent(size: float) -> None:
     """Along a direction of endless descent and no multipliers have a dual residual below the proof's margin."""
     program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
     flat = QuadraticProgram(np.zeros((2, 2)), [-2.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
-    assert program.refutation() is None  # both costs cancel along (1, 1)
-    proof = flat.refutation()
+    assert program.accepted_proof() is None  # both costs cancel along (1, 1)
+    proof = flat.accepted_proof()
     assert isinstance(proof, QPUnboundedness)
     for multiplier in (-size, 0.0, 1.5, size):
         solution = QPSolution(flat, [size + 0.5, size], [], [multiplier], [0.0, 0.0], [0.0, 0.0])
@@ -1025,7 +1025,7 @@ def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
     assert proof is not None
     assert proof.verify()
     assert 0.0 < proof.margin < 1e-15
-    assert problem.origin.program.refutation() is None
+    assert problem.origin.program.accepted_proof() is None
     apart = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-1.00001], upper=1.0)
     assert apart.origin.recover(solve(apart)).status == "infeasible"
 
@@ -1034,7 +1034,7 @@ def test_a_limit_nobody_reaches_hides_no_contradiction() -> None:
     """A row x₃ ≤ 1e12 beside a contradiction of 1e-3 in others changes nothing."""
     rows = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     program = QuadraticProgram(np.eye(3), np.ones(3), rows, [1.0, -1.001, 1e12])
-    proof = program.refutation()
+    proof = program.accepted_proof()
     assert isinstance(proof, QPInfeasibility)
     assert proof.margin > 1e-4
 

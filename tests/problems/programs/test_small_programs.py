@@ -117,7 +117,7 @@ def test_what_has_no_answer_gets_none(data: dict[str, Any], status: str) -> None
     solution = result.solution
     assert not result.is_solved
     assert solution.status == status
-    assert program.refutation() is not None
+    assert program.accepted_proof() is not None
 
 
 @pytest.mark.parametrize(("h", "b", "status"), [
@@ -292,18 +292,18 @@ def test_one_criterion_judges_dense_loops_and_solutions() -> None:
 
 
 def test_the_complementarity_problem_is_made_when_somebody_asks() -> None:
-    """Of one that is solved and of one that is refuted: z, w and certificate, pickled or not; until then none is."""
+    """Of one that is solved and of one that is infeasible: z, w and certificate, pickled or not; until then none is."""
     solved = solve(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
-    refuted = solve(QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1], [-1, -1]], h=[-1, 0.5]))
+    infeasible = solve(QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1], [-1, -1]], h=[-1, 0.5]))
     assert solved.is_compiled
-    assert refuted.is_compiled
-    for result in (*(pickle.loads(pickle.dumps(one)) for one in (solved, refuted)), solved, refuted):
+    assert infeasible.is_compiled
+    for result in (*(pickle.loads(pickle.dumps(one)) for one in (solved, infeasible)), solved, infeasible):
         assert result.status == result.lcp_result.status
         assert result.w.shape == result.z.shape == result.certificate.z.shape
     assert solved.certificate.relative_residual <= 1e-14
-    assert refuted.proof is not None
-    assert refuted.proof.verify()
-    assert np.isnan(refuted.duals["inequality"]).all()
+    assert infeasible.proof is not None
+    assert infeasible.proof.verify()
+    assert np.isnan(infeasible.duals["inequality"]).all()
 
 
 def test_a_contradiction_that_is_kept_answers_the_compiled_call_only() -> None:

@@ -81,9 +81,9 @@ def rows_of_factor(above_starts, above, parent, seen, starts, columns):  # type:
     """Fill L by rows from what is above the diagonal, by columns; return how many entries it has, written as they fit.
 
     Row k has the places of column k and those on the way from them to k in the elimination tree (Liu 1986,
-    doi:10.1145/6497.6499), `parent`. `seen`, shape (n,), is room to work in.
+    doi:10.1145/6497.6499), `parent`. `seen`, shape (n,), is workspace.
     """
-    count, room = 0, columns.size
+    count, capacity = 0, columns.size
     for k in range(seen.size):
         parent[k], seen[k] = -1, k
         for p in range(above_starts[k], above_starts[k + 1]):
@@ -92,7 +92,7 @@ def rows_of_factor(above_starts, above, parent, seen, starts, columns):  # type:
                 if parent[j] < 0:
                     parent[j] = k
                 seen[j] = k
-                if count < room:
+                if count < capacity:
                     columns[count] = j
                 count += 1
                 j = parent[j]

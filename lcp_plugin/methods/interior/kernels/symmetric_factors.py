@@ -17,7 +17,7 @@ from ....systems.refinement import REFINED, ROUGH, STABLE, USEFUL
 def factorise(order, starts, below, row_starts, columns, above_starts, above, at, entries, values, pivots, y):  # type: ignore[no-untyped-def]
     """Fill L; pivots, the diagonal in the order of the rows, become D in that of the pattern. Return whether D ≠ 0.
 
-    `entries` are those of S M, in the order of M's own; y, shape (n,), is room to work in.
+    `entries` are those of S M, in the order of M's own; y, shape (n,), is workspace.
     """
     diagonal, place, one = pivots.copy(), starts.copy(), uintp(1)
     for k in range(uintp(order.size)):

@@ -1,6 +1,6 @@
 """Rounds for contacts: sweeps guess which of them open, stick and slip, and rounds solve for that.
 
-Of a problem that :mod:`.friction_pyramids` has read, the unknowns are x = (p, f), less than half of the rows:
+Of a problem that :mod:`.friction_pyramids` has read, the unknowns are x = (p, f), half of the rows:
 
     p ⊥ u ≥ 0,    f = the point of Σ|f| ≤ μ p next to f − ρ v,    λ = max |v|,
 
@@ -55,28 +55,28 @@ ROUNDS, MOST_ROUNDS, IDLE = 12, 40, 3  # in a row; altogether, and one for three
 
 
 @compiled_part
-def solve_contacts(real, whole, room, n, unknowns, has_start):  # type: ignore[no-untyped-def]
+def solve_contacts(real, whole, matrix, n, unknowns, has_start):  # type: ignore[no-untyped-def]
     """Write FOUND; return the entries touched. FOUND holds the start, used where `has_start` says so."""
     for i in range(unknowns):
-        real[X, i], real[V, i], real[BEST, i], real[OWN, i] = 0.0, real[FREELY, i], 0.0, room[unknowns + i, i]
+        real[X, i], real[V, i], real[BEST, i], real[OWN, i] = 0.0, real[FREELY, i], 0.0, matrix[unknowns + i, i]
     none = real[LEAST, n] = _residual(real, whole)
     settled, near = SETTLED * none, FIRST_NEAR
     if has_start:
         _begin_at(real, whole, n, unknowns)
         _copy(real, unknowns, X, BEST)
-        _stay_near(real, room, unknowns, 0.0)
+        _stay_near(real, matrix, unknowns, 0.0)
     else:
-        _stay_near(real, room, unknowns, 0.0)
-        _sweep(real, whole, room, unknowns, FIRST_SWEEPS)
+        _stay_near(real, matrix, unknowns, 0.0)
+        _sweep(real, whole, matrix, unknowns, FIRST_SWEEPS)
         _keep(real, n, unknowns, _residual(real, whole))
-    rounds, _ = _rounds(real, whole, room, n, unknowns, settled, 1 if has_start else IDLE, True)
+    rounds, _ = _rounds(real, whole, matrix, n, unknowns, settled, 1 if has_start else IDLE, True)
     _copy(real, unknowns, BEST, X)
     while real[LEAST, n] > settled and rounds < MOST_ROUNDS + n // 3:
-        _stay_near(real, room, unknowns, near)
-        _sweep(real, whole, room, unknowns, SWEEPS)
-        made, is_settled = _rounds(real, whole, room, n, unknowns, settled, ROUNDS, False)
-        _stay_near(real, room, unknowns, 0.0)
-        move(real, room, unknowns)
+        _stay_near(real, matrix, unknowns, near)
+        _sweep(real, whole, matrix, unknowns, SWEEPS)
+        made, is_settled = _rounds(real, whole, matrix, n, unknowns, settled, ROUNDS, False)
+        _stay_near(real, matrix, unknowns, 0.0)
+        move(real, matrix, unknowns)
         size = _residual(real, whole)
         _keep(real, n, unknowns, size)
         rounds += made
@@ -84,13 +84,13 @@ def solve_contacts(real, whole, room, n, unknowns, has_start):  # type: ignore[n
             for i in range(unknowns):
                 real[KEPT, unknowns + i] = real[X, i]
             _classify(real, whole)
-            made, _ = _rounds(real, whole, room, n, unknowns, settled, 0, True)
+            made, _ = _rounds(real, whole, matrix, n, unknowns, settled, 0, True)
             for i in range(unknowns):
                 real[X, i] = real[KEPT, unknowns + i]
             rounds += made
         near = max(0.5 * near, LAST_NEAR) if is_settled else min(5.0 * near, 1.0)
     _copy(real, unknowns, BEST, X)
-    move(real, room, unknowns)
+    move(real, matrix, unknowns)
     _classify(real, whole)
     _write(real, whole, n, unknowns)
     return float(n * n + (rounds + 1.0) * (4.0 + unknowns / 12.0) * unknowns * unknowns)
@@ -103,10 +103,10 @@ def _copy(real, unknowns, source, target):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _stay_near(real, room, unknowns, near):  # type: ignore[no-untyped-def]
+def _stay_near(real, matrix, unknowns, near):  # type: ignore[no-untyped-def]
     """Let velocities grow with the distance from X, by that share of the diagonal; 0 gives those of the problem."""
     for i in range(unknowns):
-        room[unknowns + i, i] = real[OWN, i] * (1.0 + near)
+        matrix[unknowns + i, i] = real[OWN, i] * (1.0 + near)
         real[PULLED, i] = real[FREELY, i] - near * real[OWN, i] * real[X, i]
 
 
@@ -159,15 +159,15 @@ def _residual(real, whole):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _sweep(real, whole, room, unknowns, count):  # type: ignore[no-untyped-def]
+def _sweep(real, whole, matrix, unknowns, count):  # type: ignore[no-untyped-def]
     """Take each contact to the solution of its own equations, its friction by a step of projection, so many times."""
-    move(real, room, unknowns)
+    move(real, matrix, unknowns)
     for _ in range(count):
         for i in range(whole[OF_CONES, 1]):
             new = max(real[X, i] - real[STEP, i] * real[V, i], 0.0)
             if new != real[X, i]:
                 change, real[X, i] = new - real[X, i], new
-                add(real, room, unknowns, i, change)
+                add(real, matrix, unknowns, i, change)
             c = whole[CONE, i]
             if c < 0:
                 continue
@@ -176,7 +176,7 @@ def _sweep(real, whole, room, unknowns, count):  # type: ignore[no-untyped-def]
             for j in range(first, end):
                 if real[FOR, j] != real[X, j]:
                     change, real[X, j] = real[FOR, j] - real[X, j], real[FOR, j]
-                    add(real, room, unknowns, j, change)
+                    add(real, matrix, unknowns, j, change)
     _classify(real, whole)
 
 
@@ -232,7 +232,7 @@ def _classify(real, whole):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _rounds(real, whole, room, n, unknowns, settled, idle, is_kept):  # type: ignore[no-untyped-def]
+def _rounds(real, whole, matrix, n, unknowns, settled, idle, is_kept):  # type: ignore[no-untyped-def]
     """Solve for what presses, sticks and slips until that is the answer, or so many rounds got no better.
 
     Returns how many rounds were made, and whether they settled; X is the best of them. With `is_kept` they are those
@@ -240,12 +240,12 @@ def _rounds(real, whole, room, n, unknowns, settled, idle, is_kept):  # type: ig
     """
     made, least, is_settled = 0, np.inf, False
     while made < ROUNDS and not is_settled:
-        if solve_equations(real, whole, room, n, unknowns, settled) < 0:
+        if solve_equations(real, whole, matrix, n, unknowns, settled) < 0:
             break
         made += 1
         is_settled = _classify(real, whole) == 0
         if _project(real, whole):
-            move(real, room, unknowns)
+            move(real, matrix, unknowns)
         size = _residual(real, whole)
         is_settled |= size <= settled
         if is_kept:

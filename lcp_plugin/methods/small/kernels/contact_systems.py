@@ -45,71 +45,71 @@ STICKS = 2
 
 
 @compiled_part
-def move(real, room, unknowns):  # type: ignore[no-untyped-def]
+def move(real, matrix, unknowns):  # type: ignore[no-untyped-def]
     """Write V at X."""
     for i in range(unknowns):
         real[V, i] = real[PULLED, i]
     for j in range(unknowns):
         if real[X, j] != 0.0:
-            add(real, room, unknowns, j, real[X, j])
+            add(real, matrix, unknowns, j, real[X, j])
 
 
 @compiled_into_others
-def add(real, room, unknowns, j, change):  # type: ignore[no-untyped-def]
+def add(real, matrix, unknowns, j, change):  # type: ignore[no-untyped-def]
     """Add to V what a change of unknown j does."""
     for i in range(unknowns):
-        real[V, i] += change * room[unknowns + j, i]
+        real[V, i] += change * matrix[unknowns + j, i]
 
 
 @compiled_part
-def solve_equations(real, whole, room, n, unknowns, settled):  # type: ignore[no-untyped-def]
+def solve_equations(real, whole, matrix, n, unknowns, settled):  # type: ignore[no-untyped-def]
     """Move X, and V with it, to where the equations of what presses, sticks and slips hold; return how many these are.
 
     −1 stands for a system that is singular to working precision.
     """
     size = _name(real, whole, n, unknowns)
-    move(real, room, unknowns)
+    move(real, matrix, unknowns)
     for t in range(size):
         for s in range(size):
-            room[s, t] = _entry(real, whole, room, n, unknowns, s, t)
-        room[t, t] *= 1.0 + TINY_SHARE
+            matrix[s, t] = _entry(real, whole, matrix, n, unknowns, s, t)
+        matrix[t, t] *= 1.0 + TINY_SHARE
     last = np.inf
     for again in range(REFINED):
         wrong = 0.0
         for t in range(size):
             i, j = whole[SOLVED_FOR, t], whole[SOLVED_FOR, n + 1 + t]
             r = real[FIRST, t] * real[V, i] + (real[SECOND, t] * real[V, j] if i >= whole[OF_CONES, 1] else 0.0)
-            room[t, size] = -r
+            matrix[t, size] = -r
             wrong = max(wrong, abs(r) * real[STEP, i])
         if again > 0 and (wrong <= 1e-4 * settled or not wrong < 0.5 * last):
             break
         last = wrong
         if again == 0:
-            if not eliminate(room, whole, n, size):
+            if not eliminate(matrix, whole, n, size):
                 return -1
-            substitute(room, size)
+            substitute(matrix, size)
         else:
-            solve_again(room, whole, n, size)
+            solve_again(matrix, whole, n, size)
         for t in range(size):
             i, j = whole[SOLVED_FOR, t], whole[SOLVED_FOR, n + 1 + t]
-            real[X, i] += real[FIRST, t] * room[t, size]
-            real[X, j] += real[SECOND, t] * room[t, size]
-        move(real, room, unknowns)
+            real[X, i] += real[FIRST, t] * matrix[t, size]
+            real[X, j] += real[SECOND, t] * matrix[t, size]
+        move(real, matrix, unknowns)
     return size
 
 
 @compiled_into_others
-def _entry(real, whole, room, n, unknowns, s, t):  # type: ignore[no-untyped-def]
+def _entry(real, whole, matrix, n, unknowns, s, t):  # type: ignore[no-untyped-def]
     """Return what the unknown of column t does to the equation of row s."""
     i, j = whole[SOLVED_FOR, s], whole[SOLVED_FOR, n + 1 + s]
     p, q = unknowns + whole[SOLVED_FOR, t], unknowns + whole[SOLVED_FOR, n + 1 + t]
     a, b = real[FIRST, t], real[SECOND, t]
-    entry = a * room[p, i] if b == 0.0 else a * room[p, i] + b * room[q, i]
+    entry = a * matrix[p, i] if b == 0.0 else a * matrix[p, i] + b * matrix[q, i]
     if i >= whole[OF_CONES, 1]:
         c, d = real[FIRST, s], real[SECOND, s]
         entry *= c
         if d != 0.0:
-            entry += d * (a * room[p, j] + b * room[q, j])
+            entry += d * (a * matrix[p, j] + b * matrix[q, j])
     return entry
 
 

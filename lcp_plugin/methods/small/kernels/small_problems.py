@@ -186,13 +186,13 @@ def _begin(  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _step(M, k, real, whole, room):  # type: ignore[no-untyped-def]
+def _step(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     """Take one step; return (its phase, the residual of Z, entries touched): a pivot or OVER where none is taken."""
     n, free, touched = M.shape[1], 0, float(M.shape[1] * M.shape[1])
     phase = whole[STATE, PHASE]
     if phase == ROUND:
         is_symmetric = whole[STATE, IS_SYMMETRIC] == 1
-        free = solve_free(M, k, real, whole, room, is_symmetric)
+        free = solve_free(M, k, real, whole, matrix, is_symmetric)
         if free < 0:
             phase = whole[STATE, PHASE] = whole[STATE, LAST]
         else:
@@ -273,7 +273,7 @@ def enclosed(M, k, real, size, least, most, is_dense, tolerance):  # type: ignor
 @interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end, steps,
-    real, whole, room, z, residual, made, work, needs_path,
+    real, whole, matrix, z, residual, made, work, needs_path,
 ):
     """Solve the problems first ≤ item < end of a batch; an array with one row in front stands for all of them.
 
@@ -311,7 +311,7 @@ def run_all(  # type: ignore[no-untyped-def]
                 count = limit
         while count < limit:
             before = whole[STATE, PHASE]
-            phase, size, touched = _step(M, k, real, whole, room)
+            phase, size, touched = _step(M, k, real, whole, matrix)
             needs_path[item] = phase == PIVOT
             if phase in (PIVOT, OVER):
                 paths += needs_path[item]
@@ -333,7 +333,7 @@ def run_all(  # type: ignore[no-untyped-def]
 
 @partial(interpreted_while_small, longest=PATH_UP_TO)
 def follow_all(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, tolerance, first, end, real, whole, room, z, residual, made, work, needs_path
+    M, q, lower, upper, tolerance, first, end, real, whole, matrix, z, residual, made, work, needs_path
 ):
     """Follow Lemke's path to its end where `needs_path` says so; all the rest as in `run_all`, to which it adds."""
     n = M.shape[1]
@@ -345,13 +345,13 @@ def follow_all(  # type: ignore[no-untyped-def]
         nonzeros, _, _, is_symmetric = look_at(M, k, real)
         if tolerance >= 0.0:
             least, most = ends(M, k, real, is_zero, is_kept_dense(nonzeros, n))
-        pivots = follow_path(M, k, real, whole, room, PIVOTS * (n + 10))
+        pivots = follow_path(M, k, real, whole, matrix, PIVOTS * (n + 10))
         if pivots < 0:
             continue
         size = moved(M, k, real, FOUND, False)
         for i in range(n):
             real[KEPT, i] = real[Z, i]
-        if solve_free(M, k, real, whole, room, is_symmetric) >= 0:  # once more on the problem's own data
+        if solve_free(M, k, real, whole, matrix, is_symmetric) >= 0:  # once more on the problem's own data
             after = moved(M, k, real, FOUND, False)
             size = after if after <= size else moved(M, k, real, KEPT, False)
         made[item, PIVOT] += 1

@@ -10,7 +10,7 @@ LARGEST = 1e290
 
 
 @compiled_part
-def solve_free(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untyped-def]
+def solve_free(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped-def]
     """Write FOUND with every variable at its bound where SIDE says so, and w_i = 0 on the other rows.
 
     Returns the number of those, or −1 where their block is singular to working precision: FOUND is what it was then.
@@ -20,45 +20,45 @@ def solve_free(M, k, real, whole, room, is_symmetric):  # type: ignore[no-untype
         if whole[SIDE, i] == BETWEEN:
             whole[FREE, free] = i
             free += 1
-    _gather(M, k, real, whole, room, is_symmetric, free)
-    if not (is_symmetric and _eliminate_symmetric(room, n, free)):
+    _gather(M, k, real, whole, matrix, is_symmetric, free)
+    if not (is_symmetric and _eliminate_symmetric(matrix, n, free)):
         if is_symmetric:
-            _gather(M, k, real, whole, room, False, free)
-        if not eliminate(room, whole, n, free):
+            _gather(M, k, real, whole, matrix, False, free)
+        if not eliminate(matrix, whole, n, free):
             return -1
-    substitute(room, free)
+    substitute(matrix, free)
     for p in range(free):
-        if not abs(room[p, free]) < LARGEST:
+        if not abs(matrix[p, free]) < LARGEST:
             return -1
     for i in range(n):
         real[FOUND, i] = _bound(real, whole, i)
     for p in range(free):
-        real[FOUND, whole[FREE, p]] = room[p, free]
+        real[FOUND, whole[FREE, p]] = matrix[p, free]
     return free
 
 
 @compiled_part
-def substitute(room, free):  # type: ignore[no-untyped-def]
+def substitute(matrix, free):  # type: ignore[no-untyped-def]
     """Solve with what elimination left on and above the diagonal; the right-hand side is column `free`."""
     for p in range(free - 1, -1, -1):
-        total = room[p, free]
+        total = matrix[p, free]
         for j in range(p + 1, free):
-            total -= room[p, j] * room[j, free]
-        room[p, free] = total / room[p, p]
+            total -= matrix[p, j] * matrix[j, free]
+        matrix[p, free] = total / matrix[p, p]
 
 
 @compiled_part
-def solve_again(room, whole, n, free):  # type: ignore[no-untyped-def]
+def solve_again(matrix, whole, n, free):  # type: ignore[no-untyped-def]
     """Solve with the factors that `eliminate` left for another right-hand side in column `free`."""
     for p in range(free):
         best = whole[CANDIDATE, n + 1 + p]
-        room[p, free], room[best, free] = room[best, free], room[p, free]
+        matrix[p, free], matrix[best, free] = matrix[best, free], matrix[p, free]
     for i in range(free):
-        total = room[i, free]
+        total = matrix[i, free]
         for p in range(i):
-            total -= room[i, p] * room[p, free]
-        room[i, free] = total
-    substitute(room, free)
+            total -= matrix[i, p] * matrix[p, free]
+        matrix[i, free] = total
+    substitute(matrix, free)
 
 
 @compiled_into_others
@@ -67,7 +67,7 @@ def _bound(real, whole, i):  # type: ignore[no-untyped-def]
 
 
 @compiled_into_others
-def _gather(M, k, real, whole, room, is_symmetric, free):  # type: ignore[no-untyped-def]
+def _gather(M, k, real, whole, matrix, is_symmetric, free):  # type: ignore[no-untyped-def]
     """Copy the rows and columns between the bounds, and the right-hand side behind them.
 
     A symmetric block stays as it is; rows of another are divided by their SCALE, so that they may have any unit.
@@ -77,44 +77,44 @@ def _gather(M, k, real, whole, room, is_symmetric, free):  # type: ignore[no-unt
         unit = 1.0 if is_symmetric else real[SCALE, i]
         total = -real[Q, i]
         for j in range(free):
-            room[p, j] = M[k, i, whole[FREE, j]] / unit
+            matrix[p, j] = M[k, i, whole[FREE, j]] / unit
         for j in range(M.shape[1]):
             bound = _bound(real, whole, j)
             if bound != 0.0:
                 total -= M[k, i, j] * bound
-        room[p, free] = total / unit
+        matrix[p, free] = total / unit
 
 
 @compiled_into_others
-def _eliminate_symmetric(room, n, free):  # type: ignore[no-untyped-def]
+def _eliminate_symmetric(matrix, n, free):  # type: ignore[no-untyped-def]
     """Eliminate on and above the diagonal, without pivoting; return whether every pivot was clearly positive."""
     for p in range(free):
-        if not room[p, p] > 0.0:
+        if not matrix[p, p] > 0.0:
             return False
     for begin in range(0, free, 4):
         end = min(begin + 4, free)
         for p in range(begin, end):
             for i in range(p + 1, end):
-                before, factor = room[i, i], room[p, i] / room[p, p]
+                before, factor = matrix[i, i], matrix[p, i] / matrix[p, p]
                 for j in range(i, free + 1):
-                    room[i, j] -= factor * room[p, j]
-                if not room[i, i] > CANCELLED * before:
+                    matrix[i, j] -= factor * matrix[p, j]
+                if not matrix[i, i] > CANCELLED * before:
                     return False
         if end == free:
             break
-        _copy(room, n, begin, end, free)
+        _copy(matrix, n, begin, end, free)
         for i in range(end, free):
-            before = room[i, i]
-            a, b = room[n, i] / room[begin, begin], room[n + 1, i] / room[begin + 1, begin + 1]
-            c, d = room[n + 2, i] / room[begin + 2, begin + 2], room[n + 3, i] / room[begin + 3, begin + 3]
-            _subtract(room, n, i, a, b, c, d, i, free)
-            if not room[i, i] > CANCELLED * before:
+            before = matrix[i, i]
+            a, b = matrix[n, i] / matrix[begin, begin], matrix[n + 1, i] / matrix[begin + 1, begin + 1]
+            c, d = matrix[n + 2, i] / matrix[begin + 2, begin + 2], matrix[n + 3, i] / matrix[begin + 3, begin + 3]
+            _subtract(matrix, n, i, a, b, c, d, i, free)
+            if not matrix[i, i] > CANCELLED * before:
                 return False
     return True
 
 
 @compiled_part
-def eliminate(room, whole, n, free):  # type: ignore[no-untyped-def]
+def eliminate(matrix, whole, n, free):  # type: ignore[no-untyped-def]
     """Eliminate below the diagonal with partial pivoting; return whether no column was all rounding.
 
     Four columns are eliminated at a time. Their factors stay below the diagonal, and the rows exchanged in `whole`.
@@ -122,49 +122,49 @@ def eliminate(room, whole, n, free):  # type: ignore[no-untyped-def]
     largest = 0.0
     for i in range(free):
         for j in range(free):
-            largest = max(largest, abs(room[i, j]))
+            largest = max(largest, abs(matrix[i, j]))
     for begin in range(0, free, 4):
         end = min(begin + 4, free)
         for p in range(begin, end):
             best = p
             for i in range(p + 1, free):
-                best = i if abs(room[i, p]) > abs(room[best, p]) else best
-            if not abs(room[best, p]) > CANCELLED * largest:
+                best = i if abs(matrix[i, p]) > abs(matrix[best, p]) else best
+            if not abs(matrix[best, p]) > CANCELLED * largest:
                 return False
             whole[CANDIDATE, n + 1 + p] = best
             if best != p:
                 for j in range(free + 1):
-                    room[p, j], room[best, j] = room[best, j], room[p, j]
+                    matrix[p, j], matrix[best, j] = matrix[best, j], matrix[p, j]
             for i in range(p + 1, free):
-                factor = room[i, p] / room[p, p]
-                room[i, p] = factor
+                factor = matrix[i, p] / matrix[p, p]
+                matrix[i, p] = factor
                 for j in range(p + 1, end):
-                    room[i, j] -= factor * room[p, j]
+                    matrix[i, j] -= factor * matrix[p, j]
         for p in range(begin, end):
             for i in range(p + 1, end):
                 for j in range(end, free + 1):
-                    room[i, j] -= room[i, p] * room[p, j]
+                    matrix[i, j] -= matrix[i, p] * matrix[p, j]
         if end == free:
             break
-        _copy(room, n, begin, end, free)
+        _copy(matrix, n, begin, end, free)
         for i in range(end, free):
-            a, b, c, d = room[i, begin], room[i, begin + 1], room[i, begin + 2], room[i, begin + 3]
+            a, b, c, d = matrix[i, begin], matrix[i, begin + 1], matrix[i, begin + 2], matrix[i, begin + 3]
             if a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0:  # of another island
                 continue
-            _subtract(room, n, i, a, b, c, d, end, free)
+            _subtract(matrix, n, i, a, b, c, d, end, free)
     return True
 
 
 @compiled_into_others
-def _copy(room, n, begin, end, free):  # type: ignore[no-untyped-def]
+def _copy(matrix, n, begin, end, free):  # type: ignore[no-untyped-def]
     """Copy four rows from column `end` on behind the others."""
     for p in range(4):
         for j in range(end, free + 1):
-            room[n + p, j] = room[begin + p, j]
+            matrix[n + p, j] = matrix[begin + p, j]
 
 
 @compiled_into_others
-def _subtract(room, n, i, a, b, c, d, first, free):  # type: ignore[no-untyped-def]
+def _subtract(matrix, n, i, a, b, c, d, first, free):  # type: ignore[no-untyped-def]
     """Subtract those four rows at once from row i: it is read and written once instead of four times."""
     for j in range(first, free + 1):
-        room[i, j] -= (a * room[n, j] + b * room[n + 1, j]) + (c * room[n + 2, j] + d * room[n + 3, j])
+        matrix[i, j] -= (a * matrix[n, j] + b * matrix[n + 1, j]) + (c * matrix[n + 2, j] + d * matrix[n + 3, j])

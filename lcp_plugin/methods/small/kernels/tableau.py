@@ -52,13 +52,13 @@ GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 
 @compiled_part
-def follow_path(M, k, real, whole, room, limit):  # type: ignore[no-untyped-def]
+def follow_path(M, k, real, whole, matrix, limit):  # type: ignore[no-untyped-def]
     """Follow w = M z + q + t r from the least t with w ≥ 0 to t = 0; return the pivots made, −1 where it breaks off.
 
     FOUND and SIDE then say where it ended; r is 1 on every row, each divided by its largest entry.
     """
     n = M.shape[1]
-    if not _begin(M, k, real, whole, room):
+    if not _begin(M, k, real, whole, matrix):
         return -1
     level, made, outcome = 0.0, 0, SOLVED
     for i in range(n):
@@ -67,7 +67,7 @@ def follow_path(M, k, real, whole, room, limit):  # type: ignore[no-untyped-def]
     if level > 0.0:
         for i in range(n):
             real[KEPT, i] += level
-        outcome, _driven, _value, _direction, made = _advance(real, whole, room, n, 2 * n, level, -1.0, True, limit)
+        outcome, _driven, _value, _direction, made = _advance(real, whole, matrix, n, 2 * n, level, -1.0, True, limit)
     if outcome != SOLVED:
         return -1
     _end(real, whole, n)
@@ -75,29 +75,29 @@ def follow_path(M, k, real, whole, room, limit):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def pivots(real, whole, room, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
+def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
     """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
 
     Parameters
     ----------
-    real, whole, room : arrays
+    real, whole, matrix : arrays
         KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE, START; the tableau. All but WIDTH and START are updated.
     is_fresh : bool
         The tableau has just been computed: a first pivot is taken however small it is.
     """
-    return _advance(real, whole, room, n, driven, value, direction, is_fresh, limit)
+    return _advance(real, whole, matrix, n, driven, value, direction, is_fresh, limit)
 
 
 @compiled_part
-def _advance(real, whole, room, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
+def _advance(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
     """Make these pivots.
 
-    The tableau is the first n rows of `room` plus the products of the columns `factors` with `rows`, which follow it:
+    The tableau is the first n rows of `matrix` plus the products of the columns `factors` with `rows`, which follow it:
     those of the last few pivots. They are added at once, so that a large tableau goes through memory once for all of
     them. What a pivot looks at is brought up to date before.
     """
     size, most = 0.0, HELD if n > ADDED_AT_ONCE_UP_TO else 1
-    factors, rows = room[n : n + HELD], room[n + HELD : n + 2 * HELD]
+    factors, rows = matrix[n : n + HELD], matrix[n + HELD : n + 2 * HELD]
     for i in range(n):
         size = max(size, abs(real[KEPT, i]))
     made, held, outcome = 0, 0, GOING_ON
@@ -105,32 +105,32 @@ def _advance(real, whole, room, n, driven, value, direction, is_fresh, limit):  
         column, largest = whole[PLACE, driven] - n, 0.0
         for i in range(n):
             for k in range(held):
-                room[i, column] += factors[k, i] * rows[k, column]
-            largest = max(largest, abs(room[i, column]))
+                matrix[i, column] += factors[k, i] * rows[k, column]
+            largest = max(largest, abs(matrix[i, column]))
         for k in range(held):
             rows[k, column] = 0.0
-        row, step, count = _blocking(real, whole, room, n, column, direction, value, driven, size)
+        row, step, count = _blocking(real, whole, matrix, n, column, direction, value, driven, size)
         if row == NOTHING:
             outcome = RAY
             break
         for c in range(count):
-            _bring_up_to_date(room, n, factors, rows, held, whole[CANDIDATE, c])
+            _bring_up_to_date(matrix, n, factors, rows, held, whole[CANDIDATE, c])
         if count > 1:
-            row = _first_in_order(whole, room, n, column, direction, count)
-        if row >= 0 and not (is_fresh and made == 0) and abs(room[row, column]) < DOUBTFUL * largest:
+            row = _first_in_order(whole, matrix, n, column, direction, count)
+        if row >= 0 and not (is_fresh and made == 0) and abs(matrix[row, column]) < DOUBTFUL * largest:
             outcome = LOST
             break
-        left, driven, value, direction = _move(real, whole, room, n, driven, value, direction, row, column, step)
+        left, driven, value, direction = _move(real, whole, matrix, n, driven, value, direction, row, column, step)
         made += 1
         if row >= 0:
-            _hold(room, n, factors[held], rows[held], row, column)
+            _hold(matrix, n, factors[held], rows[held], row, column)
             held += 1
         if held == most:
             if most == HELD:
-                _add(room, n, factors, rows)
+                _add(matrix, n, factors, rows)
             else:
                 for i in range(n):
-                    _bring_up_to_date(room, n, factors, rows, held, i)
+                    _bring_up_to_date(matrix, n, factors, rows, held, i)
             held = 0
         if left == 2 * n:
             outcome = SOLVED
@@ -140,37 +140,37 @@ def _advance(real, whole, room, n, driven, value, direction, is_fresh, limit):  
             is_back &= whole[START, i] == (entered if i == driven % n else whole[SIDE, i])
         outcome = RETURNED if is_back else GOING_ON
     for i in range(n):
-        _bring_up_to_date(room, n, factors, rows, held, i)
+        _bring_up_to_date(matrix, n, factors, rows, held, i)
     return outcome, driven, value, direction, made
 
 
 @compiled_into_others
-def _bring_up_to_date(room, n, factors, rows, held, row):  # type: ignore[no-untyped-def]
+def _bring_up_to_date(matrix, n, factors, rows, held, row):  # type: ignore[no-untyped-def]
     """Add what is held back of a row to the tableau; OWN_BOUND is none."""
     for k in range(held):
         if row >= 0 and factors[k, row] != 0.0:
             factor = factors[k, row]
             for j in range(n + 1):
-                room[row, j] += factor * rows[k, j]
+                matrix[row, j] += factor * rows[k, j]
             factors[k, row] = 0.0
 
 
 @compiled_into_others
-def _hold(room, n, factor, held, row, column):  # type: ignore[no-untyped-def]
+def _hold(matrix, n, factor, held, row, column):  # type: ignore[no-untyped-def]
     """Take the product that an exchange of `row` and `column` adds to the tableau, and clear these in it."""
-    p = room[row, column]
+    p = matrix[row, column]
     for j in range(n + 1):
-        held[j] = room[row, j] / -p
-        room[row, j] = 0.0
+        held[j] = matrix[row, j] / -p
+        matrix[row, j] = 0.0
     held[column] = 1.0 / p
     for i in range(n):
-        factor[i] = room[i, column]
-        room[i, column] = 0.0
+        factor[i] = matrix[i, column]
+        matrix[i, column] = 0.0
     factor[row] = 1.0
 
 
 @compiled_into_others
-def _add(room, n, factors, rows):  # type: ignore[no-untyped-def]
+def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
     """Add all that is held back to the tableau: HELD products at once."""
     for i in range(n):
         is_zero = True
@@ -182,19 +182,19 @@ def _add(room, n, factors, rows):  # type: ignore[no-untyped-def]
         e, f, g, h = factors[4, i], factors[5, i], factors[6, i], factors[7, i]
         for j in range(n + 1):
             first = (a * rows[0, j] + b * rows[1, j]) + (c * rows[2, j] + d * rows[3, j])
-            room[i, j] += first + ((e * rows[4, j] + f * rows[5, j]) + (g * rows[6, j] + h * rows[7, j]))
+            matrix[i, j] += first + ((e * rows[4, j] + f * rows[5, j]) + (g * rows[6, j] + h * rows[7, j]))
 
 
 @compiled_into_others
-def _move(real, whole, room, n, driven, value, direction, row, column, step):  # type: ignore[no-untyped-def]
+def _move(real, whole, matrix, n, driven, value, direction, row, column, step):  # type: ignore[no-untyped-def]
     """Move the driven variable by a step, at whose end `row` blocks it; return what left the basis, and what is driven.
 
     That is 2n at the end of the path, OWN_BOUND where the variable has met its own other bound; then (driven variable,
     its value, its direction).
     """
-    is_falling = row >= 0 and direction * room[row, column] < 0.0
+    is_falling = row >= 0 and direction * matrix[row, column] < 0.0
     for i in range(n):
-        real[KEPT, i] += direction * step * room[i, column]
+        real[KEPT, i] += direction * step * matrix[i, column]
     if row == OWN_BOUND and driven == 2 * n:
         return driven, driven, 0.0, direction
     if row == OWN_BOUND:
@@ -209,7 +209,7 @@ def _move(real, whole, room, n, driven, value, direction, row, column, step):  #
 
 
 @compiled_into_others
-def _begin(M, k, real, whole, room):  # type: ignore[no-untyped-def]
+def _begin(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     """Fill in the tableau of the canonical problem 0 ≤ z ≤ WIDTH, z at 0; return False where a row is free."""
     n = M.shape[1]
     for i in range(n):
@@ -231,11 +231,11 @@ def _begin(M, k, real, whole, room):  # type: ignore[no-untyped-def]
     for i in range(n):
         total, own = real[Q, i], real[ROW_UNIT, i]
         for j in range(n):
-            room[i, j] = own * M[k, i, j] * real[UNIT, j]
+            matrix[i, j] = own * M[k, i, j] * real[UNIT, j]
         for j in range(n):
             if real[BASE, j] != 0.0:
                 total += M[k, i, j] * real[BASE, j]
-        room[i, n] = 1.0
+        matrix[i, n] = 1.0
         real[KEPT, i] = own * total
     return True
 
@@ -267,7 +267,7 @@ def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped
 
 
 @compiled_into_others
-def _blocking(real, whole, room, n, column, direction, value, driven, size):  # type: ignore[no-untyped-def]
+def _blocking(real, whole, matrix, n, column, direction, value, driven, size):  # type: ignore[no-untyped-def]
     """Return the row that blocks the driven variable, OWN_BOUND or NOTHING, the distance, and how many CANDIDATES do.
 
     Where that is more than one the row is the first of them.
@@ -275,7 +275,7 @@ def _blocking(real, whole, room, n, column, direction, value, driven, size):  # 
     own = real[WIDTH, driven] if driven < n else value if driven == 2 * n else np.inf
     nearest = own
     for i in range(n):
-        rate = direction * room[i, column]
+        rate = direction * matrix[i, column]
         to_bound = (real[LOW, i] if rate < 0.0 else real[HIGH, i]) - real[KEPT, i]
         distance = max(to_bound / rate, 0.0) if abs(rate) > SMALLEST_PIVOT else np.inf
         real[DISTANCE, i] = distance
@@ -297,27 +297,27 @@ def _blocking(real, whole, room, n, column, direction, value, driven, size):  # 
 
 
 @compiled_into_others
-def _share(whole, room, n, column, direction, c, j):  # type: ignore[no-untyped-def]
+def _share(whole, matrix, n, column, direction, c, j):  # type: ignore[no-untyped-def]
     """Return by how much later candidate c blocks when q_j grows; 0 for the driven variable's own bound."""
     row, at = whole[CANDIDATE, c], whole[PLACE, n + j]
     if row == OWN_BOUND:
         return 0.0
-    return (room[row, at - n] if at >= n else -1.0 if at == row else 0.0) / (direction * room[row, column])
+    return (matrix[row, at - n] if at >= n else -1.0 if at == row else 0.0) / (direction * matrix[row, column])
 
 
 @compiled_part
-def _first_in_order(whole, room, n, column, direction, count):  # type: ignore[no-untyped-def]
+def _first_in_order(whole, matrix, n, column, direction, count):  # type: ignore[no-untyped-def]
     """Return the candidate that blocks first for q + (ε, ε², …)."""
     for j in range(n):
         if count == 1:
             break
         least, scale = np.inf, 0.0
         for c in range(count):
-            share = _share(whole, room, n, column, direction, c, j)
+            share = _share(whole, matrix, n, column, direction, c, j)
             least, scale = min(least, share), max(scale, abs(share))
         kept = 0
         for c in range(count):
-            if _share(whole, room, n, column, direction, c, j) <= least + TIE * scale:
+            if _share(whole, matrix, n, column, direction, c, j) <= least + TIE * scale:
                 whole[CANDIDATE, kept] = whole[CANDIDATE, c]
                 kept += 1
         count = kept

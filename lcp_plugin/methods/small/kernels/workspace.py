@@ -2,7 +2,8 @@
 
 On a few unknowns a compiled call with twelve arrays, or a view of a part of one, costs more than what is done with it.
 So all vectors of a problem lie in one array `real`, shape (16, n + 1), all indices in one array `whole`, (7, 2n + 6),
-and matrices in `room`, (n + 16, n + 1); functions take these three and (M, k), M of shape (B, n, n).
+and a tableau or a linear system in `matrix`, (n + 16, n + 1); functions take these three and (M, k), M of shape
+(B, n, n).
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ WIDTH, BASE, ROW_UNIT, UNIT, LOW, HIGH, DISTANCE, PIVOT_ROW = 8, 9, 10, 11, 12, 
 SIDE, STATE, FREE, BASIC, PLACE, OTHER, CANDIDATE = 0, 1, 2, 3, 4, 5, 6
 START = FREE  # SIDE of the cell where a path began, which it must not come back to
 
-HELD = 8  # pivots whose products are added to a large tableau at once; columns and rows of them lie behind it in `room`
+HELD = 8  # pivots whose products are added to a large tableau at once; their columns and rows lie behind it in `matrix`
 
 AT_LOWER, BETWEEN, AT_UPPER, FIXED = 0, 1, 2, 3
 
 
 def shapes(n):  # type: ignore[no-untyped-def]
-    """Return those of `real`, `whole` and `room`."""
+    """Return those of `real`, `whole` and `matrix`."""
     return (16, n + 1), (7, 2 * n + 6), (n + 2 * HELD, n + 1)
 
 

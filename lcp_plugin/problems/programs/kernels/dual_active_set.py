@@ -59,7 +59,7 @@ LOST, CONTRADICTION = -1, -2  # in the place of a size
 
 
 @compiled_part
-def _contradict(C, at_C, new, sign, is_equality, real, whole, room, size):  # type: ignore[no-untyped-def]
+def _contradict(C, at_C, new, sign, is_equality, real, whole, workspace, size):  # type: ignore[no-untyped-def]
     """Write to Y the multipliers with which the normals of `new` and of the active constraints cancel (Farkas)."""
     m, n = C.shape[1], C.shape[2]
     for i in range(m + 2 * n):
@@ -70,7 +70,7 @@ def _contradict(C, at_C, new, sign, is_equality, real, whole, room, size):  # ty
         for j in range(n):
             real[LEFT, j] = 0.0
         add_normals(C, at_C, real, whole, n, size + 1)
-        multiply(real, room, n, size)
+        multiply(real, workspace, n, size)
         move(real, whole, n, size, 1.0, False)
     for a in range(n, size):
         i = whole[ROW, a]
@@ -79,7 +79,7 @@ def _contradict(C, at_C, new, sign, is_equality, real, whole, room, size):  # ty
 
 
 @compiled_part
-def _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse):  # type: ignore[no-untyped-def]
+def _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, workspace, inverse):  # type: ignore[no-untyped-def]
     """Put x at the minimum subject to the equations, from CENTER; return the size of W or CONTRADICTION."""
     m, n = C.shape[1], C.shape[2]
     for i in range(m + 2 * n):
@@ -88,27 +88,27 @@ def _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse):  # 
         real[X, j] = real[CENTER, j]
     gradient(P, at_P, c, k, real, n)
     for i in range(n):
-        copy_row(inverse, i, 0, n, room, i)
+        copy_row(inverse, i, 0, n, workspace, i)
         add_row(inverse, i, 0, n, -real[LEFT, i], real, X)
     size = n
     for i in range(m + 2 * n):
         if is_equation(i, is_equality, n, real):
             violation = left_hand_side(C, at_C, i, real) - real[LIMIT, i]
-            steepness = direction(C, at_C, i, real, room, size)
+            steepness = direction(C, at_C, i, real, workspace, size)
             whole[ACTIVE, i] = whole[ACTIVE, i if i < m else i - n] = 1  # nor is the other bound to be looked at
             if steepness > 0.0:
                 move(real, whole, n, size, violation / steepness, True)
                 real[Y, i] = violation / steepness
-                join(real, whole, room, i, size, steepness)
+                join(real, whole, workspace, i, size, steepness)
                 size += 1
             elif not abs(violation) <= CONSISTENT * (real[SIZE, i] + abs(real[LIMIT, i])):
-                _contradict(C, at_C, i, np.sign(violation), is_equality, real, whole, room, size)
+                _contradict(C, at_C, i, np.sign(violation), is_equality, real, whole, workspace, size)
                 return CONTRADICTION
     return size
 
 
 @compiled_part
-def _begin_again(P, at_P, C, at_C, c, k, is_equality, real, whole, room, size):  # type: ignore[no-untyped-def]
+def _begin_again(P, at_P, C, at_C, c, k, is_equality, real, whole, workspace, size):  # type: ignore[no-untyped-def]
     """Put x at the minimum subject to the active constraints, from CENTER; return the size of W, less those that leave.
 
     With u = (x − CENTER, y) and w the row of one that leaves, u − w u_at ÷ w_at is what the others make of it.
@@ -123,7 +123,7 @@ def _begin_again(P, at_P, C, at_C, c, k, is_equality, real, whole, room, size): 
     for a in range(n, size):
         i = whole[ROW, a]
         real[LEFT, a], real[Y, i] = left_hand_side(C, at_C, i, real) - real[LIMIT, i], 0.0
-    multiply(real, room, size, size)
+    multiply(real, workspace, size, size)
     move(real, whole, n, size, 1.0, True)
     while True:
         least, at = 0.0, -1
@@ -133,12 +133,12 @@ def _begin_again(P, at_P, C, at_C, c, k, is_equality, real, whole, room, size): 
                 least, at = real[Y, i], a
         if at < 0:
             return size
-        share = least / room[at, at]
-        copy_row(room, at, 0, size, real, STEP)
+        share = least / workspace[at, at]
+        copy_row(workspace, at, 0, size, real, STEP)
         move(real, whole, n, size, share, True)
         real[Y, whole[ROW, at]] = 0.0
         size -= 1
-        leave(real, whole, room, at, size)
+        leave(real, whole, workspace, at, size)
 
 
 @compiled_into_others
@@ -154,7 +154,7 @@ def _most_violated(C, at_C, real, whole):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def _proceed(C, at_C, is_equality, real, whole, room, size, most):  # type: ignore[no-untyped-def]
+def _proceed(C, at_C, is_equality, real, whole, workspace, size, most):  # type: ignore[no-untyped-def]
     """Let constraints join and leave until none is violated; return the size of W, LOST or CONTRADICTION, and steps.
 
     LOST after so many at the most.
@@ -169,7 +169,7 @@ def _proceed(C, at_C, is_equality, real, whole, room, size, most):  # type: igno
             if made >= most:
                 return LOST, made
             made += 1
-            steepness = direction(C, at_C, new, real, room, size)
+            steepness = direction(C, at_C, new, real, workspace, size)
             step, at = violation / steepness if steepness > 0.0 else np.inf, -1
             for a in range(n, size):
                 i = whole[ROW, a]
@@ -178,7 +178,7 @@ def _proceed(C, at_C, is_equality, real, whole, room, size, most):  # type: igno
                     step, at = max(real[Y, i], 0.0) / real[STEP, a], a
             if not step < np.inf:
                 if not violation <= CONSISTENT * (real[SIZE, new] + abs(real[LIMIT, new])):
-                    _contradict(C, at_C, new, 1.0, is_equality, real, whole, room, size)
+                    _contradict(C, at_C, new, 1.0, is_equality, real, whole, workspace, size)
                     return CONTRADICTION, made
                 real[Y, new], whole[ACTIVE, new] = 0.0, PASSED_OVER  # what depends on others misses by rounding
                 break
@@ -187,16 +187,16 @@ def _proceed(C, at_C, is_equality, real, whole, room, size, most):  # type: igno
             violation -= step * steepness
             is_active = at < 0
             if is_active:
-                join(real, whole, room, new, size, steepness)
+                join(real, whole, workspace, new, size, steepness)
                 size += 1
             else:
                 real[Y, whole[ROW, at]] = 0.0
                 size -= 1
-                leave(real, whole, room, at, size)
+                leave(real, whole, workspace, at, size)
 
 
 @compiled_part
-def _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, room, size):  # type: ignore[no-untyped-def]
+def _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, workspace, size):  # type: ignore[no-untyped-def]
     """Take off what is left of the conditions with the active constraints, and put x on those of its bounds."""
     m, n = C.shape[1], C.shape[2]
     gradient(P, at_P, c, k, real, n)
@@ -204,7 +204,7 @@ def _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, room, size):  # ty
         i = whole[ROW, a]
         real[LEFT, a] = left_hand_side(C, at_C, i, real) - real[LIMIT, i]
     add_normals(C, at_C, real, whole, n, size)
-    multiply(real, room, size, size)
+    multiply(real, workspace, size, size)
     move(real, whole, n, size, 1.0, True)
     for a in range(n, size):
         i = whole[ROW, a]
@@ -226,12 +226,12 @@ def run(  # type: ignore[no-untyped-def]
     """
     m, n = C.shape[1], C.shape[2]
     real, whole = np.empty((ROWS, m + 2 * n)), np.empty((2, m + 2 * n + 1), np.int64)
-    room, inverse, sums = np.empty((2 * n, 2 * n)), np.empty((n, n)), np.empty((4, n))
+    workspace, inverse, sums = np.empty((2 * n, 2 * n)), np.empty((n, n)), np.empty((4, n))
     kind, most = NONE, STEPS * (m + 3 * n) if n <= SHORT else LONGER * (n + SHORT)
     for k in range(first, end):
         at_P, at_C = min(k, P.shape[0] - 1), min(k, C.shape[0] - 1)
         if k == first or at_P > 0:
-            kind = invert(P, at_P, real, room, inverse)
+            kind = invert(P, at_P, real, workspace, inverse)
         if (k == first or at_P > 0 or at_C > 0) and not look_at(P, at_P, C, at_C, real):
             kind = NONE
         for i in range(m):
@@ -241,11 +241,11 @@ def run(  # type: ignore[no-untyped-def]
         steps[k], has_converged[k], contradicts[k] = 0, False, False
         for center in range(0 if kind == NONE else 1 if kind == DEFINITE else CENTERS):
             if center % AFRESH == 0:
-                size = _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, room, inverse)
+                size = _begin(P, at_P, C, at_C, c, k, is_equality, real, whole, workspace, inverse)
             else:
-                size = _begin_again(P, at_P, C, at_C, c, k, is_equality, real, whole, room, size)
+                size = _begin_again(P, at_P, C, at_C, c, k, is_equality, real, whole, workspace, size)
             if size >= 0:
-                size, made = _proceed(C, at_C, is_equality, real, whole, room, size, most - steps[k])
+                size, made = _proceed(C, at_C, is_equality, real, whole, workspace, size, most - steps[k])
                 steps[k] += made
             contradicts[k] = size == CONTRADICTION
             if size < 0:
@@ -258,7 +258,7 @@ def run(  # type: ignore[no-untyped-def]
                 real[CENTER, j] = real[X, j]
             before = np.inf
             for refinement in range(REFINEMENTS):
-                _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, room, size)
+                _refine(P, at_P, c, k, C, at_C, is_equality, real, whole, workspace, size)
                 for j in range(n):
                     x[k, j] = min(max(real[X, j], lower[k, j]), upper[k, j])
                 for i in range(m):

@@ -19,7 +19,7 @@ ROUNDED = 16.0 * EPSILON
 PRIMAL, DUAL, PRODUCT, ROW, GAP, PRODUCT_SIZE, OBJECTIVE = range(7)  # of `worst`; the last two are sizes
 MEASURES = 5
 CANCELLED = 2.0**-20  # of the size of the objective: what terms that cancel leave of it is held to no less than that
-SUM, SIZE, LARGEST, UNIT = range(4)  # rows of the room of `measure`: of a column of [C; P], and of its residual
+SUM, SIZE, LARGEST, UNIT = range(4)  # rows of the workspace of `measure`: of a column of [C; P], and of its residual
 
 
 @compiled_into_others
@@ -184,12 +184,12 @@ def program_residuals(  # type: ignore[no-untyped-def]
 
 @compiled_part
 def measure(  # type: ignore[no-untyped-def]
-    P, c, C, d, is_equality, lower, upper, objective, k, at_P, at_C, room, x, y, reduced, measures
+    P, c, C, d, is_equality, lower, upper, objective, k, at_P, at_C, workspace, x, y, reduced, measures
 ):
     """Write upper bounds of the same of program k, in dense arrays; return the largest.
 
     Of a bound that x is at the multiplier is what stationarity leaves; `reduced` is that of the lower one less that of
-    the upper one. `room` has four rows of n numbers; objective[k] the size of the objective and its
+    the upper one. `workspace` has four rows of n numbers; objective[k] the size of the objective and its
     smallest cost.
     """
     size_of_all, least = objective[k, 0], objective[k, 1]
@@ -198,11 +198,11 @@ def measure(  # type: ignore[no-untyped-def]
     worst[:] = 0.0
     slope, right, violated, has_P = 0.0, 0.0, 0.0, False
     for j in range(n):
-        room[UNIT, j] = 0.0  # the largest entry of each column
+        workspace[UNIT, j] = 0.0  # the largest entry of each column
         for i in range(n):
-            room[UNIT, j] = max(room[UNIT, j], abs(P[at_P, i, j]) / size_of_all)
-        has_P |= room[UNIT, j] > 0.0
-        room[SUM, j], room[SIZE, j], room[LARGEST, j] = c[k, j], abs(c[k, j]), abs(c[k, j])
+            workspace[UNIT, j] = max(workspace[UNIT, j], abs(P[at_P, i, j]) / size_of_all)
+        has_P |= workspace[UNIT, j] > 0.0
+        workspace[SUM, j], workspace[SIZE, j], workspace[LARGEST, j] = c[k, j], abs(c[k, j]), abs(c[k, j])
     for i in range(m):
         value, size, largest, coefficient = 0.0, 0.0, 0.0, 0.0
         multiplier, limit = y[k, i], d[k, i]
@@ -214,12 +214,12 @@ def measure(  # type: ignore[no-untyped-def]
             largest = max(largest, abs(summand))
             coefficient = max(coefficient, abs(entry))
             pull = entry * multiplier
-            room[SUM, j] += pull
-            room[SIZE, j] += abs(pull)
-            room[LARGEST, j] = max(room[LARGEST, j], abs(pull))
+            workspace[SUM, j] += pull
+            workspace[SIZE, j] += abs(pull)
+            workspace[LARGEST, j] = max(workspace[LARGEST, j], abs(pull))
         coefficient = coefficient if coefficient > 0.0 else 1.0
         for j in range(n):
-            room[UNIT, j] = max(room[UNIT, j], abs(C[at_C, i, j]) / coefficient)
+            workspace[UNIT, j] = max(workspace[UNIT, j], abs(C[at_C, i, j]) / coefficient)
         unit, error = coefficient + abs(limit), margin * (size + abs(limit))
         judge_row(
             worst, value - limit, error, limit, largest, multiplier, unit, coefficient, least, is_equality[i]
@@ -229,24 +229,24 @@ def measure(  # type: ignore[no-untyped-def]
         else:
             violated = max(violated, -limit / coefficient)
     for j in range(n):
-        column = room[UNIT, j] if room[UNIT, j] > 0.0 else 1.0
-        room[UNIT, j] = column
+        column = workspace[UNIT, j] if workspace[UNIT, j] > 0.0 else 1.0
+        workspace[UNIT, j] = column
         slope = max(slope, abs(c[k, j]) / size_of_all / column)
     unit = 1.0 + (max(slope, right, violated) if has_P else slope)
     for j in range(n):
-        value, size, largest = 0.0, 0.0, room[LARGEST, j]
+        value, size, largest = 0.0, 0.0, workspace[LARGEST, j]
         for i in range(n):
             summand = P[at_P, j, i] * x[k, i]
             value += summand
             size += abs(summand)
             largest = max(largest, abs(summand))
-        left, error = room[SUM, j] + value, margin * (size + room[SIZE, j])
+        left, error = workspace[SUM, j] + value, margin * (size + workspace[SIZE, j])
         reduced[k, j] = 0.0
         if x[k, j] == (lower[k, j] if left > 0.0 else upper[k, j]):  # what is left is the multiplier of that bound
             worst[PRODUCT_SIZE] = max(worst[PRODUCT_SIZE], abs(left * x[k, j]))
             reduced[k, j], left = left, 0.0
         judge_column(
             worst, left, error, x[k, j], c[k, j], value, P[at_P, j, j], lower[k, j], upper[k, j], largest,
-            size_of_all * room[UNIT, j] * unit, least,
+            size_of_all * workspace[UNIT, j] * unit, least,
         )
     return beside_sizes(worst, size_of_all)

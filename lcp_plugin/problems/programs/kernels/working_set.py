@@ -1,8 +1,9 @@
 """The inverse W of [[P, Aᵀ], [A, 0]], A the normals of active constraints, as constraints join and leave.
 
 Whatever joins or leaves is one symmetric update of rank 1. Constraints are numbered: the rows C x ≤ d or C x = d, then
-lower ≤ x, then x ≤ upper. W lies in `room`, vectors in one array `real`, shape (ROWS, m + 2n); `whole`, of the same
-width, says which constraints are active. Where P is merely semidefinite, W is that of P with a little on its diagonal.
+lower ≤ x, then x ≤ upper. W lies in `workspace`, vectors in one array `real`, shape (ROWS, m + 2n); `whole`, of the
+same width, says which constraints are active. Where P is merely semidefinite, W is that of P with a little on its
+diagonal.
 """
 
 from __future__ import annotations
@@ -25,31 +26,31 @@ NONE, DEFINITE, SEMIDEFINITE = 0, 1, 2
 
 
 @compiled_part
-def sweep(P, k, shift, least, real, room):  # type: ignore[no-untyped-def]
+def sweep(P, k, shift, least, real, workspace):  # type: ignore[no-untyped-def]
     """Write (P + shift)⁻¹, both at the units ROOT; return whether all pivots of P so were above `least`."""
     n = P.shape[1]
     for i in range(n):
         for j in range(n):
-            room[i, j] = P[k, i, j] / (real[ROOT, i] * real[ROOT, j])
-        room[i, i] += shift
+            workspace[i, j] = P[k, i, j] / (real[ROOT, i] * real[ROOT, j])
+        workspace[i, i] += shift
     for p in range(n):
-        pivot = room[p, p]
+        pivot = workspace[p, p]
         if not pivot > least:
             return False
         for j in range(n):
-            real[STEP, j] = room[p, j] / pivot
+            real[STEP, j] = workspace[p, j] / pivot
         for i in range(n):
-            factor = room[i, p]
+            factor = workspace[i, p]
             if i != p and factor != 0.0:
-                add_row(real, STEP, 0, n, -factor, room, i)
-                room[i, p] = -factor / pivot
-        copy_row(real, STEP, 0, n, room, p)
-        room[p, p] = 1.0 / pivot
+                add_row(real, STEP, 0, n, -factor, workspace, i)
+                workspace[i, p] = -factor / pivot
+        copy_row(real, STEP, 0, n, workspace, p)
+        workspace[p, p] = 1.0 / pivot
     return True
 
 
 @compiled_part
-def invert(P, k, real, room, inverse):  # type: ignore[no-untyped-def]
+def invert(P, k, real, workspace, inverse):  # type: ignore[no-untyped-def]
     """Write P⁻¹, or that of P with a proximal term, and its diagonal SPREAD; return what P is.
 
     It is SEMIDEFINITE where P at unit diagonal has no eigenvalue below 0 by more than rounding.
@@ -62,13 +63,14 @@ def invert(P, k, real, room, inverse):  # type: ignore[no-untyped-def]
                 return NONE
         real[ROOT, i] = np.sqrt(d) if d > 0.0 else 1.0
     kind = DEFINITE
-    if not sweep(P, k, 0.0, SINGULAR, real, room):
+    if not sweep(P, k, 0.0, SINGULAR, real, workspace):
         kind = SEMIDEFINITE
-        if not sweep(P, k, n * (n + 4) * EPSILON, 0.0, real, room) or not sweep(P, k, PROXIMAL, 0.0, real, room):
+        least = n * (n + 4) * EPSILON
+        if not sweep(P, k, least, 0.0, real, workspace) or not sweep(P, k, PROXIMAL, 0.0, real, workspace):
             return NONE
     for i in range(n):
         for j in range(n):
-            inverse[i, j] = room[i, j] / (real[ROOT, i] * real[ROOT, j])
+            inverse[i, j] = workspace[i, j] / (real[ROOT, i] * real[ROOT, j])
         real[SPREAD, i] = inverse[i, i]
     return kind
 
@@ -90,7 +92,7 @@ def left_hand_side(C, k, i, real):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def direction(C, k, i, real, room, size):  # type: ignore[no-untyped-def]
+def direction(C, k, i, real, workspace, size):  # type: ignore[no-untyped-def]
     """Write STEP = W (g, 0), g the normal of constraint i; return gᵀ H g, H the first n rows and columns of W.
 
     0 where g depends on the active normals.
@@ -99,7 +101,7 @@ def direction(C, k, i, real, room, size):  # type: ignore[no-untyped-def]
     if i >= m:
         j, sign = (i - m, -1.0) if i < m + n else (i - m - n, 1.0)
         for a in range(size):
-            real[STEP, a] = sign * room[j, a]
+            real[STEP, a] = sign * workspace[j, a]
         steepness, scale = sign * real[STEP, j], real[SPREAD, j]
     else:
         for a in range(size):
@@ -109,34 +111,34 @@ def direction(C, k, i, real, room, size):  # type: ignore[no-untyped-def]
             g = C[k, i, j]
             scale += g * g * real[SPREAD, j]
             if g != 0.0:
-                add_row(room, j, 0, size, g, real, STEP)
+                add_row(workspace, j, 0, size, g, real, STEP)
         steepness = row_times(C, k, i, n, real, STEP)
     return steepness if steepness > DEPENDENT * scale and size < 2 * n else 0.0
 
 
 @compiled_into_others
-def join(real, whole, room, i, size, steepness):  # type: ignore[no-untyped-def]
+def join(real, whole, workspace, i, size, steepness):  # type: ignore[no-untyped-def]
     """Let constraint i join the active ones, STEP being its direction."""
     for a in range(size):
         factor = real[STEP, a] / steepness
         if factor != 0.0:
-            add_row(real, STEP, 0, size, -factor, room, a)
-        room[a, size] = room[size, a] = factor
-    room[size, size] = -1.0 / steepness
+            add_row(real, STEP, 0, size, -factor, workspace, a)
+        workspace[a, size] = workspace[size, a] = factor
+    workspace[size, size] = -1.0 / steepness
     whole[ROW, size], whole[ACTIVE, i] = i, 1
 
 
 @compiled_into_others
-def leave(real, whole, room, at, last):  # type: ignore[no-untyped-def]
+def leave(real, whole, workspace, at, last):  # type: ignore[no-untyped-def]
     """Let the constraint in row `at` of W leave the active ones; the last one takes its place."""
-    pivot = room[at, at]
-    copy_row(room, at, 0, last + 1, real, STEP)
+    pivot = workspace[at, at]
+    copy_row(workspace, at, 0, last + 1, real, STEP)
     for a in range(last + 1):
         if real[STEP, a] != 0.0:
-            add_row(real, STEP, 0, last + 1, -real[STEP, a] / pivot, room, a)
-    copy_row(room, last, 0, last + 1, room, at)
+            add_row(real, STEP, 0, last + 1, -real[STEP, a] / pivot, workspace, a)
+    copy_row(workspace, last, 0, last + 1, workspace, at)
     for a in range(last):
-        room[a, at] = room[a, last]
+        workspace[a, at] = workspace[a, last]
     whole[ACTIVE, whole[ROW, at]] = 0
     whole[ROW, at] = whole[ROW, last]
 
@@ -173,12 +175,12 @@ def add_normals(C, at_C, real, whole, n, size):  # type: ignore[no-untyped-def]
 
 
 @compiled_part
-def multiply(real, room, count, size):  # type: ignore[no-untyped-def]
+def multiply(real, workspace, count, size):  # type: ignore[no-untyped-def]
     """Write STEP = W times the first so many entries of LEFT."""
     for a in range(size):
         real[STEP, a] = 0.0
     for a in range(count):
-        add_row(room, a, 0, size, real[LEFT, a], real, STEP)
+        add_row(workspace, a, 0, size, real[LEFT, a], real, STEP)
 
 
 @compiled_part

@@ -1,0 +1,114 @@
+"""Interfaces: how other modelling languages and packages reach the solver, and what each gets back.
+
+| you have | you write |
+|---|---|
+| a Pyomo model | ``import lcp_plugin.pyomo``, then ``SolverFactory("lcp_plugin")`` |
+| AMPL, JuMP, an ``.nl`` file | the executable ``lcp-plugin-ampl``, ``interfaces.nl.read_nl("m.nl").solve()`` |
+| qpsolvers | ``lcp_plugin.register_with_qpsolvers()``, then ``solver="lcp_plugin"`` |
+| cvxpylayers | ``CvxpyLayer(…, solver=LCPSolver())`` |
+| QuantEcon | ``from lcp_plugin import lemke as lcp_lemke``, ``LCP.from_game(game)`` |
+| files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
+| programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
+| finite elements, as by scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
+| cvxpy; PyTorch, JAX | ``help("lcp_plugin.modeling")``; ``help("lcp_plugin.interfaces.learn")`` |
+
+In each of them an answer is called solved or optimal only where it was measured on the data that came through it,
+and infeasible or unbounded only with a proof that was verified. No package is imported before its interface is used.
+
+**Pyomo** (extra ``[pyomo]``; all of it: ``help("lcp_plugin.pyomo")``)
+
+>>> import pyomo.environ as pyo
+>>> from pyomo.mpec import Complementarity, complements
+>>> import lcp_plugin.pyomo
+>>> m = pyo.ConcreteModel()
+>>> m.x = pyo.Var(within=pyo.NonNegativeReals, initialize=1.0)
+>>> m.pair = Complementarity(expr=complements(m.x >= 0, pyo.exp(m.x) >= 3.0))
+>>> pyo.assert_optimal_termination(pyo.SolverFactory("lcp_plugin").solve(m))
+>>> round(m.x.value, 6)
+1.098612
+
+**AMPL and JuMP** call the executable, which comes with the package; its options are keywords, ``lcp-plugin-ampl -=``
+lists them. In AMPL::
+
+    option solver "lcp-plugin-ampl", lcp_plugin_options "tolerance=1e-10";
+    solve;
+
+and in Julia (JuMP's ``.nl`` writer takes complementarities in releases from 2026 on; not tried here)::
+
+    using JuMP, AmplNLWriter
+    model = Model(() -> AmplNLWriter.Optimizer("lcp-plugin-ampl"))
+    @variable(model, x >= 0)
+    @constraint(model, exp(x) - 3 ⟂ x)
+    optimize!(model)
+
+What they have written, ``lcp-plugin solve m.nl`` takes as well; ``certify`` where it is a program, ``report``,
+``check`` and ``analyze`` where it is an LCP.
+
+**qpsolvers** (extra ``[qpsolvers]``) Duals are in its convention; ``solution.extras`` has the status, the residuals and
+the proof; ``tolerance``, ``algorithm``, ``max_seconds`` are ours.
+
+>>> import numpy as np
+>>> import qpsolvers
+>>> lcp_plugin.register_with_qpsolvers()
+>>> program = qpsolvers.Problem(2 * np.eye(2), np.array([-2.0, -4.0]), np.array([[1.0, 1.0]]), np.array([2.0]))
+>>> solution = qpsolvers.solve_problem(program, solver="lcp_plugin")
+>>> solution.x, solution.z, solution.extras["status"].name
+(array([0.5, 1.5]), array([1.]), 'SOLVED')
+
+What any other of its solvers has found, here x = (0.5, 1.5), `certify` judges:
+
+>>> lcp_plugin.certify(lcp_plugin.QuadraticProgram(*program.unpack()[:6]), [0.5, 1.5]).verdict
+'proved'
+
+**cvxpylayers** from 1.2 on, in PyTorch: quadratic and linear programs as layers, batched::
+
+    from cvxpylayers.torch import CvxpyLayer
+    from lcp_plugin.interfaces.cvxpylayers import LCPSolver
+
+    layer = CvxpyLayer(problem, parameters=[p], variables=[x], solver=LCPSolver(tolerance=1e-10))
+    (x_,) = layer(p_)
+
+Take it where a model already is a ``CvxpyLayer``: a matrix of parameters may stand in the objective. Take our own
+layers, ``help("lcp_plugin.interfaces.learn")``, where M and q are at hand, for JAX, and for many small problems: 128
+programs of 10 variables in a box took them a tenth of the time, forwards and backwards. Of a cvxpy problem that is no
+layer, ``problem.solve(method="LCP", requires_grad=True)`` and ``problem.backward()`` give the gradients by its
+parameters.
+
+**QuantEcon** ``lemke`` has the parameters and the result of ``quantecon.optimize.lcp_lemke``, which needs not be there.
+
+>>> from lcp_plugin import LCP, lemke as lcp_lemke, solve
+>>> lcp_lemke(np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0]))
+LCPResult(z=array([2.5, 0. ]), success=True, status=0, num_iter=2)
+
+A game of two players, as payoffs or as a ``NormalFormGame``; ``all_solutions`` finds every equilibrium of a small one:
+
+>>> from quantecon.game_theory import NormalFormGame, Player
+>>> problem = LCP.from_game(NormalFormGame([Player([[1, -1], [-1, 1]]), Player([[-1, 1], [1, -1]])]))
+>>> equilibrium = problem.origin.recover(solve(problem, "lemke"))
+>>> equilibrium.row_strategy, equilibrium.regret < 1e-15
+(array([0.5, 0.5]), True)
+
+**Files** with M and q, sparse or dense, and lower and upper if wanted; on the command line ``lcp-plugin solve m.mat``.
+
+>>> import tempfile, scipy.io, scipy.sparse as sp
+>>> with tempfile.TemporaryDirectory() as folder:
+...     np.savez(f"{folder}/m.npz", M=[[2.0, 1.0], [1.0, 2.0]], q=[-5.0, 1.0])
+...     scipy.io.savemat(f"{folder}/m.mat", {"M": sp.eye_array(3), "q": [-1.0, 2.0, -3.0], "ub": [9.0, 9.0, 2.0]})
+...     for name in ("m.npz", "m.mat"):
+...         print(solve(LCP.load(f"{folder}/{name}")).z)
+[2.5 0. ]
+[1. 0. 2.]
+
+**scikit-fem** and whatever else assembles: M without the rows of the boundary, the obstacle as lower bound.
+``examples/obstacle_with_scikit_fem.py`` does so on an unstructured mesh, with linear and quadratic elements.
+
+>>> from skfem import Basis, ElementTriP1, MeshTri
+>>> from skfem.models.poisson import laplace
+>>> basis = Basis(MeshTri().refined(4), ElementTriP1())
+>>> inside = basis.complement_dofs(basis.get_dofs())
+>>> obstacle = 0.5 - np.hypot(*(basis.doflocs - 0.5))
+>>> problem = LCP(laplace.assemble(basis)[inside][:, inside], np.zeros(inside.size), lower=obstacle[inside])
+>>> result = solve(problem)
+>>> result.status.name, round(float(result.z.max()), 6), bool((result.z > problem.lower).any())
+('SOLVED', 0.5, True)
+"""

@@ -1,0 +1,389 @@
+"""What the content of an ``.nl`` file states: a complementarity problem, or a quadratic program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...core.checks import BoolVector, FloatVector
+from ...core.errors import UnsupportedModel
+from ...core.lcp import LCP
+from ...modeling.assembly import Assembly, PairedRows
+from ...modeling.equations import SMALLEST_PIVOT
+from ...modeling.equilibrium_rows import EquilibriumRows
+from ...modeling.expressions.rows import Rows
+from ...problems.programs.program import QuadraticProgram
+from .answers import ComplementarityModel, EquilibriumModel, NLModel, PairRows, ProgramModel
+from .checks import SideConditions, evaluated, pair_bounds
+from .content import Indices, NLContent, Token
+from .expressions import UNKNOWNS, Expressions
+from .reading import read_content
+
+MOST_NAMES = 5
+KINDS = {"QuadraticProgram": "a quadratic program", "EquilibriumProgram": "an objective beside complementarities"}
+ROUNDING = 2.0**-40  # of the terms of a row without unknowns
+
+
+def read_nl(path: str | PathLike[str]) -> NLModel:
+    """Return the model that an ``.nl`` file states, text or binary.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    UnreadableFile
+        Where it is missing or damaged.
+    UnsupportedModel
+        Naming the row or variable that is not taken.
+    """
+    return model_of(read_content(path))
+
+
+def model_of(content: NLContent) -> NLModel:
+    """Return the model that the content of an ``.nl`` file states.
+
+    Raises
+    ------
+    UnsupportedModel
+        Naming the row or variable that is not taken.
+    """
+    statement = FileStatement(content)
+    if statement.pairs.size and (statement.has_objective() or content.is_integer.any()):
+        return statement.equilibrium_program()
+    return statement.complementarities() if statement.is_complementarity_problem() else statement.program()
+
+
+def lcp_in_nl(path: str | PathLike[str]) -> LCP:
+    """Return the LCP that an ``.nl`` file states; raise UnsupportedModel where it states something else."""
+    model = read_nl(path)
+    beside = model.beside.names() if isinstance(model, ComplementarityModel) else []
+    if isinstance(model.problem, LCP) and not beside:
+        return model.problem
+    if beside:
+        raise UnsupportedModel(
+            f"{path} states more than a complementarity problem: {beside[0]} stands beside the complementarities; "
+            "lcp_plugin.interfaces.nl.read_nl(path).solve() and `lcp-plugin solve` hold it against the answer"
+        )
+    kind = KINDS.get(type(model.problem).__name__, "a nonlinear complementarity problem")
+    raise UnsupportedModel(
+        f"{path} states {kind}, not a linear complementarity problem: lcp_plugin.interfaces.nl.read_nl(path).solve() "
+        "and `lcp-plugin solve` take it"
+    )
+
+
+def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
+    """Return the program that an ``.nl`` file states, to be minimised, and what its objective adds; else raise."""
+    model = read_nl(path)
+    if isinstance(model, ProgramModel):
+        return model.problem, model.sign * model.constant
+    raise UnsupportedModel(f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it")
+
+
+class FileStatement:
+    """The rows of a file, sorted by what they say.
+
+    Parameters
+    ----------
+    content : NLContent
+    """
+
+    def __init__(self, content: NLContent) -> None:
+        self.content, self.n, self.m = content, content.lower.size, content.row_lower.size
+        self._refuse_discrete()
+        low, high = content.row_lower, content.row_upper
+        self._check_crossed(content.variable, content.lower, content.upper)
+        self._check_crossed(content.row, low, high)
+        is_pair = content.partners >= 0
+        self.pairs = np.flatnonzero(is_pair)
+        self.equations = np.flatnonzero(~is_pair & (low == high))
+        is_bounded = np.isfinite(low) | np.isfinite(high)
+        self.inequalities = np.flatnonzero(~is_pair & (low != high) & is_bounded)
+        self.says_nothing = ~is_pair & ~is_bounded
+        self.is_paired = np.zeros(self.n, dtype=bool)
+        self.is_paired[content.partners[self.pairs]] = True
+        if self.pairs.size:
+            self._check_partners()
+        self.known = self._known(self.says_nothing)
+        self.expressions = Expressions(content, self.known)
+        self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
+
+    def _refuse_discrete(self) -> None:
+        content = self.content
+        if content.is_integer.any() and not (content.partners >= 0).any():
+            name = content.variable(int(np.flatnonzero(content.is_integer)[0]))
+            raise UnsupportedModel(
+                f"{name} is an integer variable; integers are taken beside complementarities only, by SCIP: write "
+                'SolverFactory("scip"), or give it a continuous domain'
+            )
+        if content.logical_rows:
+            raise UnsupportedModel(f"the model has {content.logical_rows} logical constraints; none are taken")
+
+    def _check_crossed(self, call: Callable[[int], str], low: FloatVector, high: FloatVector) -> None:
+        """Raise where a lower bound is above an upper one."""
+        crossed = np.flatnonzero(low > high)
+        if crossed.size:
+            k = int(crossed[0])
+            raise UnsupportedModel(
+                f"{call(k)} has the lower bound {low[k]:g} above the upper bound {high[k]:g}: no point satisfies the "
+                "model; correct one of them"
+            )
+
+    @cached_property
+    def right(self) -> FloatVector:
+        """The right-hand sides of equations, 0 for those of defined variables."""
+        right = np.zeros(self.expressions.offset.size)
+        right[: self.m] = self.content.row_lower
+        return right
+
+    def _check_partners(self) -> None:
+        """Raise where two rows go with one variable."""
+        content, rows = self.content, self.pairs
+        columns = content.partners[rows]
+        order = np.argsort(columns, kind="stable")
+        twice = np.flatnonzero(np.diff(columns[order]) == 0)
+        if twice.size:
+            first, second = rows[order[twice[0]]], rows[order[twice[0] + 1]]
+            both = f"{content.row(first)} and {content.row(second)}"
+            raise UnsupportedModel(
+                f"{both} are both complementary to {content.variable(content.partners[first])}; give one of them a "
+                "variable of its own"
+            )
+
+    def _known(self, leaves_out: BoolVector) -> FloatVector:
+        """Return the values of variables that no row but those left out holds: fixed ones, and those in none."""
+        content, occurs = self.content, self.is_paired.copy()
+        parts = (
+            (content.trees, content.linear, leaves_out),
+            (content.objective_trees, content.objective_linear, np.zeros(content.is_maximized.size, dtype=bool)),
+            (content.defined_trees, content.defined_linear, np.zeros(content.defined_trees.size, dtype=bool)),
+        )
+        for trees, linear, is_left_out in parts:
+            is_used = (trees.kinds == Token.VARIABLE) & ~np.repeat(is_left_out, np.diff(trees.starts))
+            used = trees.values[is_used].astype(np.int64)
+            columns = linear.indices[(linear.data != 0.0) & ~np.repeat(is_left_out, np.diff(linear.indptr))]
+            occurs[used[used < self.n]] = occurs[columns[columns < self.n]] = True
+        is_known = ~self.is_paired & ((content.lower == content.upper) | ~occurs)
+        return np.where(is_known, np.clip(content.start, content.lower, content.upper), np.nan)
+
+    def is_complementarity_problem(self) -> bool:
+        """Return whether it is one: what has an objective is a program, and so are affine rows that are not square."""
+        if self.pairs.size:
+            return True
+        if self.has_objective():
+            return False
+        if not self.is_affine.all():
+            return bool(self.expressions.matrix[self.equations].nnz)
+        if self.inequalities.size:
+            return False
+        unknowns = np.flatnonzero(np.isnan(self.known))
+        is_free = np.isneginf(self.content.lower[unknowns]) & np.isposinf(self.content.upper[unknowns])
+        return bool(is_free.all()) and unknowns.size == self.equations.size > 0
+
+    def has_objective(self) -> bool:
+        """Return whether there is an objective that is no constant."""
+        row = self.expressions.matrix[[self.m]] if self.content.is_maximized.size else None
+        return row is not None and row.nnz > 0
+
+    def equilibrium_program(self) -> EquilibriumModel:
+        """Return the program with complementarity constraints."""
+        self._put_in_definitions()
+        content, found, m = self.content, self.expressions, self.m
+        own, place = found.unknowns, np.full(self.n, -1)
+        place[own] = np.arange(own.size)
+        stated = EquilibriumRows(
+            found.compiler, {UNKNOWNS: 0}, content.lower[own], content.upper[own],
+            np.flatnonzero(content.is_integer[own]),
+        )
+        others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
+        is_affine = found.is_affine()
+        for part in (others[is_affine[others]], others[~is_affine[others]]):
+            if part.size:
+                stated.constrain(found.rows(part), content.row_lower[part], content.row_upper[part])
+        rows, columns = self.pairs[np.argsort(~is_affine[self.pairs], kind="stable")], []
+        for part in (rows[is_affine[rows]], rows[~is_affine[rows]]):
+            if part.size:
+                z = sp.csr_array((np.ones(part.size), place[content.partners[part]], np.arange(part.size + 1)),
+                                 shape=(part.size, own.size))
+                sides = Rows({UNKNOWNS: z}, np.zeros(part.size), (part.size,)), found.rows(part)
+                columns.append(stated.pair(*sides, *pair_bounds(content, part))[1])
+        has_objective = bool(content.is_maximized.size)
+        sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
+        goal = found.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
+        problem = stated.program(goal, sign, found.quadratic(m) if has_objective else None)
+        problem = replace(problem, names=[content.variable(j) for j in own])
+        return EquilibriumModel(content, problem, own, self.known, sign, rows, np.concatenate(columns))
+
+    def _put_in_definitions(self) -> None:
+        """Let no defined variable be an unknown."""
+        found = self.expressions
+        if found.definitions.size:
+            found.put_in(found.definitions, np.flatnonzero(found.unknowns >= self.n))
+
+    def program(self) -> ProgramModel:
+        """Return the quadratic program, to be minimised."""
+        self._put_in_definitions()
+        content, found, m = self.content, self.expressions, self.m
+        if not self.is_affine.all():
+            row = content.row(np.flatnonzero(~self.is_affine)[0])
+            raise UnsupportedModel(
+                f"{row} is nonlinear: rows of an optimisation without complementarities, and inequalities, must be "
+                "affine; nonlinear are complementarities, rows beside these and an objective, and equations, as many "
+                "as variables without a complementarity"
+            )
+        unknowns = found.unknowns
+        P: Any = sp.csr_array((unknowns.size, unknowns.size))
+        c, constant, sign = np.zeros(unknowns.size), 0.0, 1.0
+        if content.is_maximized.size:
+            sign = -1.0 if content.is_maximized[0] else 1.0
+            quadratic = found.quadratic(m)
+            if quadratic is None:
+                raise UnsupportedModel("the objective is neither linear nor quadratic; convex quadratic ones are taken")
+            P, c, constant = quadratic
+        A, shift = sp.csr_array(found.matrix[:m, : unknowns.size]), found.offset[:m]
+        limits, bounds = (content.row_lower, content.row_upper), (content.lower, content.upper)
+        program = QuadraticProgram.from_ranges(
+            sign * P, sign * c, A, *(limit - shift for limit in limits), *(bound[unknowns] for bound in bounds)
+        )
+        rows = A, np.where(self.says_nothing, np.nan, shift)
+        return ProgramModel(content, program, unknowns, self.known, sign, constant, *rows)
+
+    def complementarities(self) -> ComplementarityModel:
+        """Return the complementarity problem."""
+        if self.inequalities.size:
+            self.known = self._known(self.says_nothing | np.isin(np.arange(self.m), self.inequalities))
+            self.expressions = Expressions(self.content, self.known)
+        content, found = self.content, self.expressions
+        pairs, equations, folded = self._put_in_auxiliaries()
+        shift = np.zeros(found.offset.size)
+        shift[equations] = self.right[equations]
+        found.offset = found.offset - shift
+        equations = self._without_empty(equations)
+        spare = self._spare(pairs, equations)
+        pairs = np.setdiff1d(pairs, spare)
+        beside = SideConditions(content, pairs, self.inequalities, spare)
+        assembly = _Assembly(content, found, beside.bounded, keeps_bounds=not pairs.size)
+        place = np.full(self.n + content.defined_trees.size, -1)
+        place[found.unknowns] = np.arange(found.unknowns.size)
+        for rows, takes in ((pairs, assembly.take_pairs), (equations, assembly.take_equations)):
+            is_affine = found.is_affine()[rows]
+            for part in (rows[is_affine], rows[~is_affine]):
+                if part.size:
+                    takes(part, place)
+        arrangement = assembly.arranged()
+        constants = np.zeros(self.m)
+        constants[spare] = found.offset[spare]
+        of_pairs = PairRows(pairs, content.partners[pairs], *folded, constants)
+        return ComplementarityModel(
+            content, arrangement.problem, found.unknowns, self.known, arrangement, of_pairs, beside
+        )
+
+    def _spare(self, pairs: Indices, equations: Indices) -> Indices:
+        """Return the complementarity rows that hold no unknown, where there are as many equations too many.
+
+        So Pyomo's mpec.nl writes the pair of a variable that is fixed, as a price which is the unit: an equation gives
+        the other side a name, and no unknown is left that gives way.
+        """
+        found = self.expressions
+        constant = pairs[np.diff(found.matrix.indptr)[pairs] == 0]
+        surplus = equations.size + pairs.size - found.unknowns.size
+        choices = (constant[found.offset[constant] == 0.0], constant)
+        return next((spare for spare in choices if spare.size == surplus), pairs[:0])
+
+    def _without_empty(self, equations: Indices) -> Indices:
+        """Leave out the equations that hold no unknown; raise where they do not hold."""
+        content, found = self.content, self.expressions
+        is_empty = np.diff(found.matrix.indptr)[equations] == 0
+        empty: Indices = equations[is_empty]
+        left: Indices = equations[~is_empty]
+        if empty.size:
+            sizes = np.nan_to_num(evaluated(content, np.nan_to_num(self.known)).row_sizes[empty])
+            wrong = np.abs(found.offset[empty]) > ROUNDING * (sizes + np.abs(self.right[empty]))
+            for row in empty[wrong][:1]:
+                raise UnsupportedModel(
+                    f"{content.row(row)} holds no unknown, and its sides differ by {found.offset[row]:g}: no point "
+                    "satisfies the model; correct it"
+                )
+        return left
+
+    def _put_in_auxiliaries(self) -> tuple[Indices, Indices, tuple[Any, Any, Any, Any]]:
+        """Put the unknowns that only name the value of a pair's row into it; return pairs and equations left.
+
+        Pyomo writes F >= 0 complements x >= 0 as b == F and a row that holds b alone: the row becomes F, and b is known
+        from its value.
+
+        Notes
+        -----
+        With a b + g = 0 and the row c b + d, it is d − (c/a) g.
+        """
+        content, found, n = self.content, self.expressions, self.expressions.unknowns.size
+        matrix, columns = found.matrix, sp.csc_array(found.matrix)
+        lengths = np.diff(matrix.indptr)
+        is_free = np.isneginf(content.lower) & np.isposinf(content.upper) & ~self.is_paired
+        is_free = np.append(is_free, np.zeros(content.defined_trees.size, dtype=bool))
+        may_go = np.zeros(matrix.shape[1], dtype=bool)
+        may_go[:n] = is_free[found.unknowns] & (np.diff(columns.indptr)[:n] == 2)
+        rows = self.pairs[lengths[self.pairs] == 1]
+        entries = matrix.indptr[rows]
+        is_auxiliary = may_go[matrix.indices[entries]]
+        rows, entries = rows[is_auxiliary], entries[is_auxiliary]
+        own, weights = matrix.indices[entries], matrix.data[entries]
+        begins = columns.indptr[own]
+        at = np.where(columns.indices[begins] == rows, begins + 1, begins)
+        definitions, pivots = columns.indices[at].astype(np.int64), columns.data[at]
+        is_equation = np.zeros(matrix.shape[0], dtype=bool)
+        is_equation[self.equations] = True
+        largest = abs(matrix).max(axis=1).toarray().ravel()
+        fits = is_equation[definitions] & (np.abs(pivots) >= SMALLEST_PIVOT * largest[definitions])
+        first = np.zeros(fits.size, dtype=bool)
+        first[np.unique(np.where(fits, definitions, -1), return_index=True)[1]] = True
+        taken = np.flatnonzero(fits & first)
+        rows, own, weights, definitions, pivots = (one[taken] for one in (rows, own, weights, definitions, pivots))
+        variables, offsets = found.unknowns[own], found.offset[rows]
+        found.offset[definitions] -= self.right[definitions]
+        if taken.size:
+            found.put_in(definitions, own)
+        left = np.setdiff1d(np.append(self.equations, found.definitions), definitions)
+        return self.pairs, left, (rows, variables, weights, offsets)
+
+
+class _Assembly(Assembly):
+    """The model of a file."""
+
+    def __init__(self, content: NLContent, found: Expressions, is_free: BoolVector, *, keeps_bounds: bool) -> None:
+        free = np.full(content.defined_trees.size, np.inf)
+        lower = np.append(np.where(is_free, -np.inf, content.lower), -free)
+        upper = np.append(np.where(is_free, np.inf, content.upper), free)
+        super().__init__(found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns])
+        self.content, self.found, self.keeps_bounds = content, found, keeps_bounds
+
+    def take_pairs(self, rows: Indices, place: Indices) -> None:
+        """Take in complementarity rows; place says which unknown a variable is."""
+        columns = place[self.content.partners[rows]]
+        self.is_paired[columns] = True
+        self.pairs.append((columns, PairedRows(rows, self.found.rows(rows)), np.ones(rows.size)))
+
+    def take_equations(self, rows: Indices, place: Indices) -> None:
+        """Take in equations, whose right-hand sides are on the left by now."""
+        self.equations.append(PairedRows(rows, self.found.rows(rows)))
+
+    def variable_of(self) -> NDArray[np.int64]:
+        """Return 0: what is an array in its own language is not known here."""
+        return np.zeros(self.count, dtype=np.int64)
+
+    def names_of(self, columns: NDArray[np.int64]) -> list[str]:
+        """Return the first names."""
+        names = [self.entry(column) for column in columns[:MOST_NAMES]]
+        return names if columns.size <= MOST_NAMES else [*names, "…"]
+
+    def entry(self, column: np.int64) -> str:
+        """Return the name of an unknown."""
+        return self.content.variable(int(self.found.unknowns[column]))

@@ -1,0 +1,387 @@
+"""Proofs that a problem has no solution, and by how much: a lower bound of the residual of every z.
+
+Each is a set of cases, with a Farkas vector for every one; the linear constraints alone are one case.
+
+The references that residuals are compared with are fractions: they reach beyond the range of doubles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cache, cached_property
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.certificates.criterion import (
+    RowScaling,
+    references_of_components,
+    residual_scale_of_criterion,
+    rounding_of_data,
+)
+from ...core.checks import FloatVector
+from ...core.kernels.floats import EPSILON
+from ...core.lcp import LCP
+from ...core.matrix.structure import IntVector, connected_components
+from ...core.settings import Status
+from ...systems.symmetry import is_nearly_symmetric
+from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
+from .free_motion import is_at_rest, is_far_out, moved_unknowns
+from .linear_constraints import Contradiction, within
+
+SAFE_RANGE = (1e-290, 1e290)
+LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
+FEW = 500  # rows up to which all of M is kept in integers
+
+
+def exact_references(problem: LCP) -> Callable[[int], Fraction]:
+    """Return upper bounds of what r_i of an own row i is compared with; fractions reach beyond the range of doubles.
+
+    That is ‖r̂_P(z°)‖∞, P its component, in the caller's unit of z_i.
+    """
+    scaling, several = RowScaling.of(problem), connected_components(problem.matrix)
+    most = references_of_components(problem)[1]
+
+    @cache
+    def of_component(component: int) -> Fraction:
+        if most[component] == 0.0 or SAFE_RANGE[0] < most[component] < SAFE_RANGE[1]:
+            return Fraction(float(most[component]))
+        rows = range(problem.own) if several is None else np.flatnonzero(several.labels == component).tolist()
+        exact = exactly_weighted(problem, problem.nearest_to_zero)
+        return max(exact[i] for i in rows)
+
+    def of_row(row: int) -> Fraction:
+        reference = of_component(0 if several is None else int(several.labels[row]))
+        return reference if scaling is None else reference * Fraction(2) ** int(scaling.column[row])
+
+    return of_row
+
+
+def exactly_weighted(problem: LCP, z: FloatVector) -> list[Fraction]:
+    """Return |r̂_i(z)| of every row without any rounding, for a finite z."""
+    scaling = RowScaling.of(problem)
+    if scaling is None:
+        return exact_residuals(problem, z)
+    residuals = exact_residuals(problem, z, scaling.scale)
+    return [r / Fraction(2) ** k for r, k in zip(residuals, scaling.column.tolist(), strict=True)]
+
+
+def row_choices(lower: float, upper: float) -> tuple[str, ...]:
+    """Return the cases of a row: z_i = lower with w_i ≥ 0, w_i = 0, z_i = upper with w_i ≤ 0.
+
+    Examples
+    --------
+    >>> row_choices(0.0, np.inf), row_choices(-np.inf, np.inf), row_choices(1.0, 1.0)
+    (('lower', 'zero'), ('zero',), ('fixed',))
+    """
+    if lower == upper:
+        return (FIXED,)
+    return (LOWER,) * (lower > -np.inf) + (SLACKLESS,) + (UPPER,) * (upper < np.inf)
+
+
+@dataclass(frozen=True)
+class Closing:
+    """What closes one case: every z in it has Σ weight_i |r_i(z)| ≥ contradiction.
+
+    Attributes
+    ----------
+    contradiction : Fraction
+        Positive, a lower bound.
+    relative : Fraction
+        At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the component of row i.
+    absolute : Fraction
+        At least Σ weight_i.
+    weighted : Fraction
+        The same in the scaling of the criterion.
+    """
+
+    contradiction: Fraction
+    relative: Fraction
+    absolute: Fraction
+    weighted: Fraction
+
+
+class NoSolutionProof:
+    """A proof that no z solves a problem, and what it says of every z within the bounds.
+
+    INFEASIBLE and NO_SOLUTION are said only where the margin exceeds the tolerance of the run: no z at all could then
+    be SOLVED. A smaller contradiction is true of the stored doubles, and as good as none for every use of them. So is
+    one below the rounding of the largest number in q: nothing in a row tells rounding from data, but beside that it is
+    none.
+
+    Notes
+    -----
+    |r_i(z)| ≤ t_i, r the scaled residual, leaves a row three cases: z_i − lower_i ≤ t_i and w_i ≥ 0, or
+    |w_i| ≤ d_i t_i, or upper_i − z_i ≤ t_i and w_i ≤ 0; where the case is not chosen, w_i has a wrong sign by d_i t_i
+    at most. With t_i = t ‖r_P(z°)‖∞, P the component of row i, the least t at which what closes a case no longer does
+    so, the least over all cases, bounds the relative residual from below.
+    """
+
+    problem: LCP
+    status: ClassVar[Status] = Status.NO_SOLUTION  # what it proves
+
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield what closes each case, verified; None for a case that is not closed."""
+        raise NotImplementedError
+
+    def rescaled(self, problem: LCP, exponents: IntVector) -> NoSolutionProof:
+        """Return what this proves of the problem in other units of z: q and bounds of row i times 2^exponents_i.
+
+        Parameters
+        ----------
+        problem : LCP
+            In these units.
+        exponents : array of int, shape (n,)
+        """
+        raise NotImplementedError
+
+    def verify(self) -> bool:
+        """Return whether the proof holds, computed again from the problem's data alone."""
+        return all(closing is not None for closing in self.closings())
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether the stored doubles have no solution at all, by however little; what `verify` says."""
+        return self.verify()
+
+    @cached_property
+    def margin(self) -> float:
+        """A verified lower bound of the relative residual of every z within the bounds; 0 where there is none."""
+        return rounded_down(self._least[0])
+
+    @cached_property
+    def absolute_margin(self) -> float:
+        """A verified lower bound of ‖r(z)‖∞, in the unit of z, for every z within the bounds."""
+        return rounded_down(self._least[1])
+
+    @property
+    def is_rounding(self) -> bool:
+        """Whether what contradicts is no more than rounding of the largest number in q, in the criterion's units."""
+        return rounded_down(self._least[2]) <= rounding_of_data(self.problem)
+
+    def excludes(
+        self, tolerance: float, tolerance_on: str = "residual", absolute_tolerance: float = 0.0,
+    ) -> bool:
+        """Return whether no z within the bounds could be called SOLVED with these settings of a run.
+
+        With ``tolerance_on="error"`` SOLVED would be the proof that there is a solution nearby, which every proof that
+        there is none excludes.
+        """
+        if tolerance_on == "error":
+            return self.exact
+        if self.is_rounding or not self.margin > tolerance:
+            return False
+        # Rows may use up one tolerance in one component, and the other in another.
+        return not absolute_tolerance or (
+            tolerance / self.margin + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
+        )
+
+    def how_small(self, tolerance: float, absolute_tolerance: float, residual: float) -> str:
+        """Return by how much there is no solution, where that is less than a run with these tolerances sees.
+
+        Parameters
+        ----------
+        tolerance, absolute_tolerance : float
+        residual : float
+            Of the z that was found, in its unit.
+        """
+        what = "infeasible" if self.status is Status.INFEASIBLE else "without solution"
+        if self.is_rounding:
+            return (f"{what}, but only by {self.absolute_margin:.0e} in the unit of z: rounding beside the largest "
+                    f"number in q; absolute_tolerance={1.1 * max(residual, self.absolute_margin):.1e} accepts z")
+        if (radius := getattr(self, "radius", np.inf)) < np.inf:
+            return f"{what} up to ‖z‖∞ = {radius:.0e}"
+        if self.margin > tolerance and absolute_tolerance:
+            return f"{what}, but only by {self.absolute_margin:.0e} in the unit of z"
+        if self.margin > tolerance:
+            return f"{what} beside its own data, but not beside those of the program that it was made from"
+        return f"{what}, but only by {self.margin:.0e} relative"
+
+    @cached_property
+    def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
+        """The least relative residual, the least one, and that in the scaling of the criterion; None for ∞."""
+        found = list(self.closings())
+        closings = [closing for closing in found if closing is not None]
+        if len(closings) < len(found):
+            return ZERO, ZERO, ZERO
+        relative = [one.contradiction / one.relative for one in closings if one.relative]
+        absolute = [one.contradiction / one.absolute for one in closings if one.absolute]
+        weighted = [one.contradiction / one.weighted for one in closings if one.weighted]
+        return min(relative, default=None), min(absolute, default=None), min(weighted, default=None)
+
+
+class Choices(NamedTuple):
+    """The linear constraints of a case: what z has to satisfy where some rows have made their choice.
+
+    The other rows have w of the signs that their bounds permit.
+    """
+
+    problem: LCP
+    path: Mapping[int, str]
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """M."""
+        return self.problem.csr
+
+    @property
+    def q(self) -> FloatVector:
+        """The offset of w = M z + q."""
+        return self.problem.q
+
+    def signs(self, row: int) -> tuple[bool, bool]:
+        """Return whether w_i ≥ 0 and w_i ≤ 0."""
+        choice = self.path.get(row)
+        if choice is None:
+            return bool(self.problem.upper[row] == np.inf), bool(self.problem.lower[row] == -np.inf)
+        return choice in (LOWER, SLACKLESS), choice in (UPPER, SLACKLESS)
+
+    def bounds(self, column: int) -> tuple[float, float]:
+        """Return between what z_j is."""
+        lower, upper = float(self.problem.lower[column]), float(self.problem.upper[column])
+        choice = self.path.get(column)
+        return (lower, lower) if choice == LOWER else (upper, upper) if choice == UPPER else (lower, upper)
+
+    def contradiction(self, y: Mapping[int, Rational]) -> Contradiction:
+        """Return what a vector, by row, proves of it, if its signs are right."""
+        rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
+        return Contradiction(self, {i: Fraction(value) for i, value in y.items() if value}, rows)
+
+    def closed_by(self, y: Mapping[int, Rational]) -> Closing | None:
+        """Return what a Farkas vector closes the case with, for all z; None where it does not."""
+        found = self.contradiction(y)
+        return None if found.left else self.closing(found, 1.0)
+
+    def closing(self, found: Contradiction, data: float, first: int = 0) -> Closing | None:
+        """Return what closes the case, for all z that data of a size may mean; None where it is not closed.
+
+        Of the unknowns before the first it is known that what is left of their sums is rounding.
+        """
+        if not found.holds(data, first):
+            return None
+        scale, path = residual_scale_of_criterion(self.problem), self.path
+        sizes = {i: abs(y) for i, y in found.y.items() if path.get(i) not in (LOWER, UPPER)}
+        scaled = [(i, size * Fraction(float(scale[i]))) for i, size in sizes.items()]
+        leaving = {i: abs(value) for i, value in found.product.items()
+                   if path.get(i) == (LOWER if value > 0 else UPPER)}  # of z_i from its bound
+        shares = [*scaled, *leaving.items()]
+        scaling, reference = RowScaling.of(self.problem), exact_references(self.problem)
+        absolute = sum((share for _, share in shares), ZERO)
+        return Closing(
+            found.size, sum((share * reference(i) for i, share in shares), ZERO), absolute,
+            absolute if scaling is None else sum(
+                (share * Fraction(2) ** int(scaling.column[i]) for i, share in shares), ZERO
+            ),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Infeasibility(NoSolutionProof):
+    """A Farkas vector y: for no z within its bounds has w = M z + q only signs that the bounds permit.
+
+    Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
+    zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
+    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
+    component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r in the
+    units of :mod:`lcp_plugin.core.certificates.criterion`). Where Mᵀy should be 0 and is rounding beside its terms, all
+    this is said of the z whose entries without bounds are at most `radius` in size.
+
+    Attributes
+    ----------
+    exact_y : tuple of Fraction
+        The vector, its largest entry 1.
+    y : ndarray, shape (n,)
+        The same, rounded.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §2.7 (Farkas).
+    """
+
+    status: ClassVar[Status] = Status.INFEASIBLE
+
+    problem: LCP = field(repr=False)
+    exact_y: tuple[Fraction, ...] = field(repr=False)
+
+    @classmethod
+    def of(cls, problem: LCP, y: Mapping[int, Rational]) -> Infeasibility:
+        """Return that of a vector, by row, which is not 0, whatever its largest entry."""
+        largest, exact = max(abs(Fraction(value)) for value in y.values()), [ZERO] * problem.n
+        for i, value in y.items():
+            exact[i] = Fraction(value) / largest
+        return cls(problem, tuple(exact))
+
+    @cached_property
+    def _used(self) -> dict[int, Fraction]:
+        return {i: value for i, value in enumerate(self.exact_y) if value}
+
+    @cached_property
+    def y(self) -> FloatVector:
+        """The vector rounded, shape (n,)."""
+        y = np.zeros(self.problem.n)
+        y[list(self._used)] = [float(value) for value in self._used.values()]
+        return y
+
+    @cached_property
+    def _found(self) -> Contradiction:
+        return Choices(self.problem, {}).contradiction(self._used)
+
+    @property
+    def radius(self) -> float:
+        """Of the |z_i| without bounds that it speaks of: ∞, or the one that leaves half the contradiction."""
+        return self._found.radius
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether the stored doubles have no solution at all, by however little."""
+        return self.radius == np.inf and self.verify()
+
+    def rescaled(self, problem: LCP, exponents: IntVector) -> Infeasibility:
+        """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
+        return Infeasibility.of(problem, dict(enumerate(rescaled_multipliers(self.exact_y, exponents))))
+
+    def closings(self) -> Iterator[Closing | None]:
+        """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            sizes = np.abs(np.concatenate([problem.q / problem.residual_scale, problem.lower, problem.upper]))
+        # What is 0 but for rounding of its largest terms has data alone to be beside.
+        least, first = (0.0, problem.n) if self.is_free_motion else (1.0, 0)
+        if self.is_free_motion and not is_far_out(problem.matrix.array, problem.q, self.y, self._found.left):
+            yield None
+            return
+        yield Choices(problem, {}).closing(self._found, float(sizes[np.isfinite(sizes)].max(initial=least)), first)
+
+    def how_small(self, tolerance: float, absolute_tolerance: float, residual: float) -> str:
+        """Return the same, and which unknowns nothing holds."""
+        said = super().how_small(tolerance, absolute_tolerance, residual)
+        return f"{said}: nothing holds {moved_unknowns(self.y)}" if self.is_free_motion else said
+
+    @cached_property
+    def is_free_motion(self) -> bool:
+        """Whether M maps y to 0 but for rounding, and a symmetric M, too: nothing holds z along y."""
+        return is_nearly_symmetric(self.problem.matrix) and is_at_rest(self.problem.matrix.array, self.y)
+
+    def __str__(self) -> str:
+        if self.is_free_motion:
+            return (f"nothing holds {moved_unknowns(self.y)}: along them M d = 0 and qᵀd < 0, and no bound is in the "
+                    f"way; proof: exact{within(self.radius, 'z')}")
+        rows = list(self._used)
+        named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (", …" if len(rows) > 4 else "")
+        combined = f"{len(rows)} rows contradict ({named})"
+        if len(rows) == 1:
+            combined = f"row {rows[0]} contradicts its bounds"
+        return (
+            f"no z within its bounds gives w the signs it needs: {combined}; proof: exact{within(self.radius, 'z')}"
+        )
+
+    def __repr__(self) -> str:
+        return f"Infeasibility({self})"
+
+
+def rescaled_multipliers(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
+    """Return the Farkas vector of the problem whose q and bounds are those of row i times 2^exponents_i: D⁻¹ y."""
+    return [value / Fraction(2) ** k if value else value for value, k in zip(y, exponents.tolist(), strict=True)]

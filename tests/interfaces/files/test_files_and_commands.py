@@ -1,0 +1,338 @@
+"""Each subcommand × each format of files: it works, or it says in a line which command does; so does each mistake."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import typer
+from nl_content import content_of
+from scipy.io import savemat
+from the_command import lcp_plugin
+
+from lcp_plugin import LCP
+from lcp_plugin.commands.cli import app
+from lcp_plugin.commands.solving import Picture
+from lcp_plugin.core.errors import LCPError
+from lcp_plugin.interfaces.nl import write_nl
+from lcp_plugin.interfaces.program_files import ARRAYS, MPS, NL
+
+M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
+QPS = """NAME          TWO
+OBJSENSE
+    MAX
+ROWS
+ N  obj
+ L  r1
+COLUMNS
+    first     obj        2.0   r1        1.0
+    second    obj        4.0   r1        1.0
+RHS
+    rhs       r1        2.0
+    rhs       obj      -3.0
+QUADOBJ
+    first     first     -2.0
+    second    second    -2.0
+ENDATA
+"""
+PLAIN = QPS[: QPS.index("QUADOBJ")] + "ENDATA\n"
+PROGRAM = dict(P=M, q=q, A=[[1.0, 1.0]], l=[-np.inf], u=[2.0], lower=0.0)
+FIT = dict(A=[[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], b=[2.0, 1.0, -1.0])
+
+
+def mat(path: str, **arrays: Any) -> None:
+    savemat(path, {name: np.asarray(array, dtype=float) for name, array in arrays.items()})
+
+
+FILES: dict[str, tuple[str, Callable[[str], object]]] = {  # name: what it holds, who writes it
+    "lcp.npz": ("LCP", lambda path: np.savez(path, M=M, q=q)),
+    "saved.npz": ("LCP", LCP(M, q).save),
+    "lcp.mat": ("LCP", lambda path: mat(path, M=M, q=q)),
+    "folder": ("LCP", LCP(M, q).save),
+    "folder/M.mtx": ("LCP", lambda path: LCP(M, q).save("folder")),
+    "lcp.nl": ("LCP", lambda path: write_nl(content_of(M, q), path)),
+    "qp.npz": ("program", lambda path: np.savez(path, **PROGRAM)),
+    "qp.mat": ("program", lambda path: mat(path, H=M, f=q, A=[[1.0, 1.0]], b=[2.0], lb=[0.0, 0.0])),
+    "qp.qps": ("program", lambda path: Path(path).write_text(QPS)),
+    "lp.mps": ("program", lambda path: Path(path).write_text(PLAIN)),
+    "qp.nl": ("program", lambda path: write_nl(
+        content_of(M, q, partners=np.array([-1, -1]), partner_bounds=np.array([0, 0]), objective=[1.0, 2.0],
+                   row_lower=np.array([0.0, 0.0])), path)),
+    "fit.npz": ("least squares", lambda path: np.savez(path, **FIT)),
+    "fit.mat": ("least squares", lambda path: mat(path, **FIT)),
+}
+DONE, SOLVE, CERTIFY = 0, r"lcp-plugin solve", r"lcp-plugin solve and certify|lcp-plugin certify|lcp-plugin solve"
+CELLS: dict[str, dict[str, Any]] = {  # subcommand: by what the file holds, its exit code or the words of its refusal
+    "solve": {"LCP": DONE, "program": DONE, "least squares": DONE},
+    "check": {"LCP": DONE, "program": CERTIFY, "least squares": SOLVE},
+    "certify": {"LCP": SOLVE, "program": DONE, "least squares": SOLVE},
+    "analyze": {"LCP": DONE, "program": CERTIFY, "least squares": SOLVE},
+    "study": {"LCP": DONE, "program": CERTIFY, "least squares": SOLVE},
+    "report": {"LCP": DONE, "program": CERTIFY, "least squares": SOLVE},
+}
+WITHOUT_FILES = {"list", "tables", "warm-up"}
+HIGHS = (".qps", ".mps")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A current folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_every_subcommand_and_every_format_has_its_row() -> None:
+    """A new subcommand, or a new ending of files, fails here until it is walked."""
+    assert {one.name for one in app.registered_commands} == {*CELLS, *WITHOUT_FILES}
+    assert {Path(name).suffix or ".mtx" for name in FILES} == {*ARRAYS, *MPS, NL, ".mtx"}
+    assert all(cells.keys() == {kind for kind, _ in FILES.values()} for cells in CELLS.values())
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize(("name", "command"), [
+    (name, command) for name, (kind, _) in FILES.items() for command, cells in CELLS.items()
+    if command not in ("study", "report") or cells[kind] is not DONE  # which tell their progress: their own tests
+])
+def test_each_cell_works_or_names_the_command_that_does(name: str, command: str) -> None:
+    """Exit code 0 and something on stdout; or 2 and one line on stderr that names another command."""
+    kind, write = FILES[name]
+    expected = CELLS[command][kind]
+    if name.endswith(HIGHS):
+        pytest.importorskip("highspy")
+    write(name)
+    done = lcp_plugin(command, name)
+    if expected is DONE:
+        assert (done.exit_code, done.stderr) == (0, "")
+        assert done.stdout
+        return
+    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert re.match(f"lcp-plugin: .*(?:{expected})", done.stderr), done.stderr
+
+
+SOLUTIONS = {"lcp": [2.5, 0.0], "saved": [2.5, 0.0], "folder": [2.5, 0.0], "qp": [2.0, 0.0], "fit": [1.5, 0.0]}
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("name", [name for name in FILES if name not in ("qp.qps", "lp.mps", "qp.nl", "folder/M.mtx")])
+def test_solve_saves_and_tells_the_answer(name: str) -> None:
+    """--out holds z or x, --json one object with the status, and a person reads the first values of x."""
+    kind, write = FILES[name]
+    write(name)
+    done = lcp_plugin("solve", name, "--out", "out.npz", "--json")
+    told = json.loads(done.stdout, parse_constant=pytest.fail)
+    assert (done.exit_code, told["status"]) == (0, "SOLVED")
+    with np.load("out.npz") as saved:
+        assert str(saved["status"]) == "SOLVED"
+        x = saved["x" if kind != "LCP" or name.endswith(NL) else "z"]
+        assert (kind == "program") <= ({"inequality", "equality", "lower", "upper"} <= {*saved.files})
+    np.testing.assert_allclose(x, SOLUTIONS[name.partition(".")[0]], atol=1e-7)
+    if kind != "LCP":
+        assert f"x[0]  {x[0]:.9g}"[:8] in lcp_plugin("solve", name).stdout
+
+
+def test_files_of_mps_are_answered_in_their_own_terms() -> None:
+    """Names of the variables; the objective with its constant, and as the file states it where it maximises."""
+    pytest.importorskip("highspy")
+    Path("qp.qps").write_text(QPS)
+    done = lcp_plugin("solve", "qp.qps", "--out", "out.npz")
+    assert done.exit_code == 0
+    assert "objective 7.5, as the file states it" in done.stdout  # 2 x₁ + 4 x₂ − x₁² − x₂² + 3 at (½, 1½)
+    assert re.search(r"^first   0\.5\d*\nsecond  1\.5$", done.stdout, re.MULTILINE)
+    with np.load("out.npz") as saved:
+        assert saved["names"].tolist() == ["first", "second"]
+        np.testing.assert_allclose(saved["y"], [1.0], atol=1e-7)
+
+
+def test_the_tolerance_of_the_command_reaches_a_program() -> None:
+    """--tolerance is passed on whatever it is; without it a program has the default of its own."""
+    np.savez("qp.npz", **PROGRAM)
+    goals = [
+        json.loads(lcp_plugin("solve", "qp.npz", "--json", *words).stdout)["run"]["goal"]
+        for words in ((), ("--tolerance", "1e-8"), ("--tolerance", "1e-4"))
+    ]
+    assert goals == [1e-6, 1e-6, 1e-3]
+
+
+def test_no_minimum_is_told_and_shows_no_point() -> None:
+    """Infeasible and unbounded programs: exit code 1, the status and its proof, and no x that could be mistaken."""
+    np.savez("no.npz", P=M, q=q, A=[[1.0, 0.0], [1.0, 0.0]], l=[-np.inf, 3.0], u=[2.0, 9.0])
+    np.savez("falls.npz", c=q)
+    for name, status in (("no.npz", "INFEASIBLE"), ("falls.npz", "UNBOUNDED")):
+        done = lcp_plugin("solve", name)
+        assert done.exit_code == 1
+        assert f"\n{status}: " in done.stdout
+        assert "x[0]" not in done.stdout
+
+
+def test_certify_saves_the_proved_answer() -> None:
+    """--out holds x of the first answer proved best, with its multipliers; without it, the way to x is printed."""
+    np.savez("qp.npz", **PROGRAM)
+    done = lcp_plugin("certify", "qp.npz", "--solver", "OSQP,LCP,CLARABEL", "--out", "x.npz")
+    assert done.exit_code == 0
+    with np.load("x.npz") as saved:
+        np.testing.assert_allclose(saved["x"], [2.0, 0.0], atol=1e-4)
+        assert "inequality" in saved.files
+        solver = str(saved["solver"])
+    assert f"saved x.npz: x of {solver}" in done.stdout
+    hint = lcp_plugin("certify", "qp.npz").stdout.splitlines()[-1]
+    assert hint == "x of LCP: lcp-plugin certify qp.npz --solver LCP --out x.npz"
+    assert lcp_plugin(*hint.split()[4:]).exit_code == 0
+    np.savez("falls.npz", c=q)
+    none = lcp_plugin("certify", "falls.npz", "--out", "y.npz")
+    assert "y.npz is not written: no x is proved" in none.stdout
+    assert not Path("y.npz").exists()
+
+
+def test_rows_of_a_file_are_drawn_over_their_coordinates() -> None:
+    """--rows and --points give a picture of z and w; what does not fit is refused before anything is solved."""
+    LCP(sp.diags_array([np.full(12, 2.0)], offsets=[0]), -np.arange(12.0)).save("p.npz")
+    np.save("x.npy", np.linspace(0.0, 1.0, 12))
+    np.save("plane.npy", np.random.default_rng(0).random((3, 2)))
+    np.save("rows.npy", np.arange(12) % 4 == 0)
+    np.save("space.npy", np.zeros((12, 3)))
+    Path("words.txt").write_text("0.1 0.2", encoding="utf-8")
+    for given in ("--rows 0:6,8", "--points x.npy", "--rows 1:12:4 --points plane.npy", "--rows rows.npy"):
+        done = lcp_plugin("solve", "p.npz", "--plot", "out.png", *given.split())
+        assert done.exit_code == 0, done.output
+        assert Path("out.png").stat().st_size > 5000
+        Path("out.png").unlink()
+    for given, words in (
+        ("--plot out.png --rows 9:14", "rows must be whole numbers from 0 to 11, or 12 truth values, got 12"),
+        ("--plot out.png --rows a:b", "--rows wants numbers and ranges, as 0:40,45, or a .npy file; got 'a:b'"),
+        ("--plot out.png --points space.npy", r"shape (n,) or (n, 2), got shape (12, 3)"),
+        ("--plot out.png --points none.npy", "cannot read none.npy: No such file"),
+        ("--plot out.png --points p.npz", "over must hold real coordinates"),
+        ("--plot out.png --points words.txt", "words.txt holds no array; write it with numpy.save, as a .npy file"),
+        ("--plot out.png --rows 1 --grid 3x4", "give it without --rows and --points"),
+        ("--rows 0:6", "--rows 0:6 is for a picture; give --plot FILE as well"),
+    ):
+        done = lcp_plugin("solve", "p.npz", *given.split())
+        assert done.exit_code == 2, done.output
+        assert words in " ".join(done.output.split())
+        assert not Path("out.png").exists()
+
+
+def test_a_grid_shapes_the_picture_of_a_file() -> None:
+    """--grid rows x columns with --plot; what does not fit is refused before anything is drawn."""
+    LCP(sp.diags_array([np.full(12, 2.0)], offsets=[0]), -np.arange(12.0)).save("p.npz")
+    np.savez("qp.npz", P=np.eye(12), q=-np.arange(12.0), A=np.ones((1, 12)), u=[5.0])
+    for name in ("p.npz", "qp.npz"):
+        for grid in ("3x4", "3×4", "2x2x3", "12"):
+            assert lcp_plugin("solve", name, "--plot", "out.png", "--grid", grid).exit_code == 0
+        for words, pattern in (
+            ("--plot out.png --grid 3x5", r"shape \(3, 5\) is that of 15 unknowns, and the problem has 12"),
+            ("--plot out.png --grid 3by4", "--grid wants whole numbers, rows x columns, as --grid 500x500; got '3by4'"),
+            ("--plot out.png --grid 0x4", "--grid wants whole numbers"),
+            ("--grid 3x4", "--grid 3x4 is for a picture; give --plot FILE as well"),
+        ):
+            done = lcp_plugin("solve", name, *words.split())
+            assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+            assert re.match(f"lcp-plugin: {pattern}", done.stderr), done.stderr
+    assert lcp_plugin("solve", "murty:n=4", "--plot", "out.png", "--grid", "2x2").exit_code == 2
+
+
+# --- Mistakes ---------------------------------------------------------------------------------------------------
+
+
+def mistakes() -> dict[str, str]:
+    """Write the files that newcomers give; the words of their refusal, by name."""
+    Path("nothing").mkdir()
+    Path("called.npz").mkdir()
+    for ending in (".npz", ".mat", ".qps", ".nl"):
+        Path(f"empty{ending}").write_bytes(b"")
+        Path(f"noise{ending}").write_bytes(bytes(range(256)) * 4)
+    Path("notes.txt").write_text("hello")
+    np.savez("no_q.npz", M=M)
+    np.savez("no_c.npz", P=M)
+    np.savez("nan.npz", M=M, q=[np.nan, 1.0])
+    np.savez("nan_qp.npz", P=M, q=[np.nan, 1.0])
+    np.savez("nan_fit.npz", A=M, b=[np.nan, 1.0])
+    np.savez("none.npz", P=M, q=q, G=None)
+    np.savez("other.npz", X=M)
+    damaged = [f"empty{ending}" for ending in (".npz", ".mat")] + [f"noise{ending}" for ending in (".npz", ".mat")]
+    return {
+        "missing.npz": "no such file: missing.npz", "missing.qps": "no such file|pip install highspy",
+        "missing.nl": "no such file: missing.nl", "missing.mat": "no such file: missing.mat",
+        "lcp.npzz": "no such file: lcp.npzz", "nothing": r"nothing/M\.mtx; a folder must hold|a program is an",
+        "called.npz": "cannot read called.npz", "notes.txt": r"cannot read notes\.txt",
+        **dict.fromkeys(damaged, "cannot read (empty|noise)"),
+        "empty.qps": "HiGHS|highspy", "noise.qps": "HiGHS|highspy", "empty.nl": "empty.nl", "noise.nl": "noise.nl",
+        "no_q.npz": r"lacks the keys \['q'\]|holds an LCP", "no_c.npz": r"lacks the keys \['c'\]",
+        "nan.npz": "q must be finite|holds an LCP", "nan_qp.npz": "c must be",
+        "nan_fit.npz": "b must be|least squares", "none.npz": "pickled objects, which are never read",
+        "other.npz": "lacks the keys",
+    }
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("command", CELLS)
+def test_mistakes_cost_one_line(command: str) -> None:
+    """Missing, empty, damaged, misnamed, a folder, without q, with NaN: exit code 2 and a line that names the file."""
+    for name, words in mistakes().items():
+        done = lcp_plugin(command, name)
+        assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), (name, done.stderr, done.stdout)
+        assert re.match(rf"lcp-plugin: .*({words})", done.stderr), (name, done.stderr)
+        assert Path(name).stem in done.stderr
+        assert len(done.stderr) < 600, done.stderr
+
+
+@pytest.mark.parametrize("command", ["solve", "certify"])
+def test_what_cannot_be_written_is_refused_before_the_run(command: str) -> None:
+    """--out into a folder that is not there, onto a folder, onto the problem, or with another ending."""
+    np.savez("qp.npz", **PROGRAM)
+    Path("taken.npz").mkdir()
+    before = Path("qp.npz").read_bytes()
+    for out, words in (
+        ("no/x.npz", "the folder no does not exist"), ("taken.npz", "it is a folder"),
+        ("qp.npz", "it is the problem itself"), ("x.csv", r"--out writes a \.npz file"),
+    ):
+        done = lcp_plugin(command, "qp.npz", "--out", out)
+        assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+        assert re.match(rf"lcp-plugin: .*{words}", done.stderr), done.stderr
+    assert Path("qp.npz").read_bytes() == before
+
+
+OF_OTHERS = [
+    ("solve qp.npz --size 3", "--size is for a scene"), ("solve qp.npz --backend petsc", "--backend is for LCPs"),
+    ("solve qp.npz --relaxation 1.5", r"auto.*\['relaxation'\]"), ("solve qp.npz --error-bound", "error_bound"),
+    ("solve fit.npz -a psor", "no algorithm for a BoundedLeastSquares"), ("solve qp.npz -a psorr", "'psor'"),
+    ("certify fit.npz", "holds a least squares problem"),
+    ("certify qp.npz --solver OSQQ", "OSQP"), ("certify qp.npz --solver ,", "at least one name"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), OF_OTHERS, ids=[arguments for arguments, _ in OF_OTHERS])
+def test_options_of_other_kinds_are_refused(arguments: str, words: str) -> None:
+    """An option that does not go with the kind in the file is named in one line."""
+    np.savez("qp.npz", **PROGRAM)
+    np.savez("fit.npz", **FIT)
+    done = lcp_plugin(*arguments.split())
+    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    assert re.match(f"lcp-plugin: .*{words}", done.stderr), done.stderr
+
+
+def test_each_example_in_a_help_page_is_a_command() -> None:
+    """What stands below each help page has a subcommand, and options, that exist."""
+    group: Any = typer.main.get_command(app)
+    for name, command in group.commands.items():
+        known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+        lines = re.findall(r"^  lcp-plugin (.*)$", command.epilog, re.MULTILINE)
+        assert lines, name
+        for words in map(str.split, lines):
+            assert words[0] == name
+            assert {word for word in words if word.startswith("-")} <= known, words
+
+
+@pytest.mark.parametrize("rows", ["0:4:0", "0:1:2:3", "9" * 20, "broken.npy"])
+def test_rows_that_are_none_are_refused_in_words(rows: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step of 0, four numbers, a number too large, and a broken archive."""
+    monkeypatch.chdir(tmp_path)
+    Path("broken.npy").write_bytes(b"PK\x03\x04" + bytes(99))
+    with pytest.raises(LCPError, match=r"--rows wants|holds no array"):
+        Picture.asked(Path("p.png"), None, rows, None)

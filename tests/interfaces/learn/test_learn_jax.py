@@ -1,0 +1,260 @@
+"""The layer for JAX: its gradients are those of differences, under jit and vmap too, and what it cannot do it says."""
+
+from __future__ import annotations
+
+import doctest
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from planted import planted
+
+jax = pytest.importorskip("jax")
+
+import jax.numpy as jnp  # noqa: E402
+from jax.test_util import check_grads  # noqa: E402
+
+import lcp_plugin.interfaces.learn.jax as layers  # noqa: E402
+from lcp_plugin import (  # noqa: E402
+    LCP,
+    InvalidOption,
+    InvalidProblem,
+    NotConverged,
+    UnsuitableProblem,
+    UnsupportedModel,
+    derivative,
+    gallery,
+    solve,
+)
+from lcp_plugin.interfaces.learn.jax import lcp_layer  # noqa: E402
+
+INF = np.inf
+
+
+@pytest.fixture(autouse=True)
+def _double_precision() -> Iterator[None]:
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
+def test_examples_of_its_help() -> None:
+    """The doctests of the module, which others leave out."""
+    assert doctest.testmod(layers).failed == 0
+    assert doctest.testmod(layers).attempted > 3
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("symmetric", [True, False])
+@pytest.mark.parametrize("shared", [True, False])
+def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
+    """jax.test_util.check_grads in M, q, lower and upper, with boxes and half-lines, both ways; compiled, too."""
+    M, q, lower, upper = planted(4, 5, 1, symmetric=symmetric, shared=shared, fixed=0.0)
+    data = M, q, np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # differences of ±inf are none
+    for layer in (lcp_layer, jax.jit(lcp_layer)):
+        check_grads(layer, tuple(map(jnp.array, data)), order=1, modes=["fwd", "rev"], eps=1e-6)
+
+
+def test_gradients_are_those_of_each_problem() -> None:
+    """What one Result's own derivative says, for a single problem without axes in front; infinite bounds included."""
+    M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))
+    gradients = jax.grad(lambda *data: lcp_layer(*data).sum(), argnums=(0, 1, 2, 3))(M, q, lower, upper)
+    own = derivative(solve(LCP(M, q, lower=lower, upper=upper))).vjp(np.ones(12))
+    for ours, theirs in zip(gradients, (own.M.toarray(), own.q, own.lower, own.upper), strict=True):
+        assert np.allclose(ours, theirs, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.full
+def test_axes_in_front_broadcast() -> None:
+    """M of shape (3, 1, n, n), q of (4, n) and one bound for all are twelve problems."""
+    M, q, _, _ = planted(4, 6, 4)
+    M, q, lower = jnp.array(M[:3, None]), jnp.array(q), jnp.zeros(6)
+    z = lcp_layer(M, q, lower, 2.0)
+    one_by_one = jnp.stack([jnp.stack([lcp_layer(M[i, 0], q[j], lower, 2.0) for j in range(4)]) for i in range(3)])
+    assert np.allclose(z, one_by_one, rtol=1e-13, atol=1e-14)
+    check_grads(lambda *data: lcp_layer(*data, 2.0), (M, q, lower), order=1, modes=["fwd", "rev"], eps=1e-6)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 0)])
+def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
+    """With vmap of the layer and of its gradients, over any of the arguments, inside and outside of jit."""
+    data = [array if axis == 0 else array[0] for array, axis in zip(planted(4, 5, 6), axes, strict=True)]
+
+    def one_by_one(function: Callable[..., Any]) -> Any:
+        rows = [[array[k] if axis == 0 else array for array, axis in zip(data, axes, strict=True)] for k in range(4)]
+        return jax.tree.map(lambda *parts: jnp.stack(parts), *(function(*row) for row in rows))
+
+    gradients = jax.grad(lambda *data: (lcp_layer(*data) ** 2).sum(), argnums=(0, 1, 2, 3))
+    for function in (lcp_layer, gradients):
+        mapped = jax.vmap(function, axes)
+        for ours in (mapped(*data), jax.jit(mapped)(*data)):
+            pairs = zip(jax.tree.leaves(ours), jax.tree.leaves(one_by_one(function)), strict=True)
+            assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in pairs)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("way", [jax.jacrev, jax.jacfwd])
+def test_jacobians(way: Callable[..., Any]) -> None:
+    """One asks for many gradients, or changes, of one solution: −M_FF⁻¹ on the free rows; under vmap, too."""
+    M, q, lower, upper = planted(3, 6, 7)
+    jacobian = way(lcp_layer, argnums=1)
+    mapped = jax.vmap(jacobian)(M, q, lower, upper)
+    for k in range(3):
+        found = derivative(solve(LCP(M[k], q[k], lower=lower[k], upper=upper[k])))
+        exact = np.column_stack([found.jvp(dq=row) for row in np.eye(6)])
+        for ours in (jacobian(M[k], q[k], lower[k], upper[k]), mapped[k]):
+            assert np.allclose(ours, exact, rtol=1e-12, atol=1e-13)
+    whole = jacobian(M, q, lower, upper)
+    assert whole.shape == (3, 6, 3, 6)
+    assert np.allclose(whole[1, :, 1], mapped[1], rtol=1e-13, atol=1e-14)
+    assert not np.any(whole[1, :, 2])
+
+
+def test_forward_mode() -> None:
+    """What one Result's own derivative says of a change of all data at once, compiled, too; vmap over the changes."""
+    data = [array[0] for array in planted(1, 8, 9, symmetric=False)]
+    changes = [np.random.default_rng(k).normal(size=array.shape) for k, array in enumerate(data)]
+    M, q, lower, upper = data
+    own = derivative(solve(LCP(M, q, lower=lower, upper=upper)))
+    dz = own.jvp(**dict(zip(("dM", "dq", "dlower", "dupper"), changes, strict=True)))
+    along = partial(jax.jvp, lcp_layer, data)
+    for jvp in (along, jax.jit(along)):
+        z, ours = jvp(changes)
+        assert np.allclose(z, own.z, rtol=1e-13, atol=1e-14)
+        assert np.allclose(ours, dz, rtol=1e-12, atol=1e-13)
+    several = jax.vmap(lambda changes: along(changes)[1])([np.stack([change, -change]) for change in changes])
+    assert np.allclose(several, [dz, -dz], rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.full
+def test_two_mapped_axes() -> None:
+    """One over M and, inside of it, one over q and one bound, are those of a batch; so are the gradients of the sum."""
+    M, q, lower, _ = planted(3, 5, 8)
+    M, q, lower = jnp.array(M[:2]), jnp.array(q), jnp.maximum(jnp.array(lower), -10.0)
+
+    def mapped(M: Any, q: Any, lower: Any) -> Any:
+        return jax.vmap(lambda M: jax.vmap(partial(lcp_layer, M))(q, lower))(M)
+
+    def batched(M: Any, q: Any, lower: Any) -> Any:
+        return lcp_layer(M[:, None], q, lower)
+
+    assert np.allclose(mapped(M, q, lower), batched(M, q, lower), rtol=1e-13, atol=1e-14)
+    ours, theirs = (jax.grad(lambda *data, of=of: (of(*data) ** 2).sum(), argnums=(0, 1, 2))(M, q, lower)
+                    for of in (mapped, batched))
+    assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in zip(ours, theirs, strict=True))
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("second", [
+    jax.hessian,
+    lambda loss: jax.grad(lambda q: jax.grad(loss)(q).sum()),
+    lambda loss: jax.grad(lambda q: jax.jvp(loss, (q,), (jnp.ones(2),))[1]),
+    lambda loss: jax.jacfwd(jax.jacfwd(loss)),
+])
+def test_second_derivatives_are_refused(second: Callable[..., Any]) -> None:
+    """In whatever order the two are taken, compiled or not, in words that say what to write."""
+    M, q = jnp.eye(2) * 2.0, -jnp.ones(2)
+    for function in (second, lambda loss: jax.jit(second(loss))):
+        with pytest.raises(UnsupportedModel, match=r"no second derivative here.*jax\.lax\.stop_gradient"):
+            function(lambda q: (lcp_layer(M, q) ** 2).sum())(q)
+
+
+def test_first_derivatives_within_loops() -> None:
+    """The derivative stands within scan and checkpoint."""
+    M, q = jnp.array([[2.0, 1.0], [1.0, 2.0]]), jnp.array([-5.0, 1.0])
+    thrice = jax.grad(lambda q: jax.lax.scan(lambda z, _: (lcp_layer(M, q - z), None), q, length=3)[0].sum())
+    assert np.allclose(thrice(q), [-0.75, 0.0], atol=1e-12)  # dz ← (dz − dq)/2 on the free row, and dz is dq at first
+    again = jax.grad(lambda q: jax.checkpoint(partial(lcp_layer, M))(q).sum())
+    assert np.allclose(again(q), [-0.5, 0.0], atol=1e-12)
+
+
+def test_what_the_loss_ignores_may_be_singular() -> None:
+    """A problem without derivative costs the others nothing, forwards and backwards."""
+    M, q = jnp.array([[[2.0]], [[0.0]]]), jnp.array([[-2.0], [0.0]])
+    assert jax.grad(lambda q: lcp_layer(M, q, -INF)[0].sum())(q).tolist() == [[-0.5], [0.0]]
+    moved = jax.jvp(lambda q: lcp_layer(M, q, -INF), (q,), (jnp.array([[1.0], [0.0]]),))[1]
+    assert moved.tolist() == [[-0.5], [0.0]]
+
+
+def test_lists_may_hold_what_is_differentiated() -> None:
+    """Numbers under a transformation, in a list beside others."""
+    M = jnp.array([[2.0, 1.0], [1.0, 2.0]])
+    assert jax.grad(lambda first: lcp_layer(M, [first, 1.0]).sum())(-5.0).item() == -0.5
+
+
+def test_a_sparse_matrix_is_a_constant() -> None:
+    """An obstacle problem with 10 000 unknowns, differentiated by its load and its obstacle, compiled."""
+    scene = gallery.obstacle_2d(size=100).problem
+    layer = jax.jit(jax.grad(lambda q, lower: lcp_layer(scene.M, q, lower).sum(), argnums=(0, 1)))
+    by_q, by_lower = layer(scene.q, scene.lower)
+    own = derivative(solve(scene)).vjp(np.ones(scene.n))
+    assert np.allclose(by_q, own.q, rtol=1e-8, atol=1e-8 * np.abs(own.q).max())
+    assert np.allclose(by_lower, own.lower, rtol=1e-8, atol=1e-8)
+
+
+def test_what_is_not_compiled_calls_no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Outside of jit the values, gradients and changes come from numpy at once, without a callback of XLA."""
+    monkeypatch.delattr(jax, "pure_callback")
+    M, q = planted(1, 5, 10)[:2]
+    layer = partial(lcp_layer, M[0])
+    jax.vmap(layer)(jnp.stack([q[0], -q[0]]))
+    jax.grad(lambda q: layer(q).sum())(q[0])
+    jax.jvp(layer, (q[0],), (q[0],))
+
+
+def test_what_is_not_solved_is_named() -> None:
+    """A batch with a problem that has no solution raises, and says which; compiled, the words stay."""
+    M = jnp.stack([jnp.eye(2), -jnp.eye(2), jnp.eye(2)])
+    with pytest.raises(NotConverged, match=r"^problem \(1,\) of the batch gives the layer no solution"):
+        lcp_layer(M, -jnp.ones(2))
+    with pytest.raises(Exception, match=r"NotConverged: problem \(1,\) of the batch gives the layer no solution"):
+        jax.block_until_ready(jax.jit(lcp_layer)(M, -jnp.ones(2)))
+
+
+def test_a_singular_block_has_the_gradient_of_least_change() -> None:
+    """By the generalised inverse; a change that no solution can follow is refused."""
+    def layer(q):
+        return lcp_layer(jnp.ones((2, 2)), q, -INF)
+
+    assert np.allclose(jax.grad(lambda q: layer(q).sum())(jnp.zeros(2)), [-0.5, -0.5], atol=1e-15)
+    with pytest.raises(UnsuitableProblem, match="singular"):
+        jax.jvp(layer, (jnp.zeros(2),), (jnp.array([1.0, -1.0]),))
+
+
+def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
+    """As with a ReLU at 0: z = max(−q, 0)/2 at q = 0."""
+    gradient = jax.grad(lambda q: lcp_layer(jnp.array([[2.0]]), q).sum())(jnp.zeros(1))
+    assert gradient.item() in (0.0, -0.5)
+
+
+def test_single_precision_is_refused() -> None:
+    """Where JAX has not been told otherwise, and where an array has it all the same."""
+    with pytest.raises(InvalidProblem, match=r"q must be an array of float64, got float32; write q.astype\(float\)"):
+        lcp_layer(jnp.eye(2), jnp.ones(2, dtype=jnp.float32))
+    jax.config.update("jax_enable_x64", False)
+    with pytest.raises(InvalidOption, match="jax_enable_x64"):
+        lcp_layer(jnp.eye(2), jnp.ones(2))
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: lcp_layer(jnp.eye(2), 1.0), "q must have shape"),
+        (lambda: lcp_layer(jnp.eye(2), jnp.ones((3, 2)), jnp.zeros((4, 2))), "must broadcast, got M"),
+        (lambda: lcp_layer(jnp.eye(2), jnp.ones(2), jnp.zeros(3)), "lower must be a number or have the length of q, 2"),
+        (lambda: lcp_layer(jnp.ones(2), jnp.ones(2)), "M must have shape"),
+        (lambda: lcp_layer(jnp.eye(3), jnp.ones(2)), r"q must have shape \(B, n\) or \(n,\), n = 3, got shape"),
+        (lambda: lcp_layer(jnp.eye(2), jnp.array([jnp.nan, 0.0])), r"q\[0\] = nan"),
+        (lambda: lcp_layer(None, jnp.ones(2)), "M must be an array of real numbers, got None"),
+        (lambda: lcp_layer(jnp.eye(2), ["a", "b"]), "q must be an array of real numbers, got text"),
+        (lambda: lcp_layer(jnp.eye(2), 1j * jnp.ones(2)), "q must be an array of real numbers, got complex"),
+    ],
+)
+def test_what_is_refused(call: Callable[[], Any], said: str) -> None:
+    """Other shapes and numbers that are no problem, in words."""
+    with pytest.raises(InvalidProblem, match=said):
+        call()

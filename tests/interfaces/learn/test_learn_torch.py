@@ -1,0 +1,347 @@
+"""The layer for PyTorch: its gradients are those of differences, and what it cannot do it says."""
+
+from __future__ import annotations
+
+import doctest
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from planted import planted
+
+torch = pytest.importorskip("torch")
+
+from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
+
+import lcp_plugin.interfaces.learn.torch as layers  # noqa: E402
+from lcp_plugin import (  # noqa: E402
+    LCP,
+    InvalidProblem,
+    NotConverged,
+    UnsuitableProblem,
+    UnsupportedModel,
+    derivative,
+    gallery,
+    solve,
+    solve_batch,
+)
+from lcp_plugin.interfaces.learn.torch import lcp_layer  # noqa: E402
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:Sparse (CSR|invariant):UserWarning"),  # PyTorch, of each CSR tensor
+    pytest.mark.filterwarnings("ignore:.torch.jit.script:DeprecationWarning"),  # in its own forward mode
+    pytest.mark.filterwarnings("ignore:The .grad attribute:UserWarning"),  # in its own torch.compile
+]
+INF = np.inf
+
+
+def leaves(*arrays: Any) -> list[Any]:
+    """Tensors that want a gradient."""
+    return [torch.tensor(array, dtype=torch.float64, requires_grad=True) for array in arrays]
+
+
+def test_examples_of_its_help() -> None:
+    """The doctests of the module, which others leave out."""
+    assert doctest.testmod(layers).failed == 0
+    assert doctest.testmod(layers).attempted > 3
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("symmetric", [True, False])
+@pytest.mark.parametrize("shared", [True, False])
+def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
+    """torch.autograd.gradcheck in M, q, lower and upper, with boxes, half-lines and free rows."""
+    data = leaves(*planted(4, 5, 1, symmetric=symmetric, shared=shared, fixed=0.0))
+    assert torch.autograd.gradcheck(lcp_layer, data)
+
+
+def test_gradients_of_equal_bounds_move_together() -> None:
+    """Rows with lower = upper: what moves both has the gradient of differences."""
+    M, q, lower, _ = planted(3, 4, 2)
+    M, q, lower = leaves(M, q, np.where(lower > -INF, lower, 0.0))
+    assert torch.autograd.gradcheck(lambda M, q, both: lcp_layer(M, q, both, both), (M, q, lower))
+
+
+def test_gradients_are_those_of_each_problem() -> None:
+    """What one Result's own derivative says, for a single problem without axes in front."""
+    M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))
+    tensors = leaves(M, q, lower, upper)
+    lcp_layer(*tensors).sum().backward()
+    own = derivative(solve(LCP(M, q, lower=lower, upper=upper))).vjp(np.ones(12))
+    for tensor, gradient in zip(tensors, (own.M.toarray(), own.q, own.lower, own.upper), strict=True):
+        assert np.allclose(tensor.grad.numpy(), gradient, rtol=1e-12, atol=1e-13)
+
+
+def test_axes_in_front_broadcast() -> None:
+    """M of shape (3, 1, n, n), q of (4, n) and one bound for all are twelve problems."""
+    M, q, _, _ = planted(4, 6, 4)
+    M, q, lower = leaves(M[:3, None], q, np.zeros(6))
+    z = lcp_layer(M, q, lower, 2.0)
+    assert z.shape == (3, 4, 6)
+    one_by_one = torch.stack([torch.stack([lcp_layer(M[i, 0], q[j], lower, 2.0) for j in range(4)]) for i in range(3)])
+    assert torch.allclose(z, one_by_one, rtol=1e-13, atol=1e-14)
+    assert torch.autograd.gradcheck(lambda *data: lcp_layer(*data, 2.0), (M, q, lower))
+    assert lcp_layer(M[:0], q).shape == (0, 4, 6)
+
+
+def test_a_sparse_matrix() -> None:
+    """A CSR tensor has a gradient by its values, on its pattern, explicit zeros too; a scipy array is a constant."""
+    scene = gallery.obstacle_2d(size=5).problem
+    pattern = [torch.tensor(array) for array in (scene.M.indptr.astype(np.int64), scene.M.indices.astype(np.int64))]
+    values, q = leaves(scene.M.data, np.stack([scene.q, scene.q - 0.3]))
+    with torch.no_grad():
+        values[1] = 0.0
+    lower = torch.tensor(scene.lower)
+
+    def layer(values: Any, q: Any) -> Any:
+        return lcp_layer(torch.sparse_csr_tensor(*pattern, values, scene.M.shape), q, lower)
+
+    assert torch.autograd.gradcheck(layer, (values, q))
+    assert torch.equal(lcp_layer(scene.M, q[0], lower), lcp_layer(scene.M, q, lower)[0])
+    assert torch.autograd.gradcheck(lambda q: lcp_layer(scene.M, q, lower), (q,))
+
+
+def test_many_unknowns() -> None:
+    """An obstacle problem with 10 000 unknowns, differentiated by its load and its obstacle."""
+    scene = gallery.obstacle_2d(size=100).problem
+    q, lower = leaves(scene.q, scene.lower)
+    lcp_layer(scene.M, q, lower).sum().backward()
+    own = derivative(solve(scene)).vjp(np.ones(scene.n))
+    assert np.allclose(q.grad, own.q, rtol=1e-8, atol=1e-8 * np.abs(own.q).max())
+    assert np.allclose(lower.grad, own.lower, rtol=1e-8, atol=1e-8)
+
+
+def test_the_answer_is_exact_whatever_the_tolerance() -> None:
+    """The answer is solved for once more: at a tolerance of 1e-2 it is the same to rounding."""
+    M, q, lower, upper = (torch.tensor(array) for array in planted(5, 8, 5))
+    rough = lcp_layer(M, q, lower, upper, algorithm="psor", tolerance=1e-3)
+    assert torch.allclose(rough, lcp_layer(M, q, lower, upper, tolerance=1e-12), rtol=1e-13, atol=1e-14)
+    assert not rough.requires_grad
+
+
+def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
+    """As with a ReLU at 0: z = max(−q, 0)/2 at q = 0."""
+    q = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    lcp_layer(torch.tensor([[2.0]], dtype=torch.float64), q).sum().backward()
+    assert q.grad.item() in (0.0, -0.5)
+
+
+def test_what_is_not_solved_is_named() -> None:
+    """A batch with problems that have no solution raises, and says which; so does one with NaN."""
+    q = torch.zeros((2, 3, 2), dtype=torch.float64)
+    M = torch.eye(2, dtype=torch.float64).repeat(2, 3, 1, 1)
+    M[0, 1] = M[1, 2] = -M[0, 1]
+    with pytest.raises(NotConverged, match=r"problem \(0, 1\) of the batch .* \(nor do \(1, 2\)\).*INFEASIBLE|NO_SOL"):
+        lcp_layer(M, q - 1.0)
+    q[1, 0, 0] = np.nan
+    with pytest.raises(InvalidProblem, match=r"problem \(1, 0\) of the batch.*q\[0\] = nan"):
+        lcp_layer(torch.eye(2, dtype=torch.float64), q)
+    with pytest.raises(NotConverged, match=r"^the problem gives the layer no solution.*MAX_ITERATIONS"):
+        lcp_layer(2.0 * torch.eye(2, dtype=torch.float64), q[0, 0] - 1.0, algorithm="psor", max_iterations=0)
+
+
+def test_a_singular_block_has_the_gradient_of_least_change() -> None:
+    """By the generalised inverse; a change that no solution can follow is refused."""
+    M, q = leaves(np.ones((2, 2)), np.zeros(2))
+    lcp_layer(M, q, -INF).sum().backward()
+    assert np.allclose(q.grad, [-0.5, -0.5], atol=1e-15)
+    change = torch.tensor([1.0, -1.0], dtype=torch.float64)
+    with pytest.raises(UnsuitableProblem, match="singular"):
+        torch.func.jvp(lambda q: lcp_layer(M.detach(), q, -INF), (q.detach(),), (change,))
+
+
+@pytest.mark.full
+def test_what_autograd_must_not_do() -> None:
+    """A second derivative, and a matrix changed between the passes, are refused."""
+    M, q = leaves(np.eye(2) * 2.0, -np.ones(2))
+    for of in (lambda z: z.square().sum(), lambda z: z.sum()):
+        for by in (M, q):
+            loss = of(lcp_layer(M, q))
+            (first,) = torch.autograd.grad(loss, by, create_graph=True)
+            with pytest.raises(UnsupportedModel, match="no second derivative"):
+                (loss + first.square().sum()).backward()
+            with pytest.raises(UnsupportedModel, match="no second derivative"):
+                torch.autograd.grad(first.square().sum(), M)
+    for second in (torch.func.hessian, lambda loss: torch.func.jacrev(torch.func.jacrev(loss)),
+                   lambda loss: torch.func.jacfwd(torch.func.jacfwd(loss))):
+        with pytest.raises(UnsupportedModel, match="no second derivative"):
+            second(lambda q: lcp_layer(M.detach(), q).square().sum())(q.detach())
+    z = lcp_layer(M, q)
+    with torch.no_grad():
+        M += 1.0
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        z.sum().backward()
+
+
+@pytest.mark.parametrize("axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 1)])
+def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
+    """With torch.func.vmap of the layer and of its gradients, over any of the arguments, on any of their axes."""
+    whole = [torch.tensor(array) for array in planted(4, 5, 6)]
+    data = [array[0] if axis is None else array.movedim(0, axis) for array, axis in zip(whole, axes, strict=True)]
+
+    def one_by_one(function: Callable[..., Any]) -> Any:
+        rows = [[array if axis is None else array.select(axis, k) for array, axis in zip(data, axes, strict=True)]
+                for k in range(4)]
+        answers = [function(*row) for row in rows]
+        return [torch.stack(parts) for parts in zip(*answers, strict=True)]
+
+    def layer(*data: Any) -> tuple[Any]:
+        return (lcp_layer(*data),)
+
+    gradients = torch.func.grad(lambda *data: lcp_layer(*data).square().sum(), argnums=(0, 1, 2, 3))
+    for function in (layer, gradients):
+        ours = torch.func.vmap(function, axes)(*data)
+        for a, b in zip(ours, one_by_one(function), strict=True):
+            assert torch.allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_two_mapped_axes() -> None:
+    """One over M and, inside of it, one over q and one bound, are those of a batch; so are backward's gradients."""
+    M, q, lower, _ = planted(3, 5, 8)
+    data = leaves(M[:2], q, np.maximum(lower, -10.0))
+
+    def mapped(M: Any, q: Any, lower: Any) -> Any:
+        return torch.func.vmap(lambda M: torch.func.vmap(lambda *own: lcp_layer(M, *own))(q, lower))(M)
+
+    def batched(M: Any, q: Any, lower: Any) -> Any:
+        return lcp_layer(M[:, None], q, lower)
+
+    assert torch.allclose(mapped(*data), batched(*data), rtol=1e-13, atol=1e-14)
+    ours, theirs = (torch.autograd.grad(of(*data).square().sum(), data) for of in (mapped, batched))
+    assert all(torch.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in zip(ours, theirs, strict=True))
+
+
+@pytest.mark.parametrize("way", [torch.func.jacrev, torch.func.jacfwd])
+def test_jacobians(way: Callable[..., Any]) -> None:
+    """One asks for many gradients, or changes, of one solution: −M_FF⁻¹ on the free rows; under vmap, too."""
+    M, q, lower, upper = planted(3, 6, 7)
+    jacobian, tensors = way(lcp_layer, argnums=1), [torch.tensor(array) for array in (M, q, lower, upper)]
+    mapped = torch.func.vmap(jacobian)(*tensors)
+    for k in range(3):
+        found = derivative(solve(LCP(M[k], q[k], lower=lower[k], upper=upper[k])))
+        exact = np.column_stack([found.jvp(dq=row) for row in np.eye(6)])
+        for ours in (jacobian(*(tensor[k] for tensor in tensors)), mapped[k]):
+            assert np.allclose(ours, exact, rtol=1e-12, atol=1e-13)
+    whole = jacobian(*tensors)
+    assert whole.shape == (3, 6, 3, 6)
+    assert torch.allclose(whole[1, :, 1], mapped[1], rtol=1e-13, atol=1e-14)
+    assert not whole[1, :, 2].any()
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_forward_mode(shared: bool) -> None:
+    """torch.func.jvp is what the derivatives of the batch say of a change of all data at once; so are dual numbers."""
+    data = planted(3, 8, 9, symmetric=False, shared=shared)
+    changes = [np.random.default_rng(k).normal(size=array.shape) for k, array in enumerate(data)]
+    M, q, lower, upper = data
+    own = derivative(solve_batch(M, q, lower=lower, upper=upper))
+    dz = own.jvp(**dict(zip(("dM", "dq", "dlower", "dupper"), changes, strict=True)))
+    z, ours = torch.func.jvp(lcp_layer, tuple(map(torch.tensor, data)), tuple(map(torch.tensor, changes)))
+    assert np.allclose(z, own.z, rtol=1e-13, atol=1e-14)
+    assert np.allclose(ours, dz, rtol=1e-12, atol=1e-13)
+    assert torch.autograd.gradcheck(
+        lambda q: lcp_layer(torch.tensor(M), q, torch.tensor(lower), torch.tensor(upper)), leaves(q),
+        check_forward_ad=True,
+    )
+
+
+def test_sparse_matrices_under_transformations() -> None:
+    """A scipy array may stand beside what torch.func transforms; a CSR tensor beside vmap, else it is refused."""
+    M = torch.tensor([[2.0, 1.0], [1.0, 2.0]], dtype=torch.float64)
+    q = torch.tensor([-5.0, 1.0], dtype=torch.float64)
+    constant, M = sp.csr_array(M.numpy()), M.to_sparse_csr()
+    assert torch.func.grad(lambda q: lcp_layer(constant, q).sum())(q).tolist() == [-0.5, 0.0]
+    for same in (constant, M):
+        assert torch.func.vmap(partial(lcp_layer, same))(torch.stack([q, -q])).tolist() == [[2.5, 0.0], [0.0, 0.5]]
+    with pytest.raises(UnsupportedModel, match=r"M is a CSR tensor, and torch\.func .* give a scipy array"):
+        torch.func.grad(lambda q: lcp_layer(M, q).sum())(q)
+
+
+@pytest.mark.full
+def test_compiled_code_runs_the_layer_beside_its_graphs() -> None:
+    """torch.compile of what holds the layer gives its values, its gradients and its own errors."""
+    (q,) = leaves([-5.0, 1.0])
+    M = torch.tensor([[2.0, 1.0], [1.0, 2.0]], dtype=torch.float64)
+
+    @torch.compile(backend="eager")
+    def loss(M: Any, q: Any) -> Any:
+        return 2.0 * lcp_layer(M, 1.0 * q, upper=10.0).sum()
+
+    assert loss(M, q).item() == 5.0
+    loss(M, q).backward()
+    assert q.grad.tolist() == [-1.0, 0.0]
+    with pytest.raises(InvalidProblem, match=r"q\[0\] = nan"):
+        loss(M, q.detach() * np.nan)
+    torch.compiler.reset()
+    with pytest.raises(torch._dynamo.exc.Unsupported, match="leave out fullgraph=True"):
+        torch.compile(lcp_layer, backend="eager", fullgraph=True)(M, q)
+
+
+def test_a_step_wakes_no_threads_of_torch() -> None:
+    """Forward and backward pass leave all arithmetic to numpy and compiled loops: torch's threads spin beside those."""
+    M, q = leaves(np.eye(10) + np.zeros((500, 1, 1)), -np.ones((500, 10)))
+    g = torch.ones((500, 10), dtype=torch.float64)
+
+    class Called(TorchDispatchMode):
+        def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+            names.add(function.name())
+            return function(*args, **(kwargs or {}))
+
+    names: set[str] = set()
+    with Called():
+        by_M, by_q = torch.autograd.grad(lcp_layer(M, q), (M, q), g)
+    assert names <= {"aten::detach", "aten::expand", "aten::view", "aten::alias", "aten::lift_fresh"}
+    assert torch.allclose(by_q, -g)
+    assert torch.allclose(by_M, -torch.ones_like(M))
+
+
+def test_older_transformations_are_refused() -> None:
+    """Where torch does not let the layer read a tensor, it says what to write."""
+    q, M = torch.tensor([-5.0, 1.0], dtype=torch.float64), torch.eye(2, dtype=torch.float64)
+    with pytest.raises(UnsupportedModel, match=r"write torch\.func\.jacrev"):
+        torch.autograd.functional.jacobian(lambda q: lcp_layer(M, q), q, vectorize=True)
+    assert torch.autograd.functional.jacobian(lambda q: lcp_layer(M, q), q).tolist() == [[-1.0, 0.0], [0.0, 0.0]]
+
+
+def test_what_the_loss_ignores_may_be_singular() -> None:
+    """A problem without derivative costs the others nothing, and a batch may have no unknowns."""
+    M, q = leaves(np.array([[[2.0]], [[0.0]]]), np.array([[-2.0], [0.0]]))
+    lcp_layer(M, q, -INF)[0].sum().backward()
+    assert q.grad.tolist() == [[-0.5], [0.0]]
+    assert lcp_layer(*leaves(np.zeros((0, 0)), np.zeros(0))).shape == (0,)
+
+
+EYE, ONES = np.eye(2), np.ones(2)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda t: lcp_layer(t(EYE), t(ONES).float()), r"q must be a tensor of float64, got torch.float32; write q.d"),
+        (lambda t: lcp_layer(t(EYE).int(), t(ONES)), r"M must be a tensor of float64, got torch.int32; write M.double"),
+        (lambda t: lcp_layer(t(EYE).to_sparse(), t(ONES)), r"M must be dense, or one CSR tensor.*M.to_sparse_csr\(\)"),
+        (lambda t: lcp_layer(t(EYE), t(ONES).to_sparse()), r"q must be dense, got torch.sparse_coo.*q.to_dense\(\)"),
+        (lambda t: lcp_layer(t(EYE).to("meta"), t(ONES)), "M must be on the CPU, got meta"),
+        (lambda t: lcp_layer(EYE, 1j * ONES), "q must be an array of real numbers, got complex"),
+        (lambda t: lcp_layer(t(EYE), t(1.0)), "q must have shape"),
+        (lambda t: lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))), "must broadcast, got M"),
+        (lambda t: lcp_layer(t(ONES), t(ONES)), "M must have shape"),
+        (lambda t: lcp_layer(t(np.ones((2, 3))), t(ONES)), "M must have shape"),
+        (lambda t: lcp_layer(t(np.eye(3)), t(ONES)), r"q must have shape \(B, n\) or \(n,\), n = 3, got shape"),
+        (lambda t: lcp_layer(t(EYE), t(ONES), t(np.zeros(3))), "lower must be a number or have the length of q, 2"),
+    ],
+)
+def test_what_is_refused(call: Callable[[Any], Any], said: str) -> None:
+    """Other types, places, layouts and shapes, in words that name the argument and what to write."""
+    with pytest.raises(InvalidProblem, match=said):
+        call(lambda array: torch.tensor(array, dtype=torch.float64))
+
+
+def test_constants_may_be_arrays_and_numbers() -> None:
+    """What is no tensor is a constant: numpy arrays, lists, sparse arrays, numbers."""
+    q = torch.tensor([-5.0, 1.0], dtype=torch.float64, requires_grad=True)
+    answers = [lcp_layer(M, q, [0, 0], np.inf) for M in ([[2, 1], [1, 2]], sp.csr_array([[2.0, 1.0], [1.0, 2.0]]))]
+    assert [z.tolist() for z in answers] == [[2.5, 0.0]] * 2

@@ -1,0 +1,387 @@
+""".nl files: what is written is read again, text or binary; what is damaged is refused with its line or byte."""
+
+from __future__ import annotations
+
+import re
+import struct
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from binary_nl import write_form
+from hypothesis import given
+from hypothesis import strategies as st
+from random_nl import difference, mutilated, random_content
+from relations import bits
+
+from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, solve
+from lcp_plugin.core import errors
+from lcp_plugin.interfaces.nl import read_content, read_nl, read_sol, write_nl, write_sol
+from lcp_plugin.interfaces.nl.content import Trees
+
+FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
+SMALL = b"""g3 1 1 0	# two variables, x0 + exp(x1) - 2 complementary to x0 >= 0, x0 x1 = 1
+ 2 2 0 0 1 0
+ 2 0 0 1 0 0
+ 0 0
+ 2 0 0
+ 0 0 0 1
+ 0 0 0 0 0
+ 4 0
+ 0 0
+ 0 1 0 0 0
+V2 1 0	#e
+0 -1.5
+o44	# exp
+v1
+C0	#row
+o0	#+
+v2
+n-2
+C1
+o2
+v0
+v1
+x1	# start
+1 0.5
+r
+5 1 1
+4 1.0
+b
+2 0
+3
+k1
+2
+J0 2
+0 1
+1 0
+J1 2
+0 0
+1 0
+"""
+
+
+def read(folder: Path, data: bytes) -> object:
+    (folder / "m.nl").write_bytes(data)
+    return read_content(folder / "m.nl")
+
+
+@given(st.integers(0, 2**32))
+def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
+    """Text and both binary orders give the same arrays, and those are the ones that were written."""
+    content = random_content(np.random.default_rng(seed))
+    for form in FORMS.values():
+        write_form(content, tmp_path / "m.nl", **form)
+        assert difference(content, read_content(tmp_path / "m.nl")) == ""
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_signs_of_zeros_are_kept(tmp_path: Path, form: str) -> None:
+    """Bounds −0 and 0 are read as they were written."""
+    content = replace(read(tmp_path, SMALL), lower=np.array([-0.0, 0.0]), upper=np.array([0.0, 0.0]))
+    write_form(content, tmp_path / "m.nl", **FORMS[form])
+    assert difference(content, read_content(tmp_path / "m.nl")) == ""
+
+
+def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
+    """Bounds, partners, linear terms, expressions and the start stand where the format has them."""
+    content = read(tmp_path, SMALL)
+    assert content.lower.tolist() == [0, -np.inf]
+    assert (content.partners.tolist(), content.partner_bounds.tolist()) == ([0, -1], [1, 0])
+    assert content.row_lower.tolist() == [-np.inf, 1]
+    assert content.linear.toarray().tolist() == [[1, 0], [0, 0]]
+    assert content.defined_linear.toarray().tolist() == [[-1.5, 0, 0]]
+    assert content.trees.values.tolist() == [0, 2, -2, 2, 0, 1]
+    assert (content.start.tolist(), content.has_start.tolist()) == ([0, 0.5], [False, True])
+    assert content.options == (3, 1, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        (b"g3 1 1 0", b"q3 1 1 0", 1, "begins with g"),
+        (b" 2 2 0 0 1 0", b" 999999999999 2 0 0 1 0", 2, "bytes follow"),
+        (b" 2 2 0 0 1 0", b" 2 x 0 0 1 0", 2, "whole numbers"),
+        (b" 2 0 0 1 0 0", b" 2 0 0 2 0 0", 3, "complementarity rows"),
+        (b" 4 0", b" 5 0", 8, "nonzeros"),
+        (b"V2 1 0", b"V2 9 0", 13, "neither a number"),
+        (b"0 -1.5", b"2 -1.5", 12, "outside 0 … 1"),
+        (b"o44", b"o99", 13, "no operator"),
+        (b"o44", b"v2", 13, "2 variables that may stand here"),
+        (b"C1\no2", b"C0\no2", 19, "second segment"),
+        (b"C1\no2", b"C7\no2", 19, "0 to 1"),
+        (b"n-2", b"v3", 18, "numbered from 0"),
+        (b"n-2\n", b"", 18, "part of an expression"),
+        (b"5 1 1", b"5 1 3", 26, "from 1 to 2"),
+        (b"4 1.0", b"5 3 2", 3, "announced"),
+        (b"2 0\n3\n", b"2 0\n", 30, "neither a number"),
+        (b"k1\n2", b"k1\n1", 31, "segments J"),
+        (b"J1 2", b"J0 2", 36, "second segment"),
+        (b"J0 2\n0 1", b"J0 2\n1 1", 35, "second entry"),
+        (b"J0 2\n0 1", b"J0 2\n0 inf", 34, "finite"),
+        (b"J0 2\n0 1", b"J0 2\n0 1x", 34, "neither a number"),
+        (b"x1\t", b"y1\t", 23, "no segment begins"),
+        (b"o2\nv0", b"o2\n\x01", 21, "neither a number"),
+        (b"o0\t#+", b"o54\n9", 20, "part of an expression"),
+        (b"o2\nv0", b"v0\nv0", 21, "no segment begins"),
+    ],
+)
+def test_a_wrong_line_is_named(tmp_path: Path, old: bytes, new: bytes, line: int, words: str) -> None:
+    """What contradicts the format or itself is refused with its line."""
+    assert SMALL.count(old) == 1
+    with pytest.raises(errors.UnreadableFile, match=rf"line {line} \(.*\): .*{words}"):
+        read(tmp_path, SMALL.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"\n", b"\r\n"), (b"\t#", b" # a # b"), (b"k1\n2", b"K1\n2"), (b"k1\n2\n", b""),
+        (b"J1 2\n0 0\n1 0\n", b"J1 2\n0 0\n1 0\n\n \n"), (b"1 0\nJ1 2\n0 0\n1 0\n", b"1 0\nJ1 2\n0 0\n1 0"),
+        (b" 2 2 0 0 1 0\n 2 0 0 1 0 0", b" 2 2 0 0 1\n 2 0 0 1"), (b"J0 2\n0 1\n1 0", b"J0 2\n1 0\n0 1.0e+00"),
+        (b"n-2", b"l-2"), (b"V2 1 0", b"S4 1 scaling\n0 nan\nS0 1 kind\n1 2.5\nV2 1 0"),
+    ],
+    ids=["CRLF", "comments", "K", "no k", "blank end", "no last newline", "short head", "order", "long", "suffixes"],
+)  # fmt: skip
+def test_what_writers_differ_in_says_the_same(tmp_path: Path, old: bytes, new: bytes) -> None:
+    """Line ends, comments, missing counts, the order of entries and whatever suffixes say change nothing else."""
+    assert old in SMALL
+    content, plain = read(tmp_path, SMALL.replace(old, new)), read(tmp_path, SMALL)
+    assert difference(replace(content, suffixes=[]), plain) == ""
+    assert [one.name for one in content.suffixes] == ["scaling", "kind"] * (b"S4" in new)
+
+
+@pytest.mark.parametrize(("announced", "is_there", "is_fine"), [(1, 1, 1), (2, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1)])
+def test_a_gradient_may_be_shorter_than_announced_but_not_missing(
+    tmp_path: Path, announced: int, is_there: bool, is_fine: bool
+) -> None:
+    """AMPL announces more entries of an objective than it writes at times; a file cut before them is damaged."""
+    text = SMALL.replace(b" 2 2 0 0 1 0", b" 2 2 1 0 1 0").replace(b" 4 0\n", b" 4 %d\n" % announced)
+    text = text.replace(b"x1\t", b"O0 1\nn3\nx1\t") + b"G0 1\n1 5\n" * is_there
+    if is_fine:
+        content = read(tmp_path, text)
+        assert content.objective_linear.toarray().tolist() == [[0, 5 * is_there]]
+        assert content.is_maximized.all()
+    else:
+        with pytest.raises(errors.UnreadableFile, match=r"line 8 .*segments G"):
+            read(tmp_path, text)
+
+
+def test_names_are_read_where_the_head_announces_them(tmp_path: Path) -> None:
+    """Names come from .col and .row; where none are announced or some are missing, such files are left alone."""
+    (tmp_path / "m.col").write_text("price\nquantity [a b]\n")
+    (tmp_path / "m.row").write_text("balance\nproduct\nan objective\n")
+    named = SMALL.replace(b" 4 0\n 0 0\n", b" 4 0\n 7 14\n")
+    content = read(tmp_path, named)
+    assert (content.names, content.row_names) == (["price", "quantity [a b]"], ["balance", "product"])
+    assert read(tmp_path, SMALL).names is None
+    (tmp_path / "m.col").write_text("price\n")
+    assert read(tmp_path, named).names is None
+
+
+def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
+    """A stub is read as AMPL reads it; a file that is not there is named with its ending."""
+    read(tmp_path, SMALL)
+    assert read_content(tmp_path / "m").lower.size == 2
+    with pytest.raises(errors.UnreadableFile, match=r"no such file: .*other\.nl"):
+        read_content(tmp_path / "other")
+
+
+def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
+    """A second row that goes with the same variable is refused with its line."""
+    text = SMALL.replace(b" 2 0 0 1 0 0", b" 2 0 0 2 0 0").replace(b"4 1.0", b"5 3 1")
+    with pytest.raises(errors.UnreadableFile, match=r"line 27 \('5 3 1'\): variable 1 is complementary to an"):
+        read(tmp_path, text)
+
+
+@pytest.mark.sampled(60)
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("seed", range(170))
+def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path: Path, form: str, seed: int) -> None:
+    """Whatever happened to it, reading gives a content or an UnreadableFile that names line or byte, nothing else."""
+    rng = np.random.default_rng([seed, len(form)])
+    write_form(random_content(rng, 30), tmp_path / "m.nl", **FORMS[form])
+    require_refused_or_valid(tmp_path, mutilated((tmp_path / "m.nl").read_bytes(), rng))
+
+
+def require_refused_or_valid(folder: Path, data: bytes) -> None:
+    """Read it within ten times its size and what an empty file needs."""
+    said = ""
+    tracemalloc.start()
+    try:
+        read(folder, data)
+    except errors.UnreadableFile as error:
+        said = str(error)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert not said or re.search(r"(line \d+ \(.*\)|byte \d+): ", said)
+    assert peak <= 10 * len(data) + 300_000
+
+
+@pytest.mark.parametrize(("form", "end"), [("text", b"n1.0\n"), ("little", b"n" + struct.pack("<d", 1.0))])
+def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
+    """A tree of 10⁵ levels is read, and refused where its end is missing; nothing recurs."""
+    levels = 100_000
+    kinds, values = np.full(levels + 2, 2, dtype=np.uint8), np.full(levels + 2, 16.0)
+    kinds[[0, -1]], values[[0, -1]] = 0, [0.0, 1.0]  # row 0 is a number, row 1 the chain of minus signs
+    trees = Trees(kinds, values, np.where(kinds == 2, 1, 0), np.array([0, 1, levels + 2]))
+    write_form(replace(read(tmp_path, SMALL), trees=trees), tmp_path / "m.nl", **FORMS[form])
+    data = (tmp_path / "m.nl").read_bytes()
+    assert read(tmp_path, data).trees.counts.sum() == levels
+    with pytest.raises(errors.UnreadableFile, match=r"ends within a segment|part of an expression is needed"):
+        read(tmp_path, data.replace(end, b""))
+
+
+@pytest.mark.parametrize("old", [b" 2 2 0", b"V2 1", b"x1", b"k1", b"J1 2", b"o0\t#+\nv2", b" 0 1 0 0 0"])
+def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
+    """A count that the file cannot hold is refused before anything of its size is made."""
+    for count in (b"999999999999", b"9" * 30, b"1e12"):
+        new = {b"V2 1": b"V2 " + count, b"J1 2": b"J1 " + count, b"o0\t#+\nv2": b"o54\n" + count + b"\nv2"}.get(
+            old, re.sub(rb"\d", count, old, count=1))
+        with pytest.raises(errors.UnreadableFile):
+            require_refused_or_valid(tmp_path, SMALL.replace(old, new)) or read(tmp_path, SMALL.replace(old, new))
+
+
+@pytest.mark.parametrize(("line", "word"), [(2, 0), (2, 1), (2, 2), (2, 5), (6, 1), (8, 0), (8, 1), (10, 0)])
+def test_counts_that_a_long_file_could_hold_allocate_little(tmp_path: Path, line: int, word: int) -> None:
+    """A file long by its comments announces as much as it has bytes: within ten times its size all the same."""
+    lines = SMALL.replace(b"C1\n", b"C1\t#" + b"x" * 200_000 + b"\n").split(b"\n")
+    words = lines[line - 1].split()
+    words[word] = b"190000"
+    lines[line - 1] = b" ".join(words)
+    require_refused_or_valid(tmp_path, b"\n".join(lines))
+
+
+@pytest.mark.parametrize("bits", [0x7FF0000000000001, 0x7FF8000000000000, 0x7FF0000000000000])
+def test_numbers_that_are_none_are_refused_in_silence(tmp_path: Path, bits: int) -> None:
+    """A NaN of either kind and an infinity in an expression are refused with their byte, without a warning."""
+    write_form(read(tmp_path, SMALL), tmp_path / "m.nl", binary=True)
+    data = (tmp_path / "m.nl").read_bytes()
+    old = b"n" + struct.pack("<d", -2.0)
+    assert data.count(old) == 1
+    with pytest.raises(errors.UnreadableFile, match=rf"byte {data.index(old)}: a number is not finite"):
+        read(tmp_path, data.replace(old, b"n" + struct.pack("<Q", bits)))
+
+
+def test_lines_are_counted_behind_strings(tmp_path: Path) -> None:
+    """Strings may hold newlines, comment signs and letters of segments; the line of a fault behind them is right."""
+    text = SMALL.replace(b"0 0 0 1\n 0 0 0 0 0", b"0 1 0 1\n 0 0 0 0 0").replace(
+        b"C1\no2\nv0\nv1\n", b"F0 1 -1 f\nC1\nf0 2\nh9:a\n#b\nh2:c\nv1\n")
+    content = read(tmp_path, text)
+    assert (content.trees.strings, content.functions) == ((b"a\n#b\nh2:c",), ("f",))
+    with pytest.raises(errors.UnreadableFile, match=r"line 29 \('5 1 7'\)"):
+        read(tmp_path, text.replace(b"5 1 1", b"5 1 7"))
+
+
+@pytest.mark.parametrize("options", [(3, 1, 1, 0), (5, 0, 1, 0, 7, 2021), (3, 1, 3, 0)])
+@pytest.mark.parametrize("has_values", [True, False])
+def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
+    tmp_path: Path, options: tuple[int, ...], has_values: bool
+) -> None:
+    """Message, values, multipliers and code arrive, with and without values, whatever the options are."""
+    x, y = (np.array([1.5, -1e-7, 0.1]), np.array([0.0, 1e300])) if has_values else (None, None)
+    path, message = tmp_path / "m.sol", "lcp_plugin: solved\n\nOptions in a message\nresidual 1e-9"
+    write_sol(path, message, x, y, options, 200, tolerance=0.5 if options[2] == 3 else None, sizes=(2, 3))
+    found = read_sol(path)
+    assert (found.options, found.code, found.rows, found.variables) == (options, 200, 2, 3)
+    assert found.message.startswith("lcp_plugin: solved\n- Options")
+    assert found.tolerance == (0.5 if options[2] == 3 else None)
+    for values, wanted in ((found.values, x), (found.duals, y)):
+        assert (values is None) == (wanted is None)
+        assert wanted is None or values.tobytes() == wanted.tobytes()
+    read_by_pyomo(path, x, y, options)
+
+
+def read_by_pyomo(path: Path, x: object, y: object, options: tuple[int, ...]) -> None:
+    pytest.importorskip("pyomo")
+    from pyomo.contrib.solver.solvers.asl_sol_reader import parse_asl_sol_file
+    from pyomo.opt.plugins.sol import ResultsReader_sol
+
+    with path.open() as file:
+        new = parse_asl_sol_file(file)
+    assert (new.solve_code, "residual 1e-9" in new.message) == (200, True)
+    values, duals = ([] if part is None else list(part) for part in (x, y))
+    assert (list(new.primals or []), list(new.duals or [])) == (values, duals)
+    if options[0] == 3:  # the older reader takes any five options for three and a tolerance
+        old = ResultsReader_sol()(str(path), suffixes=["dual"])
+        assert old.solver.id == 200
+        assert [old.solution(0).variable[f"v{j}"]["Value"] for j in range(len(values))] == values
+
+
+@pytest.mark.parametrize("old", [b"Options", b"\n2\n2\n", b"3\n1\n", b"0.25"])
+def test_a_damaged_answer_is_refused_with_its_line(tmp_path: Path, old: bytes) -> None:
+    """A missing block, wrong counts and words for numbers are an UnreadableFile."""
+    write_sol(tmp_path / "m.sol", "fine", [0.25], [1.0, 2.0], (3, 1, 1, 0), 0)
+    data = (tmp_path / "m.sol").read_bytes()
+    assert data.count(old) == 1
+    (tmp_path / "m.sol").write_bytes(data.replace(old, b"\n99\n98\n" if old.startswith(b"\n") else b"Opt"))
+    with pytest.raises(errors.UnreadableFile, match=r"line \d+: "):
+        read_sol(tmp_path / "m.sol")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_mutilated_answer_is_refused_or_valid(tmp_path: Path, seed: int) -> None:
+    """Whatever happened to a .sol file, reading it gives a content or an UnreadableFile with its line."""
+    rng = np.random.default_rng(seed)
+    write_sol(tmp_path / "m.sol", "one\ntwo", rng.standard_normal(4), rng.standard_normal(3), (3, 1, 1, 0), 0)
+    (tmp_path / "m.sol").write_bytes(mutilated((tmp_path / "m.sol").read_bytes(), rng))
+    refused = ""
+    try:
+        found = read_sol(tmp_path / "m.sol")
+    except errors.UnreadableFile as error:
+        refused = str(error)
+    assert re.search(r"line \d+: ", refused) if refused else (found.rows >= 0 and found.variables >= 0)
+
+
+def test_wrong_calls_are_told(tmp_path: Path) -> None:
+    """What is no content, no path, no answer, or lacks its sizes is refused in words."""
+    path = tmp_path / "m.nl"
+    path.write_bytes(SMALL)
+    for call, kind, words in (
+        (lambda: write_nl("m.nl", path), errors.InvalidProblem, "of an LCP, a QuadraticProgram, .* got str"),
+        (lambda: read_content(None), errors.InvalidOption, "path must be"),  # type: ignore[arg-type]
+        (lambda: read_sol(path), errors.UnreadableFile, "no line says Options"),
+        (lambda: read_sol(tmp_path), errors.UnreadableFile, "directory"),
+        (lambda: write_sol(path, "", None, None, (0,), 0), errors.InvalidProblem, r"give sizes=\(m, n\)"),
+        (lambda: write_sol(path, "", [1], [2], (0,), 0, sizes=(1, 2)), errors.InvalidProblem, r"x must have the shape"),
+    ):
+        with pytest.raises(kind, match=words):
+            call()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_problems_are_written_and_read_back(seed: int, tmp_path: Path) -> None:
+    """An LCP comes back to the bit, with every kind of bounds; of a program the objective, the rows and the answer."""
+    rng, n = np.random.default_rng(seed), 1 + seed
+    lower = np.where(rng.random(n) < 0.3, -np.inf, rng.integers(-2, 1, n))
+    upper = np.where(rng.random(n) < 0.5, np.inf, rng.integers(1, 3, n))
+    M = np.where(rng.random((n, n)) < 0.5, rng.standard_normal((n, n)), 0.0) + 3.0 * np.eye(n)
+    problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
+    for write in (lambda: problem.save(tmp_path / "m.nl"), lambda: write_nl(problem, tmp_path / "m.nl")):
+        write()
+        again = LCP.load(tmp_path / "m.nl")
+        assert bits(again.csr.toarray(), again.q, again.lower, again.upper) == bits(
+            problem.csr.toarray(), problem.q, problem.lower, problem.upper
+        )
+    P = M @ M.T if seed else np.zeros((n, n))
+    program = QuadraticProgram(
+        np.diag(np.diag(P)) if seed == 2 else P, rng.standard_normal(n), rng.standard_normal((2, n)), [1.0, 2.0],
+        rng.standard_normal((1, n)), [0.1], np.maximum(lower, -5.0), np.minimum(upper, 5.0),
+    )
+    write_nl(program, tmp_path / "p.nl")
+    found = read_nl(tmp_path / "p.nl")
+    x = rng.standard_normal(n)
+    assert found.problem.objective(x) == pytest.approx(program.objective(x), rel=1e-12)
+    assert found.solve().status is solve(program).status
+    np.testing.assert_allclose(sp.csr_array(found.problem.P).toarray(), sp.csr_array(program.P).toarray(), rtol=1e-14)
+
+
+def test_what_no_file_can_state_is_refused_in_words(tmp_path: Path) -> None:
+    """A function in Python, and what is no problem."""
+    problem = NonlinearProblem(np.exp)
+    with pytest.raises(errors.InvalidProblem, match=r"got NonlinearProblem, whose F is written in Python"):
+        write_nl(problem, tmp_path / "m.nl")

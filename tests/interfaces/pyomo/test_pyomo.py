@@ -1,0 +1,791 @@
+"""Models written in Pyomo, with nothing of ours in them, reach the solver and come back as they were."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyomo.environ as pe
+import pytest
+from campaigns import random_pyomo_models as campaign
+from fresh_process import printed_by
+from pyomo.dae import ContinuousSet, DerivativeVar
+from pyomo.gdp import Disjunct, Disjunction
+from pyomo.mpec import Complementarity, ComplementarityList, complements
+from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
+from pyomo_models import MODELS
+
+import lcp_plugin.pyomo
+from lcp_plugin import LCP, ModelWarning, solve
+from lcp_plugin.core.errors import LCPError
+from lcp_plugin.interfaces.nl import read_nl
+from lcp_plugin.pyomo import write_nl
+
+SOLVER = pe.SolverFactory("lcp_plugin")
+
+
+@pytest.mark.sampled(14)
+@pytest.mark.parametrize("name", MODELS)
+def test_published_models_are_solved_as_by_arrays_and_as_published(name: str) -> None:
+    """Of each model the answer is optimal, that of the same problem as arrays to 1e-8, and the published one."""
+    case = MODELS[name]()
+    results = SOLVER.solve(case.model, options={"tolerance": 1e-12})
+    pe.assert_optimal_termination(results)
+    x = np.array([variable.value for variable in case.variables])
+    assert campaign.residual(case.model) < 1e-8 * (1 + np.abs(x).max())
+    if case.is_unique:
+        expected = case.by_arrays()
+        np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 * max(1.0, np.abs(expected).max()))
+    parts = [(x[case.first : case.first + len(answer)], np.asarray(answer, dtype=float)) for answer in case.answers]
+    off = [np.abs(part - answer).max() / max(1.0, np.abs(answer).max()) for part, answer in parts]
+    assert min(off, default=0.0) <= case.digits
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_models_are_read_as_pyomo_evaluates_them_solved_and_left_alone(seed: int) -> None:
+    """F and Jacobian to 1e-12, the planted answer found, every pair satisfied in Pyomo, the model as it was."""
+    for k in range(8):
+        rng = np.random.default_rng([seed, k])
+        case = campaign.planted(rng)
+        assert not list(campaign.faults_of(case, rng)), (seed, k, case.features)
+
+
+@pytest.mark.full
+def test_two_hundred_random_models() -> None:
+    """The same of more of them, by the campaign itself."""
+    assert campaign.main(200, 1) == 0
+
+
+def model(build: Callable[[Any], None]) -> Any:
+    m = pe.ConcreteModel()
+    m.x = pe.Var()
+    build(m)
+    return m
+
+
+def pair(m: Any, first: Any, second: Any, name: str = "c") -> None:
+    m.add_component(name, Complementarity(expr=complements(first, second)))
+
+
+def ranged(m: Any) -> None:
+    pair(m, pe.inequality(0, m.x, 5), m.x - 7)
+
+
+def range_of_one_point(m: Any) -> None:
+    pair(m, m.x + 7, pe.inequality(3, m.x, 3))
+
+
+def range_of_an_expression(m: Any) -> None:
+    m.y = pe.Var()
+    m.e = pe.Constraint(expr=m.y == 1)
+    pair(m, m.x - 7, pe.inequality(0, m.x + m.y, 5))
+
+
+def range_of_a_variable_beside_another(m: Any) -> None:
+    m.y = pe.Var()
+    m.e = pe.Constraint(expr=m.y + 2 == m.x)
+    pair(m, pe.inequality(0, m.x, 5), m.y)
+
+
+def slack_with_bounds_of_its_own(m: Any) -> None:
+    m.y = pe.Var(within=pe.NonNegativeReals)
+    m.e = pe.Constraint(expr=m.y == 2 * m.x - 3)
+    pair(m, m.x >= 0, m.y >= 0)
+
+
+def wide_bounds_of_its_own(m: Any) -> None:
+    m.x.setlb(-1.0)
+    m.x.setub(100.0)
+    pair(m, m.x >= 0, m.x - 7 >= 0)
+
+
+def numeraire(m: Any) -> None:
+    m.p = pe.Var([0, 1], initialize=1.0)
+    m.p[0].fix(1.0)
+    m.wanted = pe.Expression([0, 1], rule=lambda m, i: 0.5 * (m.p[0] + m.p[1]) / m.p[i])
+    m.market = Complementarity([0, 1], rule=lambda m, i: complements(m.p[i] >= 0, 1 - m.wanted[i] >= 0))
+    pair(m, m.x >= 0, m.x - m.p[1] >= 0)
+
+
+def fixed_and_another_freed(m: Any) -> None:
+    m.rate = pe.Var()
+    m.x.fix(2.0)
+    pair(m, m.x >= 0, m.x - 3 * m.rate >= 0)
+
+
+def constant_row(m: Any) -> None:
+    m.push = pe.Param(initialize=3.0, mutable=True)
+    pair(m, m.x >= 1, m.push >= 0)
+
+
+def equation_as_a_pair(m: Any) -> None:
+    m.y = pe.Var()
+    pair(m, m.x >= 0, m.x - m.y >= 0)
+    pair(m, m.y, m.y == 4, "d")
+
+
+def inequality_that_holds(m: Any) -> None:
+    pair(m, m.x >= 0, m.x - 2 >= 0)
+    m.beside = pe.Constraint(expr=m.x**2 <= 5)
+
+
+def objective_that_is_constant(m: Any) -> None:
+    pair(m, m.x >= 0, m.x - 2 >= 0)
+    m.o = pe.Objective(expr=1.0)
+
+
+def upper_and_swapped(m: Any) -> None:
+    pair(m, 3 - m.x >= 0, m.x <= 2)
+
+
+def deactivated(m: Any) -> None:
+    pair(m, m.x >= 0, m.x - 9 >= 0)
+    pair(m, m.x >= 0, m.x - 2 >= 0, "d")
+    m.e = pe.Constraint(expr=m.x == 77)
+    m.c.deactivate()
+    m.e.deactivate()
+
+
+def nested(m: Any) -> None:
+    m.b = pe.Block([1, 2])
+    m.b[2].inner = pe.Block()
+    m.b[2].inner.c = ComplementarityList(rule=(complements(m.x >= i, m.x - 4 >= 0) for i in (1,)))
+    m.b[1].y = pe.Var([3, 4])
+    m.b[1].c = Complementarity([3, 4], rule=lambda b, i: complements(b.y[i] <= i, b.y[i] - m.x <= 0))
+
+
+def references(m: Any) -> None:
+    m.b = pe.Block([1, 2])
+    m.b[1].y, m.b[2].y = pe.Var(), pe.Var()
+    for i in m.b:
+        m.b[i].c = Complementarity(expr=complements(m.b[i].y >= 0, m.b[i].y - i >= 0))
+    m.all_pairs, m.all_y = pe.Reference(m.b[:].c), pe.Reference(m.b[:].y)
+    m.e = pe.Constraint(expr=m.x == sum(m.all_y[i] for i in m.all_y))
+    m.all_equations = pe.Reference(m.e)
+
+
+def discretised(m: Any) -> None:
+    m.t = ContinuousSet(bounds=(0, 2))
+    m.y, m.push = pe.Var(m.t), pe.Var(m.t)
+    m.slope = DerivativeVar(m.y, wrt=m.t)
+    m.fall = pe.Constraint(m.t, rule=lambda m, t: m.slope[t] == m.push[t] - 1 if t > 0 else pe.Constraint.Skip)
+    m.begin = pe.Constraint(expr=m.y[0] == 1.0)
+    pe.TransformationFactory("dae.collocation").apply_to(m, nfe=4, ncp=2)
+    later = [t for t in m.t if t > 0]
+    m.floor = Complementarity(later, rule=lambda m, t: complements(m.y[t] >= 0, m.push[t] >= 0))
+    m.e = pe.Constraint(expr=m.x == m.y[0.5] + m.y[2])
+
+
+def without_pairs(m: Any) -> None:
+    m.e = pe.Constraint(expr=pe.exp(m.x) == 5)
+
+
+STATED = {
+    ranged: 5.0, range_of_one_point: 3.0, range_of_an_expression: 4.0, range_of_a_variable_beside_another: 2.0,
+    slack_with_bounds_of_its_own: 1.5, wide_bounds_of_its_own: 7.0, numeraire: 1.0, fixed_and_another_freed: 2.0,
+    constant_row: 1.0, equation_as_a_pair: 4.0,
+    inequality_that_holds: 2.0, objective_that_is_constant: 2.0, upper_and_swapped: 2.0, deactivated: 2.0, nested: 4.0,
+    without_pairs: np.log(5), references: 3.0, discretised: 0.5,
+}
+
+
+@pytest.mark.parametrize("build", STATED, ids=lambda build: build.__name__)
+def test_what_may_be_stated(build: Callable[[Any], None]) -> None:
+    """Each way to state a pair gives its answer, also where Pyomo's own transformation fails or says something else."""
+    m = model(build)
+    before = campaign.picture(m)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    assert m.x.value == pytest.approx(STATED[build], abs=1e-7)
+    assert campaign.residual(m) < 1e-6
+    assert campaign.picture(m) == before
+
+
+def tight_lower(m: Any) -> None:
+    m.x.setlb(1.0)
+    pair(m, m.x >= 0, m.x + 2 >= 0)
+
+
+def tight_upper(m: Any) -> None:
+    m.x.setub(5.0)
+    pair(m, m.x >= 0, m.x - 7 >= 0)
+
+
+def tight_and_smooth(m: Any) -> None:
+    m.x.setub(2.0)
+    pair(m, pe.exp(m.x) - 50 >= 0, m.x >= 0)
+
+
+def tight_and_transformed(m: Any) -> None:
+    m.x.setub(5.0)
+    pair(m, m.x >= 0, m.x - 7 >= 0)
+    pe.TransformationFactory("mpec.nl").apply_to(m)
+    m.x.setub(5.0)  # which the transformation may have loosened
+
+
+OF_ITS_OWN = {  # the bound, and the row there
+    tight_lower: ("lower", 1.0, 3.0), tight_upper: ("upper", 5.0, -2.0),
+    tight_and_smooth: ("upper", 2.0, np.exp(2.0) - 50.0),
+}
+
+
+@pytest.mark.parametrize("build", OF_ITS_OWN, ids=lambda build: build.__name__)
+def test_bounds_of_a_variable_belong_to_its_pair(build: Callable[[Any], None], tmp_path: Path) -> None:
+    """As PATH and AMPL take them: the answer lies at the bound, and is optimal; the message names the bound."""
+    m = model(build)
+    m.dual = pe.Suffix(direction=pe.Suffix.IMPORT)
+    results = SOLVER.solve(m)
+    pe.assert_optimal_termination(results)
+    side, bound, row = OF_ITS_OWN[build]
+    assert m.x.value == pytest.approx(bound, abs=1e-9)
+    assert m.dual[m.c] == pytest.approx(row)
+    assert f"x stops at its own {side} bound {bound:g}, which counts although" in results.solver.message
+    assert "row c, does not state it" in results.solver.message
+    write_nl(m, tmp_path / "m.nl")
+    again = read_nl(tmp_path / "m.nl").solve()
+    assert (again.is_solved, again.x.tolist()) == (True, pytest.approx([bound]))
+    assert "of its own" not in again.message  # in a file every finite bound is stated
+
+
+def test_bounds_count_after_pyomos_own_transformation_too() -> None:
+    """The model that it leaves is solved with the bounds that its variables have."""
+    m = model(tight_and_transformed)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    assert m.x.value == pytest.approx(5.0)
+
+
+def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
+    """model.write refuses pairs; write_nl writes what is solved, with names, and says what a file cannot hold."""
+    m = MODELS["oligomcp"]().model
+    with pytest.raises(ValueError, match="Complementarity"):
+        m.write(str(tmp_path / "theirs.nl"))
+    write_nl(m, tmp_path / "m.nl")
+    assert "q[0]" in (tmp_path / "m.col").read_text(encoding="utf-8")
+    SOLVER.solve(m)
+    assert read_nl(tmp_path / "m.nl").solve().x == pytest.approx([m.q[i].value for i in m.q], rel=1e-6)
+    m.beside = pe.Constraint(expr=m.q[0] <= 1e6)
+    with pytest.warns(ModelWarning, match="the file does not hold beside, which no unknown gives way to"):
+        write_nl(m, tmp_path / "m.nl")
+
+
+def inequality_that_fails(m: Any) -> None:
+    pair(m, m.x >= 0, m.x - 2 >= 0)
+    m.beside = pe.Constraint(expr=m.x <= 1)
+
+
+def fixed_where_its_row_is_not_zero(m: Any) -> None:
+    m.p = pe.Var(initialize=1.0)
+    m.p.fix()
+    pair(m, m.x >= 0, m.x - 2 >= 0)
+    pair(m, m.p >= 0, m.x - 1 >= 0, "d")
+
+
+NOT_ALL = {
+    inequality_that_fails: "beside does not hold, off by 1; it stands beside the pairs, and no unknown gives way to it",
+    fixed_where_its_row_is_not_zero: "d does not hold, off by 1; it holds a side that is fixed",
+}
+
+
+@pytest.mark.parametrize("size", [1e-10, 1e-3, 1.0, 1e10])
+def test_what_holds_only_in_part_is_not_optimal_in_any_unit(size: float) -> None:
+    """An inequality beside the pairs, and the pair of a fixed variable, multiplied by any number."""
+    m = model(lambda m: pair(m, m.x >= 0, m.x - 5 >= 0))
+    m.beside = pe.Constraint(expr=size * m.x <= size)
+    assert "beside does not hold" in SOLVER.solve(m).solver.message
+    m.beside.set_value(size * m.x - size * 5 <= 0)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    m.p = pe.Var(initialize=1.0)
+    m.p.fix()
+    pair(m, m.p >= 0, size * (m.x - m.p) >= 0, "d")
+    assert "d does not hold" in SOLVER.solve(m).solver.message
+
+
+@pytest.mark.parametrize("build", NOT_ALL, ids=lambda build: build.__name__)
+def test_what_holds_only_in_part_is_not_optimal(build: Callable[[Any], None]) -> None:
+    """A bound, inequality or pair that the answer violates makes it a warning that names it."""
+    results = SOLVER.solve(model(build))
+    assert (results.solver.status.value, results.solver.termination_condition.value) == ("warning", "other")
+    assert NOT_ALL[build] in results.solver.message
+    with pytest.raises(RuntimeError):
+        pe.assert_optimal_termination(results)
+
+
+def integers(m: Any) -> None:
+    m.x.domain = pe.Integers
+    m.row = pe.Constraint(expr=m.x >= 2)
+
+
+def too_few_rows(m: Any) -> None:
+    m.y = pe.Var()
+    pair(m, m.x >= 0, m.x + m.y - 2 >= 0)
+
+
+def objective_beside(m: Any) -> None:
+    pair(m, m.x >= 0, pe.atan(m.x) - 1 >= 0)
+    m.o = pe.Objective(expr=m.x**2)
+
+
+def absolute_value(m: Any) -> None:
+    pair(m, m.x >= 0, abs(m.x) - 2 >= 0)
+
+
+def one_bound(m: Any) -> None:
+    pair(m, m.x >= 0, m.x)
+
+
+def three_bounds(m: Any) -> None:
+    pair(m, pe.inequality(0, m.x, 5), m.x - 2 >= 0)
+
+
+def bound_that_varies(m: Any) -> None:
+    m.y = pe.Var()
+    pair(m, pe.inequality(0, m.x, m.y), m.x)
+
+
+def strict(m: Any) -> None:
+    pair(m, m.x > 0, m.x >= 2)
+
+
+def bounded_equation(m: Any) -> None:
+    pair(m, m.x >= 0, m.x == 2)
+
+
+def held_twice(m: Any) -> None:
+    pair(m, m.x >= 0, m.x >= 2)
+    pair(m, m.x >= 0, m.x >= 3, "d")
+
+
+def disjunction(m: Any) -> None:
+    m.x.setlb(-9)
+    m.one, m.two = Disjunct(), Disjunct()
+    m.one.c = Complementarity(expr=complements(m.x >= 0, m.x >= 2))
+    m.either = Disjunction(expr=[m.one, m.two])
+
+
+def derivative(m: Any) -> None:
+    m.t = ContinuousSet(bounds=(0, 2))
+    m.y = pe.Var(m.t)
+    m.slope = DerivativeVar(m.y, wrt=m.t)
+    pair(m, m.x >= 0, m.x >= 2)
+
+
+def no_variable(m: Any) -> None:
+    m.x.fix(1.0)
+    m.e = pe.Constraint(expr=m.x <= 2)
+
+
+def nonconvex(m: Any) -> None:
+    m.e = pe.Constraint(expr=m.x <= 2)
+    m.o = pe.Objective(expr=-(m.x**2))
+
+
+def bilinear(m: Any) -> None:
+    m.y = pe.Var()
+    m.e = pe.Constraint(expr=m.x + m.y <= 2)
+    m.o = pe.Objective(expr=m.x * m.y - m.x)
+
+
+def two_objectives(m: Any) -> None:
+    m.o, m.p = pe.Objective(expr=m.x), pe.Objective(expr=-m.x)
+
+
+def test_an_abstract_model_is_told_apart() -> None:
+    """A model without data is refused with what to do."""
+    abstract = pe.AbstractModel()
+    abstract.x = pe.Var()
+    with pytest.raises(LCPError, match=r"solve model.create_instance\(…\)"):
+        SOLVER.solve(abstract)
+    with pytest.raises(LCPError, match="a Pyomo model or block is needed, got ScalarVar"):
+        SOLVER.solve(simple().x)
+
+
+REFUSED = {
+    integers: "the variable x is integer, and integers are taken beside complementarities only; give it a continuous",
+    too_few_rows: "the model has 0 equations and 1 unknown without a complementarity (y)",
+    objective_beside: "SCIP knows no atan",
+    absolute_value: "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
+    one_bound: "c has 1 finite bound on its two sides together, and needs two",
+    three_bounds: "c has 3 finite bounds on its two sides together, and needs two",
+    bound_that_varies: "a bound of c is y, which varies; state the difference",
+    strict: "a side of c is strict, 0  <  x; write <= or >=",
+    bounded_equation: "write the equation as a Constraint and the bound at the variable",
+    held_twice: "the unknown for d: its pair holds no variable, or one that another pair holds",
+    disjunction: "Disjunct is not taken, and the model has one, two; apply gdp.bigm or gdp.hull",
+    derivative: "DerivativeVar is not taken, and the model has slope; discretise it, TransformationFactory(",
+    no_variable: "no active constraint, objective or complementarity has a free variable",
+    nonconvex: "convex",
+    bilinear: "convex: the smallest eigenvalue of P is -1",
+    two_objectives: "the model has 2 active objectives; deactivate all but one",
+}
+
+
+@pytest.mark.parametrize("build", REFUSED, ids=lambda build: build.__name__)
+def test_what_is_not_taken_is_refused_by_name(build: Callable[[Any], None]) -> None:
+    """The message names the component and says what to do; the model stays as it is."""
+    m = model(build)
+    before = campaign.picture(m)
+    with pytest.raises(LCPError) as caught:
+        SOLVER.solve(m)
+    assert REFUSED[build] in str(caught.value)
+    assert "LCP(" not in str(caught.value)  # which would leave out what the model says beside its objective
+    assert campaign.picture(m) == before
+
+
+class PyomosOwn(_PyomosForms):  # type: ignore[misc]
+    """Pyomo's models of every form of a complementarity, each given to the solver."""
+
+    def _test(self, name: str, model: Any) -> None:
+        before = campaign.picture(model)
+        try:
+            self.outcome = SOLVER.solve(model).solver.termination_condition.value
+        except LCPError as error:
+            self.outcome = str(error)
+        assert self.outcome != "optimal" or campaign.residual(model) < 1e-8
+        assert campaign.picture(model) == before
+
+
+OPEN = "it needs as many equations as such unknowns"
+FORMS = {
+    **dict.fromkeys(("t1a", "t1b", "t1c", "t2a", "t2b", "t3a", "t3b", "t11", "t12"), OPEN),
+    **dict.fromkeys(("t4a", "t4b", "t4c", "t4d", "t9", "cov2", "cov4", "cov8", "cov9"), "optimal"),
+    **dict.fromkeys(("t10", "t13", "list1", "list2", "list3", "list4", "list5"), "infeasible"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_pyomos_own_models_of_each_form(form: str) -> None:
+    """Equations are solved or proved infeasible; what leaves unknowns without an equation is refused in words."""
+    case = PyomosOwn()
+    getattr(case, f"test_{form}")()
+    assert case.outcome.endswith(FORMS[form])
+
+
+def simple() -> Any:
+    return model(lambda m: pair(m, m.x >= 0, pe.exp(m.x) - 2 >= 0))
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "keyword": ({"timelimt": 1}, "lcp_plugin takes no keyword 'timelimt' in Pyomo; did you mean 'timelimit'?"),
+    "option": ({"options": {"tol": 1e-9}}, "no option 'tol'"),
+    "algorithm": ({"options": {"algorithm": "nwton"}}, "unknown algorithm 'nwton'; did you mean 'newton'?"),
+    "tolerance": ({"options": {"tolerance": -1.0}}, "tolerance must be finite and not negative, got -1.0"),
+}
+
+
+@pytest.mark.parametrize(("given", "words"), WRONG.values(), ids=WRONG)
+def test_wrong_options_are_refused_in_words(given: dict[str, Any], words: str) -> None:
+    """A mistyped keyword, option or algorithm is told, with the nearest one."""
+    with pytest.raises(LCPError) as caught:
+        SOLVER.solve(simple(), **given)
+    assert words in str(caught.value)
+
+
+def test_options_of_the_solver_stay_and_those_of_a_solve_do_not() -> None:
+    """``solver.options`` hold for every solve; ``options=`` for one."""
+    solver = pe.SolverFactory("lcp_plugin", options={"max_iterations": 0})
+    m = simple()
+    assert solver.solve(m).solver.termination_condition.value == "maxIterations"
+    pe.assert_optimal_termination(solver.solve(m, options={"max_iterations": 50}))
+    m.x.set_value(0.0)
+    assert solver.solve(m).solver.termination_condition.value == "maxIterations"
+    del solver.options["max_iterations"]
+    assert solver.solve(m, timelimit=0.0).solver.termination_condition.value == "maxTimeLimit"
+
+
+def test_a_changed_parameter_needs_another_solve_only_and_begins_at_the_last_answer() -> None:
+    """Mutable parameters may change in rows and bounds; a second solve of the same begins at its answer."""
+    m = pe.ConcreteModel()
+    m.a, m.floor = pe.Param(mutable=True, initialize=2.0), pe.Param(mutable=True, initialize=0.0)
+    m.x = pe.Var(range(5), initialize=9.0)
+    m.row = pe.Expression(range(5), rule=lambda m, i: pe.exp(m.x[i]) + i * m.x[i])
+    m.c = Complementarity(range(5), rule=lambda m, i: complements(m.x[i] >= m.floor, m.row[i] >= m.a))
+    SOLVER.solve(m)
+    first = SOLVER.result
+    SOLVER.solve(m)
+    assert SOLVER.result.iterations < first.iterations
+    m.a, m.floor = 0.5, -0.25
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    assert [m.x[i].value for i in (0, 1)] == pytest.approx([-0.25, -0.25])
+    assert campaign.residual(m) < 1e-8
+
+
+def test_suffixes_get_the_row_of_each_pair() -> None:
+    """``dual`` of a pair is its row, ``rc`` of its variable the same; the stale ones go."""
+    m = pe.ConcreteModel()
+    m.x = pe.Var([1, 2], initialize=1.0)
+    m.low = Complementarity(expr=complements(m.x[1] >= 0, m.x[1] + m.x[2] + 1 >= 0))
+    m.high = Complementarity(expr=complements(m.x[2] <= 1, m.x[2] - 5 <= 0))
+    m.dual, m.rc = pe.Suffix(direction=pe.Suffix.IMPORT), pe.Suffix(direction=pe.Suffix.IMPORT)
+    m.dual[m.x[1]] = 77.0
+    SOLVER.solve(m)
+    assert (m.dual[m.low], m.dual[m.high], m.rc[m.x[1]], m.rc[m.x[2]]) == pytest.approx((2.0, -4.0, 2.0, -4.0))
+    assert m.x[1] not in m.dual
+
+
+def program() -> Any:
+    m = pe.ConcreteModel()
+    m.x = pe.Var([1, 2], within=pe.NonNegativeReals)
+    m.o = pe.Objective(expr=(m.x[1] - 3) ** 2 + m.x[2] ** 2 + m.x[2])
+    m.limit = pe.Constraint(expr=m.x[1] + m.x[2] <= 2)
+    m.dual, m.rc = pe.Suffix(direction=pe.Suffix.IMPORT), pe.Suffix(direction=pe.Suffix.IMPORT)
+    return m
+
+
+@pytest.mark.parametrize("sense", [pe.minimize, pe.maximize])
+def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
+    """The dual of a row is the derivative of the objective by its right-hand side, rc that by a variable's bound."""
+    m = program()
+    sign = 1.0 if sense == pe.minimize else -1.0
+    m.o.set_value(sign * m.o.expr)
+    m.o.sense = sense
+    results = SOLVER.solve(m)
+    pe.assert_optimal_termination(results)
+    assert [m.x[1].value, m.x[2].value] == pytest.approx([2.0, 0.0], abs=1e-8)
+    assert sign * m.dual[m.limit] == pytest.approx(-2.0)
+    assert (sign * m.rc[m.x[2]], m.rc[m.x[1]]) == pytest.approx((3.0, 0.0), abs=1e-8)
+    assert results.problem.upper_bound == pytest.approx(sign)
+    assert (results.problem.sense == pe.maximize) == (sense == pe.maximize)
+
+
+def test_reduced_costs_of_variables_whose_bounds_are_equal_hold_the_objective_and_nonlinear_rows() -> None:
+    """They are slopes of the Lagrangian by every variable, also where equal bounds make one a number."""
+    m = program()
+    m.rate = pe.Var(bounds=(2, 2))
+    m.o.set_value(m.o.expr + 5 * m.rate * m.x[2])
+    m.product = pe.Constraint(expr=m.rate * m.x[2] >= 1)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    assert [m.x[1].value, m.x[2].value] == pytest.approx([1.5, 0.5], abs=1e-8)
+    assert (m.dual[m.limit], m.dual[m.product]) == pytest.approx((-3.0, 7.5))
+    assert (m.rc[m.rate], m.rc[m.x[1]], m.rc[m.x[2]]) == pytest.approx((2.5 - 7.5 * 0.5, 0.0, 0.0), abs=1e-8)
+
+
+def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible() -> None:
+    """Not unbounded, as the rest would be, nor optimal with a remark; one that holds but for rounding is none."""
+    m = model(lambda m: None)
+    m.y = pe.Var([1, 2])
+    m.y[1].fix(0.1)
+    m.y[2].fix(0.2)
+    m.row = pe.Constraint(expr=m.y[1] + m.y[2] == 0.3)
+    m.low = pe.Constraint(expr=m.x >= 2)
+    m.o = pe.Objective(expr=m.x)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    m.y[2].fix(0.3)
+    assert SOLVER.solve(m).solver.termination_condition.value == "infeasible"
+    m.low.deactivate()
+    assert SOLVER.solve(m).solver.termination_condition.value == "infeasible"
+
+
+def test_what_has_no_solution_is_said_with_a_proof_and_loads_nothing() -> None:
+    """Infeasible and unbounded are proved, and the variables keep their values."""
+    m = model(lambda m: pair(m, m.x >= 0, -m.x - 3 >= 0))
+    m.x.set_value(0.5)
+    results = SOLVER.solve(m)
+    assert results.solver.termination_condition.value == "infeasible"
+    assert m.x.value == 0.5
+    assert SOLVER.result.infeasibility.verify()
+    m = program()
+    m.o.set_value(-m.x[1])
+    m.limit.deactivate()
+    m.rest = pe.Constraint(expr=m.x[1] >= m.x[2])
+    assert SOLVER.solve(m).solver.termination_condition.value == "unbounded"
+
+
+def test_a_solution_may_be_written_and_loaded_later(tmp_path: Path) -> None:
+    """With load_solutions=False the model is left alone until ``model.solutions.load_from(results)``."""
+    m = program()
+    m.x[1].set_value(7.0)
+    results = SOLVER.solve(m, load_solutions=False)
+    assert m.x[1].value == 7.0
+    assert not m.dual
+    m.solutions.load_from(results)
+    assert m.x[1].value == pytest.approx(2.0)
+    assert m.dual[m.limit] == pytest.approx(-2.0)
+    SOLVER.solve(m).write(filename=str(tmp_path / "results.json"), format="json")
+    assert "optimal" in (tmp_path / "results.json").read_text(encoding="utf-8")
+
+
+def test_the_run_is_printed_and_the_file_kept_where_asked_for(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """tee=True prints the run; keepfiles=True leaves an .nl file that states the same model by itself."""
+    monkeypatch.chdir(tmp_path)
+    m = MODELS["oligomcp"]().model
+    SOLVER.solve(m)
+    assert capsys.readouterr().out == ""
+    assert not list(tmp_path.iterdir())
+    SOLVER.solve(m, tee=True, keepfiles=True, symbolic_solver_labels=True)
+    out = capsys.readouterr().out
+    assert "residual" in out
+    (file,) = tmp_path.glob("*/*.nl")
+    assert str(file) in out
+    assert "q[0]" in file.with_suffix(".col").read_text(encoding="utf-8")
+    assert read_nl(file).solve().x == pytest.approx([m.q[i].value for i in m.q], rel=1e-6)
+
+
+def test_a_run_that_is_stopped_says_so_and_loads_its_best_point() -> None:
+    """A callback that ends the run, as Ctrl-C does: userInterrupt, aborted."""
+    m = simple()
+    results = SOLVER.solve(m, options={"callback": lambda sample, _: sample.iteration >= 1})
+    assert (results.solver.termination_condition.value, results.solver.status.value) == ("userInterrupt", "aborted")
+    assert m.x.value is not None
+
+
+def test_an_interrupted_solve_leaves_the_model_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while Pyomo writes, or what an option's refusal raises, changes neither bounds nor components."""
+    m = simple()
+    before = campaign.picture(m)
+
+    def stop(*_: Any, **__: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("lcp_plugin.interfaces.pyomo.model.read_content", stop)
+    with pytest.raises(KeyboardInterrupt):
+        SOLVER.solve(m)
+    assert campaign.picture(m) == before
+
+
+def test_a_model_that_pyomo_transformed_before_is_solved_too() -> None:
+    """After ``mpec.nl`` the rows carry their partners, and what was added is loaded like the rest."""
+    m = MODELS["munson1c"]().model
+    pe.TransformationFactory("mpec.nl").apply_to(m)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    assert [m.x1.value, m.x2.value, m.x3.value] == pytest.approx([1, 0, 0], abs=1e-8)
+
+
+def test_a_linear_model_becomes_the_linear_problem_as_stated() -> None:
+    """No unknown and no row is added to pairs of a variable and an affine row: M is the user's."""
+    M = np.array([[2.0, 1.0], [1.0, 2.0]])
+    m = pe.ConcreteModel()
+    m.x = pe.Var([0, 1])
+    m.c = Complementarity([0, 1], rule=lambda m, i: complements(
+        sum(M[i, j] * m.x[j] for j in m.x) >= 5 - 6 * i, m.x[i] >= 0
+    ))
+    SOLVER.solve(m)
+    result = SOLVER.result
+    problem = result.certificate.problem
+    assert isinstance(problem, LCP)
+    np.testing.assert_array_equal(problem.M.toarray() if hasattr(problem.M, "toarray") else problem.M, M)
+    np.testing.assert_array_equal(result.z, solve(LCP(M, [-5.0, 1.0])).z)
+
+
+def test_the_newer_interface_knows_the_solver_by_the_same_name() -> None:
+    """pyomo.contrib.solver's factory gives it; results, duals and refusals are the same."""
+    factory = pytest.importorskip("pyomo.contrib.solver.common.factory").SolverFactory
+    solver = factory("lcp_plugin")
+    m = simple()
+    m.dual = pe.Suffix(direction=pe.Suffix.IMPORT)
+    results = solver.solve(m, solver_options={"tolerance": 1e-12}, tee=False)
+    assert (results.solution_status.name, results.solver_name) == ("optimal", "lcp_plugin")
+    assert m.x.value == pytest.approx(np.log(2), abs=1e-12)
+    assert m.dual[m.c] == pytest.approx(0.0, abs=1e-10)
+    hopeless = model(lambda m: pair(m, m.x >= 0, -m.x - 3 >= 0))
+    with pytest.raises(Exception, match="infeasible"):
+        solver.solve(hopeless)
+    told = solver.solve(hopeless, raise_exception_on_nonoptimal_result=False, load_solutions=False)
+    assert (told.termination_condition.name, told.solution_status.name) == ("provenInfeasible", "noSolution")
+    for give in ("load_vars", "get_vars", "get_duals", "get_reduced_costs"):
+        with pytest.raises(Exception, match="infeasible"):
+            getattr(told.solution_loader, give)()
+    assert hopeless.x.value is None
+    m = program()
+    assert solver.solve(m).incumbent_objective == pytest.approx(1.0)
+
+
+def walked() -> dict[str, tuple[Callable[[Any], None], str]]:
+    """Models of every kind and the condition of each: solvable, infeasible, unbounded."""
+
+    def of(objective: Any = None, pairs: Any = (), rows: Any = ()) -> Callable[[Any], None]:
+        def build(m: Any) -> None:
+            m.x, m.y = pe.Var(initialize=0.7), pe.Var(initialize=0.7)
+            for k, one in enumerate(pairs):
+                pair(m, *one(m), name=f"pair{k}")
+            m.rows = pe.ConstraintList()
+            for one in rows:
+                m.rows.add(one(m))
+            if objective is not None:
+                m.cost = pe.Objective(expr=objective(m))
+
+        return build
+
+    first = (lambda m: (m.x >= 0, m.x + m.y >= 1),)
+    linear = (*first, lambda m: (m.y >= 0, m.y - m.x >= -0.2))
+    smooth = (lambda m: (m.x >= 0, pe.exp(m.x) >= 3), linear[1])
+    square, line = (lambda m: (m.x - 1) ** 2 + (2 * m.y - 1) ** 2), (lambda m: m.x + 2 * m.y)
+    above, below, positive = (lambda m: m.x + m.y >= 1), (lambda m: m.x + m.y <= 0), (lambda m: m.y >= 0)
+    return {
+        "linear pairs": (of(pairs=linear), "optimal"),
+        "linear pairs without": (of(pairs=(lambda m: (m.x >= 0, -m.x - 3 >= 0), linear[1])), "infeasible"),
+        "box": (of(pairs=(lambda m: (pe.inequality(0, m.x, 1), m.x + m.y - 3), linear[1])), "optimal"),
+        "free row": (of(pairs=first, rows=(lambda m: m.y == m.x - 2,)), "optimal"),
+        "smooth pairs": (of(pairs=smooth), "optimal"),
+        "smooth pairs without": (of(pairs=(lambda m: (m.x >= 0, -pe.exp(m.x) >= 3), linear[1])), "noSolution"),
+        "equations": (of(rows=(lambda m: pe.exp(m.x) == 3, lambda m: m.y == m.x)), "optimal"),
+        "least squares": (of(square, rows=(above,)), "optimal"),
+        "quadratic without": (of(square, rows=(above, below)), "infeasible"),
+        "quadratic unbounded": (of(lambda m: m.x**2 + m.y, rows=(below,)), "unbounded"),
+        "linear program": (of(line, rows=(above, positive, lambda m: m.x >= 0)), "optimal"),
+        "linear without": (of(line, rows=(above, below)), "infeasible"),
+        "linear unbounded": (of(line, rows=(below,)), "unbounded"),
+        "best": (of(line, first, (positive,)), "optimal"),
+        "best without": (of(line, first, (positive, lambda m: m.x >= 2)), "infeasible"),
+        "best unbounded": (of(lambda m: -m.y, first), "unbounded"),
+    }
+
+
+@pytest.mark.parametrize("name", list(walked()))
+def test_every_kind_of_model_ends_alike_in_both_interfaces(name: str) -> None:
+    """Condition, values loaded now or later, suffixes and the time limit; nothing is loaded where there is nothing."""
+    build, wanted = walked()[name]
+    factory = pytest.importorskip("pyomo.contrib.solver.common.factory").SolverFactory
+    newer = {"optimal": "convergenceCriteriaSatisfied", "infeasible": "provenInfeasible", "noSolution": "unknown"}
+    for options in ({}, {"max_seconds": 1e-9}):
+        m, again, third = (model(build) for _ in range(3))
+        results = pe.SolverFactory("lcp_plugin").solve(m, options=options)
+        if not options:
+            assert results.solver.termination_condition.value == wanted
+        later = pe.SolverFactory("lcp_plugin").solve(again, options=options, load_solutions=False)
+        assert (again.x.value, again.y.value) == (0.7, 0.7)
+        if len(later.solution):
+            again.solutions.load_from(later)
+        assert (again.x.value, again.y.value) == (m.x.value, m.y.value)
+        assert np.isfinite([m.x.value, m.y.value]).all()
+        told = factory("lcp_plugin").solve(third, solver_options=options, threads=1, load_solutions=False,
+                                           raise_exception_on_nonoptimal_result=False)  # fmt: skip
+        if not options:
+            assert told.termination_condition.name == newer.get(wanted, wanted)
+        assert told.extra_info.message.split(";")[0] == results.solver.message.split(";")[0]
+        if told.solution_loader.get_number_of_solutions():
+            told.solution_loader.load_vars()
+        assert (third.x.value, third.y.value) == (m.x.value, m.y.value)
+
+
+def test_the_name_with_a_hyphen_is_the_same_solver() -> None:
+    """SolverFactory("lcp-plugin"), older and newer, is no executable of that name."""
+    m = simple()
+    pe.assert_optimal_termination(pe.SolverFactory("lcp-plugin").solve(m))
+    assert m.x.value == pytest.approx(np.log(2))
+    factory = pytest.importorskip("pyomo.contrib.solver.common.factory").SolverFactory
+    assert factory("lcp-plugin").solve(simple()).solution_status.name == "optimal"
+
+
+def test_pyomo_is_loaded_by_its_interface_alone_and_asked_for_in_words() -> None:
+    """``import lcp_plugin`` loads no Pyomo; without it the interface says what to install."""
+    code = (
+        "import sys, lcp_plugin, lcp_plugin.interfaces.nl\nprint('pyomo' in sys.modules)\nsys.modules['pyomo'] = None\n"
+        "try:\n    import lcp_plugin.pyomo\nexcept ImportError as error:\n    print(error)"
+    )
+    assert printed_by(code).splitlines() == [
+        "False", "lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'"
+    ]
+
+
+def test_logging_of_pyomo_stays_quiet(caplog: pytest.LogCaptureFixture) -> None:
+    """A solve logs no warning, also where values lie outside bounds by rounding."""
+    with caplog.at_level(logging.WARNING):
+        SOLVER.solve(simple())
+        SOLVER.solve(program())
+    assert not caplog.records
+    assert lcp_plugin.pyomo.NAME == "lcp_plugin"

@@ -1,0 +1,164 @@
+"""Interface for qpsolvers: x, duals in its conventions, found only where the program's own residuals are optimal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import qpsolvers
+import scipy.sparse as sp
+from fresh_process import printed_by
+from hypothesis import given
+from qpsolvers import ParamError, Problem, ProblemError, solve_problem, solve_qp
+from qpsolvers import problems as published
+from scipy.optimize import nnls
+
+import lcp_plugin
+from lcp_plugin import Status, certify
+from lcp_plugin.problems.programs.program import QuadraticProgram
+from lcp_plugin.strategies import convex_qps
+
+lcp_plugin.register_with_qpsolvers()
+NAME = "lcp_plugin"
+P, Q = 2.0 * np.eye(2), np.array([-2.0, -4.0])
+G, H = np.array([[1.0, 1.0]]), np.array([2.0])
+
+
+@pytest.mark.parametrize("name", [name for name in dir(published) if name.startswith("get_qp")])
+def test_published_programs(name: str) -> None:
+    """The programs that qpsolvers is tested with: its own residuals are below 1e-9, beside the objective."""
+    problem, reference = getattr(published, name)()
+    solution = solve_problem(problem, NAME)
+    assert solution.found, solution.extras
+    errors = [solution.primal_residual(), solution.dual_residual(), solution.duality_gap()]
+    assert max(errors) <= 1e-9 * (1.0 + abs(solution.obj))
+    if reference.x is not None:
+        np.testing.assert_allclose(solution.x, reference.x, atol=1e-6)  # its published digits
+
+
+@given(convex_qps())
+def test_random_programs_sparse_and_dense(drawn: Any) -> None:
+    """Whatever is missing of G, A and bounds: the planted objective, and duals that qpsolvers itself finds optimal."""
+    program, answer = drawn
+    none = [None if matrix.shape[0] == 0 else matrix for matrix in (program.G, program.A)]
+    h, b = (None if matrix is None else right for matrix, right in zip(none, (program.h, program.b), strict=True))
+    for dense in (True, False):
+        P_, G_, A_ = (
+            None if M is None else sp.csc_matrix(M).toarray() if dense else sp.csc_matrix(M) for M in (program.P, *none)
+        )
+        lower, upper = (None if np.isinf(bound).all() else bound for bound in (program.lower, program.upper))
+        solution = solve_problem(Problem(P_, program.c, G_, h, A_, b, lower, upper), NAME)
+        assert solution.found
+        size = 1.0 + abs(solution.obj)
+        assert abs(solution.obj - float(answer.objective)) <= 1e-6 * size
+        assert solution.primal_residual() <= 1e-6 * (1.0 + np.abs(solution.x).max())
+        multipliers = max(np.abs(part).max(initial=0.0) for part in (solution.y, solution.z, solution.z_box))
+        assert solution.dual_residual() <= 1e-6 * (1.0 + multipliers + np.abs(program.c).max())
+        assert solution.extras["status"] is Status.SOLVED
+
+
+def test_duals_have_the_signs_of_qpsolvers() -> None:
+    """Signs: z ≥ 0 of G, y of A, z_box > 0 at an upper bound < 0 at a lower one; empty where there is no such row."""
+    solution = solve_problem(Problem(P, Q, lb=np.array([2.0, 0.0]), ub=np.array([3.0, 1.0])), NAME)
+    assert solution.x.tolist() == [2.0, 1.0]
+    assert solution.z_box.tolist() == [-2.0, 2.0]
+    assert solution.z.shape == solution.y.shape == (0,)
+    solution = solve_problem(Problem(P, Q, G, H), NAME)
+    assert (solution.x.tolist(), solution.z.tolist()) == ([0.5, 1.5], [1.0])
+    assert solution.z_box.shape == (0,)
+
+
+@pytest.mark.parametrize("sparse", [None, True, False])
+def test_least_squares(sparse: bool | None) -> None:
+    """``solve_ls`` within bounds, by either of its conversions: what scipy's nnls finds."""
+    rng = np.random.default_rng(2)
+    R, s = rng.standard_normal((9, 4)), rng.standard_normal(9)
+    x = qpsolvers.solve_ls(R, s, lb=np.zeros(4), solver=NAME, sparse_conversion=sparse)
+    np.testing.assert_allclose(x, nnls(R, s)[0], atol=1e-9)
+
+
+def test_linear_and_unconstrained_programs() -> None:
+    """P = 0 within bounds, and a program without any constraint."""
+    assert solve_qp(0.0 * P, Q, lb=np.zeros(2), ub=np.ones(2), solver=NAME).tolist() == [1.0, 1.0]
+    assert solve_qp(P, Q, solver=NAME).tolist() == [1.0, 2.0]
+
+
+def test_infeasible_comes_with_a_proof() -> None:
+    """None for x, INFEASIBLE in the extras, and a proof that verifies."""
+    problem = Problem(P, Q, np.array([[1.0, 1.0], [-1.0, -1.0]]), np.array([1.0, -2.0]))
+    solution = solve_problem(problem, NAME)
+    assert (solution.found, solution.x, solution.extras["status"]) == (False, None, Status.INFEASIBLE)
+    assert solution.extras["result"].proof.verify()
+    assert solution.extras["result"].has_no_solution
+
+
+def test_a_limit_is_no_solution() -> None:
+    """A run that is ended too early has found nothing, and its best x stands beside what it lacks."""
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((80, 60))
+    problem = Problem(np.diag(rng.random(60)), rng.standard_normal(60), rows, rng.random(80))
+    solution = solve_problem(problem, NAME, max_iterations=2)
+    assert (solution.found, solution.x, solution.extras["status"]) == (False, None, Status.MAX_ITERATIONS)
+    assert not solution.extras["result"].solution.is_stationary()
+    assert solve_problem(problem, NAME).found
+
+
+def test_found_is_what_certify_proves() -> None:
+    """The extras hold an answer that `certify` takes, with its duals."""
+    solution = solve_problem(Problem(P, Q, G, H), NAME)
+    assert certify(QuadraticProgram(P, Q, G, H), solution.extras["result"].solution).verdict == "proved"
+    assert solution.extras["result"].certificate.natural_residual <= 1e-9
+
+
+def test_initvals_start_a_program_with_bounds() -> None:
+    """The solution as a start takes no step; in a program with rows it changes nothing."""
+    n = 300
+    laplacian = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csc")
+    problem = Problem(sp.csc_matrix(laplacian), -np.ones(n), lb=np.zeros(n), ub=np.full(n, 50.0))
+    cold = solve_problem(problem, NAME, algorithm="newton")
+    warm = solve_problem(problem, NAME, initvals=cold.x, algorithm="newton")
+    assert warm.extras["result"].iterations < cold.extras["result"].iterations
+    np.testing.assert_allclose(warm.x, cold.x, atol=1e-8)
+    assert solve_qp(P, Q, G, H, initvals=np.zeros(2), solver=NAME).tolist() == [0.5, 1.5]
+
+
+@pytest.mark.parametrize(
+    ("error", "given", "words"),
+    [
+        (ParamError, {"eps_abs": 1e-6}, "'eps_abs' is an option of other solvers; here write tolerance=1e-9"),
+        (ParamError, {"tolerence": 1e-6}, "did you mean 'tolerance'"),
+        (ParamError, {"algorithm": "psorr"}, "did you mean 'psor'"),
+        (ParamError, {"initvals": np.zeros(3)}, "initvals must be a vector of length 2, got shape"),
+        (ParamError, {"callback": 3}, "callback must be callable"),
+        (ProblemError, {"P": -P}, "the smallest eigenvalue of P is -2"),
+        (ProblemError, {"P": np.triu(np.ones((2, 2)))}, "P must be symmetric"),
+        (ProblemError, {"q": np.array([np.nan, 0.0])}, r"q must be finite, but q\[0\] = nan"),
+        (ProblemError, {"lb": np.zeros(3)}, "lb must be a number or a vector of length 2"),
+        (ProblemError, {"P": 0.0 * P}, "the program is unbounded: the objective falls without end"),
+        (ProblemError, {"A": G, "b": H, "algorithm": "mgs"}, "mgs needs a finite lower and no upper bound"),
+    ],
+    ids=lambda value: str(value)[:24] if isinstance(value, (str, dict)) else "",
+)
+def test_what_is_refused(error: type[Exception], given: dict[str, Any], words: str) -> None:
+    """Refusals are qpsolvers' own exceptions, in words."""
+    with pytest.raises(error, match=words):
+        solve_qp(**{"P": P, "q": Q, "solver": NAME, **given})
+
+
+def test_registering_twice_changes_nothing() -> None:
+    """The name stands once in each list; the other solvers are where they were."""
+    lcp_plugin.register_with_qpsolvers()
+    for names in (qpsolvers.available_solvers, qpsolvers.dense_solvers, qpsolvers.sparse_solvers):
+        assert names.count(NAME) == 1
+
+
+def test_qpsolvers_is_loaded_by_its_interface_alone() -> None:
+    """Neither import nor a solve loads it; without it the interface says what to install."""
+    code = (
+        "import sys, lcp_plugin\nlcp_plugin.solve(lcp_plugin.LCP([[2.0]], [-1.0]))\nprint('qpsolvers' in sys.modules)\n"
+        "sys.modules['qpsolvers'] = None\n"
+        "try:\n    lcp_plugin.register_with_qpsolvers()\nexcept ImportError as error:\n    print(error)"
+    )
+    needed = "register_with_qpsolvers needs qpsolvers; install it with: pip install 'lcp_plugin[qpsolvers]'"
+    assert printed_by(code).splitlines() == ["False", needed]

@@ -1,0 +1,496 @@
+"""What may go wrong with SCIP, in words, through each way in; and what the advice is worth that comes with it."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import weakref
+from pathlib import Path
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pyomo.environ as pe
+import pyscipopt
+import pytest
+from pyomo.mpec import Complementarity
+from pyomo.mpec import complements as complementary
+
+import lcp_plugin.pyomo
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, minimize_over_solutions
+from lcp_plugin.commands import ampl, cli
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnsupportedModel
+from lcp_plugin.interfaces import scip
+from lcp_plugin.interfaces.nl import read_sol
+from lcp_plugin.problems.equilibria.equilibrium_program import SmoothPart
+
+FOUND_NONE = "SCIP, in floating point, finds no solution, and nothing proves that there is none"
+
+
+# --- Models: a toll on the first of two roads, 10 cars, costs 1 + f₀ + t and 5 + ½ f₁; 13.5 at t = 4.5, f₀ = 3 ---
+
+
+class Toll:
+    """The same model in cvxpy, with names."""
+
+    def __init__(self, *, most: float | None = None) -> None:
+        self.toll, self.flow = cp.Variable(nonneg=True, name="toll"), cp.Variable(2, nonneg=True, name="flow")
+        least = cp.Variable(name="least")
+        costs = cp.hstack([1.0 + self.flow[0] + self.toll, 5.0 + 0.5 * self.flow[1]])
+        self.rows = [complements(self.flow >= 0, costs - least >= 0), cp.sum(self.flow) == 10]
+        self.rows += [] if most is None else [self.toll <= most, self.flow <= most]
+
+    def solved(self, objective: Any = None, *more: Any, **options: Any) -> tuple[cp.Problem, Any]:
+        """The problem and our result, of the largest income unless another objective is given."""
+        income = self.toll * self.flow[0] if objective is None else objective
+        problem = cp.Problem(cp.Maximize(income), [*self.rows, *more])
+        problem.solve(method="LCP", **options)
+        return problem, problem.solver_stats.extra_stats
+
+
+def toll_in_pyomo() -> pe.ConcreteModel:
+    """Return it in Pyomo."""
+    m = pe.ConcreteModel()
+    m.toll, m.least = pe.Var(within=pe.NonNegativeReals), pe.Var()
+    m.flow = pe.Var([0, 1], within=pe.NonNegativeReals)
+    m.income = pe.Objective(expr=m.toll * m.flow[0], sense=pe.maximize)
+    m.cars = pe.Constraint(expr=m.flow[0] + m.flow[1] == 10)
+    costs = {0: 1.0 + m.flow[0] + m.toll, 1: 5.0 + 0.5 * m.flow[1]}
+    m.pair = Complementarity([0, 1], rule=lambda m, i: complementary(m.flow[i] >= 0, costs[i] - m.least >= 0))
+    return m
+
+
+def answered_by_ampl(m: pe.ConcreteModel, folder: Path, *words: str) -> Any:
+    """Return the .sol of the executable."""
+    lcp_plugin.pyomo.write_nl(m, folder / "m.nl")
+    assert ampl.main([str(folder / "m"), "-AMPL", *words]) == 0
+    return read_sol(folder / "m.sol")
+
+
+def knapsack(seed: int = 0, n: int = 50) -> EquilibriumProgram:
+    """Return a problem of many thousand nodes: 0 ≤ x ⟂ y ≥ 0, x + y = 1, four rows that weigh x."""
+    weights = np.random.default_rng(seed).integers(1, 1000, (4, n)).astype(float)
+    program = QuadraticProgram(
+        None, np.append(-weights.sum(axis=0), np.zeros(n)), np.hstack([weights, np.zeros((4, n))]),
+        weights.sum(axis=1) // 2, np.hstack([np.eye(n)] * 2), np.ones(n), lower=0,
+    )
+    return EquilibriumProgram(program, np.arange(n), np.arange(n, 2 * n))
+
+
+def bilinear(**more: Any) -> EquilibriumProgram:
+    """Return x₀ x₁ to be made small, x₀ + x₁ = 3, both at most 2, 0 ≤ x₀ ⟂ x₂ ≥ 0: 2, which SCIP finds alone."""
+    P = np.zeros((3, 3))
+    P[0, 1] = P[1, 0] = 1.0
+    program = QuadraticProgram(P, np.zeros(3), A=[[1, 1, 0]], b=[3], lower=0, upper=2, **more)
+    return EquilibriumProgram(program, [0], [2])
+
+
+# --- No SCIP, and a SCIP that fails ---
+
+
+@pytest.fixture(params=["absent", pytest.param("broken", marks=pytest.mark.full)])
+def without_scip(request: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let pyscipopt be not installed, or not load."""
+    monkeypatch.setitem(sys.modules, "pyscipopt", None)
+    if request.param == "broken":
+        monkeypatch.delitem(sys.modules, "pyscipopt")
+        monkeypatch.setattr(sys, "meta_path", [_Broken(), *sys.meta_path])
+
+
+class _Broken:
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> None:
+        if name == "pyscipopt":
+            raise ImportError("libscip.so.10: cannot open shared object file")
+
+
+def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path: Path) -> None:
+    """A leader that is not convex gets a point, no bound, and both ways out, from arrays, cvxpy, Pyomo and AMPL."""
+    solver = pe.SolverFactory("lcp_plugin")
+    solver.solve(toll_in_pyomo())
+    for result in (minimize_over_solutions(bilinear()), Toll(most=20.0).solved()[1], solver.result):
+        assert (result.status, result.bound_by, result.proof) == (Status.STALLED, None, None)
+        assert result.x is not None
+        assert result.problem.excess(result.x) <= 1e-7
+        assert "pip install 'lcp_plugin[global]'" in result.advice
+        assert "requires_grad=True" in result.advice
+    found = answered_by_ampl(toll_in_pyomo(), tmp_path)
+    assert found.code == 500
+    assert "pip install 'lcp_plugin[global]'" in found.message
+
+
+def test_the_followed_advice_of_a_local_way_arrives_where_scip_does(without_scip: None) -> None:
+    """Without the objective, the toll a parameter: its gradient leads from 1 to 4.5 and 13.5."""
+    toll, flow, least = cp.Parameter(nonneg=True, value=1.0), cp.Variable(2, nonneg=True), cp.Variable()
+    costs = cp.hstack([1.0 + flow[0] + toll, 5.0 + 0.5 * flow[1]])
+    followers = cp.Problem(cp.Minimize(0), [complements(flow >= 0, costs - least >= 0), cp.sum(flow) == 10])
+    for _ in range(12):
+        followers.solve(method="LCP", requires_grad=True)
+        flow.gradient, least.gradient = np.array([float(toll.value), 0.0]), 0.0  # of toll · flow₀
+        followers.backward()
+        toll.value = float(toll.value) + 0.5 * (float(toll.gradient) + float(flow.value[0]))
+    assert float(toll.value) == pytest.approx(4.5, abs=1e-4)
+    assert float(toll.value) * flow.value[0] == pytest.approx(13.5, abs=1e-3)
+    with pytest.raises(UnsupportedModel, match="for a local search leave out the objective"):
+        Toll().solved(requires_grad=True)
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, times: int, error: Exception) -> None:
+    """Let the next runs of SCIP end with an error."""
+    left = [times]
+
+    class Failing(pyscipopt.Model):  # type: ignore[misc]
+        def optimize(self) -> None:
+            left[0] -= 1
+            if left[0] >= 0:
+                raise error
+            super().optimize()
+
+    monkeypatch.setattr(pyscipopt, "Model", Failing)
+
+
+def test_an_error_inside_scip_is_told_and_no_traceback(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """After one error the same is solved at SCIP's own tolerance; after two its words are told, and a point is kept."""
+    words = "SCIP: error in LP solver!"
+    failing(monkeypatch, 1, Exception(words))
+    assert minimize_over_solutions(bilinear()).status is Status.SOLVED
+    failing(monkeypatch, 2, Exception(words))
+    result = minimize_over_solutions(bilinear())
+    assert (result.status, result.bound_by, result.x is None) == (Status.STALLED, None, False)
+    assert words in result.advice
+    failing(monkeypatch, 2, Exception(words))
+    assert words in answered_by_ampl(toll_in_pyomo(), tmp_path).message
+    failing(monkeypatch, 2, Exception(words))
+    convex = EquilibriumProgram(QuadraticProgram(None, [1, 2], A=[[1, 1]], b=[1], lower=0), [0], [1])
+    result = minimize_over_solutions(convex)
+    assert (result.status, result.bound_by) == (Status.SOLVED, "proof")
+    failing(monkeypatch, 1, MemoryError("SCIP: insufficient memory error!"))
+    with pytest.raises(MemoryError):
+        minimize_over_solutions(bilinear())
+
+
+@pytest.mark.full
+def test_a_machine_without_licences_needs_none(tmp_path: Path) -> None:
+    """With no variable of the environment but the path, and no home, SCIP solves."""
+    code = (
+        "import cvxpy as cp; from lcp_plugin import complements; x, y = cp.Variable(bounds=[0, 2]), cp.Variable(); "
+        "p = cp.Problem(cp.Maximize(x * y), [complements(y >= 0, y + x - 3 >= 0)]); p.solve(method='LCP'); "
+        "print(p.status, round(p.value, 6))"
+    )
+    bare = {"PATH": os.environ["PATH"], "HOME": str(tmp_path / "none")}
+    done = subprocess.run([sys.executable, "-c", code], env=bare, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["optimal", "2.25"]
+
+
+def test_pyomo_hears_of_no_licence() -> None:
+    """The solver is available and needs none."""
+    solver = pe.SolverFactory("lcp_plugin")
+    assert solver.available()
+    assert solver.license_is_valid()
+
+
+def test_scip_prints_nothing(capfd: Any) -> None:
+    """Its linear solver warns of tolerances on stderr, whatever SCIP's output is set to; here nothing arrives."""
+    x, y = cp.Variable(), cp.Variable()
+    cp.Problem(cp.Maximize(cp.exp(x) + y), [complements(x >= 0, y - x >= 0)]).solve(method="LCP")
+    assert capfd.readouterr() == ("", "")
+    os.write(2, b"heard")
+    assert capfd.readouterr().err == "heard"
+
+
+# --- Limits and Ctrl-C ---
+
+
+def test_half_a_second_keeps_the_best_point() -> None:
+    """The status is MAX_SECONDS, x an equilibrium, and no bound is above its value."""
+    result = minimize_over_solutions(knapsack(), max_seconds=0.5)
+    assert result.status is Status.MAX_SECONDS
+    assert result.x is not None
+    assert result.problem.excess(result.x) <= 1e-7
+    assert result.lower_bound <= result.value
+    assert "max_seconds came first: raise it" in result.explain()
+
+
+def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """INTERRUPTED with an equilibrium, no traceback; the handler is Python's again, SCIP's model is gone."""
+    models, before = [], signal.getsignal(signal.SIGINT)
+
+    class Watched(scip._Model):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            models.append(weakref.ref(self.model))
+
+    def interrupt(search: Any) -> None:
+        if search.nodes == 20:  # some are our own
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(scip, "_Model", Watched)
+    result = minimize_over_solutions(knapsack(), callback=interrupt)
+    assert (result.status, result.x is None) == (Status.INTERRUPTED, False)
+    assert result.problem.excess(result.x) <= 1e-7
+    assert result.lower_bound <= result.value
+    assert "stopped by Ctrl-C" in result.explain()
+    assert signal.getsignal(signal.SIGINT) is before
+    gc.collect()
+    assert models
+    assert [model() for model in models] == [None] * len(models)
+    assert minimize_over_solutions(bilinear()).value == pytest.approx(2.0)
+
+
+def test_ctrl_c_while_the_objective_falls_ends_the_search() -> None:
+    """No second search follows within a box, and a bound is not believed where the first relaxation has none."""
+    calls = []
+
+    def interrupt(search: Any) -> None:
+        calls.append(search.nodes)
+        if len(calls) == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    _, result = Toll().solved(callback=interrupt)
+    assert (result.status, result.bound_by, result.x is None) == (Status.INTERRUPTED, None, False)
+    assert len(calls) <= 3
+
+
+def test_ctrl_c_through_cvxpy_and_pyomo_is_a_limit() -> None:
+    """The status in cvxpy is user_limit beside values; in Pyomo userInterrupt."""
+    def interrupt(search: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    toll = Toll()
+    problem, result = toll.solved(callback=interrupt)
+    assert (problem.status, result.status) == (cp.settings.USER_LIMIT, Status.INTERRUPTED)
+    assert float(toll.toll.value * toll.flow.value[0]) == pytest.approx(problem.value)
+    solver = pe.SolverFactory("lcp_plugin")
+    m = toll_in_pyomo()
+    condition = solver.solve(m, options={"callback": interrupt}).solver.termination_condition
+    assert condition == pe.TerminationCondition.userInterrupt
+    assert m.toll.value is not None
+
+
+# --- What cannot be, or is not known ---
+
+
+def test_what_scip_finds_infeasible_is_no_proof(tmp_path: Path) -> None:
+    """Integers beside pairs that no equilibrium has: from arrays, cvxpy, Pyomo, AMPL; nothing else is advised."""
+    toll, half = Toll(), cp.Variable(integer=True)
+    for more in ([2 * half == toll.toll, half >= 0.2, half <= 0.8], [toll.toll * toll.flow[0] >= 1000]):
+        problem, result = toll.solved(None, *more)
+        assert (problem.status, result.status, result.proof) == (cp.settings.USER_LIMIT, Status.STALLED, None)
+        assert FOUND_NONE in result.advice
+        assert "upper bound" not in result.advice
+    program = QuadraticProgram(None, [1, 0, 0], A=[[0, 1, -2]], b=[1], lower=0, upper=[1, 9, 9])
+    result = minimize_over_solutions(EquilibriumProgram(program, [0], [1], integers=[1, 2]))
+    assert result.is_solved  # 1 − 2 · 0
+    never = EquilibriumProgram(QuadraticProgram(None, [1, 0, 0], A=[[0, 2, -2]], b=[1], lower=0, upper=9), [0], [1],
+                               integers=[1, 2])
+    assert FOUND_NONE in minimize_over_solutions(never).advice
+    m = toll_in_pyomo()
+    m.half = pe.Var(within=pe.Integers, bounds=(0, 5))
+    m.even = pe.Constraint(expr=2 * m.half == m.toll)
+    m.between = pe.Constraint(expr=(0.2, m.half, 0.8))
+    solver = pe.SolverFactory("lcp_plugin")
+    assert solver.solve(m).solver.termination_condition == pe.TerminationCondition.noSolution
+    assert FOUND_NONE in solver.result.advice
+    found = answered_by_ampl(m, tmp_path)
+    assert (found.code, found.values) == (500, None)
+    assert FOUND_NONE in found.message
+
+
+@pytest.mark.full
+def test_what_falls_for_ever_is_told_and_which_bounds_are_missing(tmp_path: Path) -> None:
+    """Products, integers, exponentials; the point that is kept is finite; the named bounds make it optimal."""
+    toll = Toll()
+    problem, result = toll.solved(cp.square(toll.toll))
+    assert (problem.status, result.status, result.bound_by) == (cp.settings.USER_LIMIT, Status.STALLED, None)
+    assert "the objective falls without end, and nothing proves it: bound the variables" in result.advice
+    assert "toll, flow[0], flow[1] have no upper bound; give them one" in result.advice
+    assert np.isfinite(result.x).all()
+    bounded = Toll(most=20.0)
+    problem, result = bounded.solved(cp.square(bounded.toll))
+    assert (problem.status, problem.value) == (cp.OPTIMAL, pytest.approx(400.0))
+    x, y = cp.Variable(name="x"), cp.Variable(integer=True)
+    whole = cp.Problem(cp.Maximize(y), [complements(x >= 0, y - x >= 0)])
+    whole.solve(method="LCP")
+    assert "falls without end" in whole.solver_stats.extra_stats.advice
+    assert np.isfinite(float(y.value))
+    m = toll_in_pyomo()
+    m.income.set_value(m.toll**2)
+    found = answered_by_ampl(m, tmp_path)
+    assert found.code == 500
+    assert "toll, flow[0], flow[1] have no upper bound" in found.message
+
+
+def test_bounds_that_are_missing_are_named_and_help() -> None:
+    """Nothing bounds the income after three nodes; with bounds, as rows, of what is named, the gap is finite."""
+    gaps = []
+    for most in (None, 20.0):
+        _, result = Toll(most=most).solved(callback=lambda search: search.nodes >= 3)
+        assert ("lower bound barely moves: toll, flow[0], flow[1] have no upper bound" in result.advice) == (not most)
+        gaps.append(result.gap)
+    assert np.isinf(gaps[0])
+    assert np.isfinite(gaps[1])
+
+
+def test_nan_is_refused_in_words_by_every_way_in(tmp_path: Path) -> None:
+    """Of rows, objectives, pairs, starts; from arrays, cvxpy, Pyomo."""
+    nan = float("nan")
+    with pytest.raises(InvalidProblem, match=r"finite|NaN|nan"):
+        EquilibriumProgram(QuadraticProgram(None, [nan, 0], lower=0), [0], [1])
+    with pytest.raises(InvalidProblem, match=r"finite|NaN|nan"):
+        EquilibriumProgram.of_rows(QuadraticProgram(None, [1.0]), [0], [[nan]], [0.0])
+    with pytest.raises(InvalidOption, match="x0"):
+        minimize_over_solutions(bilinear(), x0=[nan, 0, 0])
+    toll = Toll()
+    for objective, more in ((nan * toll.toll * toll.flow[0], []), (None, [toll.toll <= nan]),
+                            (None, [complements(toll.toll >= 0, toll.flow[0] + nan >= 0)])):
+        with pytest.raises(LCPError, match="must be finite"):
+            toll.solved(objective, *more)
+    for change in (lambda m: m.income.set_value(m.p * m.toll), lambda m: m.add_component(
+            "r", pe.Constraint(expr=m.p * m.toll <= 1)), lambda m: m.add_component(
+            "c", Complementarity(expr=complementary(m.toll >= 0, m.p + m.flow[0] >= 0)))):
+        m = toll_in_pyomo()
+        m.p = pe.Param(initialize=nan, mutable=True, within=pe.Any)
+        change(m)
+        with pytest.raises(InvalidProblem, match=r"must be finite.*'p'"):
+            pe.SolverFactory("lcp_plugin").solve(m)
+
+
+def test_functions_that_scip_does_not_know_have_names(tmp_path: Path) -> None:
+    """Pyomo and AMPL hear of atan in a row; a function of Python has no terms."""
+    m = toll_in_pyomo()
+    m.row = pe.Constraint(expr=pe.atan(m.toll) <= 1)
+    with pytest.raises(UnsupportedModel, match="SCIP knows no atan"):
+        pe.SolverFactory("lcp_plugin").solve(m)
+    found = answered_by_ampl(m, tmp_path)
+    assert (found.code, found.values) == (500, None)
+    assert "SCIP knows no atan" in found.message
+
+    class Map:
+        def value(self, x: Any) -> Any:
+            return np.array([x[0] ** 3])
+
+        def jacobian(self, x: Any) -> Any:
+            return np.array([[3 * x[0] ** 2, 0, 0]])
+
+    problem = bilinear()
+    smooth = EquilibriumProgram(problem.program, [0], [2], smooth=SmoothPart(Map(), np.zeros(0), np.zeros(0)))
+    with pytest.raises(UnsupportedModel, match="a function of Python's has no terms"):
+        minimize_over_solutions(smooth)
+
+
+def test_an_absolute_value_is_taken_from_cvxpy_and_refused_with_a_pair_elsewhere() -> None:
+    """|t − 3| in an objective that is not convex; in a row of Pyomo the followed advice, t − 3 + 2 s, is solved."""
+    toll = Toll()
+    problem, _ = toll.solved(toll.toll * toll.flow[0] - 2 * cp.abs(toll.toll - 3))
+    # f₀ = 6 − t/1.5 at an equilibrium with both roads used: t (6 − t/1.5) − 2 |t − 3| is largest at t = 3
+    assert (problem.status, problem.value) == (cp.OPTIMAL, pytest.approx(12.0, abs=1e-5))
+    m = toll_in_pyomo()
+    m.row = pe.Constraint(expr=abs(m.toll - 3) <= 1)
+    with pytest.raises(UnsupportedModel, match=r"row row holds the operator abs.*x \+ 2 s"):
+        pe.SolverFactory("lcp_plugin").solve(m)
+    m.row.deactivate()
+    m.s = pe.Var(within=pe.NonNegativeReals)
+    m.size = Complementarity(expr=complementary(m.s >= 0, m.toll - 3 + m.s >= 0))
+    m.within = pe.Constraint(expr=m.toll - 3 + 2 * m.s <= 1)
+    pe.assert_optimal_termination(pe.SolverFactory("lcp_plugin").solve(m))
+    assert pe.value(m.income) == pytest.approx(4 * (6 - 4 / 1.5), abs=1e-5)
+
+
+# --- Whose bound it is, and how to ask for a proof ---
+
+
+def test_prove_is_a_keyword_of_the_executable_and_an_option_of_the_command(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """prove=1 leaves no word of SCIP's bound; what cannot be proved is told; it is no option of other problems."""
+    m = toll_in_pyomo()
+    m.income.set_value(m.flow[0] - 2 * m.toll)
+    m.toll.setub(20.0)
+    for words, is_proved in (((), False), (("prove=0",), False), (("prove=1",), True)):
+        found = answered_by_ampl(m, tmp_path, *words)
+        assert found.code == 0
+        if is_proved:
+            assert "SCIP" not in found.message
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["lcp-plugin", "solve", "m.nl", "--option", "prove=true"])
+    with pytest.raises(SystemExit) as ended:
+        cli.run()
+    assert ended.value.code == 0
+    assert "result.verify() checks the proof" in capsys.readouterr().out
+    m.income.set_value(m.flow[0] * m.toll)
+    found = answered_by_ampl(m, tmp_path, "prove=1")
+    assert found.code == 500
+    assert "this problem has an objective that is not convex; leave it out" in found.message
+    found = answered_by_ampl(m, tmp_path)
+    assert "bound by SCIP, in floating point" in found.message
+    m.income.deactivate()
+    m.toll.fix(1.0)
+    assert answered_by_ampl(m, tmp_path).code == 0
+    found = answered_by_ampl(m, tmp_path, "prove=1")
+    assert found.code == 500
+    assert "prove" in found.message
+
+
+def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do() -> None:
+    """In cvxpy; without it the bound is SCIP's, and said to be."""
+    with pytest.raises(UnsupportedModel, match=r"an objective that is not convex; leave it out: the bound is SCIP's"):
+        Toll().solved(prove=True)
+    _, result = Toll().solved()
+    assert (result.status, result.bound_by, result.proof) == (Status.SOLVED, "SCIP", None)
+    assert "bound by SCIP, in floating point" in result.explain()
+    assert result.gap <= result.tolerance
+    assert result.problem.excess(result.x) <= 1e-7
+    assert not result.verify()
+
+
+@pytest.mark.parametrize("chosen", [[(1,)], ([1],)])
+def test_of_a_variable_some_entries_may_be_whole(chosen: Any) -> None:
+    """The second entry alone is an integer, or 0 or 1; the first one stops at its bounds, 0.5 and 1.5."""
+    x, y = cp.Variable(2, integer=chosen), cp.Variable()
+    problem = cp.Problem(cp.Minimize(cp.sum(x)), [complements(y >= 0, x[0] - 0.5 >= 0), x[1] >= 0.2, x[0] >= 0.1])
+    assert problem.solve(method="LCP") == pytest.approx(1.5)
+    assert x.value == pytest.approx([0.5, 1.0])
+    x = cp.Variable(2, boolean=chosen)
+    problem = cp.Problem(cp.Maximize(cp.sum(x)), [complements(y >= 0, 1.5 - x[0] >= 0)])
+    assert problem.solve(method="LCP") == pytest.approx(2.5)
+
+
+def test_integers_beside_products_go_through_a_file(tmp_path: Path) -> None:
+    """What Pyomo orders as nonlinear and integer before what is linear is written, and read as it was."""
+    m = toll_in_pyomo()
+    m.steps = pe.Var(within=pe.Integers, bounds=(0, 9))
+    m.few = pe.Var(within=pe.Binary)
+    m.step = pe.Constraint(expr=m.toll == 2 * m.steps + m.few)
+    m.income.set_value(2 * m.steps * m.flow[0] + m.few)
+    found = answered_by_ampl(m, tmp_path)
+    assert found.code == 0
+    solver = pe.SolverFactory("lcp_plugin")
+    pe.assert_optimal_termination(solver.solve(m))
+    assert (m.steps.value, m.few.value) == (2.0, 0.0)  # 4 (6 − 4/1.5), or with few (6 − 5/1.5) 4 + 1
+    assert f"objective {-pe.value(m.income):.6g}"[:12] in found.message
+
+
+@pytest.mark.full
+def test_every_way_in_agrees_with_an_enumeration_of_all_cases() -> None:
+    """Small programs of up to ten pairs, and integer leaders in products: no value and no bound contradicts it."""
+    pytest.importorskip("highspy", reason="solves the pieces")
+    from campaigns.best_equilibria_ways_in import WAYS, complaints, drawn, least, ways_of
+
+    for case in (1, 5, 23):
+        problem = drawn(0, case)
+        known = least(problem)
+        for name in ways_of(problem):
+            assert complaints(WAYS[name](problem), *known) == [], (case, name)
+
+
+def test_a_point_does_not_hide_that_the_objective_falls_for_ever() -> None:
+    """SCIP calls the bound of its first relaxation ∞ rather than −∞ there, and a point of value −13.5 optimal."""
+    M, N = np.array([[6, 1, 1], [1, 3, -5], [1, -5, 18]]), np.array([[2, 0], [1, 2], [-2, 2]])
+    lower, upper = [0, 0, -1, 0, -np.inf, 0, 0, 0], [np.inf, 3, *[np.inf] * 6]
+    A, ray = np.hstack([-M, np.eye(3), -N]), np.array([0.0, 0, 10, 190, 40, 0, 90, 0])
+    program = QuadraticProgram(None, [2, -2, 3, -3, 2, 1, 0, 0], A=A, b=[0, -1, 0], lower=lower, upper=upper)
+    assert not (A @ ray).any()
+    assert program.c @ ray < 0.0
+    assert minimize_over_solutions(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5])).status is Status.UNBOUNDED

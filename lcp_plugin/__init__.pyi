@@ -40,6 +40,9 @@ from .problems.batches.batch import solve_batch as solve_batch
 from .problems.batches.batch import solve_many as solve_many
 from .problems.batches.batch_run import BatchResult as BatchResult
 from .problems.batches.program_batch import ProgramBatchResult as ProgramBatchResult
+from .problems.cones.data import ConeProblem as ConeProblem
+from .problems.cones.data import FrictionalContact as FrictionalContact
+from .problems.cones.solving import ConeResult as ConeResult
 from .problems.equilibria.branch_and_bound import minimize_over_solutions as minimize_over_solutions
 from .problems.equilibria.equilibrium_program import EquilibriumProgram as EquilibriumProgram
 from .problems.equilibria.result import EquilibriumResult as EquilibriumResult

@@ -10,6 +10,7 @@ from typing import Any
 from .auto import solve_lcp
 from .core.errors import InvalidOption, did_you_mean
 from .core.kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind, kind_of, refusal, with_article
+from .problems.cones import CONE_PROBLEM, FRICTIONAL_CONTACT
 from .problems.equilibria import EQUILIBRIUM_PROGRAM
 from .problems.least_squares import BOUNDED_LEAST_SQUARES
 from .problems.nonlinear import NONLINEAR_PROBLEM
@@ -17,6 +18,7 @@ from .problems.programs.kind import QUADRATIC_PROGRAM
 
 KINDS = (
     LINEAR_COMPLEMENTARITY_PROBLEM, NONLINEAR_PROBLEM, QUADRATIC_PROGRAM, EQUILIBRIUM_PROGRAM, BOUNDED_LEAST_SQUARES,
+    CONE_PROBLEM, FRICTIONAL_CONTACT,
 )
 
 
@@ -38,6 +40,10 @@ def solver_of(kind: Kind) -> Callable[..., Any]:
         from .problems.least_squares.solving import solve_least_squares
 
         return solve_least_squares
+    if kind in (CONE_PROBLEM, FRICTIONAL_CONTACT):
+        from .problems.cones.solving import solve_cones
+
+        return solve_cones
     return solve_lcp
 
 

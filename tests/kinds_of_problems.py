@@ -14,7 +14,9 @@ import numpy as np
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    ConeProblem,
     EquilibriumProgram,
+    FrictionalContact,
     NonlinearProblem,
     QuadraticProgram,
     Status,
@@ -32,7 +34,8 @@ class Sample:
     Attributes
     ----------
     in_cvxpy, in_pyomo : callable
-        Return the problem in cvxpy; the model in Pyomo, and its variables in the order of x.
+        Return the problem in cvxpy; the model in Pyomo, and its variables in the order of x. None where that language
+        has no place for it.
     program : tuple or None
         P, c, G, h, A, b, lower, upper where it is a program.
     """
@@ -42,8 +45,8 @@ class Sample:
     problem: Any
     ends: tuple[Status, ...]
     x: Sequence[float] | None
-    in_cvxpy: Callable[[], Any]
-    in_pyomo: Callable[[], Any]
+    in_cvxpy: Callable[[], Any] | None
+    in_pyomo: Callable[[], Any] | None
     program: tuple[Any, ...] | None = None
 
     @property
@@ -224,7 +227,14 @@ def equilibrium(name: str, ends: Any, x: Any, P: Any, c: Any, pair: int, row: An
     )
 
 
+def on_cones(name: str, problem: Any, ends: Any, x: Any = None) -> Sample:
+    return Sample(name, type(problem).__name__, problem, ends, x, None, None)
+
+
 GOOD = (Status.SOLVED,)
+BOX_AND_CONE = ConeProblem(
+    np.diag([2.0, 1.0, 1.0]), [-1.0, 0.5, -1.0], [("box", 0.0, 0.25), ("second_order", 2)]
+)
 SAMPLES = [
     lcp("LCP", [[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0], GOOD, [2.5, 0.0]),
     lcp("box", [[2.0, 1.0], [1.0, 2.0]], [-5.0, -5.0], GOOD, [1.0, 2.0], lower=-1.0, upper=[1.0, 9.0]),
@@ -249,5 +259,9 @@ SAMPLES = [
     # 0 ≤ y ⟂ x ≥ 0 with x ≥ 1 and y ≥ 1.
     equilibrium("objective, no solution", (Status.NO_SOLUTION, Status.INFEASIBLE), None, np.eye(2), [1.0, 1.0], 1,
                 [1.0, 0.0], 0.0, A=[[0.0, 1.0]], b=[1.0], lower=[1.0, 0.0]),
+    on_cones("cone", ConeProblem(np.eye(3), [0.0, -2.0, 0.0], [("second_order", 3)]), GOOD, [1.0, 1.0]),
+    on_cones("cone and box", BOX_AND_CONE, GOOD, [0.25, 0.25]),
+    on_cones("friction", FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5), GOOD, [1.0, -0.3]),
+    on_cones("friction in the plane", FrictionalContact(np.eye(2), [[-1.0, 0.25]], 0.5), GOOD, [1.0, -0.25]),
     equilibrium("objective, unbounded", (Status.UNBOUNDED,), None, None, [-1.0, 0.0], 1, [0.0, 1.0], 0.0),
 ]

@@ -19,7 +19,7 @@ from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
-from ..interfaces.program_files import kind_in, load_least_squares, load_program
+from ..interfaces.program_files import kind_in, load_least_squares, load_problem, load_program
 from ..problems.programs.program import QuadraticProgram
 from .target import read_target
 from .terminal import LINE, show_search, show_step
@@ -27,6 +27,7 @@ from .terminal import LINE, show_search, show_step
 OWN_FLAGS = ("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "threads", "algorithm")
 WORDS = {"none": None, "true": True, "false": False}
 SHOWN = 20  # variables that a person is told at once
+ON_CONES = ("ConeProblem", "FrictionalContact")
 
 
 class OneProcess:
@@ -351,7 +352,8 @@ def run_model(
     plain = {one.name: one.default for one in fields(Settings)}
     asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
     asked |= {name: options.pop(name) for name in ("prove",) if name in options}  # of a search
-    chosen = policy_for(algorithm, options).chosen
+    is_on_cones = kind_in(target.strip()).__name__ in ON_CONES  # whose algorithms have names of their own
+    chosen = algorithm if is_on_cones else policy_for(algorithm, options).chosen
     OneProcess().check_outputs(target, picture.path, out)
     find = _in_nl if Path(target.strip()).suffix.lower() == ".nl" else _in_arrays
     found = find(target.strip(), chosen, asked)
@@ -394,6 +396,10 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
         answer: Any = solve(problem, chosen, **asked, **seen)
         rows = {} if problem.ranges is None else {"y": answer.solution.row_multipliers}
         vectors = answer.duals | rows | ({} if names is None else {"names": np.array(names, dtype=np.str_)})
+    elif kind_in(target).__name__ in ON_CONES:
+        problem, constant, sign, names = load_problem(target), 0.0, 1.0, None
+        answer = solve(problem, chosen, **asked)
+        vectors = {"z": answer.z, "w": answer.w}
     else:
         problem, constant, sign, names = load_least_squares(target), 0.0, 1.0, None
         answer = solve(problem, chosen, **asked)

@@ -213,7 +213,8 @@ def _draw_values(
 
 def _bounds(answer: Answer) -> tuple[FloatVector, FloatVector]:
     """Return the bounds of x."""
-    problem: Any = answer.certificate.problem if isinstance(answer, Result) else getattr(answer, "problem", None)
+    problem: Any = getattr(answer, "problem", None)
+    problem = answer.certificate.problem if problem is None and isinstance(answer, Result) else problem
     problem = getattr(answer if problem is None else problem, "program", problem)  # of a program, or beside pairs
     if getattr(problem, "is_distributed", False):
         raise UnsuitableProblem("no rank holds the whole z: gather it, or save with LCP.save and plot elsewhere")

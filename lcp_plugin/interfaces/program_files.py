@@ -13,6 +13,8 @@ import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
 from ..core.lcp import LCP
+from ..problems.cones.data import ConeProblem, FrictionalContact
+from ..problems.cones.files import problem_of as cone_problem_of
 from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
 from .files.files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys, with_infinities
@@ -24,6 +26,7 @@ PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of
 ALIASES = {"q": "c", "lb": "lower", "ub": "upper"}
 QUADPROG = {"H": "P", "f": "c", "A": "G", "b": "h", "Aeq": "A", "beq": "b", "lb": "lower", "ub": "upper"}
 OF_PROGRAM = ("P", "c", "A", "l", "u", "G", "h", "b", "lower", "upper", "r")
+OF_CONES = ("W", "M", *MATRIX_KEYS, "q", "b", "mu", "friction", "cone_kinds", "cone_rows", "lower", "upper")
 OF_LEAST_SQUARES = ("A", "b", "lower", "upper", "weights", "ridge", "l1")
 MATRICES = ("P", "A", "G", "H", "Aeq")
 MOST_ROWS = 10**8
@@ -56,7 +59,7 @@ class Stated(NamedTuple):
     names: Sequence[str] | None = None
 
 
-def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedLeastSquares:
+def load_problem(path: str | PathLike[str]) -> Any:
     """Return the problem of a file, of the kind that its content states.
 
     Parameters
@@ -64,7 +67,8 @@ def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedL
     path : str or Path
         ``.qps`` and ``.mps`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A, l, u, or
         the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program; with A
-        and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares. Everything else is read by
+        and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares; with mu beside a matrix a
+        FrictionalContact, with cone_kinds a ConeProblem (``.npz`` alone). Everything else is read by
         :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Raises
@@ -75,9 +79,11 @@ def load_problem(path: str | PathLike[str]) -> LCP | QuadraticProgram | BoundedL
         Where it states no problem, or one with integers.
     """
     kind = kind_in(path)
-    if kind.__name__ == "QuadraticProgram":
+    if kind is QuadraticProgram:
         return load_program(path).program
-    return load_least_squares(path) if kind.__name__ == "BoundedLeastSquares" else LCP.load(path)
+    if kind in (ConeProblem, FrictionalContact):
+        return cone_problem_of(read_npz(checked_path(path), OF_CONES), path)
+    return load_least_squares(path) if kind is BoundedLeastSquares else LCP.load(path)
 
 
 def kind_in(path: str | PathLike[str]) -> Any:
@@ -92,6 +98,10 @@ def kind_in(path: str | PathLike[str]) -> Any:
     if source.suffix.lower() not in ARRAYS or not is_file:
         return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}
+    if names & {"mu", "friction"} and names & {"W", *MATRIX_KEYS}:
+        return FrictionalContact
+    if "cone_kinds" in names:
+        return ConeProblem
     if "M" in names or names & {*MATRIX_KEYS}:
         return LCP
     if names & {"P", "c", "H", "f"} or {"A", "q"} <= names:

@@ -12,7 +12,7 @@ BENCHMARKS = {
     "marches": "steps in time on grids in the plane: what march needs beside a solve from the last answer at each step",
     "compilation": "the first solve of an installation in a fresh process, nothing compiled; and the warm-up",
     "small": "small and medium problems, one by one and in batches, beside compiled rivals",
-    "contact": "contact with friction: steps, trajectories and batches, beside Dantzig's pivots, PGS and Lemke's",
+    "contact": "contact with friction: steps, trajectories, batches, beside Dantzig's pivots, PGS, Lemke; as cones",
     "auto": "auto beside the best named method, warm, on scenes and on problems of every kind",
     "rivals": "dense, contact and sparse problems against convex QP solvers, each at its cheapest setting",
     "shapes": "lasso, support vectors, portfolios, transport … at every shape, against OSQP and Clarabel",

@@ -53,6 +53,7 @@ CHECKS = [
     ("cheapest_bolts", f"the same lift up to {NUMBER} mm", 1e-8),
     ("cheapest_bolts", f"the cost of an integer program differs by {NUMBER}", 1e-5),
     ("block_on_incline", f"the speeds differ from the closed form by {NUMBER} m/s", 1e-9),
+    ("sliding_along_gravity", f"with the cone it slides at most {NUMBER}° aside", 1e-6),
     ("tower_of_ten", f"the weights above them by {NUMBER} N, ", 1e-9),
     ("tower_of_ten", f"the speeds from the closed form by {NUMBER} m/s", 1e-9),
 ]

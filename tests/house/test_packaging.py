@@ -18,7 +18,7 @@ import lcp_plugin
 ROOT = Path(__file__).parents[2]
 TOLD = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))
 BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
-SMALL = 1_200_000  # bytes: nothing but code, which grew by the search for the best solution and by SCIP's interface
+SMALL = 1_250_000  # bytes: nothing but code, which grew by the search for the best solution, SCIP's interface, cones
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,8 @@ def sources(folder: str) -> set[str]:
     files = (file for file in ROOT.joinpath(folder).rglob("*") if file.is_file())
     return {
         file.relative_to(ROOT).as_posix() for file in files
-        if "__pycache__" not in file.parts and file.suffix in {".py", ".json", ".pyi", ".html", ".typed", ".jinja2", ".css"}
+        if "__pycache__" not in file.parts
+        and file.suffix in {".py", ".pyi", ".json", ".html", ".typed", ".jinja2", ".css"}
     }
 
 

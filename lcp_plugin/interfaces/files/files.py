@@ -44,6 +44,14 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
         _save_folder(problem, checked_folder(target))
 
 
+def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str) -> None:
+    """Write the arrays that state a problem of another kind, in words, to a ``.npz`` file."""
+    target = checked_path(path)
+    if target.suffix.lower() != ".npz":
+        raise UnreadableFile(f"cannot write {target}: {what} is saved in one .npz file; write {target.stem}.npz")
+    write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
+
+
 def arrays_of(problem: LCP, M: sp.csr_array) -> dict[str, Any]:
     """Return what is saved of a problem, or of the own rows of one, by name."""
     arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}

@@ -61,20 +61,20 @@ def is_short(problem: LCP) -> bool:
 
 
 def has_contacts(problem: LCP) -> bool:
-    """Return whether the problem is one of contacts with friction pyramids that a compiled call takes."""
+    """Return whether the problem is one of contacts with friction that a compiled call takes."""
     may_have = 0 < problem.n <= CONTACTS_UP_TO and not problem.is_distributed
-    return may_have and problem.is_plain and has_pyramids(problem.matrix)
+    return may_have and problem.is_plain and has_rows_of_contacts(problem.matrix)
 
 
 @fact
-def has_pyramids(matrix: Matrix) -> bool:
-    """Return whether M has the form of contacts with friction pyramids, its rows in any order."""
-    if matrix.diagonal.all():
+def has_rows_of_contacts(matrix: Matrix) -> bool:
+    """Return whether M has the rows that ``LCP.from_contacts`` writes, in its order."""
+    if matrix.diagonal[-1]:
         return False
-    from .kernels.contact_problems import count_pyramids
+    from .kernels.contact_problems import count_contacts
 
     real, whole, _ = new_workspace(matrix.n)
-    return bool(count_pyramids(as_dense(matrix), real, whole) > 0)
+    return bool(count_contacts(as_dense(matrix), real, whole) > 0)
 
 
 @fact
@@ -130,8 +130,8 @@ def solve_fused(
     """Return where `steps` converge within the tolerance, None where they do not."""
     start = NO_START if z0 is problem.nearest_to_zero else as_batch(z0)
     vectors, answers = map(as_batch, (problem.q, problem.lower, problem.upper)), Answers(1, problem.n)
-    arrays, has_pairs = (as_dense(problem.matrix), *vectors, start), has_pyramids(problem.matrix)
-    run_phases(arrays, phases, tolerance, max_iterations, 0, 1, answers, may_have_contacts=has_pairs)
+    arrays, may_have = (as_dense(problem.matrix), *vectors, start), has_rows_of_contacts(problem.matrix)
+    run_phases(arrays, phases, tolerance, max_iterations, 0, 1, answers, may_have_contacts=may_have)
     return answers.solve_fused(0)
 
 
@@ -182,7 +182,7 @@ def run_contacts(
     Those of a range have taken as many steps, none or one. What is too large for other phases is not in the rest.
     """
     M, n = arrays[0], arrays[0].shape[1]
-    if np.einsum("kii->ki", M[first:end] if len(M) > 1 else M).all():  # no row holds a radius
+    if (M[first:end] if len(M) > 1 else M)[:, -1, -1].all():  # the last row is of no speed λ
         answers.made[first:end] = 0
         return [(first, end)]
     from .kernels.contact_problems import solve_all_contacts

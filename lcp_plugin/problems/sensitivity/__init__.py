@@ -37,6 +37,8 @@ from ...proofs.bounds.solution_bounds import block_error_bound
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
 from ..batches.batch_run import BatchResult
+from ..cones.derivative import ConeDerivative
+from ..cones.solving import ConeResult
 from ..contact import ContactGradient, Contacts
 from ..march import March
 from ..march.march_derivative import MarchDerivative
@@ -63,12 +65,16 @@ class Gradient(NamedTuple):
 
 
 @overload
+def derivative(result: ConeResult) -> ConeDerivative: ...  # type: ignore[overload-overlap]  # it is a Result, too
+@overload
 def derivative(result: Result) -> Derivative: ...
 @overload
 def derivative(result: BatchResult) -> BatchDerivative: ...
 @overload
 def derivative(result: March) -> MarchDerivative: ...
-def derivative(result: Result | BatchResult | March) -> Derivative | BatchDerivative | MarchDerivative:
+def derivative(
+    result: Result | BatchResult | March
+) -> Derivative | BatchDerivative | MarchDerivative | ConeDerivative:
     """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
     Parameters
@@ -76,7 +82,8 @@ def derivative(result: Result | BatchResult | March) -> Derivative | BatchDeriva
     result : Result or BatchResult or March
         SOLVED, of an LCP; or of a NonlinearProblem, where dq is a change of F. What its run has built (the hierarchy
         of M) serves again, and M is read where it lies: do not change its entries between the solve and this.
-        That of ``LCP.from_contacts`` knows changes of friction, velocities, gaps and mass by these names.
+        That of ``LCP.from_contacts`` knows changes of friction, velocities, gaps and mass by these names; over cones
+        see :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative`.
 
     Returns
     -------
@@ -112,6 +119,8 @@ def derivative(result: Result | BatchResult | March) -> Derivative | BatchDeriva
     if not result.is_solved:
         why = f"this run ended {result.status.name}: {result.advice}"
         raise UnsuitableProblem(f"only a solution has a derivative, and {why}")
+    if isinstance(result, ConeResult):
+        return ConeDerivative(result.problem, result.z)
     certificate = result.certificate
     return Derivative(certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised)
 

@@ -1,7 +1,9 @@
-"""Solving contacts: every family, warm starts, batches, rows in any order, and what has not quite the form."""
+"""Solving contacts: every family, warm starts, batches, the order of rows, and what has not quite the form."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,10 @@ from contact_families import FAMILIES, falling, planted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import lcp_plugin.methods.small.small_dense as small_dense
 from lcp_plugin import LCP, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin.methods.small.kernels.workspace import shapes
 from lcp_plugin.problems.contact import Contacts, contact_data
 
 SIZES = st.sampled_from([(1, 1), (2, 1), (4, 2), (6, 1), (8, 4)])
@@ -68,18 +72,35 @@ def rounds_alone(problem: LCP) -> bool:
     return solve(problem).algorithm == "auto: newton"
 
 
-def test_rows_may_come_in_any_order_and_unit() -> None:
-    """The same contacts with rows permuted, sparse, beside other islands, without friction, in other units: rounds."""
+def test_contacts_are_known_by_the_order_of_their_rows(tmp_path: Path) -> None:
+    """Stated, as arrays, sparse, from a file, with another q, without friction, in other units, with eight edges."""
     data = falling(4, 4, 10.0, np.random.default_rng(1))
     M, q = data.arrays
-    order = np.random.default_rng(0).permutation(q.size)
+    stated = LCP.from_contacts(data.W, data.friction, data.velocities)
+    stated.save(tmp_path / "contacts.npz")
+    assert rounds_alone(stated)
+    assert rounds_alone(stated.with_q(1.5 * q))
+    assert rounds_alone(LCP.load(tmp_path / "contacts.npz"))
     assert rounds_alone(LCP(M, q))
-    assert rounds_alone(LCP(M[np.ix_(order, order)], q[order]))
-    assert rounds_alone(LCP(sp.block_diag([M] * 3, format="csr"), np.tile(q, 3)))
+    assert rounds_alone(LCP(sp.csr_array(M), q))
     assert rounds_alone(problem_of(contact_data(data.W, [0.0, 0.5, 0.0, 0.5], data.velocities)))
     unit = np.where(np.arange(q.size) < 4, 4.0, 1.0)
     assert rounds_alone(LCP(unit[:, None] * M * unit, unit * q))
     assert rounds_alone(problem_of(contact_data(data.W, 0.5, data.velocities, directions=8)))
+    assert rounds_alone(problem_of(contact_data(np.eye(4), 0.5, [[-1.0, 0.3], [-1.0, 0.9]])))
+
+
+@pytest.mark.parametrize("content", [0, 1, 2])
+def test_edges_without_friction_do_not_stick(content: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One contact on ice slips, whatever the workspace held before: rounds, and no pivots."""
+    def workspace(n: int) -> tuple[Any, Any, Any]:
+        real, whole, matrix = shapes(n)
+        return np.full(real, np.nan), np.full(whole, content), np.full(matrix, np.nan)
+
+    monkeypatch.setattr(small_dense, "new_workspace", workspace)
+    problem = LCP.from_contacts(np.eye(3), 0.0, [[-1.0, 0.3, 0.2]])
+    assert rounds_alone(problem)
+    assert problem.origin.recover(solve(problem)).slip.round(9).tolist() == [[0.3, 0.2]]
 
 
 def _without_an_edge(M: Any, q: Any) -> LCP:
@@ -87,7 +108,27 @@ def _without_an_edge(M: Any, q: Any) -> LCP:
     return LCP(M[np.ix_(keep, keep)], q[keep])
 
 
+def _in_another_order(M: Any, q: Any) -> LCP:
+    order = np.random.default_rng(0).permutation(q.size)
+    return LCP(M[np.ix_(order, order)], q[order])
+
+
+def _changed(row: int, column: int, value: float) -> Callable[[Any, Any], LCP]:
+    def problem(M: Any, q: Any) -> LCP:
+        M = M.copy()
+        M[row, column] = value
+        return LCP(M, q)
+
+    return problem
+
+
 NOT_QUITE = {
+    "another order": _in_another_order,
+    "islands one after the other": lambda M, q: LCP(sp.block_diag([M] * 3, format="csr"), np.tile(q, 3)),
+    "a radius with another contact's impulse": _changed(20, 1, 0.1),
+    "an edge in two contacts": _changed(20, 8, -1.0),
+    "a speed that lets a normal go": _changed(0, 20, 0.1),
+    "an edge in another unit than its opposite": _changed(20, 4, -2.0),
     "an edge is missing": _without_an_edge,
     "a radius has a part of its own": lambda M, q: LCP(M, np.where(np.arange(q.size) == q.size - 1, 0.1, q)),
     "a bound": lambda M, q: LCP(M, q, upper=np.where(np.arange(q.size) == 0, 50.0, np.inf)),

@@ -8,18 +8,17 @@ import numpy as np
 
 from ....core.kernels.compilation import compiled, interpreted_while_small
 from .contact_rounds import solve_contacts
-from .friction_pyramids import condense, read_pyramids
+from .friction_pyramids import condense, read_contacts
 from .small_problems import PATH_UP_TO, ROUND, TOTAL, USUAL, enclosed, ends, is_kept_dense, look_at, moved, take
-from .workspace import FOUND, Z
+from .workspace import FOUND, LOWER, UPPER, Q, Z
 
 
 @compiled
-def count_pyramids(M, real, whole):  # type: ignore[no-untyped-def]
-    """Return how many friction pyramids M, shape (1, n, n), has, 0 where it is of another form; q counts as 0."""
+def count_contacts(M, real, whole):  # type: ignore[no-untyped-def]
+    """Return how many contacts M, shape (1, n, n), has rows of, 0 where it is of another form; q counts as 0."""
     for i in range(M.shape[1]):
-        real[0, i], real[1, i], real[2, i] = 0.0, 0.0, np.inf
-    unknowns, cones = read_pyramids(M, 0, real, whole)
-    return cones if unknowns > 0 else 0
+        real[Q, i], real[LOWER, i], real[UPPER, i] = 0.0, 0.0, np.inf
+    return read_contacts(M, 0, real, whole)[1]
 
 
 @partial(interpreted_while_small, longest=PATH_UP_TO)
@@ -40,8 +39,8 @@ def solve_all_contacts(  # type: ignore[no-untyped-def]
         work[item, TOTAL] = 0.0
         left += 1
         is_zero = take(q, lower, upper, item, real, n)
-        unknowns, cones = read_pyramids(M, k, real, whole)
-        if cones == 0 or unknowns == 0:
+        unknowns, contacts = read_contacts(M, k, real, whole)
+        if contacts == 0:
             continue
         nonzeros, is_usual, _, _ = look_at(M, k, real)
         is_dense, least, most = is_kept_dense(nonzeros, n), 1.0, 1.0
@@ -58,7 +57,7 @@ def solve_all_contacts(  # type: ignore[no-untyped-def]
             residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
         work[item, ROUND] = n * n / nonzeros
         if not residual[item] <= tolerance:
-            condense(M, k, real, whole, matrix, unknowns, cones)
+            condense(M, k, real, whole, matrix, unknowns, contacts)
             work[item, ROUND] += solve_contacts(real, whole, matrix, n, unknowns, not is_cold) / nonzeros
             made[item, ROUND] = 1
             size = moved(M, k, real, FOUND, False)

@@ -1,6 +1,6 @@
 """Rounds for contacts: sweeps guess which of them open, stick and slip, and rounds solve for that.
 
-Of a problem that :mod:`.friction_pyramids` has read, the unknowns are x = (p, f), less than half of the rows:
+Of a problem that :mod:`.friction_pyramids` has read, the unknowns are x = (p, f), half of the rows:
 
     p ⊥ u ≥ 0,    f = the point of Σ|f| ≤ μ p next to f − ρ v,    λ = max |v|,
 

@@ -1,0 +1,37 @@
+"""Complementarity over cones, and contact with friction as it is; here, what takes these kinds.
+
+`data` states the problems and checks them, `certificate` judges an answer, `methods` has the iterations and `kernels`
+their loops, `infeasibility` proves that there is no answer, `solving` chains them, `derivative` differentiates an
+answer, `files` reads and writes.
+"""
+
+from ...core.kind import Kind
+
+_REFUSED: dict[str, str] = {
+    "x0=": "a start is called z0 here",
+    "tolerance_on=": "nothing bounds the error over cones; result.certificate has the residuals",
+    "error_bound=": "nothing bounds the error over cones; result.certificate has the residuals",
+    "solve_many": "write [solve(problem.with_q(q)) for q in …]",
+    "prepare": "what depends on M alone is kept with the problem: problem.with_q(q) shares it",
+    "march": "write solve(problem.with_q(q), z0=result.z) for each step",
+    "march_many": "write solve(problem.with_q(q), z0=result.z) for each step",
+    "Certificate.of": "solve(problem, z0=z, max_iterations=0).certificate is that of z",
+    "error_bound": "nothing bounds the error over cones; result.certificate has the residuals",
+    "certify": "solve(problem, z0=z, max_iterations=0).certificate has the residuals of any z",
+    "lcp-plugin check": "lcp-plugin solve judges it",
+    "lcp-plugin certify": "lcp-plugin solve judges it",
+    "lcp-plugin analyze": "lcp-plugin solve takes it",
+    "lcp-plugin study": "lcp-plugin solve takes it",
+    "lcp-plugin report": "lcp-plugin solve takes it",
+}
+
+
+def _kind(name: str, word: str, *ways: str, **instead: str) -> Kind:
+    return Kind(
+        name, word, ("solve", "solve_batch", "derivative", "save", "pickle", "lcp-plugin solve", *ways),
+        "solve(problem) solves it", {**_REFUSED, **instead},
+    )
+
+
+CONE_PROBLEM = _kind("complementarity problem over cones", "ConeProblem")
+FRICTIONAL_CONTACT = _kind("contact problem with friction", "FrictionalContact")

@@ -1,0 +1,455 @@
+"""Complementarity over cones, and contact with friction as it is: the data, checked.
+
+K ∋ z ⟂ w ∈ K*, w = M z + q, K a product of blocks: one row between bounds (free, nonnegative, a box), or several rows
+in a cone {‖z_T‖ ≤ μ z_N}, whose dual is {w_N ≥ μ‖w_T‖}. Contact with friction is that with û = w + μ‖w_T‖ e_N for w
+(De Saxcé): Coulomb's law, impulses r for z, velocities u for w.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from os import PathLike
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.checks import FloatVector, checked_vector, is_number, read_only, real_array, rectangular_matrix
+from ...core.deadline import Lock
+from ...core.errors import InvalidProblem, did_you_mean
+from ...core.kind import Kind
+from ...core.lcp import LCP
+from ..contact import Bodies, contact_data
+from . import CONE_PROBLEM, FRICTIONAL_CONTACT
+
+CONES = ("free", "nonnegative", "box", "second_order")
+NEARLY_SYMMETRIC = 1e-2  # of the largest entry: contact data are written with few digits, and differ by up to 2.5e-3
+NEED_CONES = (
+    'cones must be a sequence of ("free", rows), ("nonnegative", rows), ("box", lower, upper) and '
+    '("second_order", rows)'
+)
+Starts = NDArray[np.int64]
+
+
+class Blocks:
+    """What both problems are made of: M, q, and the blocks of rows.
+
+    Attributes
+    ----------
+    rows : LCP
+        M and q with the bounds of the rows that are no cone's, and none for the others.
+    starts : array of int, shape (k + 1,)
+        Block i has the rows starts[i] … starts[i + 1] − 1; one row is no cone.
+    slope : ndarray, shape (k,)
+        μ of the cones; 0 elsewhere.
+    has_friction : bool
+        Whether the slack of a cone is û.
+    """
+
+    origin: Any = None
+    criterion: None = None  # no program is behind it
+    is_distributed = False
+
+    def __init__(self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: bool) -> None:
+        self.rows, self.starts, self.slope, self.has_friction = rows, read_only(starts), read_only(slope), has_friction
+        self._facts: dict[Any, Any] = {}  # of M alone: problems that differ in q share them
+        self._lock = Lock()
+
+    @property
+    def n(self) -> int:
+        """The number of unknowns."""
+        return self.rows.n
+
+    own = n
+
+    @property
+    def q(self) -> FloatVector:
+        """The offset, shape (n,)."""
+        return self.rows.q
+
+    @property
+    def lower(self) -> FloatVector:
+        """Lower bounds, shape (n,): −∞ in cones."""
+        return self.rows.lower
+
+    @property
+    def upper(self) -> FloatVector:
+        """Upper bounds, shape (n,): ∞ in cones."""
+        return self.rows.upper
+
+    @property
+    def communicator(self) -> Any:
+        """That of one process."""
+        return self.rows.communicator
+
+    @property
+    def nonzeros(self) -> int:
+        """How many entries the matrix has."""
+        return self.rows.nonzeros
+
+    @property
+    def nearest_to_zero(self) -> FloatVector:
+        """The point of K nearest to 0, shape (n,)."""
+        return self.rows.nearest_to_zero
+
+    def slack(self, z: ArrayLike) -> FloatVector:
+        """Return w = M z + q, shape (n,): velocities, of impulses."""
+        return self.rows.slack(z)
+
+    @cached_property
+    def sizes(self) -> Starts:
+        """Rows of each block, shape (k,)."""
+        return np.diff(self.starts)
+
+    @cached_property
+    def block_of_row(self) -> Starts:
+        """The block of each row, shape (n,)."""
+        return np.repeat(np.arange(self.slope.size), self.sizes)
+
+    def norms(self, values: FloatVector) -> FloatVector:
+        """Return the Euclidean norm of each block, rounded upwards, shape (k,)."""
+        with np.errstate(all="ignore"):
+            largest = np.maximum.reduceat(np.abs(values), self.starts[:-1]) if values.size else np.zeros(0)
+            shares = values / np.where(largest > 0.0, largest, 1.0)[self.block_of_row]
+            sums = np.add.reduceat(shares**2, self.starts[:-1]) if values.size else np.zeros(0)
+            norms: FloatVector = np.where(
+                (self.sizes > 1) & (largest < np.inf), largest * np.sqrt(sums) * (1.0 + self.sizes * 2.0**-51), largest
+            )
+        return norms
+
+    @cached_property
+    def block_norms(self) -> LCP:
+        """The problem of norms by which units, parts and scales are those of an LCP, shape (k, k).
+
+        Its entries are the Frobenius norms of the blocks of M, on the diagonal the means of theirs, and it has no
+        bounds.
+        """
+        M, of_row, k = sp.coo_array(self.rows.csr), self.block_of_row, self.slope.size
+        with np.errstate(all="ignore"):
+            places = of_row[M.row] * k + of_row[M.col]
+            pairs, where = np.unique(places, return_inverse=True)
+            largest = np.zeros(pairs.size)
+            np.maximum.at(largest, where, np.abs(M.data))
+            squares = np.bincount(where, weights=(M.data / largest[where]) ** 2, minlength=pairs.size)
+            norms = np.minimum(largest * np.sqrt(squares), np.finfo(np.float64).max)
+            left = pairs // k != pairs % k
+            means = np.add.reduceat(self.rows.diagonal / self.sizes[of_row], self.starts[:-1]) if k else np.zeros(0)
+        rows, columns = (np.concatenate([side[left], np.arange(k)]) for side in (pairs // k, pairs % k))
+        B = sp.csr_array((np.concatenate([norms[left], means]), (rows, columns)), shape=(k, k))
+        with np.errstate(all="ignore"):
+            sizes = np.minimum(self.norms(self.q), np.finfo(np.float64).max)
+        return LCP(B, sizes, lower=-np.inf, upper=np.inf)
+
+    @property
+    def scale(self) -> FloatVector:
+        """What w is divided by in the residual of each block, in the caller's units, shape (k,)."""
+        return self.block_norms.residual_scale
+
+    def residual(
+        self, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
+    ) -> tuple[FloatVector, NDArray[np.int64]]:
+        """Return R = z − P_K(z − ŵ/d), shape (n,), and the case of each block, shape (k,): 0 out, 1 within, 2 on K."""
+        from .kernels import residuals
+
+        found, cases = np.empty(self.n), np.empty(self.slope.size, np.int64)
+        residuals(*self.arrays, z, w, self.scale if scale is None else scale, found, cases)
+        return found, cases
+
+    @property
+    def arrays(self) -> tuple[Any, ...]:
+        """What kernels need to know of the blocks."""
+        return self.starts, self.slope, float(self.has_friction), self.lower, self.upper
+
+    def projected(self, z: FloatVector) -> FloatVector:
+        """Return the point of K nearest to z, shape (n,)."""
+        return z - self.residual(z, np.zeros(self.n))[0]
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the problem to a ``.npz`` file, which ``load_problem(path)`` and ``lcp-plugin solve`` read.
+
+        Raises
+        ------
+        UnreadableFile
+            Where it cannot be written, or is called otherwise.
+        """
+        from ...interfaces.files.files import save_arrays
+
+        M = self.rows.csr
+        matrix = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
+        save_arrays(path, {**matrix, "q": self.q, **self._shape()}, "a problem over cones")
+
+    def _shape(self) -> dict[str, Any]:
+        """Return the arrays that say which blocks there are, as a file keeps them."""
+        raise NotImplementedError
+
+    def __getstate__(self) -> dict[str, Any]:
+        computed = ("block_norms", "_criterion", "_facts", "_lock", "sizes", "block_of_row")
+        return {name: value for name, value in self.__dict__.items() if name not in computed}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _facts={}, _lock=Lock())
+
+    def _words(self) -> str:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._words()}, {self.nonzeros} nonzeros)"
+
+
+class ConeProblem(Blocks):
+    """Find z in a product K of cones such that w = M z + q lies in the dual cone and is orthogonal to z.
+
+    Parameters
+    ----------
+    M : array or sparse array, shape (n, n)
+    q : array, shape (n,)
+    cones : sequence
+        The blocks of z in order: ``("free", rows)``, ``("nonnegative", rows)``, ``("box", lower, upper)`` with numbers
+        or vectors, ``("second_order", rows)`` for {‖z_T‖₂ ≤ z_0}, z_T the other rows.
+
+    Raises
+    ------
+    InvalidProblem
+        Where these state no such problem.
+
+    Examples
+    --------
+    The point of a cone nearest to (0, 2, 0):
+
+    >>> from lcp_plugin import solve
+    >>> result = solve(ConeProblem(np.eye(3), [0.0, -2.0, 0.0], [("second_order", 3)]))
+    >>> result.status.name, result.z.round(6), result.w.round(6)
+    ('SOLVED', array([1., 1., 0.]), array([ 1., -1.,  0.]))
+    """
+
+    problem_kind: ClassVar[Kind] = CONE_PROBLEM
+
+    def __init__(self, M: Any, q: ArrayLike, cones: Sequence[Any]) -> None:
+        rows = LCP(M, q)
+        sizes, lower, upper, self.cones = _blocks(cones, rows.n)
+        rows = rows.with_q(rows.q, lower=lower, upper=upper)
+        starts = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]).astype(np.int64)
+        super().__init__(rows, starts, np.where(np.asarray(sizes) > 1, 1.0, 0.0), has_friction=False)
+
+    @property
+    def M(self) -> Any:
+        """The matrix, as it is kept: dense or CSR."""
+        return self.rows.M
+
+    def with_q(self, q: ArrayLike) -> ConeProblem:
+        """Return the problem with another q, shape (n,); what depends on M alone is shared."""
+        other: ConeProblem = _with_q(self, q, "q")
+        return other
+
+    def _shape(self) -> dict[str, Any]:
+        kinds = [CONES.index(cone[0]) for cone in self.cones]
+        rows = [np.broadcast(*cone[1:]).size if cone[0] == "box" else int(cone[1]) for cone in self.cones]
+        return {
+            "cone_kinds": np.array(kinds, np.int64), "cone_rows": np.array(rows, np.int64),
+            "lower": self.lower, "upper": self.upper,
+        }
+
+    def _words(self) -> str:
+        return f"n={self.n}, {int((self.sizes > 1).sum())} second-order cones"
+
+
+class FrictionalContact(Blocks):
+    """Contacts with Coulomb friction as it is: impulses in the cones ‖r_T‖ ≤ μ r_N, velocities u = W r + b.
+
+    Of each contact: it is open (r = 0, u_N ≥ 0), or sticks (u = 0), or slides (u_N = 0, r_T of length μ r_N against
+    u_T). Nothing is approximated by pyramids.
+
+    Parameters
+    ----------
+    W : array or sparse array, shape (d k, d k), or three arrays (mass matrix, normals, tangents)
+        Velocities by impulses, d rows a contact: its normal, then its d − 1 tangents, d = 3 in space and 2 in the
+        plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data are written with few digits; it is
+        used as it is given. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`.
+    b : array, shape (d k,) or (k, d); or (v,) beside a mass matrix
+        Velocities without the impulses, in m/s; of the bodies beside a mass matrix.
+    friction : number or array, shape (k,)
+        Coefficients μ ≥ 0.
+    dimension : int, optional
+        d, where neither b nor `friction` tells it: 3 by default where the rows are a multiple of 3.
+
+    Raises
+    ------
+    InvalidProblem
+        For a W that is not symmetric, μ < 0, rows that are no multiple of d, numbers that are not finite.
+
+    Examples
+    --------
+    A block of 1 kg on the ground is pushed along (3, 4); friction is too weak to hold it:
+
+    >>> from lcp_plugin import solve
+    >>> result = solve(FrictionalContact(np.eye(3), [[-1.0, 3.0, 4.0]], 0.5))
+    >>> result.z.round(6), result.w.round(6), result.motion.sticks
+    (array([ 1. , -0.3, -0.4]), array([0. , 2.7, 3.6]), array([False]))
+    """
+
+    problem_kind: ClassVar[Kind] = FRICTIONAL_CONTACT
+    bodies: Bodies | None = None
+
+    def __init__(self, W: Any, b: ArrayLike, friction: ArrayLike, *, dimension: int | None = None) -> None:
+        bodies = None
+        if isinstance(W, tuple):
+            data = contact_data(W, friction, b)
+            W, b, friction, bodies = data.W, data.velocities, data.friction, data.bodies
+        need = "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
+        velocities = real_array(b, need)
+        if velocities.ndim not in (1, 2):
+            raise InvalidProblem(f"{need}, got shape {velocities.shape}")
+        if velocities.ndim == 2:
+            dimension = velocities.shape[1]
+        offset = checked_vector(velocities.ravel(), "b", None)
+        mu = real_array(friction, "friction must be a number, or an array of shape (k,): one a contact")
+        d = _dimension(dimension, mu, offset.size)
+        k = offset.size // d
+        if mu.shape not in ((), (k,)):
+            raise InvalidProblem(
+                f"friction must be a number, or an array of shape ({k},): one a contact of {d} rows, got {mu.shape}"
+            )
+        mu = np.broadcast_to(mu, (k,)).copy()
+        wrong = ~((mu >= 0.0) & (mu < np.inf))
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            raise InvalidProblem(
+                f"friction must be finite and not negative, but friction[{at}] = {mu[at]}; give μ ≥ 0, 0 for none"
+            )
+        W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
+        _require_symmetry(W)
+        rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
+        super().__init__(rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True)
+        self.dimension, self.bodies = d, bodies
+
+    @classmethod
+    def from_contacts(
+        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, *, gaps: ArrayLike | None = None,
+        time_step: float | None = None,
+    ) -> FrictionalContact:
+        """Return contacts as :meth:`lcp_plugin.LCP.from_contacts` takes them, with cones for pyramids.
+
+        Parameters
+        ----------
+        contacts, friction, velocities, gaps, time_step
+            As there, without `directions`.
+
+        Raises
+        ------
+        InvalidProblem
+            As there.
+        """
+        data = contact_data(contacts, friction, velocities, gaps=gaps, time_step=time_step)
+        if data.W.ndim != 2:
+            raise InvalidProblem("from_contacts makes one problem, got arrays of a batch; write one for each item")
+        b = np.array(data.velocities)
+        if data.gaps is not None and data.time_step is not None:
+            b[:, 0] += data.gaps / data.time_step
+        problem = cls(data.W, b, data.friction)
+        problem.bodies = data.bodies
+        return problem
+
+    @property
+    def W(self) -> Any:
+        """Velocities by impulses, as it is kept: dense or CSR."""
+        return self.rows.M
+
+    @property
+    def b(self) -> FloatVector:
+        """Velocities without impulses, shape (d k,)."""
+        return self.q
+
+    @property
+    def friction(self) -> FloatVector:
+        """Coefficients, shape (k,)."""
+        return self.slope
+
+    def with_q(self, b: ArrayLike) -> FrictionalContact:
+        """Return the problem with other velocities, shape (d k,); what depends on W alone is shared."""
+        other: FrictionalContact = _with_q(self, np.ravel(real_array(b, "b must be a vector")), "b")
+        return other
+
+    def _shape(self) -> dict[str, Any]:
+        return {"mu": self.friction}
+
+    def _words(self) -> str:
+        return f"{self.slope.size} contacts in {'space' if self.dimension == 3 else f'{self.dimension} dimensions'}"
+
+
+def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:
+    other = object.__new__(type(problem))
+    other.__dict__.update(problem.__dict__)
+    for computed in ("_criterion", "block_norms"):
+        other.__dict__.pop(computed, None)
+    offset = checked_vector(q, name, problem.n)
+    other.rows = problem.rows.with_q(offset, lower=problem.lower, upper=problem.upper)
+    norms = problem.block_norms
+    other.block_norms = norms.with_q(problem.norms(offset), lower=norms.lower, upper=norms.upper)
+    return other
+
+
+def _dimension(given: int | None, friction: FloatVector, rows: int) -> int:
+    """Return the rows of a contact."""
+    if given is None and friction.ndim == 1 and friction.size and rows % friction.size == 0:
+        given = rows // friction.size
+    d = 3 if given is None and rows % 3 == 0 else 2 if given is None else given
+    if isinstance(d, bool) or not isinstance(d, (int, np.integer)) or d not in (2, 3):
+        raise InvalidProblem(
+            f"a contact has 3 rows (normal, tangent, tangent), or 2 in the plane, got {d!r}: {rows} rows and "
+            f"{friction.size} coefficients of friction"
+        )
+    if rows % d:
+        raise InvalidProblem(f"{rows} rows are no multiple of {d}, the rows of a contact: normal, then tangents")
+    return int(d)
+
+
+def _require_symmetry(W: Any) -> None:
+    difference, largest = abs(W - W.T).max() if W.size else 0.0, abs(W).max() if W.size else 0.0
+    if difference > NEARLY_SYMMETRIC * largest:
+        raise InvalidProblem(
+            f"W must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
+            "J m⁻¹ Jᵀ with the same J on both sides? ConeProblem(M, q, cones) takes any M"
+        )
+
+
+def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tuple[Any, ...]]:
+    """Return the rows of each block, the bounds of the rows, and the cones as they were given."""
+    if isinstance(cones, (str, bytes)) or not isinstance(cones, Sequence):
+        raise InvalidProblem(f"{NEED_CONES}, got {cones!r}")
+    sizes: list[int] = []
+    lower, upper = [np.empty(0)], [np.empty(0)]
+    for number, cone in enumerate(cones):
+        kind = cone[0] if isinstance(cone, (tuple, list)) and cone else cone
+        if not isinstance(kind, str) or kind not in CONES:
+            raise InvalidProblem(f"cones[{number}] = {cone!r} is no cone{did_you_mean(kind, CONES)}; {NEED_CONES}")
+        if len(cone) != (3 if kind == "box" else 2):
+            raise InvalidProblem(
+                f"cones[{number}] = {cone!r} has {len(cone) - 1} numbers behind its name; {NEED_CONES}"
+            )
+        if kind == "box":
+            try:
+                low, high = np.broadcast_arrays(
+                    *(np.atleast_1d(real_array(bound, f"bounds of cones[{number}] must be real")) for bound in cone[1:])
+                )
+            except ValueError as error:
+                raise InvalidProblem(f"lower and upper of cones[{number}] have different lengths: {error}") from error
+            rows = low.size
+        else:
+            rows = cone[1]
+            if not is_number(rows) or rows != int(rows) or rows < 0:
+                raise InvalidProblem(f"cones[{number}] = {cone!r} must name a whole number of rows ≥ 0; {NEED_CONES}")
+            rows = int(rows)
+            is_half = kind == "nonnegative" or (kind == "second_order" and rows == 1)
+            low, high = np.full(rows, 0.0 if is_half else -np.inf), np.full(rows, np.inf)
+        sizes += [rows] if kind == "second_order" and rows > 1 else [1] * rows
+        lower.append(low)
+        upper.append(high)
+    total = sum(sizes)
+    if total != n:
+        raise InvalidProblem(
+            f"the cones have {total} rows and M has {n}: "
+            f"{'too few' if total < n else 'too many'}; {NEED_CONES}, one after the other"
+        )
+    return sizes, np.concatenate(lower), np.concatenate(upper), tuple(tuple(cone) for cone in cones)

@@ -1,0 +1,164 @@
+"""The derivative of an answer over cones by q, M and friction, by the equation R(z; M, q, μ) = 0 of the natural map.
+
+R_z dz + R_w (M dz + dM z + dq) + R_μ dμ = 0, with the generalised derivatives that Newton's steps use. Where M leaves
+the blocks that press undetermined (several impulses make one motion), dz is the least of several, and of velocities
+that all of them share the derivative is that of all.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.checks import FloatVector, checked_vector, rectangular_matrix
+from ...core.errors import InvalidOption, UnsuitableProblem
+from ...core.matrix.matrix import Matrix
+from ...systems.free_systems import FreeSystem
+from .certificate import weighted
+from .data import Blocks
+from .methods import NewtonSystem
+
+REFINEMENTS = 5  # steps of Newton towards the answer before it is differentiated
+ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
+
+
+class ConeGradient(NamedTuple):
+    """What a function of z has for gradients: by q, shape (n,), by M on its pattern, by friction, shape (k,)."""
+
+    q: FloatVector
+    M: sp.csr_array
+    friction: FloatVector
+
+
+class ConeDerivative:
+    """The derivative of z by the data, at one answer.
+
+    Parameters
+    ----------
+    problem : ConeProblem or FrictionalContact
+    z : array, shape (n,)
+        Its answer, which is refined first.
+    """
+
+    def __init__(self, problem: Blocks, z: FloatVector) -> None:
+        self.problem, self._system = problem, NewtonSystem(problem)
+        self.z = self._refined(np.array(z))
+        self.w = problem.slack(self.z)
+        self._J, self.free = self._system.rows(self.z, self.w, 0.0)
+
+    def _refined(self, z: FloatVector) -> FloatVector:
+        problem = self.problem
+        R = problem.residual(z, problem.slack(z))[0]
+        for _ in range(REFINEMENTS):
+            _, step = self._system.step(z, problem.slack(z), R, 0.0)
+            if step is None:
+                break
+            new = problem.residual(z + step, problem.slack(z + step))[0]
+            if not weighted(problem, new).max(initial=0.0) < weighted(problem, R).max(initial=0.0):
+                break
+            z, R = z + step, new
+        return z
+
+    @cached_property
+    def _block(self) -> FreeSystem:
+        return FreeSystem(Matrix(self._J), np.ones(self.free.size, np.bool_), by_factor=True)
+
+    @property
+    def is_unique(self) -> bool | None:
+        """False where blocks are degenerate or several z answer the problem; else None: nothing is proved."""
+        return False if self.degenerate.size or self._block.is_singular else None
+
+    @cached_property
+    def degenerate(self) -> NDArray[np.intp]:
+        """The blocks on the edge of two cases, as far as rounding tells: there the derivative is one of several."""
+        problem = self.problem
+        shift = ON_THE_EDGE * problem.norms(np.abs(self.z) + np.abs(self.w) / problem.scale[problem.block_of_row])
+        cases = problem.residual(self.z, self.w)[1]
+        differs = np.zeros(cases.size, np.bool_)
+        for sign in (-1.0, 1.0):
+            moved = self.z.copy()
+            moved[problem.starts[:-1]] += sign * shift
+            differs |= problem.residual(moved, self.w)[1] != cases
+        return np.flatnonzero(differs)
+
+    def jvp(
+        self, *, dq: ArrayLike | None = None, dM: Any = None, dfriction: ArrayLike | None = None
+    ) -> FloatVector:
+        """Return the change dz, shape (n,), that changes of the data make.
+
+        Parameters
+        ----------
+        dq : array, shape (n,), optional
+            db of contacts.
+        dM : array, shape (n, n), optional
+            dW of contacts.
+        dfriction : array, shape (k,), optional
+        """
+        problem, n = self.problem, self.problem.n
+        right = np.zeros(n)
+        moved = np.zeros(n) if dq is None else np.array(checked_vector(dq, "dq", n))
+        if dM is not None:
+            moved = moved + rectangular_matrix(dM, "dM", n, n) @ self.z
+        right -= self._system.times(moved)
+        if dfriction is not None:
+            slopes = checked_vector(dfriction, "dfriction", problem.slope.size)
+            right -= self._by_friction * slopes[problem.block_of_row]
+        dz = np.where(self._is_free, 0.0, right)  # where a block is open, or a row at its bound
+        dz[self.free] = self._solved(right[self.free])
+        return dz
+
+    def vjp(self, g: ArrayLike) -> ConeGradient:
+        """Return the gradients of a function of z that has the gradient g, shape (n,), by z."""
+        problem, n = self.problem, self.problem.n
+        g = checked_vector(g, "g", n)
+        y = np.zeros(n)
+        y[self.free] = self._solved(g[self.free], transposed=True)
+        by_q = -self._system.times(y, transposed=True)
+        M = problem.rows.csr
+        rows = np.repeat(np.arange(n), np.diff(M.indptr))
+        by_M = sp.csr_array((by_q[rows] * self.z[M.indices], M.indices, M.indptr), shape=M.shape)
+        by_friction = -np.add.reduceat(self._by_friction * y, problem.starts[:-1]) if n else np.zeros(0)
+        return ConeGradient(by_q, by_M, by_friction)
+
+    @property
+    def _is_free(self) -> Any:
+        is_free = np.zeros(self.problem.n, np.bool_)
+        is_free[self.free] = True
+        return is_free
+
+    @cached_property
+    def _by_friction(self) -> FloatVector:
+        """R_μ, shape (n,), of blocks on the boundary of their cones."""
+        problem, found = self.problem, np.zeros(self.problem.n)
+        if not problem.has_friction:
+            raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has dq and dM")
+        x = self.z - self.w / problem.scale[problem.block_of_row]
+        for k in np.flatnonzero(problem.residual(self.z, self.w)[1] == 2):
+            own, mu = slice(problem.starts[k], problem.starts[k + 1]), problem.slope[k]
+            slip = float(np.linalg.norm(self.w[own][1:]))
+            normal, tangent = x[own][0] - mu * slip / problem.scale[k], float(np.linalg.norm(x[own][1:]))
+            radius = (normal + mu * tangent) / (1.0 + mu * mu)
+            change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
+            found[own] = slip * self._system.by_w[k, :problem.sizes[k], 0]
+            found[own.start] -= change
+            found[own.start + 1:own.stop] -= (radius + mu * change) * x[own][1:] / tangent
+        return found
+
+    def _solved(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:
+        if not right.size:
+            return right
+        x = self._block.solve(right, transposed=transposed)
+        if x is not None:
+            return x
+        inverse = self._block.pseudo_inverse
+        if inverse is None:
+            raise UnsuitableProblem(
+                "several answers share the same motion, and their system is too large for a pseudo-inverse (500 rows): "
+                "state fewer contacts, or add a small compliance to the diagonal of W"
+            )
+        least: FloatVector = (inverse.T if transposed else inverse) @ right
+        return least

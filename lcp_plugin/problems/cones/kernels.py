@@ -1,0 +1,249 @@
+"""Compiled loops over blocks: projections, residuals, their derivatives, sweeps of block Gauss–Seidel.
+
+Block k has the rows starts[k] … starts[k + 1] − 1. One row is a number between bounds; several are a point of the cone
+K = {‖x_T‖ ≤ μ x_N}, x_N the first of them, μ = slope[k]. With `friction` 1 the slack of a cone is û = w + μ‖w_T‖ e_N
+(De Saxcé), with 0 it is w.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.kernels.compilation import compiled, compiled_part
+
+OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: at the apex or a bound, inside, on the boundary
+LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for one block
+TURN = 0.5  # radians a step of Newton turns at the most
+ACCURATE = 1e-14
+
+
+@compiled_part
+def _tangent(x, first, end):  # type: ignore[no-untyped-def]
+    """Return ‖x_T‖ of a block, without overflow."""
+    largest = 0.0
+    for i in range(first + 1, end):
+        largest = max(largest, abs(x[i]))
+    if largest == 0.0 or not largest < np.inf:
+        return largest
+    total = 0.0
+    for i in range(first + 1, end):
+        total += (x[i] / largest) ** 2
+    return largest * np.sqrt(total)
+
+
+@compiled_part
+def _project(x, first, end, mu):  # type: ignore[no-untyped-def]
+    """Overwrite a block of x with its projection on the cone; return where that lies."""
+    normal, tangent = x[first], _tangent(x, first, end)
+    if tangent <= mu * normal:
+        return WITHIN
+    if mu * tangent <= -normal:
+        x[first:end] = 0.0
+        return OUT
+    on_axis = (normal + mu * tangent) / (1.0 + mu * mu)
+    x[first] = on_axis
+    for i in range(first + 1, end):
+        x[i] *= mu * on_axis / tangent
+    return ON
+
+
+@compiled
+def residuals(starts, slope, friction, lower, upper, z, w, scale, found, cases):  # type: ignore[no-untyped-def]
+    """Write R = z − P(z − ŵ / scale) block by block into `found`, and into `cases` where the projections lie."""
+    for k in range(slope.size):
+        first, end = starts[k], starts[k + 1]
+        if end - first == 1:
+            step = w[first] / scale[k]
+            below, above = z[first] - upper[first], z[first] - lower[first]
+            found[first] = min(max(step, below), above)
+            cases[k] = WITHIN if below < step < above else OUT
+            continue
+        for i in range(first, end):
+            found[i] = z[i] - w[i] / scale[k]
+        if friction:
+            found[first] -= slope[k] * _tangent(w, first, end) / scale[k]
+        cases[k] = _project(found, first, end, slope[k])
+        for i in range(first, end):
+            found[i] = z[i] - found[i]
+
+
+@compiled
+def derivatives(starts, slope, friction, lower, upper, z, w, scale, by_z, by_w):  # type: ignore[no-untyped-def]
+    """Write an element of the generalised derivative of R by z and by w, blocks of shape (k, m, m)."""
+    m = by_z.shape[1]
+    x, way = np.empty(m), np.empty(m)
+    for k in range(slope.size):
+        first, end = starts[k], starts[k + 1]
+        size, mu = end - first, slope[k]
+        by_z[k], by_w[k] = 0.0, 0.0
+        if size == 1:
+            step = w[first] / scale[k]
+            is_free = z[first] - upper[first] < step < z[first] - lower[first]
+            by_z[k, 0, 0], by_w[k, 0, 0] = (0.0, 1.0 / scale[k]) if is_free else (1.0, 0.0)
+            continue
+        slip = _tangent(w, first, end)
+        for i in range(size):
+            x[i] = z[first + i] - w[first + i] / scale[k]
+            by_z[k, i, i] = 1.0
+        if friction:
+            x[0] -= mu * slip / scale[k]
+        tangent = _tangent(x, 0, size)
+        if mu * tangent <= -x[0] and not tangent <= mu * x[0]:
+            continue
+        if tangent <= mu * x[0]:
+            for i in range(size):
+                by_z[k, i, i], by_w[k, i, i] = 0.0, 1.0 / scale[k]
+        else:
+            share = 1.0 / (1.0 + mu * mu)
+            radius = mu * (x[0] + mu * tangent) * share
+            for i in range(1, size):
+                way[i] = x[i] / tangent
+            by_w[k, 0, 0] = share / scale[k]
+            for i in range(1, size):
+                by_w[k, 0, i] = by_w[k, i, 0] = mu * share * way[i] / scale[k]
+                for j in range(1, size):
+                    outer = (mu * mu * share - radius / tangent) * way[i] * way[j]
+                    by_w[k, i, j] = (outer + (radius / tangent if i == j else 0.0)) / scale[k]
+            for i in range(size):
+                for j in range(size):
+                    by_z[k, i, j] -= scale[k] * by_w[k, i, j]
+        if friction and slip > 0.0:  # ŵ_N depends on w_T
+            for i in range(size):
+                for j in range(1, size):
+                    by_w[k, i, j] += by_w[k, i, 0] * mu * w[first + j] / slip
+
+
+@compiled
+def newton_rows(starts, by_z, by_w, indptr, indices, data, proximal, found):  # type: ignore[no-untyped-def]
+    """Write the entries of by_z + by_w (M + diag(proximal)) into `found`; rows of a block have one pattern."""
+    for k in range(starts.size - 1):
+        first, end = starts[k], starts[k + 1]
+        size, length = end - first, indptr[first + 1] - indptr[first]
+        for place in range(length):
+            column = indices[indptr[first] + place]
+            for i in range(size):
+                total = 0.0
+                for j in range(size):
+                    total += by_w[k, i, j] * data[indptr[first + j] + place]
+                if first <= column < end:
+                    total += by_z[k, i, column - first] + by_w[k, i, column - first] * proximal[k]
+                found[indptr[first + i] + place] = total
+
+
+@compiled_part
+def _solve_three(A, b, x):  # type: ignore[no-untyped-def]
+    """Write the x of A x + b = 0 by Cramer's rule; return whether there is one."""
+    a = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    c = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
+    e = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    det = A[0, 0] * a + A[0, 1] * c + A[0, 2] * e
+    if not abs(det) > ACCURATE * abs(A[0, 0]) * max(abs(A[1, 1] * A[2, 2]), abs(A[1, 2] * A[2, 1])):
+        return False
+    det = -det
+    x[0] = (b[0] * a + A[0, 1] * (A[1, 2] * b[2] - b[1] * A[2, 2]) + A[0, 2] * (b[1] * A[2, 1] - A[1, 1] * b[2])) / det
+    x[1] = (A[0, 0] * (b[1] * A[2, 2] - A[1, 2] * b[2]) + b[0] * c + A[0, 2] * (A[1, 0] * b[2] - b[1] * A[2, 0])) / det
+    x[2] = (A[0, 0] * (A[1, 1] * b[2] - b[1] * A[2, 1]) + A[0, 1] * (b[1] * A[2, 0] - A[1, 0] * b[2]) + b[0] * e) / det
+    return True
+
+
+@compiled_part
+def _one_contact(A, b, mu, x):  # type: ignore[no-untyped-def]
+    """Write the impulse of one contact in space with velocities A x + b over x; return whether it was found.
+
+    It opens where b_N ≥ 0, sticks where −A⁻¹b lies in the cone. Else it slides: along the angle θ of the impulse x_N is
+    −b_N / (A_NN + μ A_NT d(θ)), and θ is where the velocity across d vanishes, which Newton's method finds.
+    """
+    if b[0] >= 0.0:
+        x[:] = 0.0
+        return True
+    was_x, was_y = x[1], x[2]
+    if _solve_three(A, b, x) and x[1] * x[1] + x[2] * x[2] <= mu * mu * x[0] * x[0] and x[0] >= 0.0:
+        return True
+    if mu == 0.0:
+        x[0], x[1], x[2] = -b[0] / A[0, 0], 0.0, 0.0
+        return A[0, 0] > 0.0
+    if was_x == 0.0 and was_y == 0.0:
+        was_x, was_y = -b[1], -b[2]
+    angle, size = np.arctan2(was_y, was_x), abs(b[0]) + abs(b[1]) + abs(b[2])
+    for _ in range(LOCAL_STEPS):
+        c, s = np.cos(angle), np.sin(angle)
+        push = A[0, 0] + mu * (A[0, 1] * c + A[0, 2] * s)
+        if not push > 0.0:
+            return False
+        x[0] = -b[0] / push
+        change = -x[0] / push * mu * (A[0, 2] * c - A[0, 1] * s)
+        row_x, row_y = A[1, 0] + mu * (A[1, 1] * c + A[1, 2] * s), A[2, 0] + mu * (A[2, 1] * c + A[2, 2] * s)
+        u, v = row_x * x[0] + b[1], row_y * x[0] + b[2]
+        du = row_x * change + mu * x[0] * (A[1, 2] * c - A[1, 1] * s)
+        dv = row_y * change + mu * x[0] * (A[2, 2] * c - A[2, 1] * s)
+        across, along = c * v - s * u, c * u + s * v
+        slope = c * dv - s * du - along
+        x[1], x[2] = mu * x[0] * c, mu * x[0] * s
+        if abs(across) <= ACCURATE * size and along <= 0.0:
+            return True
+        if slope > 0.0:
+            angle -= max(-TURN, min(TURN, across / slope))
+        else:
+            angle += 1.0 if across < 0.0 else -1.0
+    return False
+
+
+@compiled_part
+def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-untyped-def]
+    """Take x nearer to the answer of one block by x ← P(x − step · ŵ), w = A x + b."""
+    for _ in range(LOCAL_STEPS):
+        change, length = 0.0, 0.0
+        for i in range(size):
+            w[i] = b[i]
+            for j in range(size):
+                w[i] += A[i, j] * x[j]
+        if friction:
+            w[0] += mu * _tangent(w, 0, size)
+        for i in range(size):
+            w[i], x[i] = x[i], x[i] - step * w[i]
+        _project(x, 0, size, mu)
+        for i in range(size):
+            change, length = max(change, abs(x[i] - w[i])), max(length, abs(x[i]))
+        if change <= ACCURATE * length:
+            return
+
+
+@compiled
+def sweep(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, sweeps
+):
+    """Take sweeps of block Gauss–Seidel on z; return the largest change of the last one, in the unit of z.
+
+    Each block is solved with the others as they are: a contact in space exactly, another cone by a few projections of
+    the step steps[k] = 1/‖M_kk‖. `diagonal` has the blocks M_kk, shape (k, m, m).
+    """
+    m = diagonal.shape[1]
+    b, x, w, before, moved = np.empty(m), np.empty(m), np.empty(m), np.empty(m), 0.0
+    for _ in range(sweeps):
+        moved = 0.0
+        for k in range(slope.size):
+            first, end = starts[k], starts[k + 1]
+            size, mu, A = end - first, slope[k], diagonal[k]
+            for i in range(size):
+                total = q[first + i]
+                for p in range(indptr[first + i], indptr[first + i + 1]):
+                    total += data[p] * z[indices[p]]
+                for j in range(size):
+                    total -= A[i, j] * z[first + j]
+                b[i] = total
+            if size == 1:
+                if A[0, 0] > 0.0:
+                    new = min(max(-b[0] / A[0, 0], lower[first]), upper[first])
+                    moved = max(moved, abs(new - z[first]))
+                    z[first] = new
+                continue
+            for i in range(size):
+                x[i] = before[i] = z[first + i]
+            if not (friction and size == 3 and _one_contact(A, b, mu, x)):
+                for i in range(size):
+                    x[i] = before[i]
+                _by_projections(A, b, mu, friction, steps[k], size, x, w)
+            for i in range(size):
+                moved = max(moved, abs(x[i] - before[i]))
+                z[first + i] = x[i]
+    return moved

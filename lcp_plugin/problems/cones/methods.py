@@ -1,0 +1,327 @@
+"""Methods for complementarity over cones: block Gauss–Seidel, semismooth Newton, a fixed point over convex programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.algorithm import Algorithm, Step, check_positive
+from ...core.checks import FloatVector
+from ...core.errors import InvalidOption, UnsuitableProblem
+from ...core.matrix.matrix import fact
+from ...systems.factors import factor_fits, factorise
+from .certificate import relative_residual, weighted
+from .data import Blocks
+
+MEMORY = 5  # residuals that a step of Newton may rise to the largest of
+SHORTEST = 14  # halvings of a step
+DECREASE = 1e-4  # of the residual, times the length of the step
+PATIENCE = 60  # steps of Newton without a new best
+PROGRAMS, GAIN = 5, 0.9  # convex programs without a residual that is so much smaller than the best before
+LEAST_PROXIMAL = 1e-12
+SPREAD = 0.3
+ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
+HARDER = 100.0  # times the proximal term where a system is singular
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConeAlgorithm(Algorithm):
+    """A method whose problem has blocks."""
+
+    is_for_cones: ClassVar[bool] = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class NPGS(ConeAlgorithm):
+    """Nonsmooth block projected Gauss–Seidel: each block in turn is solved with the others as they are.
+
+    A contact in space is solved exactly (open, stick, or the angle of sliding), any other cone by projections.
+
+    Parameters
+    ----------
+    sweeps : int
+        Sweeps a step.
+    """
+
+    name = "npgs"
+    assumption = "blocks on the diagonal that are positive definite"
+    converges_on = "cones without friction, M symmetric positive definite (descent by blocks); else observed"
+    cost = "one product with M a sweep"
+    reference = "Jourdan, Alart, Jean 1998, doi:10.1016/S0045-7825(97)00137-1"
+    is_monotone = False
+    is_watched = True
+
+    sweeps: int = 10
+
+    def __post_init__(self) -> None:
+        if isinstance(self.sweeps, bool) or not isinstance(self.sweeps, int) or self.sweeps < 1:
+            raise InvalidOption(f"npgs: sweeps must be a whole number ≥ 1, got {self.sweeps!r}")
+
+    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then a step every few sweeps."""
+        from .kernels import sweep
+
+        z, M = z0, problem.rows.csr
+        diagonal, steps = diagonal_blocks(problem)
+        yield Step(z, residual=relative_residual(problem, z))
+        while True:
+            moved = sweep(*problem.arrays, M.indptr, M.indices, M.data, problem.q, diagonal, steps, z, self.sweeps)
+            yield Step(z, residual=relative_residual(problem, z), increment=float(moved), work=self.sweeps + 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Newton(ConeAlgorithm):
+    """Semismooth Newton on the natural map R(z) = z − P(z − ŵ/d), with a nonmonotone line search on ‖R‖₂.
+
+    A step solves (R_z + R_w (M + ε D)) s = −R, D = diag(d): the proximal ε keeps the system regular where several
+    impulses make the same motion, and falls with the residual. Open contacts, and rows at bounds, leave the system.
+
+    Parameters
+    ----------
+    proximal : float
+        ε at the most; a tenth of the relative residual later on.
+    seed : int
+        With one > 0 the start is moved at random, by SPREAD times the mean of its |z_i|: the same for the same seed.
+    """
+
+    name = "newton"
+    assumption = "a factor that fits"
+    converges_on = "locally, where the generalised derivatives are regular"
+    cost = "one factor of the blocks that are not open"
+    reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
+    is_monotone = False
+
+    proximal: float = 1e-3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_positive(self, "proximal")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise InvalidOption(f"newton: seed must be a whole number ≥ 0, got {self.seed!r}")
+
+    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then a step a system; end where none gains any more."""
+        system, z = NewtonSystem(problem), z0
+        if self.seed:
+            spread = SPREAD * float(np.abs(z).mean())
+            z = problem.projected(z + spread * np.random.default_rng(self.seed).standard_normal(z.size))
+        w = problem.slack(z)
+        R = problem.residual(z, w)[0]
+        shares = weighted(problem, R)
+        size = float(np.linalg.norm(shares))
+        sizes, best, since = [size], size, 0
+        yield Step(z, residual=float(shares.max(initial=0.0)))
+        while since < PATIENCE and math.isfinite(size):
+            work, step = system.step(z, w, R, min(self.proximal, 0.1 * float(shares.max(initial=0.0))))
+            if step is None:
+                return
+            length, allowed = 1.0, max(sizes[-MEMORY:])
+            for _ in range(SHORTEST):
+                new = z + length * step
+                w = problem.slack(new)
+                R = problem.residual(new, w)[0]
+                shares = weighted(problem, R)
+                size = float(np.linalg.norm(shares))
+                work += 1.0
+                if size <= (1.0 - DECREASE * length) * allowed:
+                    break
+                length *= 0.5
+            z = new
+            sizes.append(size)
+            best, since = (size, 0) if size < best else (best, since + 1)
+            yield Step(z, residual=float(shares.max(initial=0.0)), work=work)
+
+
+class NewtonSystem:
+    """The systems of Newton's steps on one matrix."""
+
+    def __init__(self, problem: Blocks) -> None:
+        self.problem, self.M = problem, closed_matrix(problem)
+        m, k = int(problem.sizes.max(initial=1)), problem.slope.size
+        self.by_z, self.by_w = np.empty((k, m, m)), np.empty((k, m, m))
+        self.entries = np.empty(self.M.nnz)
+
+    def step(
+        self, z: FloatVector, w: FloatVector, R: FloatVector, proximal: float
+    ) -> tuple[float, FloatVector | None]:
+        """Return the work in products with M, and the step; None where every system is singular."""
+        problem, work, epsilon = self.problem, 1.0, max(proximal, LEAST_PROXIMAL)
+        while epsilon <= 1.0:
+            J, rows = self.rows(z, w, epsilon)
+            if not factor_fits(J):
+                return work, None
+            held = -R  # open blocks: z_k + s_k is the apex, or the bound
+            held[rows] = 0.0
+            by_held = self.times(self.M @ held) if held.any() else held
+            factor = factorise(J)
+            if factor is not None:
+                right = (-R - by_held)[rows]
+                found = factor.solve(right)
+                work += (factor.work + factor.solve_work) / max(problem.nonzeros, 1)
+                left = float(np.abs(right - J @ found).max(initial=0.0))
+                if left <= ACCURATE * float(np.abs(right).max(initial=0.0)):
+                    held[rows] = found
+                    return work, held
+            epsilon *= HARDER
+        return work, None
+
+    def rows(self, z: FloatVector, w: FloatVector, proximal: float) -> tuple[Any, Any]:
+        """Return R_z + R_w (M + ε D) of the rows that are not open, as CSR, and which these are."""
+        from .kernels import derivatives, newton_rows
+
+        problem, M = self.problem, self.M
+        derivatives(*problem.arrays, z, w, problem.scale, self.by_z, self.by_w)
+        is_free: Any = self.by_w.any(axis=(1, 2))
+        rows = np.flatnonzero(is_free[problem.block_of_row])
+        newton_rows(
+            problem.starts, self.by_z, self.by_w, M.indptr, M.indices, M.data, proximal * problem.scale, self.entries
+        )
+        return sp.csr_array((self.entries, M.indices, M.indptr), shape=M.shape)[rows][:, rows], rows
+
+    def times(self, v: FloatVector, *, transposed: bool = False) -> FloatVector:
+        """Return R_w v, or R_wᵀ v, at the point of the latest rows."""
+        problem, found = self.problem, np.zeros(v.size)
+        for i in range(self.by_w.shape[1]):
+            has_row = problem.sizes > i
+            for j in range(self.by_w.shape[1]):
+                both = has_row & (problem.sizes > j)
+                entries = self.by_w[both, j, i] if transposed else self.by_w[both, i, j]
+                found[problem.starts[:-1][both] + i] += entries * v[problem.starts[:-1][both] + j]
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedPoint(ConeAlgorithm):
+    """A fixed point over convex programs: with s = μ‖w_T‖ held, min ½ zᵀM z + (q + s e_N)ᵀz over K, then s anew.
+
+    Each program goes to Clarabel, an interior point on cones. Of an M that is not symmetric its symmetric part is
+    taken, and the rest of M z is held as s is. Without friction, and for symmetric M, one program is the answer.
+    """
+
+    name = "fixed_point"
+    assumption = "a symmetric part of M that is positive semidefinite"
+    converges_on = "cones without friction, M symmetric positive semidefinite"
+    cost = "one conic program, some ten to thirty factors"
+    reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
+    is_monotone = False
+
+    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then a step a program; end where five in a row gain nothing."""
+        engine = ConvexProgram(problem)
+        z, residual = z0, relative_residual(problem, z0)
+        best, since = residual, 0
+        yield Step(z, residual=residual)
+        while since < PROGRAMS and (found := engine.minimised(z)) is not None:
+            z, residual = found, relative_residual(problem, found)
+            best, since = (residual, 0) if residual < GAIN * best else (best, since + 1)
+            yield Step(z, residual=residual, work=20.0)
+            if engine.is_final:
+                return
+
+
+class ConvexProgram:
+    """The convex programs of one problem over cones, as Clarabel takes them."""
+
+    def __init__(self, problem: Blocks) -> None:
+        try:
+            import clarabel
+        except ImportError as error:  # pragma: no cover - cvxpy installs it
+            raise UnsuitableProblem("fixed_point needs Clarabel; install it with: pip install clarabel") from error
+        self.problem, self.clarabel = problem, clarabel
+        M = sp.csc_array(problem.rows.csr)
+        self.symmetric = sp.csc_array(0.5 * (M + M.T))
+        self.rest = sp.csr_array(M - self.symmetric)
+        rows, limits, cones = conic_rows(problem, clarabel)
+        self.rows, self.limits, self.cones = sp.csc_array(rows), limits, cones
+        self.upper_half = sp.csc_array(sp.triu(self.symmetric))
+
+    @property
+    def is_final(self) -> bool:
+        """Whether nothing is held: another program would be the same."""
+        return not (self.problem.has_friction or self.rest.count_nonzero())
+
+    def minimised(self, z: FloatVector) -> FloatVector | None:
+        """Return the minimiser where what depends on z is held; None where there is none."""
+        problem = self.problem
+        q = problem.q + self.rest @ z
+        if problem.has_friction:
+            w = problem.slack(z)
+            w[problem.starts[:-1]] = 0.0
+            q[problem.starts[:-1]] += problem.slope * problem.norms(w)
+        found = self.solve(self.upper_half, q, self.rows, self.limits, self.cones)
+        z = np.asarray(found.x)
+        return problem.projected(z) if z.size == problem.n and np.isfinite(z).all() else None
+
+    def solve(self, P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
+        """Return what Clarabel makes of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
+        settings = self.clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+        return self.clarabel.DefaultSolver(sp.csc_matrix(P), c, sp.csc_matrix(A), b, cones, settings).solve()
+
+
+def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[Any]]:
+    """Return A, b and cones such that z ∈ K says b − A z ∈ cones."""
+    rows: list[Any] = []
+    limits: list[FloatVector] = []
+    cones: list[Any] = []
+    identity = sp.eye_array(problem.n, format="csr")
+    single = np.flatnonzero(problem.sizes == 1)
+    single = problem.starts[:-1][single]
+    for sign, bound in ((-1.0, problem.lower), (1.0, problem.upper)):
+        has = single[np.isfinite(bound[single])]
+        if has.size:
+            rows.append(sign * identity[has])
+            limits.append(sign * bound[has])
+            cones.append(clarabel.NonnegativeConeT(has.size))
+    slopes = np.ones(problem.n)
+    slopes[problem.starts[:-1]] = np.where(problem.sizes > 1, problem.slope, 1.0)
+    for k in np.flatnonzero(problem.sizes > 1):
+        first, end = int(problem.starts[k]), int(problem.starts[k + 1])
+        if problem.slope[k] > 0.0:
+            rows.append(-sp.diags_array(slopes[first:end]) @ identity[first:end])
+            cones.append(clarabel.SecondOrderConeT(end - first))
+        else:
+            rows.append(-identity[first:end])
+            cones += [clarabel.NonnegativeConeT(1), clarabel.ZeroConeT(end - first - 1)]
+        limits.append(np.zeros(end - first))
+    if not rows:
+        return sp.csr_array((0, problem.n)), np.zeros(0), []
+    return sp.vstack(rows), np.concatenate(limits), cones
+
+
+METHODS: dict[str, type[ConeAlgorithm]] = {one.name: one for one in (NPGS, Newton, FixedPoint)}
+
+
+@fact
+def diagonal_blocks(problem: Blocks) -> tuple[Any, FloatVector]:
+    """Return the blocks M_kk, shape (k, m, m), and 1/‖M_kk‖ of each, shape (k,)."""
+    M, of_row = sp.coo_array(problem.rows.csr), problem.block_of_row
+    inside = of_row[M.row] == of_row[M.col]
+    row, column, block = M.row[inside], M.col[inside], of_row[M.row[inside]]
+    m = int(problem.sizes.max(initial=1))
+    blocks = np.zeros((problem.slope.size, m, m))
+    blocks[block, row - problem.starts[block], column - problem.starts[block]] = M.data[inside]
+    with np.errstate(all="ignore"):
+        sizes = np.sqrt((blocks**2).sum(axis=(1, 2)))
+    return blocks, np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 0.0)
+
+
+@fact
+def closed_matrix(problem: Blocks) -> Any:
+    """Return M as CSR with one pattern for the rows of a block, the block's own columns in it."""
+    M, k, n = problem.rows.csr, problem.slope.size, problem.n
+    of_row = sp.csr_array((np.ones(n), problem.block_of_row, np.arange(n + 1)), shape=(n, k))
+    stored = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=(n, n))
+    blocks = of_row.T @ stored @ of_row + sp.eye_array(k)
+    closed = sp.csr_array(of_row @ blocks @ of_row.T)
+    closed.sort_indices()
+    places = np.repeat(np.arange(n), np.diff(closed.indptr)) * n + closed.indices
+    data = np.zeros(closed.nnz)
+    data[np.searchsorted(places, np.repeat(np.arange(n), np.diff(M.indptr)) * n + M.indices)] = M.data
+    return sp.csr_array((data, closed.indices, closed.indptr), shape=(n, n))

@@ -1,0 +1,307 @@
+"""Solving a problem over cones: what auto tries in turn, the judge, the result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...auto import Single
+from ...core.algorithm import Algorithm
+from ...core.certificates.criterion import CommonUnits
+from ...core.certificates.residuals import Certificate
+from ...core.checks import FloatVector, checked_vector
+from ...core.communicator import ALONE
+from ...core.deadline import Clock
+from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
+from ...core.kernels.threads import threads_for
+from ...core.kind import Kind
+from ...core.policy.policy import Policy
+from ...core.policy.stages import Choice, Stage
+from ...core.settings import Settings, Status, checked_callback
+from ...core.solving.judge import End, Judge
+from ...core.solving.result import Result, told_stages
+from ...core.solving.run import Callback, Run
+from ...core.written import in_words
+from ..contact import ContactMotion
+from . import CONE_PROBLEM
+from .certificate import ConeCertificate, criterion_of, relative_residual
+from .data import Blocks, FrictionalContact
+from .infeasibility import InfeasibilityCheck
+from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
+
+TRIAL = 2  # steps of npgs before its rate is believed
+NEWTON_STEPS = 15  # that an answer is predicted to take
+LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
+STARTS, LAST_STARTS = (1, 2, 3, 4), tuple(range(5, 17))
+STICKS = 1e-8  # of the largest velocity given: what is slower sticks
+SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
+
+
+def solve_cones(
+    problem: Blocks,
+    algorithm: str | Algorithm = "auto",
+    *,
+    z0: ArrayLike | None = None,
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    record: bool = False,
+    callback: Callback | None = None,
+    prove_infeasibility: bool = True,
+    threads: int | None = None,
+    verbose: bool = False,
+) -> ConeResult:
+    """Return the answer to a :class:`ConeProblem` or :class:`FrictionalContact`, judged on its own data.
+
+    Parameters
+    ----------
+    problem : ConeProblem or FrictionalContact
+    algorithm : str or object
+        "npgs", "newton", "fixed_point" or "auto"; or an object of their classes in
+        :mod:`lcp_plugin.problems.cones.methods`, with options.
+    z0 : array, shape (n,), optional
+        Warm start, projected onto the cones.
+    tolerance : float
+        SOLVED means that the measured residual of the returned z is at most this: see
+        :mod:`lcp_plugin.problems.cones.certificate`.
+    max_iterations, max_seconds, absolute_tolerance, record, callback, prove_infeasibility, threads, verbose
+        As for :func:`lcp_plugin.solve`.
+
+    Returns
+    -------
+    ConeResult
+
+    Raises
+    ------
+    InvalidOption, UnknownAlgorithm
+        For a wrong option.
+    """
+    settings = Settings(
+        tolerance, "residual", max_iterations, max_seconds, absolute_tolerance, record, False, threads, verbose,
+        prove_infeasibility
+    )
+    checked_callback(callback)
+    clock = Clock(ALONE)
+    start = _start(problem, z0)
+    with np.errstate(), threads_for(settings.threads):
+        policy = _policy(problem, algorithm, settings, is_warm=z0 is not None)
+        judge = ConeJudge(problem, settings)
+        run = Run(judge.units, policy, settings, callback, clock, judge)
+        try:
+            reason = run.drive(start, policy.first(problem))  # type: ignore[arg-type]
+        except KeyboardInterrupt:
+            reason = End.INTERRUPTED
+        return ConeResult.of(problem, run.judged(start, reason))
+
+
+def _start(problem: Blocks, z0: ArrayLike | None) -> FloatVector:
+    if z0 is None:
+        return problem.nearest_to_zero
+    try:
+        return problem.projected(checked_vector(z0, "z0", problem.n, may_be_number=problem.n == 1))
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
+
+
+def _policy(problem: Blocks, algorithm: Any, settings: Settings, *, is_warm: bool) -> Policy:
+    if isinstance(algorithm, ConeAlgorithm):
+        return Single(algorithm, prove_infeasibility=False)
+    if isinstance(algorithm, Algorithm) or not isinstance(algorithm, str):
+        raise UnknownAlgorithm(
+            f"algorithm must be one of {', '.join(METHODS)} or an object of "
+            f"lcp_plugin.problems.cones.methods, got {algorithm!r}"
+        )
+    if algorithm == "auto":
+        return ConeAuto(problem, is_warm=is_warm, prove_infeasibility=settings.prove_infeasibility)
+    if algorithm not in METHODS:
+        raise UnknownAlgorithm(
+            f"no algorithm for cones is called {algorithm!r}{did_you_mean(algorithm, {'auto', *METHODS})}"
+        )
+    return Single(METHODS[algorithm](), prove_infeasibility=False)
+
+
+class ConeAuto(Policy):
+    """Sweeps, as long as nothing gets there with less work; then Newton, and what has another basin than Newton's."""
+
+    name = chosen = "auto"
+
+    def __init__(self, problem: Blocks, *, is_warm: bool, prove_infeasibility: bool) -> None:
+        self._prove_infeasibility = prove_infeasibility
+        self._left = self._stages(is_warm)
+        self._problem = problem
+
+    def first(self, problem: Any) -> Choice:
+        """Return the first stage."""
+        return next(self._left)
+
+    def next_step(self, problem: Any, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+        """Return the next stage where one has come to its end, or where sweeps need more work than Newton."""
+        stage = stages[-1]
+        if not failed:
+            if stage.algorithm.name != "npgs" or stage.iterations < TRIAL:
+                return None
+            if stage.algorithm.sweeps >= LONG:  # type: ignore[attr-defined]
+                return next(self._left, None) if stage.iterations >= LONG_STEPS else None
+            left = stage.steps_to_go(goal) * 11.0 * self._problem.nonzeros
+            if left <= self._newton_operations(stage):
+                return None
+        return next(self._left, None)
+
+    def _newton_operations(self, stage: Stage) -> float:
+        """Return about how many multiplications an answer by Newton takes, the blocks at rest left out."""
+        if stage.z is None:
+            return np.inf
+        closed = self._problem.block_of_row[stage.z != 0.0]
+        rows = float(self._problem.sizes[np.unique(closed)].sum())
+        return NEWTON_STEPS * (rows**3 / 3.0 + 2.0 * self._problem.nonzeros)
+
+    def _stages(self, is_warm: bool) -> Iterator[Choice]:
+        if is_warm:
+            yield Choice(Newton(), "a start that is given is near: Newton's steps from there come first")
+            yield Choice(NPGS(), SWEEPS, from_start=True)
+        else:
+            yield Choice(NPGS(), SWEEPS)
+        yield Choice(Newton(), "sweeps have found most cases, Newton's steps solve for them")
+        if self._prove_infeasibility:
+            yield Choice(InfeasibilityCheck(), "is there an answer at all?")
+        yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)
+        yield Choice(Newton(), "from there")
+        for seed in STARTS:
+            yield Choice(Newton(seed=seed), "from a point nearby")
+        yield Choice(FixedPoint(), "convex programs, friction's term held", from_start=True)
+        yield Choice(Newton(), "the last digits are Newton's")
+        yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still")
+        yield Choice(Newton(proximal=1e-5), "with less damping")
+        for seed in LAST_STARTS:
+            yield Choice(Newton(seed=seed), "from a point nearby")
+
+
+class ConeJudge(Judge):
+    """Measures by blocks; see :class:`Judge`."""
+
+    words = {  # noqa: RUF012 - read only
+        Status.SOLVED: "the residual is within the tolerance, rounding included, as proved on your data",
+        Status.STALLED: (
+            "no method reduces the residual further: with friction a solution need not exist, nor be found where it "
+            "does; try another start z0, or less friction"
+        ),
+        Status.INFEASIBLE: (
+            "no impulses keep every contact from closing further, even with errors as large as the tolerance; "
+            "result.proof proves it: check the data"
+        ),
+    }
+
+    def __init__(self, problem: Blocks, settings: Settings) -> None:
+        self.units = CommonUnits(problem, problem)  # type: ignore[arg-type]
+        self.problem: Any = problem
+        self.asked, self.settings = problem, settings
+        self.reference = 1.0  # residuals are relative to those of the parts already
+        self.proof = self._certificate = None
+
+    def certificate_of(self, z: FloatVector) -> Certificate:
+        """Return the certificate of z; the latest one is kept."""
+        latest: Any = self._certificate
+        answer = self._held(z)
+        if latest is None or not np.array_equal(latest.point, answer):
+            self._certificate = latest = ConeCertificate.at(self.problem, answer)
+        return latest  # type: ignore[no-any-return]
+
+    def measure(self, z: FloatVector) -> float:
+        """Return the relative residual of z."""
+        return relative_residual(self.problem, self._held(z))
+
+    def _held(self, z: FloatVector) -> FloatVector:
+        """Return z with z° in the parts that z° answers."""
+        answered = criterion_of(self.problem).answered
+        return z if answered is None else np.where(answered, self.problem.nearest_to_zero, z)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ConeResult(Result):
+    """The answer to a problem over cones; attributes as of :class:`Result`, and these.
+
+    Attributes
+    ----------
+    problem : ConeProblem or FrictionalContact
+        What was solved.
+    z, w : ndarray, shape (n,)
+        The point and its slack; impulses r and velocities u of contacts.
+    certificate : ConeCertificate
+        All residuals, by blocks.
+    status, algorithm, iterations, work, seconds, setup_seconds, tolerance, tolerance_on, absolute_tolerance, begun
+        As of :class:`Result`, in its units.
+    history, stages, infeasibility
+        As of :class:`Result`.
+    """
+
+    answered_kind: ClassVar[Kind] = CONE_PROBLEM
+    problem: Any = None
+
+    @classmethod
+    def of(cls, problem: Blocks, result: Result) -> ConeResult:
+        """Return a run's result in the problem's own unknowns."""
+        given = {one.name: getattr(result, one.name) for one in fields(Result)}
+        certificate: Any = result.certificate
+        return cls(**{**given, "z": certificate.point, "w": certificate.velocity, "problem": problem})
+
+    @cached_property
+    def motion(self) -> ContactMotion:
+        """Impulses and velocities contact by contact, and which press and stick; of a FrictionalContact."""
+        problem = self.problem
+        if not isinstance(problem, FrictionalContact):
+            raise InvalidOption(f"motion is of a FrictionalContact, got {type(problem).__name__}; read z and w")
+        r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
+        still = STICKS * float(np.abs(problem.q).max(initial=0.0))
+        touches, speeds = r[:, 0] > 0.0, np.linalg.norm(u[:, 1:], axis=1)
+        bodies, after = problem.bodies, None
+        if bodies is not None and bodies.velocities is not None:
+            after = bodies.velocities + bodies.by_impulse @ self.z
+        return ContactMotion(r[:, 0], r[:, 1:], u[:, 0], u[:, 1:], touches, touches & (speeds <= still), after)
+
+    def _effort(self) -> str:
+        return (
+            f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s (set-up "
+            f"{self.setup_seconds:.3g} s), the work of {self.work:.1f} products of M with a vector"
+        )
+
+    def explain(self) -> str:
+        """Return the story of the run in a few lines."""
+        lines = [f"{self.status.name}: {self.advice}.", self.reached(), *self._course(), *told_stages(self.stages)]
+        if self.infeasibility is not None:
+            lines.append(str(self.infeasibility))
+        if isinstance(self.problem, FrictionalContact):
+            lines += self._contacts_in_words()
+        return "\n".join(lines)
+
+    def _contacts_in_words(self) -> list[str]:
+        motion, problem = self.motion, self.problem
+        slides = motion.touches & ~motion.sticks
+        lines = [
+            f"{problem.slope.size} contacts: {int((~motion.touches).sum())} open, {int(motion.sticks.sum())} stick, "
+            f"{int(slides.sum())} slide; friction and impact take {self.certificate.dissipation:.3g} J"  # type: ignore[attr-defined]
+        ]
+        if motion.touches.any():
+            pulls = np.linalg.norm(motion.tangential, axis=1)[motion.touches]
+            angle = np.degrees(np.arctan2(pulls, motion.normal[motion.touches])).max()
+            lines.append(f"the steepest impulse leans {angle:.3g}° from its normal")
+        asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
+        if asymmetry > 0.0:
+            lines.append(f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given")
+        return lines
+
+    def _numbers(self) -> dict[str, float]:
+        certificate = self.certificate
+        return {
+            "n": self.problem.n, "relative_residual": certificate.relative_residual,
+            "natural_residual": certificate.natural_residual, "term_residual": certificate.term_residual,
+            "work": self.work, "setup_seconds": self.setup_seconds, "tolerance": self.tolerance,
+            **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
+        }
+
+

@@ -1,0 +1,128 @@
+"""Problems over cones whose answer is planted, and the exact residual of an answer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from contact_families import delassus
+from mpmath import mp, mpf
+
+from lcp_plugin import ConeProblem, FrictionalContact
+
+OPEN, STICKS, SLIDES, ON_THE_EDGE, GRAZES = range(5)
+
+
+def planted_contacts(
+    count: int, bodies: int, ratio: float, rng: np.random.Generator, *, definite: bool = False, most: float = 2.0
+) -> tuple[FrictionalContact, Any, Any]:
+    """Contacts with impulses and velocities that answer them: open, sticking, sliding, on the edge of two cases."""
+    W, _ = delassus(count, bodies, ratio, rng)
+    if definite:
+        W = W + np.diag(np.repeat(np.diag(W).reshape(count, 3).mean(axis=1), 3)) * rng.uniform(0.1, 1.0)
+    mu = rng.uniform(0.0, most, count) * (rng.random(count) < 0.9)
+    size = 1.0 / np.sqrt(np.diag(W).reshape(count, 3).mean(axis=1))
+    r, u = np.zeros((2, count, 3))
+    for c, case in enumerate(rng.integers(0, 5, count)):
+        way = rng.standard_normal(2)
+        way /= np.linalg.norm(way)
+        if case == OPEN:
+            u[c] = [rng.uniform(0.0, 1.0), *rng.standard_normal(2)]
+        elif case == GRAZES:  # r = 0 and u_N = 0
+            u[c, 1:] = rng.standard_normal(2)
+        else:
+            r[c, 0] = rng.uniform(0.1, 2.0)
+            share = {STICKS: rng.uniform(0.0, 0.95), SLIDES: 1.0, ON_THE_EDGE: 1.0}[int(case)]
+            r[c, 1:] = -share * mu[c] * r[c, 0] * way
+            u[c, 1:] = way * rng.uniform(0.01, 1.0) if case == SLIDES or mu[c] == 0.0 else 0.0
+        r[c] *= size[c]
+        u[c] /= size[c]
+    return FrictionalContact(W, u.ravel() - W @ r.ravel(), mu), r.ravel(), u.ravel()
+
+
+def planted_cones(blocks: int, rng: np.random.Generator, *, rank: float = 1.0) -> tuple[ConeProblem, Any]:
+    """A convex problem over free rows, half-lines, boxes and second-order cones, with its answer."""
+    cones: list[Any] = []
+    z, w = [np.empty(0)], [np.empty(0)]
+    for _ in range(blocks):
+        kind, rows = str(rng.choice(["free", "nonnegative", "box", "second_order"])), int(rng.integers(1, 6))
+        at, values = rng.integers(0, 3, rows), rng.uniform(0.1, 2.0, rows)
+        if kind == "free":
+            cones.append((kind, rows))
+            z.append(rng.standard_normal(rows))
+            w.append(np.zeros(rows))
+        elif kind == "nonnegative":
+            cones.append((kind, rows))
+            z.append(np.where(at == 0, values, 0.0))
+            w.append(np.where(at == 1, values, 0.0))
+        elif kind == "box":
+            cones.append((kind, -np.ones(rows), 2.0))
+            z.append(np.choose(at, [np.full(rows, -1.0), rng.uniform(-0.9, 1.9, rows), np.full(rows, 2.0)]))
+            w.append(np.choose(at, [values, np.zeros(rows), -values]))
+        else:
+            rows += 1
+            cones.append((kind, rows))
+            way = rng.standard_normal(rows - 1)
+            way /= np.linalg.norm(way)
+            inner = np.array([1.0, *(rng.uniform(0.0, 0.9) * way)])
+            edge, across = np.array([1.0, *way]), np.array([1.0, *-way])
+            one, other = [(inner, 0 * inner), (0 * inner, inner), (edge, across), (edge, 0 * edge), (0 * edge, edge)][
+                int(rng.integers(5))
+            ]
+            z.append(one * rng.uniform(0.1, 2.0))
+            w.append(other * rng.uniform(0.1, 2.0))
+    x, y = np.concatenate(z), np.concatenate(w)
+    B = rng.standard_normal((x.size, max(1, int(rank * x.size) + 2)))
+    M = B @ B.T / x.size
+    return ConeProblem(M, y - M @ x, cones), x
+
+
+def exact_relative_residual(problem: Any, z: Any) -> Any:
+    """‖R(z)‖ beside that at the point nearest to 0, of the worst part in the criterion's units, with 60 digits."""
+    from lcp_plugin.core.certificates.criterion import RowUnits
+    from lcp_plugin.core.matrix.structure import parts
+
+    mp.dps = 60
+    units, several = RowUnits.of(problem.block_norms), parts(problem.block_norms.matrix)
+    scale = problem.scale if units is None else units.scale
+    weights = np.ones(scale.size) if units is None else np.ldexp(1.0, -units.column)
+    labels = np.zeros(scale.size, int) if several is None else several.labels
+    here, there = (_exact_residuals(problem, point, scale) for point in (z, problem.nearest_to_zero))
+    worst = mpf(0)
+    for part in set(labels.tolist()):
+        own = np.flatnonzero(labels == part)
+        top, reference = (max(size[k] * mpf(weights[k]) for k in own) for size in (here, there))
+        if top > 0:
+            worst = max(worst, top / reference if reference > 0 else mpf("inf"))
+    return worst
+
+
+def _exact_residuals(problem: Any, z: Any, scale: Any) -> list[Any]:
+    M = problem.rows.csr
+    w = [mpf(q) for q in problem.q.tolist()]
+    for i in range(problem.n):
+        for p in range(M.indptr[i], M.indptr[i + 1]):
+            w[i] += mpf(float(M.data[p])) * mpf(float(z[M.indices[p]]))
+    sizes = []
+    for k in range(scale.size):
+        first, end, d, mu = problem.starts[k], problem.starts[k + 1], mpf(scale[k]), mpf(problem.slope[k])
+        own, at = w[first:end], [mpf(float(v)) for v in z[first:end]]
+        if end - first == 1:
+            low, high = (mpf(float(bound[first])) for bound in (problem.lower, problem.upper))
+            sizes.append(abs(at[0] - min(max(at[0] - own[0] / d, low), high)))
+            continue
+        if problem.has_friction and not any(at) and own[0] >= 0:  # û_N ≥ μ‖u_T‖ says u_N ≥ 0, exactly
+            sizes.append(mpf(0))
+            continue
+        if problem.has_friction:
+            own = [own[0] + mu * mp.norm(own[1:]), *own[1:]]
+        x = [a - b / d for a, b in zip(at, own, strict=True)]
+        tangent = mp.norm(x[1:])
+        if tangent > mu * x[0]:
+            if mu * tangent <= -x[0]:
+                x = [mpf(0)] * len(x)
+            else:
+                axis = (x[0] + mu * tangent) / (1 + mu * mu)
+                x = [axis, *(mu * axis * v / tangent for v in x[1:])]
+        sizes.append(mp.norm([a - b for a, b in zip(at, x, strict=True)]))
+    return sizes

@@ -1,0 +1,255 @@
+"""Complementarity over cones, and friction as it is: data, criterion, methods, derivative, files."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from cone_families import exact_relative_residual, planted_cones, planted_contacts
+
+from lcp_plugin import (
+    LCP,
+    ConeProblem,
+    FrictionalContact,
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    Status,
+    UnknownAlgorithm,
+    derivative,
+    load_problem,
+    solve,
+    solve_batch,
+)
+from lcp_plugin.problems.cones.certificate import criterion_of
+from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
+from lcp_plugin.problems.cones.methods import METHODS, Newton
+
+ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
+BAD: dict[str, tuple[Any, str]] = {
+    "W is not symmetric": (lambda: FrictionalContact([[1, 2, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0], 0.5), "symmetric"),
+    "μ < 0": (lambda: FrictionalContact(*ONE[:2], -0.1), r"friction\[0\] = -0.1"),
+    "μ is NaN": (lambda: FrictionalContact(*ONE[:2], np.nan), r"friction\[0\] = nan"),
+    "two coefficients": (lambda: FrictionalContact(*ONE[:2], [0.1, 0.2]), "no multiple|coefficients|shape"),
+    "four rows": (lambda: FrictionalContact(np.eye(5), np.ones(5), 0.1), "no multiple of 2"),
+    "b is NaN": (lambda: FrictionalContact(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
+    "W is NaN": (lambda: FrictionalContact(np.diag([1, np.nan, 1]), [0, 0, 0], 0.1), "nan"),
+    "b does not fit": (lambda: FrictionalContact(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
+    "no tuples": (lambda: ConeProblem(np.eye(3), np.zeros(3), "second_order"), "sequence of"),
+    "a name": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("second_ordr", 3)]), "second_order"),
+    "too few rows": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("second_order", 2)]), "2 rows and M has 3: too few"),
+    "too many rows": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("free", 4)]), "too many"),
+    "half a row": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("free", 2.5)]), "whole number"),
+    "no upper bound": (lambda: ConeProblem(np.eye(1), np.zeros(1), [("box", 0.0)]), "1 numbers behind its name"),
+    "bounds in another order": (lambda: ConeProblem(np.eye(1), np.zeros(1), [("box", 1.0, 0.0)]), "lower ≤ upper"),
+    "M is not square": (lambda: ConeProblem(np.ones((2, 3)), np.zeros(2), [("free", 2)]), "square"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_refused_in_words(name: str) -> None:
+    """The message says what was given and what is needed."""
+    make, words = BAD[name]
+    with pytest.raises(InvalidProblem, match=words):
+        make()
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_planted_contacts_are_solved(seed: int) -> None:
+    """Open, sticking, sliding contacts and those on the edge: SOLVED, and with a definite W the planted impulses."""
+    rng = np.random.default_rng(seed)
+    problem, r, _ = planted_contacts(int(rng.integers(1, 12)), int(rng.integers(1, 6)), 10.0 ** rng.uniform(0, 5), rng)
+    result = solve(problem)
+    assert result.status is Status.SOLVED, result
+    assert exact_relative_residual(problem, result.z) <= 1e-8
+    definite, r, _ = planted_contacts(3, 3, 10.0, rng, definite=True, most=0.3)
+    np.testing.assert_allclose(solve(definite, tolerance=1e-10).z, r, atol=1e-12 + 1e-6 * np.abs(r).max())
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("name", METHODS)
+def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
+    """Cones without friction, M positive definite: each method finds the planted answer."""
+    problem, _ = planted_cones(4, np.random.default_rng(seed))
+    tolerance = 1e-3 if name == "fixed_point" else 1e-8  # of an interior point, where cases are on the edge
+    result = solve(problem, name, tolerance=tolerance)
+    assert result.is_solved, result
+    assert exact_relative_residual(problem, result.z) <= tolerance
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
+    """What it says of any point is no less than the residual in 60 digits, and hardly more than rounding above it."""
+    rng = np.random.default_rng(seed)
+    problem: Any = planted_contacts(4, 3, 1e4, rng)[0] if seed % 2 else planted_cones(4, rng)[0]
+    near = solve(problem, tolerance=1e-12).z
+    for z in (near, near * (1.0 + 1e-9), near + 1e-6 * rng.standard_normal(near.size), rng.standard_normal(near.size)):
+        certificate = solve(problem, z0=z, max_iterations=0).certificate
+        point = certificate.point
+        exact = float(exact_relative_residual(problem, point))
+        assert exact <= certificate.relative_residual
+        rounding = (certificate.rounding_floor * criterion_of(problem).weights).max() * 100.0
+        assert certificate.relative_residual <= exact * (1.0 + 1e-9) + rounding
+
+
+def test_parts_have_their_own_references() -> None:
+    """A light contact beside a heavy one that it does not touch may not hide behind it."""
+    problem = FrictionalContact(np.eye(6), [-1e10, 0.0, 0.0, -0.5, 0.0, 0.0], 0.5)
+    certificate = solve(problem, z0=[1e10, 0, 0, 0.6, 0, 0], max_iterations=0).certificate
+    assert certificate.relative_residual == pytest.approx(0.2)
+    assert certificate.worst_index == 1
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 2.0])
+def test_a_block_slides_against_its_impulse(friction: float) -> None:
+    """One contact in any direction: r_T = −μ r_N u_T/‖u_T‖ where the push exceeds friction, u_T = 0 elsewhere."""
+    for angle in np.linspace(0.0, 6.0, 13):
+        push = np.array([np.cos(angle), np.sin(angle)])
+        result = solve(FrictionalContact(np.eye(3), [-1.0, *push], friction), tolerance=1e-12)
+        assert result.require_solved()
+        expected = -min(friction, 1.0) * push
+        np.testing.assert_allclose(result.z, [1.0, *expected], atol=1e-11)
+        assert result.motion.sticks.tolist() == [friction >= 1.0]
+
+
+def test_in_the_plane_friction_is_an_lcp() -> None:
+    """In two dimensions the cone is a pyramid: the same impulses as those of LCP.from_contacts."""
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        J = rng.standard_normal((6, 9))
+        W, b = J @ J.T, rng.standard_normal((3, 2)) - [1.0, 0.0]
+        lcp = LCP.from_contacts(W, 0.4, b)
+        result = solve(FrictionalContact(W, b, 0.4), tolerance=1e-10)
+        motion = lcp.origin.recover(solve(lcp, tolerance=1e-10))
+        np.testing.assert_allclose(result.motion.normal, motion.normal, atol=1e-7)
+        np.testing.assert_allclose(result.motion.tangential, motion.tangential, atol=1e-7)
+
+
+def test_bodies_move_as_their_impulses_say() -> None:
+    """Given a mass matrix, the motion has the velocities of the bodies after the step."""
+    block = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]
+    motion = solve(FrictionalContact(block, [3.0, 4.0, -1.0], 0.5)).motion
+    assert motion.body_velocities is not None
+    np.testing.assert_allclose(motion.body_velocities, [3.0 - 0.3, 4.0 - 0.4, 0.0], atol=1e-8)
+
+
+def test_a_gap_lets_a_contact_close() -> None:
+    """As for pyramids: 4 mm in 0.01 s allow 0.4 m/s of the 1 m/s that it falls with."""
+    block = 2.0 * np.eye(2), [[0.0, 1.0]], [[1.0, 0.0]]
+    result = solve(FrictionalContact.from_contacts(block, 0.5, [0.0, -1.0], gaps=0.004, time_step=0.01))
+    np.testing.assert_allclose(result.motion.normal, [1.2], atol=1e-8)
+    assert result.motion.body_velocities is not None
+    np.testing.assert_allclose(result.motion.body_velocities, [0.0, -0.4], atol=1e-8)
+
+
+def test_names_of_methods_are_checked() -> None:
+    """An unknown name, a method for LCPs, and a wrong option are refused."""
+    problem = FrictionalContact(*ONE)
+    with pytest.raises(UnknownAlgorithm, match="newton"):
+        solve(problem, "newtn")
+    with pytest.raises(LCPError, match="proximal"):
+        Newton(proximal=-1.0)
+    with pytest.raises(InvalidOption, match="z0"):
+        solve(problem, z0=[1.0])
+    with pytest.raises(InvalidOption, match="solve takes no tolerance_on"):
+        solve(problem, tolerance_on="error")
+
+
+def test_a_warm_start_ends_at_once() -> None:
+    """From its own answer a run takes no step; from one nearby a few of Newton's."""
+    problem, _, _ = planted_contacts(10, 5, 10.0, np.random.default_rng(3))
+    first = solve(problem)
+    assert solve(problem, z0=first.z).iterations == 0
+    nearby = problem.with_q(problem.b * (1.0 + 1e-4))
+    assert solve(nearby, z0=first.z).iterations <= 10
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_derivatives_are_those_of_differences(seed: int) -> None:
+    """By velocities, W and friction; vjp is the transpose of jvp."""
+    rng = np.random.default_rng(seed)
+    problem, _, _ = planted_contacts(3, 3, 10.0, rng, definite=True, most=0.5)
+    problem = problem.with_q(problem.b + 0.01 * rng.standard_normal(9))  # off the edges
+    result = solve(problem, tolerance=1e-12)
+    found = derivative(result)
+    if found.degenerate.size:
+        return
+    db, dmu, step = rng.standard_normal(9), rng.standard_normal(3) * (problem.friction > 0.0), 1e-6
+    dW = rng.standard_normal((9, 9))
+    dW = (dW + dW.T) * (problem.W != 0.0)
+
+    def moved(sign: float) -> Any:
+        t = sign * step
+        other = FrictionalContact(problem.W + t * dW, problem.b + t * db, problem.friction + t * dmu)
+        return solve(other, z0=result.z, tolerance=1e-13).z
+
+    dz = found.jvp(dq=db, dM=dW, dfriction=dmu)
+    np.testing.assert_allclose(dz, (moved(1.0) - moved(-1.0)) / (2.0 * step), atol=1e-5 * (1.0 + np.abs(dz).max()))
+    g = rng.standard_normal(9)
+    gradient = found.vjp(g)
+    total = gradient.q @ db + np.sum(gradient.M.toarray() * dW) + gradient.friction @ dmu
+    assert total == pytest.approx(g @ dz, rel=1e-8)
+
+
+def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
+    """Saved and read back, problems of both kinds give the same answer; the command reads them."""
+    contact, _, _ = planted_contacts(4, 3, 10.0, np.random.default_rng(0))
+    cones = ConeProblem(np.eye(4), [-1.0, 0.0, -2.0, 0.3], [("box", -1.0, 0.5), ("second_order", 2), ("free", 1)])
+    sparse = FrictionalContact(sp.csr_array(contact.W), contact.b, contact.friction)
+    for problem in (contact, sparse, cones):
+        problem.save(tmp_path / "p.npz")
+        for other in (load_problem(tmp_path / "p.npz"), pickle.loads(pickle.dumps(problem))):
+            assert type(other) is type(problem)
+            np.testing.assert_array_equal(solve(other).z, solve(problem).z)
+    with pytest.raises(LCPError, match="npz"):
+        contact.save(tmp_path / "p.nl")
+
+
+SQUEEZED = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+HOPELESS: dict[str, Any] = {
+    "nothing moves the normal": FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5),
+    "between two walls that close": FrictionalContact(SQUEEZED @ SQUEEZED.T, [-1.0, 0, 0, -1.0, 0, 0], 0.5),
+    "beside one that slides": FrictionalContact(np.diag([1.0, 1, 1, 0, 1, 1]), [-1.0, 3, 4, -1.0, 0, 0], 0.5),
+    "no M": ConeProblem(np.zeros((3, 3)), [-1.0, 0.0, 0.0], [("second_order", 3)]),
+}
+
+
+@pytest.mark.parametrize("name", HOPELESS)
+def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
+    """INFEASIBLE with a proof that verifies, and whose margin no point is below."""
+    problem = HOPELESS[name]
+    result = solve(problem)
+    assert result.status is Status.INFEASIBLE, result
+    assert result.proof.verify()
+    assert str(result.proof) in result.explain()
+    rng = np.random.default_rng(0)
+    for size in (0.0, 1.0, 10.0, 1e6):
+        z = problem.projected(size * rng.standard_normal(problem.n))
+        assert solve(problem, z0=z, max_iterations=0).certificate.relative_residual >= result.proof.margin
+    assert solve(problem, prove_infeasibility=False).status is not Status.INFEASIBLE
+
+
+def test_what_has_an_answer_is_not_proved_infeasible() -> None:
+    """Planted answers, W of low rank or not: no proof is found."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        assert infeasibility_proof(planted_contacts(4, 2, 1e3, rng)[0]) is None
+        assert infeasibility_proof(planted_cones(4, rng, rank=0.4)[0]) is None
+
+
+def test_batches_mix_kinds() -> None:
+    """A list of problems over cones and LCPs is answered one by one."""
+    contact, _, _ = planted_contacts(2, 2, 10.0, np.random.default_rng(0))
+    answers = solve_batch([contact, LCP([[1.0]], [-1.0]), contact])
+    assert answers.all_solved
+
+
+def test_a_result_tells_of_its_contacts() -> None:
+    """How many are open, stick and slide, what they dissipate, how steep the impulses are."""
+    told = solve(FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5)).explain()
+    assert "2 contacts: 1 open, 0 stick, 1 slide; friction and impact take 2.25 J" in told
+    assert "leans 26.6°" in told

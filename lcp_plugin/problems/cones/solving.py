@@ -22,11 +22,11 @@ from ...core.kernels.threads import threads_for
 from ...core.kind import Kind
 from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
+from ...core.representation import in_words
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result, told_stages
 from ...core.solving.run import Callback, Run
-from ...core.written import in_words
 from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual

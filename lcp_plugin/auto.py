@@ -10,7 +10,7 @@ The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d
 and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
 `banded`, where it is predicted to cost no more than a trial of npsor, or 150 sweeps where psor is not proved quick. As
 soon as the rate of npsor is known, what it still needs is compared with what its rivals predict
-(`Algorithm.predicted_passes`, from :mod:`lcp_plugin.core.crossovers`):
+(`Algorithm.predicted_passes`, from :mod:`lcp_plugin.core.tuning`):
 
 | rival | where | predicts |
 |---|---|---|
@@ -67,7 +67,6 @@ from .algorithms import REGISTRY, create
 from .core.algorithm import Algorithm, in_driven_sweeps
 from .core.certificates.criterion import CommonScaling
 from .core.checks import checked_start
-from .core.crossovers import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO
 from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.kind import LINEAR_COMPLEMENTARITY_PROBLEM
@@ -85,9 +84,10 @@ from .core.solving.result import Result
 from .core.solving.run import Callback
 from .core.splittings.projected_relaxation import PGS, PSOR
 from .core.splittings.projected_type import NPSOR
+from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO
 
 if TYPE_CHECKING:
-    from .methods.direct import Retries, Turns
+    from .methods.direct import FallbackOrder, Retries
     from .methods.small.small_dense import SmallDenseSolver
 
 DIRECT = "newton"  # predicts for all direct methods
@@ -133,7 +133,7 @@ class Auto(Policy):
 
     def __init__(self, *, prove_infeasibility: bool = True, looks_at_cases: bool = True) -> None:
         self._prove_infeasibility, self.looks_at_cases = prove_infeasibility, looks_at_cases
-        self._direct: Turns | None = None
+        self._direct: FallbackOrder | None = None
 
     @cached_property
     def _retries(self) -> Retries:
@@ -144,7 +144,7 @@ class Auto(Policy):
     def first(self, problem: LCP) -> Choice:
         """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
         if getattr(problem.origin, "form", "") == "kkt":
-            self._direct = self._turns(problem)
+            self._direct = self._fallback_order(problem)
             if (first := self._direct.first()) is not None:
                 why = "multipliers have no diagonal entry, which sweeps need"
                 return replace(first, because=f"{why}; {first.because}")
@@ -197,7 +197,7 @@ class Auto(Policy):
                 return None
             if passes < math.inf and rival.name != DIRECT and not self._seems_unheld(problem, by_rows=True):
                 return Choice(rival, f"{left}; {rival.name} is expected to take the time of {passes:.0f} sweeps")
-        self._direct = self._turns(problem)
+        self._direct = self._fallback_order(problem)
         first = self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")
 
@@ -215,11 +215,11 @@ class Auto(Policy):
 
         return self._prove_infeasibility and bool(seems_unheld(problem, by_rows=by_rows))
 
-    def _turns(self, problem: LCP) -> Turns:
+    def _fallback_order(self, problem: LCP) -> FallbackOrder:
         """Return the direct methods."""
-        from .methods.direct import Turns
+        from .methods.direct import FallbackOrder
 
-        return Turns(
+        return FallbackOrder(
             problem, self._retries, prove_infeasibility=self._prove_infeasibility, looks_at_cases=self.looks_at_cases
         )
 

@@ -16,12 +16,12 @@ import scipy.sparse as sp
 from .. import gallery
 from ..algorithms import REGISTRY
 from ..api import solve
-from ..core.crossovers import SINGLE_FROM
 from ..core.deadline import NEW_KERNELS
 from ..core.errors import LCPError
 from ..core.kernels.compilation import cache_folder, compiling_at_once
 from ..core.lcp import LCP
 from ..core.settings import checked_threads
+from ..core.tuning import SINGLE_FROM
 from ..methods.interior.primal_active_set import UpdatedFactor
 from ..problems.batches.batch import solve_batch
 from ..problems.march import march

@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from ..core.errors import InvalidOption, UnreadableFile, did_you_mean
-from ..core.written import in_words
+from ..core.representation import in_words
 from ..evidence.drawing import FORMATS, require_matplotlib
 from ..evidence.exporting import TABLES
 from ..evidence.results import VIEWS, Study

@@ -11,7 +11,7 @@ Read it in this order:
 5. ``solving``: ``driver`` begins a run, ``run`` drives it, ``judge`` says when it is done, ``result`` what is given
    back.
 6. ``policy``: what chooses the algorithms of a run; :mod:`lcp_plugin.auto` is the one behind ``auto``. ``kind``: a kind
-   of problem, and what takes it. ``deadline``: the clock of a run. ``crossovers``: up to where each way is the cheaper.
+   of problem, and what takes it. ``deadline``: the clock of a run. ``tuning``: up to where each way is the cheaper.
 
 To be looked up: ``written``, reprs that can be pasted.
 """

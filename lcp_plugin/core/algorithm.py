@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from .checks import FloatVector, is_number
-from .crossovers import SWEEP_ENTRIES
 from .errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from .lcp import LCP
 from .matrix.iteration_facts import IterationFacts
 from .matrix.row_sums import has_positive_diagonal
+from .tuning import SWEEP_ENTRIES
 
 SWEEPS = ("forward", "backward", "symmetric")
 Phases = tuple[bool, bool, bool]  # sweeps, rounds, pivots

@@ -279,9 +279,9 @@ def checked_vector(
         For another shape, for numbers that are not real or not finite (+∞ and NaN pass where allowed).
     """
     vector = real_vector(values, name, length, may_be_number=may_be_number, need=need)
-    passes = np.isfinite(vector) | (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
-    if not passes.all():
-        at = int(np.argmin(passes))
+    is_valid = np.isfinite(vector) | (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
+    if not is_valid.all():
+        at = int(np.argmin(is_valid))
         raise _not_finite(name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite")
     return vector
 

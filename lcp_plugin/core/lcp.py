@@ -15,7 +15,7 @@ from .communicator import Communicator
 from .deadline import Lock
 from .kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind
 from .matrix.matrix import Matrix
-from .written import described_lcp, written_lcp
+from .representation import described_lcp, lcp_repr
 
 
 class OriginsCriterion(Protocol):
@@ -425,7 +425,7 @@ class LCP:
 
         return load_on_ranks(LCP, path, comm)
 
-    __repr__ = written_lcp
+    __repr__ = lcp_repr
     __str__ = described_lcp
 
     def __getstate__(self) -> dict[str, Any]:

@@ -214,7 +214,7 @@ def _latex_column(cells: Sequence[str], is_of_numbers: bool) -> str:
     """Return the kind of a column, of numbers with space for the longest part before and behind the point."""
     if not is_of_numbers:
         return "l"
-    numbers = [cell for cell in cells if _is_written_number(cell)]
+    numbers = [cell for cell in cells if _is_number_text(cell)]
     parts = [cell.lstrip("-").partition("e")[0].partition(".") for cell in numbers]
     before, behind = (max((len(part[k]) for part in parts), default=1) for k in (0, 2))
     powers = [cell.partition("e")[2] for cell in numbers if "e" in cell]
@@ -223,12 +223,12 @@ def _latex_column(cells: Sequence[str], is_of_numbers: bool) -> str:
     return f"S[table-format={sign}{before}{f'.{behind}' if behind else ''}{power}]"
 
 
-def _is_written_number(cell: str) -> bool:
+def _is_number_text(cell: str) -> bool:
     return cell.lstrip("-")[:1].isdigit()
 
 
 def _latex_cell(cell: str, is_of_numbers: bool) -> str:
-    is_number = is_of_numbers and _is_written_number(cell)
+    is_number = is_of_numbers and _is_number_text(cell)
     return cell if is_number else f"{{{_escaped(cell)}}}" if is_of_numbers else _escaped(cell)
 
 

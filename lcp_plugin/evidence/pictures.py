@@ -10,8 +10,8 @@ import numpy as np
 
 from ..core.certificates.residuals import Certificate
 from ..core.certificates.row_residuals import is_at_bound
+from ..core.representation import in_words
 from ..core.solving.result import Result
-from ..core.written import in_words
 from ..gallery.scene import Scene
 from .drawing import HEIGHTS, check_format, heights_as_colours, require_matplotlib, save, styled
 

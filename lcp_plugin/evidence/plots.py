@@ -14,10 +14,10 @@ import numpy as np
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnsuitableProblem
+from ..core.representation import in_words
 from ..core.settings import Status
 from ..core.solving.answer import Answer
 from ..core.solving.result import Result
-from ..core.written import in_words
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.many.answers import AnswerSequence
 from ..problems.march import March

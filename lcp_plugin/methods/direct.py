@@ -16,13 +16,13 @@ them a problem with at most 24 rows that leave a choice, but for convex programs
 in doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any
 other method takes; some ten milliseconds at the most. They run on the presolved problem, each until it ends; but where
 no theorem promises an end, newton and lemke have a turn of so many steps or pivots, and wait, where they need more,
-until all others have had theirs (:class:`Turns`). What they leave open, newton and lemke try once more from the start:
-the best point may have led astray (:class:`Retries`). Where a factor is too large by the counts of its columns, newton
-and interior_point are left out, but not of programs. A row that contradicts its bounds by itself brings `feasibility`
-to the front: it looks for a proof that there is no solution (n ≤ 5000); so does a factor of a sparse symmetric M that
-meets a pivot of 0, of a structure that nothing holds, at any n. lemke takes n ≤ 6000 (beyond, psor comes back
-at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a counted number of operations;
-what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
+until all others have had theirs (:class:`FallbackOrder`). What they leave open, newton and lemke try once more from the
+start: the best point may have led astray (:class:`Retries`). Where a factor is too large by the counts of its columns,
+newton and interior_point are left out, but not of programs. A row that contradicts its bounds by itself brings
+`feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000); so does a factor of a sparse
+symmetric M that meets a pivot of 0, of a structure that nothing holds, at any n. lemke takes n ≤ 6000 (beyond, psor
+comes back at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a counted number of
+operations; what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from typing import Any
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.crossovers import (
-    INTERIOR_STEPS,
-    LINEAR_PROGRAM_UP_TO,
-    PIVOTED_UP_TO,
-    PIVOTS_FIRST_UP_TO,
-    SEMIDEFINITENESS_UP_TO,
-)
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
 from ..core.matrix.scaling import Exponents, scaled
 from ..core.policy.stages import Choice, Stage
 from ..core.splittings.projected_relaxation import PSOR
+from ..core.tuning import (
+    INTERIOR_STEPS,
+    LINEAR_PROGRAM_UP_TO,
+    PIVOTED_UP_TO,
+    PIVOTS_FIRST_UP_TO,
+    SEMIDEFINITENESS_UP_TO,
+)
 from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
 from .interior.interior_point import InteriorPoint
@@ -74,7 +74,7 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
     yield from _at_last(problem, True, left_out)
 
 
-class Turns:
+class FallbackOrder:
     """The direct methods one after the other; those whose turn is over go on where all others have failed.
 
     Each has at most two turns, so that there is an end. Where `prove_infeasibility` is False, nothing looks for proofs;

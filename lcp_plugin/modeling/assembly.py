@@ -15,8 +15,8 @@ from ..auto import solve_lcp
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnsupportedModel
 from ..core.lcp import LCP
+from ..core.representation import in_words
 from ..core.solving.result import Result
-from ..core.written import in_words
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.nonlinear.solving import solve_nonlinear
 from .equations import Affine, Elimination, eliminate_definitions, known_ranges, matched_for_monotony

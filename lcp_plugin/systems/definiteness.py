@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
-from ..core.crossovers import CHOLESKY_UP_TO, FULL_CHOLESKY_FROM, FULL_CHOLESKY_UP_TO
 from ..core.kernels.floats import EPSILON
+from ..core.tuning import CHOLESKY_UP_TO, FULL_CHOLESKY_FROM, FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor
 
 FloatArray = NDArray[np.float64]

@@ -17,10 +17,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector, read_only
-from ..core.crossovers import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
 from ..core.deadline import enforced_seconds_left, require_seconds
 from ..core.matrix.matrix import Matrix, fact, largest_in_rows
 from ..core.matrix.structure import row_numbers
+from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
 from .equilibration import power_of_two
 
 DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one

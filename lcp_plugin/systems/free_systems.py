@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import BoolVector, FloatVector
-from ..core.crossovers import DIRECT_UP_TO
 from ..core.matrix.matrix import Matrix
 from ..core.matrix.scaling import Exponents, scaled, scaling_of, times_power
 from ..core.matrix.symmetry import has_symmetric_entries
+from ..core.tuning import DIRECT_UP_TO
 from .equilibration import equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .graph import bandwidth

@@ -24,7 +24,7 @@ BENCHMARKS = {
     "proved-answers": "what certify proves of answers to convex programs, ours beside those of other solvers",
     "derivative-errors": "how exact a derivative of z is after how much time, beside a difference of two solves",
     "best-equilibria": "the best of all solutions on random leaders: nodes and time until the gap is proved",
-    "crossovers": "each constant of lcp_plugin.core.crossovers beside what this machine says of it",
+    "tuning": "each constant of lcp_plugin.core.tuning beside what this machine says of it",
     "modeling": "the cost of stating a problem in cvxpy, against cvxpy's own compilation",
 }
 

@@ -16,10 +16,10 @@ from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.gallery import build
 
-from .crossovers import random_band
 from .rivals import SEED, spectrum
 from .small import rows as small_rows
 from .timing import quickest
+from .tuning import random_band
 
 NAMED = ("npsor", "pgs", "psor", "newton", "lemke", "interior_point", "banded", "multigrid")
 REPEATS = 9

@@ -1,4 +1,4 @@
-"""Bounded least squares beside scipy on every kind of A, beside accelerated gradients, and the crossovers inside."""
+"""Bounded least squares beside scipy on every kind of A, beside accelerated gradients; where one way is the cheaper."""
 
 from __future__ import annotations
 
@@ -154,14 +154,14 @@ def _optimality(A: Any, b: FloatVector, x: FloatVector, upper: float) -> float:
 
 
 def run(*, quick: bool = False) -> Iterator[str]:
-    """Yield the table beside scipy, the speed on large sparse problems, and the crossovers inside."""
+    """Yield the table beside scipy, the speed on large sparse problems, and where one way becomes the cheaper."""
     scale, repeats = (10, 1) if quick else (1, 5)
     yield from _table(quick=quick)
     for m, n in ((40_000 // scale, 8000 // scale), (200_000 // scale, 100_000 // scale)):
         A = random_rows(m, n)
         b, x = planted(A)
         yield from _sparse(A, b, x, repeats)
-    yield _crossover()
+    yield _cheaper_way()
     yield _patience("DENSE_PATIENCE", DENSE_PATIENCE, _dense(600 // (scale // 5 or 1)))
     yield _patience("SPARSE_PATIENCE", SPARSE_PATIENCE, _chain(100_000 // scale))
 
@@ -180,7 +180,7 @@ def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[st
     )
 
 
-def _crossover() -> str:
+def _cheaper_way() -> str:
     """Return how the two ways with a dense A stand where one gives way to the other."""
     from lcp_plugin.problems.least_squares import solving
 

@@ -37,10 +37,10 @@ from lcp_plugin import (
     solve_many,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class, create
-from lcp_plugin.core.crossovers import PIVOTED_UP_TO
 from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.core.solving.advice import advice_of_run
-from lcp_plugin.methods.direct import Retries, Turns
+from lcp_plugin.core.tuning import PIVOTED_UP_TO
+from lcp_plugin.methods.direct import FallbackOrder, Retries
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
 
 LEFT_OUT = (
@@ -177,15 +177,15 @@ def test_auto_is_not_advised_to_itself() -> None:
 def test_what_auto_leaves_out_for_its_size_is_told(n: int, named: tuple[str, ...]) -> None:
     """Each with the size up to which it goes; nothing where all are tried."""
     M = sp.diags_array([np.full(n - 1, -2.0), np.full(n, -1.0), np.full(n - 1, 3.0)], offsets=(-1, 0, 1)).tocsr()
-    turns = Turns(LCP(M, np.ones(n), lower=-np.ones(n), upper=1.0), Retries())
+    order = FallbackOrder(LCP(M, np.ones(n), lower=-np.ones(n), upper=1.0), Retries())
     stage = Stage(create("newton", {}))
-    following = turns.first()
+    following = order.first()
     while following is not None and following.algorithm.name != "psor":
-        following = turns.after([replace(stage, algorithm=following.algorithm)], 1e-8, failed=True)
-    assert {told.partition(" (")[0] for told in turns.left_out} == set(named)
-    assert all(f"n = {n} here" in told for told in turns.left_out)
-    said = advice_of_run(LCP([[1.0]], [1.0]), "auto", (), 1e-8, {}, turns.left_out)[Status.STALLED]
-    assert all(told in said for told in turns.left_out)
+        following = order.after([replace(stage, algorithm=following.algorithm)], 1e-8, failed=True)
+    assert {told.partition(" (")[0] for told in order.left_out} == set(named)
+    assert all(f"n = {n} here" in told for told in order.left_out)
+    said = advice_of_run(LCP([[1.0]], [1.0]), "auto", (), 1e-8, {}, order.left_out)[Status.STALLED]
+    assert all(told in said for told in order.left_out)
     assert (", but not " in said) == bool(named)
 
 

@@ -416,14 +416,14 @@ def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
 
 def test_constants_of_other_files_are_part_of_kernels() -> None:
     """The stamp of what lies on disk covers every file where functions are compiled, and what these import."""
-    from lcp_plugin.core import crossovers
+    from lcp_plugin.core import tuning
     from lcp_plugin.core.kernels import compilation
     from lcp_plugin.methods.small.kernels import small_problems
     from lcp_plugin.proofs.exact import upward
     from lcp_plugin.systems.hierarchy import grids
 
     stamps = compilation._sources()
-    for module in (crossovers, upward, small_problems, grids):
+    for module in (tuning, upward, small_problems, grids):
         stat = Path(str(module.__file__)).stat()
         assert (stat.st_mtime_ns, stat.st_size) in stamps
     _, others = grids.mark_equal._cache._cache_file._source_stamp  # the first is numba's, of its own file

@@ -19,7 +19,8 @@ from lcp_plugin.algorithms import REGISTRY
 
 ROOT = Path(__file__).parents[2]
 FROM_AUTO = (
-    "Turns", "Retries", "SmallDenseSolver", "Banded", "Multigrid", "Newton", "FeasibilityCheck", "NPSOR", "PSOR", "PGS",
+    "FallbackOrder", "Retries", "SmallDenseSolver", "Banded", "Multigrid", "Newton", "FeasibilityCheck", "NPSOR",
+    "PSOR", "PGS",
 )
 PROJECT = jedi.Project(ROOT)
 

@@ -116,9 +116,9 @@ def says_solved(function: ast.AST) -> bool:
 
 
 ANOTHER_JOB = {  # looked at by eye
-    "core/solving/judge.py: Judge.may_pass": "whether a certificate is worth its work",
+    "core/solving/judge.py: Judge.may_meet_tolerance": "whether a certificate is worth its work",
     "methods/banded/kernels.py: run_all": "when a compiled loop ends; `within` says what that is",
-    "methods/direct.py: Turns.after": "whether another method has its turn",
+    "methods/direct.py: FallbackOrder.after": "whether another method has its turn",
     "core/policy/stages.py: CheckSchedule.is_due": "when to measure",
     "core/policy/stages.py: Stage.steps_to_go": "a prediction",
     "core/solving/advice.py: advice_of_run": "words",

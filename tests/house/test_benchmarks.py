@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks import BENCHMARKS, load
-from benchmarks.crossovers import MEASURED
 from benchmarks.paper_at_scale import factorised, scipy_npsor, substituted
+from benchmarks.tuning import MEASURED
 
 from lcp_plugin import gallery
-from lcp_plugin.core import crossovers
+from lcp_plugin.core import tuning
 from lcp_plugin.evidence.paper_tables import cells, published
 
 QUICK = ("sweeps", "paper-at-scale", "programs", "certificates")  # half a second together
@@ -85,7 +85,7 @@ def test_paper_tables_are_reproduced() -> None:
     assert published()["n"] == sorted({cell.n for cell in computed})
 
 
-def test_every_crossover_is_measured() -> None:
-    """Each constant of `crossovers` has its line in the benchmark, and nothing else has."""
-    constants = {name for name in vars(crossovers) if name.isupper()}
+def test_every_tuned_constant_is_measured() -> None:
+    """Each constant of `tuning` has its line in the benchmark, and nothing else has."""
+    constants = {name for name in vars(tuning) if name.isupper()}
     assert set(MEASURED) == constants

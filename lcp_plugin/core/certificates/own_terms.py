@@ -14,7 +14,7 @@ is also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i), d_i th
 neither in the caller's units nor in those of energy may a row be wrong, be it negligible in the other ones.
 
 In the caller's own units an LCP within the tolerance has no larger term residual: z° is nearer to 0 than z is, so that
-‖r(z°)‖∞ ≤ U, and a row with |r_i| ≤ s² U passes. There nothing has to be computed.
+‖r(z°)‖∞ ≤ U, and a row with |r_i| ≤ s² U meets it. There nothing has to be computed.
 
 Of a nonlinear F, M is F′(x) and q = F(x) − F′(x) x. Where F flattens as x runs away, d → 0 or is the noise of
 differences, and beside a pole d is anything. So there only rows that have to vanish, and nearly do, tell U, no larger

@@ -1,6 +1,6 @@
 """Compiled loops cut into pieces that several threads take: the rows of one large problem, or many small problems.
 
-A hand-over costs some 50 µs (``python tests/benchmarks crossovers``), more where other programs want the cores; so the
+A hand-over costs some 50 µs (``python tests/benchmarks tuning``), more where other programs want the cores; so the
 thread that has work to share does what nobody has begun, and waits for no more than what others are in the middle of.
 """
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..algorithm import Algorithm
-from ..crossovers import DIRECT_UP_TO, MULTIGRID_PASSES
 from ..lcp import LCP
 from ..matrix.symmetry import has_symmetric_entries
 from ..splittings.projected_relaxation import PGS, PSOR
 from ..splittings.projected_type import NPSOR
+from ..tuning import DIRECT_UP_TO, MULTIGRID_PASSES
 from .stages import Stage
 
 TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40

@@ -7,8 +7,8 @@ import math
 from typing import TYPE_CHECKING, Any, Self
 
 from ..errors import NotConverged
+from ..representation import in_words
 from ..settings import PROVEN, Status
-from ..written import in_words
 
 
 class Answer:

@@ -47,11 +47,12 @@ STATUS_OF = {
 class Judge:
     """Measures, certifies and names the end of a run on the caller's own data; this one judges an LCP.
 
-    Every z that it is given is in the common scaling of the run; what it gives back is the caller's. A problem of
-    another kind brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run` asks: at each
-    step `residual_of` (what the algorithm says), `measure`, `certified` and `passes`; where nothing falls `is_at_floor`
-    and `is_limited_by_size`; of a proof `counts` and `misses_by_rounding`; at the end `final`, whose certificate
-    `verdict` names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the Result of an LCP of them.
+    Every z that it is given is in the scaling of the run; what it gives back is the caller's. A problem of another
+    kind brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run` asks: at each step
+    `residual_of` (what the algorithm says), `measure`, `certified` and `meets_tolerance`; where nothing falls
+    `is_at_floor` and `is_limited_by_size`; of a proof `accept_proof` and `misses_by_rounding`; at the end `final`,
+    whose certificate `verdict` names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the Result of an
+    LCP of them.
 
     Attributes
     ----------
@@ -108,23 +109,23 @@ class Judge:
     def _relative_in_open_components(self, certificate: Certificate) -> float:
         return certificate.relative_above(self.settings.least_reference, self.scaling.answered)
 
-    def may_pass(self, residual: float) -> bool:
+    def may_meet_tolerance(self, residual: float) -> bool:
         """Return whether a relative residual is so small that a certificate is worth its work."""
         return residual <= self.settings.goal
 
-    def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
+    def meets_tolerance(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for.
 
         Whether every row is right in its own terms, and whether it answers the program, if there is one, takes longer
         to tell, and is not asked at every step.
         """
         is_asked_in_vain = residual > 0.5 * self._asked_at and iteration < self._ask_again
-        if not self.may_pass(residual) or is_asked_in_vain:
+        if not self.may_meet_tolerance(residual) or is_asked_in_vain:
             return False
-        passes = self.certificate_of(z).ends_a_run(self.settings, self.scaling.answered)
-        if not passes:
+        meets = self.certificate_of(z).ends_a_run(self.settings, self.scaling.answered)
+        if not meets:
             self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
-        return passes
+        return meets
 
     def require_rigorous_bounds(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
@@ -155,7 +156,7 @@ class Judge:
             return False
         return measured_scaled_residual(self.problem, self.scaling.outward(z)) <= rounding_of_data(self.problem)
 
-    def counts(self, proof: Any) -> bool:
+    def accept_proof(self, proof: Any) -> bool:
         """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
 
         It is one in the units of the run; kept is what it says in the caller's. Where the problem is made from a

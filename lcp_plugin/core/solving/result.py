@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
+from ..representation import in_words
 from ..settings import Status
-from ..written import in_words
 from .advice import advice_on_given_rows
 from .answer import Answer
 

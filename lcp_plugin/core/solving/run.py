@@ -123,7 +123,7 @@ class Run:
         if known is None and (is_first or self.checks.is_due(state.iteration, step.increment)):
             residual = self.judge.measure(step.z)
             state.work += 1.0 if state.iteration > 0 else 0.0  # the start is measured for every problem
-        is_within = residual is not None and self.judge.may_pass(residual)
+        is_within = residual is not None and self.judge.may_meet_tolerance(residual)
         if residual is not None:
             if is_within:  # measured, not proved
                 residual = self.judge.certified(step.z)
@@ -139,7 +139,7 @@ class Run:
         if self._is_watched and self._report(step, residual, end is not None):
             end = end or End.INTERRUPTED
         if step.proof is not None and end is None:
-            if self.judge.counts(step.proof):
+            if self.judge.accept_proof(step.proof):
                 return End.NO_SOLUTION
             state.stages[-1].has_no_solution_nearby = getattr(self.judge.proof, "radius", math.inf) < math.inf
             if self.judge.misses_by_rounding(self.incumbent.z):
@@ -153,7 +153,7 @@ class Run:
         algorithm = self.state.stages[-1].algorithm
         is_monotone = algorithm.is_monotone
         if residual is not None:
-            if self.judge.passes(step.z, residual, iteration):
+            if self.judge.meets_tolerance(step.z, residual, iteration):
                 self.incumbent.take(step.z, residual)
                 return End.CONVERGED
             is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)

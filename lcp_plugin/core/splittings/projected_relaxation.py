@@ -11,13 +11,13 @@ import numpy as np
 
 from ..algorithm import Step, check_positive, directions, require_positive_diagonal
 from ..checks import FloatVector
-from ..crossovers import PSOR_GAIN, PSOR_PASSES
 from ..errors import InvalidOption
 from ..lcp import LCP
 from ..matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
 from ..matrix.joint_facts import pivot_weight
 from ..matrix.row_sums import inverse_residual_scale, row_splits
 from ..matrix.symmetry import has_symmetric_entries
+from ..tuning import PSOR_GAIN, PSOR_PASSES
 from . import Splitting
 
 # The automatic relaxation of PSOR.

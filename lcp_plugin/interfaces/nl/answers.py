@@ -14,9 +14,9 @@ from ... import __version__
 from ...core.checks import BoolVector, FloatVector
 from ...core.errors import InvalidOption
 from ...core.lcp import LCP
+from ...core.representation import in_words
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
-from ...core.written import in_words
 from ...modeling.assembly import Arrangement, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem

@@ -15,7 +15,7 @@ from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.core.expr.visitor import identify_variables
 
 from ...core.errors import UnsupportedModel
-from ...core.written import in_words
+from ...core.representation import in_words
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ from ...core.algorithm import Algorithm, FusedSolve, Step, check_flag
 from ...core.certificates.criterion import within
 from ...core.certificates.row_residuals import ratio_upwards
 from ...core.checks import FloatVector
-from ...core.crossovers import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import IntVector
+from ...core.tuning import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...systems.factors import Bands, bands
 from ...systems.graph import bandwidth
 

@@ -19,8 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector, read_only
-from ...core.crossovers import BLOCKED_ENTRY, BLOCKED_FROM, BLOCKED_RATE
 from ...core.matrix.structure import row_numbers
+from ...core.tuning import BLOCKED_ENTRY, BLOCKED_FROM, BLOCKED_RATE
 from .newton_matrix import DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix, signed_cholesky
 from .quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
 

@@ -14,9 +14,9 @@ from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import reference_residual
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector
-from ...core.crossovers import SWEEPS_FIRST_UP_TO
 from ...core.deadline import is_over
 from ...core.lcp import LCP
+from ...core.tuning import SWEEPS_FIRST_UP_TO
 from .attempts import ATTEMPTS
 from .dense_ends import newton_matrix
 from .newton_matrix import NewtonMatrix

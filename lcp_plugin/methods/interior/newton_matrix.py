@@ -13,9 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.crossovers import DENSE_OPERATIONS
 from ...core.deadline import require_seconds
 from ...core.matrix.structure import row_numbers
+from ...core.tuning import DENSE_OPERATIONS
 from ...systems.factors import Factor, cholesky, dense_lu, sparse_lu, sparse_work
 from ...systems.refinement import REFINED, REFINEMENTS, ROUGH, STABLE, USEFUL
 

@@ -14,8 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.crossovers import SPARSE_OPERATIONS
 from ...core.deadline import require_seconds
+from ...core.tuning import SPARSE_OPERATIONS
 from ...systems.factors import require_time_for_factor
 from ...systems.graph import compressed_rows
 from ...systems.refinement import REFINEMENTS

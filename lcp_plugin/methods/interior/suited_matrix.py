@@ -11,12 +11,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector, read_only
-from ...core.crossovers import DENSE_NEWTON_UP_TO
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.scaling import Exponents, scaled, symmetrising_rows
 from ...core.matrix.structure import IntVector, row_numbers
+from ...core.tuning import DENSE_NEWTON_UP_TO
 from ...systems.equilibration import unit_diagonal
 from ...systems.graph import compressed_rows
 from ...systems.symmetry import is_nearly_symmetric, is_symmetric_to_rounding

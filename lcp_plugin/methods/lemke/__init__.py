@@ -14,10 +14,10 @@ from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, without_warni
 from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import measured_residual
 from ...core.checks import FloatVector
-from ...core.crossovers import PIVOTED_UP_TO
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
+from ...core.tuning import PIVOTED_UP_TO
 from ...systems.graph import block_rows
 from ..newton.active_set import solve_active_set
 from ..small.small_dense import PIVOTS_ONLY, is_short, solve_fused, steps

@@ -15,9 +15,9 @@ import numpy as np
 
 from ...core.algorithm import Algorithm, Step, check_choice, check_flag, check_positive, require_positive_diagonal
 from ...core.checks import FloatVector
-from ...core.crossovers import DIRECT_UP_TO, MULTIGRID_PASSES, MULTIGRID_ROWS
 from ...core.errors import InvalidOption
 from ...core.lcp import LCP
+from ...core.tuning import DIRECT_UP_TO, MULTIGRID_PASSES, MULTIGRID_ROWS
 
 SMOOTHERS = ("pgs", "psor", "npgs", "npsor")
 

@@ -12,9 +12,9 @@ import scipy.sparse as sp
 
 from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, in_driven_sweeps, without_warnings
 from ...core.checks import FloatVector
-from ...core.crossovers import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_ROWS, DIRECT_UP_TO
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal
+from ...core.tuning import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_ROWS, DIRECT_UP_TO
 from ...systems.factors import factorise
 from ...systems.graph import bandwidth
 from ...systems.symmetry import is_nearly_symmetric

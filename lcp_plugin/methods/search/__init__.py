@@ -82,11 +82,11 @@ class Solution:
 
     def __str__(self) -> str:
         if self.is_isolated:
-            return f"z = {_written(self.exact_z)}, isolated"
+            return f"z = {_in_fractions(self.exact_z)}, isolated"
         some = list(islice(extreme_points(self.problem, self.pattern), SHOWN + 2))
-        others = [_written(vertex) for vertex in sorted(some) if vertex != self.exact_z][: SHOWN + 1]
+        others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z][: SHOWN + 1]
         told = f"; others: {', '.join([*others[:SHOWN], *(['…'] if len(others) > SHOWN else [])])}" if others else ""
-        return f"z = {_written(self.exact_z)}, a vertex of a face of dimension {self.dimension}{told}"
+        return f"z = {_in_fractions(self.exact_z)}, a vertex of a face of dimension {self.dimension}{told}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,7 @@ def _solution(problem: LCP, face: Face) -> Solution:
     return Solution(tuple(face.point), tuple(exact_slack(problem, face.point)), face.pattern, face.dimension, problem)
 
 
-def _written(point: Sequence[Fraction]) -> str:
+def _in_fractions(point: Sequence[Fraction]) -> str:
     return f"({', '.join(map(str, point))})"
 
 

@@ -16,11 +16,11 @@ import numpy as np
 from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import reference_residual
 from ...core.checks import FloatVector
-from ...core.crossovers import LINEAR_PROGRAM_UP_TO
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import IntVector
+from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...proofs.exact.rational import integers
 from ...proofs.exact.simplex import QUANTUM
 from ...proofs.no_solution.infeasibility import Case, find_forced_contradiction, find_infeasibility

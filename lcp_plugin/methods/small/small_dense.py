@@ -13,9 +13,9 @@ import numpy as np
 from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, without_warnings
 from ...core.certificates.criterion import within
 from ...core.checks import DENSE_ABOVE_DENSITY, FloatVector, read_only
-from ...core.crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO, CONTACTS_UP_TO
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
+from ...core.tuning import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO, CONTACTS_UP_TO
 
 # the phases of `methods.small.kernels.small_problems`, by the methods that they are
 PARTS = ("npsor", "newton", "lemke")

@@ -10,9 +10,9 @@ import scipy.sparse as sp
 
 from ...auto import takes_the_small_dense_solver
 from ...core.checks import DENSE_ABOVE_DENSITY, checked_start, read_only, real_array
-from ...core.crossovers import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
+from ...core.tuning import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
 from ...methods.small.small_dense import as_dense, is_short
 from ...systems.graph import outer_on_pattern
 from ..many.data import length_of_all, rows_of_a_batch

@@ -102,18 +102,18 @@ class NoImpulse:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProofOfNoImpulses(ConeAlgorithm):
+class InfeasibilityCheck(ConeAlgorithm):
     """A look for a proof that there is no answer: one conic program."""
 
-    name = "infeasibility proof"
+    name = "infeasibility"
     is_monotone = False
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, with the proof if there is one."""
-        yield Step(z0, work=20.0, proof=proof_of_no_impulses(problem))
+        yield Step(z0, work=20.0, proof=infeasibility_proof(problem))
 
 
-def proof_of_no_impulses(problem: Blocks) -> NoImpulse | None:
+def infeasibility_proof(problem: Blocks) -> NoImpulse | None:
     """Return a proof that there is no answer, None where Clarabel finds none that verifies."""
     program = ConvexProgram(problem)
     n, M = problem.n, problem.rows.csr

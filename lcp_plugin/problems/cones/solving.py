@@ -22,16 +22,16 @@ from ...core.kernels.threads import threads_for
 from ...core.kind import Kind
 from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
+from ...core.representation import in_words
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result, told_stages
 from ...core.solving.run import Callback, Run
-from ...core.written import in_words
 from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
-from .infeasibility import ProofOfNoImpulses
+from .infeasibility import InfeasibilityCheck
 from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
 
 TRIAL = 2  # steps of npgs before its rate is believed
@@ -84,7 +84,7 @@ def solve_cones(
     """
     settings = Settings(
         tolerance, "residual", max_iterations, max_seconds, absolute_tolerance, record, False, threads, verbose,
-        prove_infeasibility,
+        prove_infeasibility
     )
     checked_callback(callback)
     clock = Clock(ALONE)
@@ -169,7 +169,7 @@ class ConeAuto(Policy):
             yield Choice(NPGS(), SWEEPS)
         yield Choice(Newton(), "sweeps have found most cases, Newton's steps solve for them")
         if self._prove_infeasibility:
-            yield Choice(ProofOfNoImpulses(), "is there an answer at all?")
+            yield Choice(InfeasibilityCheck(), "is there an answer at all?")
         yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)
         yield Choice(Newton(), "from there")
         for seed in STARTS:

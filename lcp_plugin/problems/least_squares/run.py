@@ -185,7 +185,7 @@ class LeastSquaresJudge(Judge):
         self._aim = NARROWER * self._size
         return self._kept(z).steepness
 
-    def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
+    def meets_tolerance(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, certified just now, is what was asked for."""
         self._iteration = iteration
         return self.is_solved

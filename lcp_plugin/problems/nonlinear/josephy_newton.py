@@ -16,7 +16,6 @@ from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import CommonScaling, largest_of_components
 from ...core.certificates.row_residuals import largest_ratio, scaled_residual
 from ...core.checks import FloatVector
-from ...core.crossovers import INTERIOR_STEPS
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
@@ -27,6 +26,7 @@ from ...core.settings import Settings, Status
 from ...core.solving.driver import fused
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
+from ...core.tuning import INTERIOR_STEPS
 from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister, phi_jacobian
 from ...systems.factors import factor_fits, factorise

@@ -24,7 +24,7 @@ from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
-from ...core.written import WRITTEN_UP_TO, written_bounds, written_matrix
+from ...core.representation import REPR_UP_TO, bounds_repr, matrix_repr
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
 from .kind import QUADRATIC_PROGRAM
@@ -373,12 +373,12 @@ class QuadraticProgram:
 
     def __repr__(self) -> str:
         """Return the call that makes a small program again, bit for bit; of a large one, what `str` says."""
-        if not max(self.n, self.h.size, self.b.size) <= WRITTEN_UP_TO:
+        if not max(self.n, self.h.size, self.b.size) <= REPR_UP_TO:
             return str(self)
-        given = [written_matrix(self.P), repr(self.c.tolist())]
+        given = [matrix_repr(self.P), repr(self.c.tolist())]
         for (A, b), (rows, limits) in (((self.G, self.h), "Gh"), ((self.A, self.b), "Ab")):
-            given += [f"{rows}={written_matrix(A)}", f"{limits}={b.tolist()}"] if b.size else []
-        bounds = written_bounds(self.lower, self.upper, least=-np.inf)
+            given += [f"{rows}={matrix_repr(A)}", f"{limits}={b.tolist()}"] if b.size else []
+        bounds = bounds_repr(self.lower, self.upper, least=-np.inf)
         return f"QuadraticProgram({', '.join([*given, *bounds])})"
 
     def __str__(self) -> str:

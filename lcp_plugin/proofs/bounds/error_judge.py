@@ -12,7 +12,6 @@ import numpy as np
 from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector
-from ...core.crossovers import SHARP_SAMPLES_UP_TO
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import unit_triangle_sums
@@ -20,6 +19,7 @@ from ...core.matrix.structure import connected_components
 from ...core.settings import Settings, Status
 from ...core.solving.judge import Judge
 from ...core.solving.result import BoundOrReason
+from ...core.tuning import SHARP_SAMPLES_UP_TO
 
 if TYPE_CHECKING:
     from .error_bounds import ErrorBound
@@ -78,10 +78,10 @@ class ErrorJudge(Judge):
                 'there is only an estimate; ask for it by error_bound=True and stop on tolerance_on="residual"'
             )
 
-    def passes(self, z: FloatVector, residual: float, iteration: int) -> bool:
+    def meets_tolerance(self, z: FloatVector, residual: float, iteration: int) -> bool:
         """Return whether z, of that certified residual, is what was asked for: a bound proves the tolerance."""
         if not self.settings.is_on_error:
-            return super().passes(z, residual, iteration)
+            return super().meets_tolerance(z, residual, iteration)
         z, residual, tolerance = self.scaling.outward(z), residual * self.reference, self.settings.tolerance
         largest = self.problem.communicator.largest(float(np.max(np.abs(z), initial=0.0)))
         is_far = not residual <= self._residual_per_error * tolerance * largest

@@ -12,7 +12,6 @@ import numpy as np
 
 from ...core.algorithm import Algorithm
 from ...core.checks import FloatVector
-from ...core.crossovers import PIVOTED_UP_TO
 from ...core.errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ...core.kind import refusal
 from ...core.lcp import LCP
@@ -26,6 +25,7 @@ from ...core.matrix.iteration_facts import (
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
 from ...core.policy.policy import Policy
+from ...core.tuning import PIVOTED_UP_TO
 from ...systems.comparison import jacobi_radius
 from ...systems.graph import within_blocks
 from ..verdicts import analyze, comparison_certificate, h_verdict

@@ -179,7 +179,7 @@ class FarkasProgram:
 
     @cached_property
     def _slacks(self) -> list[sp.csr_array]:
-        """Which multipliers share a slack: those of bounds without one opposite do; each other has its own."""
+        """Which multipliers share a slack: bounds without another opposite share one, then each has its own."""
         form = self._form
         is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
         shares = np.append(np.zeros(form.m), is_open)[form.place]

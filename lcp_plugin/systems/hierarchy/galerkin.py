@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from ...core.checks import FloatVector, read_only
 from ...core.communicator import Arrays
-from ...core.crossovers import SHARED_FROM
 from ...core.kernels.compilation import compiled
 from ...core.kernels.compiler import njit, uintp
 from ...core.kernels.threads import share, threads_now
+from ...core.tuning import SHARED_FROM
 from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
 
 Indices = NDArray[Any]

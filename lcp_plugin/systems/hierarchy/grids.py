@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.communicator import ALONE, Arrays, Communicator
-from ...core.crossovers import SHARED_FROM
 from ...core.kernels.compilation import compiled
 from ...core.kernels.compiler import njit, uintp
 from ...core.kernels.threads import share
+from ...core.tuning import SHARED_FROM
 
 EqualRows = NDArray[np.int64]
 
@@ -246,7 +246,7 @@ def _appended(parts: list[Any], sizes: list[int], total: int) -> Any:
     return parts[0][:total]
 
 
-def written_rows(kernel: Any, operands: tuple[Any, ...], more: int, smallest: int) -> tuple[Arrays, int]:
+def rows_from_kernel(kernel: Any, operands: tuple[Any, ...], more: int, smallest: int) -> tuple[Arrays, int]:
     """Return the rows of P that a kernel writes with space for those of M and `more` a row, and what else it tells."""
     indptr, indices = operands[:2]
     n = indptr.size - 1

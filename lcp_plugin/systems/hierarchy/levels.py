@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from ...core.checks import FloatVector, read_only
 from ...core.communicator import ALONE, NOBODY, Arrays, Communicator
-from ...core.crossovers import SINGLE_FROM
 from ...core.kernels.threads import share
 from ...core.matrix.joint_facts import pivot_weight
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.symmetry import has_symmetric_entries, is_mirrored
+from ...core.tuning import SINGLE_FROM
 from ..equilibration import power_of_two
 from ..factors import dense_lu
 from . import coarsening, galerkin
@@ -41,9 +41,9 @@ from .grids import (
     Transfer,
     blocks_of,
     find_pivots,
+    rows_from_kernel,
     runs_of_equal_rows,
     unlike_rows,
-    written_rows,
 )
 from .vectors import scaling_of_unknowns, span
 
@@ -263,11 +263,11 @@ def _interpolation(
     operands, read = (indptr, indices, data, is_strong, kind, number), 0
     if not extends:
         kernel, smallest = coarsening.direct_interpolation, SMALLEST_PIECE
-        (p_indptr, p_indices, p_data), lonely = written_rows(kernel, operands, 0, smallest)
+        (p_indptr, p_indices, p_data), lonely = rows_from_kernel(kernel, operands, 0, smallest)
         extends = extends is None and communicator.total(lonely) > NOTEWORTHY_LONELY * communicator.total(n)
     if extends:
         kernel, more = coarsening.extended_interpolation, coarsening.MOST_WEIGHTS
-        (p_indptr, p_indices, p_data), read = written_rows(kernel, operands, more, n)  # all rows at once
+        (p_indptr, p_indices, p_data), read = rows_from_kernel(kernel, operands, more, n)  # all rows at once
     if scaling is not None:
         p_data *= np.repeat(scaling, np.diff(p_indptr)) / scaling[is_coarse][p_indices]
     rows = communicator.with_foreign_rows((p_indptr, p_indices, p_data))

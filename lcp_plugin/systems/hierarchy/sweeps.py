@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.crossovers import SHARED_FROM
 from ...core.kernels.compilation import compiled
 from ...core.kernels.compiler import njit, uintp
 from ...core.kernels.enclosures import fused
 from ...core.kernels.threads import share
+from ...core.tuning import SHARED_FROM
 from .grids import LONGEST_REACH, Blocks, EqualRows, run_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, EqualRows]  # in CSR, and where diagonals stand

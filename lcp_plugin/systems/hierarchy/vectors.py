@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.checks import BoolVector, FloatVector
-from ...core.crossovers import SHARED_FROM
 from ...core.kernels.compilation import compiled
 from ...core.kernels.compiler import uintp
 from ...core.kernels.threads import share
+from ...core.tuning import SHARED_FROM
 from .sweeps import NO_BOUNDS, _plus_products, shared
 
 if TYPE_CHECKING:

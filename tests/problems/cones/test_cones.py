@@ -26,7 +26,7 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.problems.cones.certificate import criterion_of
-from lcp_plugin.problems.cones.infeasibility import proof_of_no_impulses
+from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
 from lcp_plugin.problems.cones.methods import METHODS, Newton
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
@@ -219,7 +219,7 @@ HOPELESS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", HOPELESS)
-def test_what_has_no_answer_is_infeasible(name: str) -> None:
+def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
     """INFEASIBLE with a proof that verifies, and whose margin no point is below."""
     problem = HOPELESS[name]
     result = solve(problem)
@@ -233,12 +233,12 @@ def test_what_has_no_answer_is_infeasible(name: str) -> None:
     assert solve(problem, prove_infeasibility=False).status is not Status.INFEASIBLE
 
 
-def test_what_has_an_answer_is_not_infeasible() -> None:
+def test_what_has_an_answer_is_not_proved_infeasible() -> None:
     """Planted answers, W of low rank or not: no proof is found."""
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        assert proof_of_no_impulses(planted_contacts(4, 2, 1e3, rng)[0]) is None
-        assert proof_of_no_impulses(planted_cones(4, rng, rank=0.4)[0]) is None
+        assert infeasibility_proof(planted_contacts(4, 2, 1e3, rng)[0]) is None
+        assert infeasibility_proof(planted_cones(4, rng, rank=0.4)[0]) is None
 
 
 def test_batches_mix_kinds() -> None:

@@ -94,8 +94,8 @@ def test_contacts_are_known_by_the_order_of_their_rows(tmp_path: Path) -> None:
 def test_edges_without_friction_do_not_stick(content: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One contact on ice slips, whatever the workspace held before: rounds, and no pivots."""
     def workspace(n: int) -> tuple[Any, Any, Any]:
-        real, whole, room = shapes(n)
-        return np.full(real, np.nan), np.full(whole, content), np.full(room, np.nan)
+        real, whole, matrix = shapes(n)
+        return np.full(real, np.nan), np.full(whole, content), np.full(matrix, np.nan)
 
     monkeypatch.setattr(small_dense, "new_workspace", workspace)
     problem = LCP.from_contacts(np.eye(3), 0.0, [[-1.0, 0.3, 0.2]])

@@ -16,7 +16,6 @@ from functools import partial
 import numpy as np
 
 from ....core.checks import DENSE_ABOVE_DENSITY
-from ....core.crossovers import PIVOTED_AT_ONCE_UP_TO
 from ....core.kernels.compilation import (
     LONGEST_IN_ORDER,
     compiled_in_any_order,
@@ -27,6 +26,7 @@ from ....core.kernels.compilation import (
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL
 from ....core.kernels.rows import residual_of_row
+from ....core.tuning import PIVOTED_AT_ONCE_UP_TO
 from .small_systems import solve_free
 from .tableau import follow_path
 from .workspace import AT_LOWER, AT_UPPER, BETWEEN, FOUND, KEPT, LOWER, SCALE, SIDE, STATE, UPPER, Q, W, Z

@@ -1,4 +1,4 @@
-"""The constants of ``lcp_plugin.core.crossovers`` beside what this machine says of each."""
+"""The constants of ``lcp_plugin.core.tuning`` beside what this machine says of each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from scipy.linalg.blas import dsyrk
 
 from lcp_plugin.api import solve
-from lcp_plugin.core import crossovers
+from lcp_plugin.core import tuning
 from lcp_plugin.core.kernels.threads import share, threads_for
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.policy.stages import Stage
@@ -36,7 +36,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     """Yield a line a constant: its name, its value, and what was measured."""
     repeats = 3 if quick else 9
     for name, measure in MEASURED.items():
-        yield f"{name:<24} {getattr(crossovers, name):>9g}   measured {measure(repeats)}"
+        yield f"{name:<24} {getattr(tuning, name):>9g}   measured {measure(repeats)}"
 
 
 def _solved_afresh(problem: LCP, name: str) -> object:
@@ -197,7 +197,7 @@ def _operations(repeats: int) -> str:
         operations = sizes_of_factor(problem.matrix)[1]
         seconds = medians({"factor": partial(factorise, problem.M, is_symmetric=True)}, repeats)["factor"]
         ratios.append(seconds / operations * problem.nonzeros / _seconds_of_sweep(problem, "npgs", repeats))
-        seconds_of_largest = seconds / operations * crossovers.FACTOR_OPERATIONS_UP_TO
+        seconds_of_largest = seconds / operations * tuning.FACTOR_OPERATIONS_UP_TO
     return f"{seconds_of_largest:.0f} s; an operation is {min(ratios):.2f} to {max(ratios):.2f} entries of a sweep"
 
 
@@ -217,7 +217,7 @@ def _sparse_speed(repeats: int) -> str:
 
 
 def _pivoted(repeats: int) -> str:
-    return f"{8e-9 * crossovers.PIVOTED_UP_TO**2:.1f} GB of inverse, by its size"
+    return f"{8e-9 * tuning.PIVOTED_UP_TO**2:.1f} GB of inverse, by its size"
 
 
 def _semidefiniteness(repeats: int) -> str:
@@ -228,7 +228,7 @@ def _semidefiniteness(repeats: int) -> str:
 
 
 def _sweep_or_change(repeats: int) -> str:
-    problem = _dense(crossovers.SWEEPS_FIRST_UP_TO)
+    problem = _dense(tuning.SWEEPS_FIRST_UP_TO)
     solved = solver_of(problem.M, dense_up_to=problem.n) or np.copy
     seconds = medians({"sweep": lambda: problem.M @ problem.q, "change": lambda: solved(problem.q)}, repeats)
     return f"a product with M costs {seconds['sweep'] / seconds['change']:.1f} solves with its factor, n = {problem.n}"
@@ -278,7 +278,7 @@ def _largest_cholesky(n: int, share: float, repeats: int) -> str:
 
 def _compiled(make: Callable[[int], LCP], constant: str, repeats: int) -> str:
     """Return what the compiled road costs at its end, and a row beyond it."""
-    n = getattr(crossovers, constant)
+    n = getattr(tuning, constant)
     problems = {"compiled": make(n), "long": make(n + 1)}
     ways = {name: partial(_solved_afresh, problem, "auto") for name, problem in problems.items()}
     seconds = medians(ways, repeats)
@@ -296,14 +296,14 @@ def _scattered(n: int) -> LCP:
 
 def _path_or_interior_point(repeats: int) -> str:
     """Return what a compiled path costs beside an interior point where M has a positive diagonal."""
-    problem = _dense(crossovers.PIVOTED_AT_ONCE_UP_TO)
+    problem = _dense(tuning.PIVOTED_AT_ONCE_UP_TO)
     seconds = medians({name: partial(_solved_afresh, problem, name) for name in ("lemke", "interior_point")}, repeats)
     return f"lemke takes {seconds['lemke'] / seconds['interior_point']:.1f} times as long as interior_point there"
 
 
 def _contacts(repeats: int) -> str:
     """Return what contacts with friction cost at the end of the compiled road."""
-    case = friction(crossovers.CONTACTS_UP_TO // 6)
+    case = friction(tuning.CONTACTS_UP_TO // 6)
     problem = LCP(case.M, case.q)
     return f"auto takes {medians({'auto': partial(_solved_afresh, problem, 'auto')}, repeats)['auto']:.1e} s there"
 
@@ -330,7 +330,7 @@ def _single(repeats: int) -> str:
     """Return what V-cycles in single precision take of those in double, where those begin."""
     found = []
     for dimensions in (2, 3):
-        problem = build(f"obstacle_{dimensions}d", size=round(crossovers.SINGLE_FROM ** (1.0 / dimensions))).problem
+        problem = build(f"obstacle_{dimensions}d", size=round(tuning.SINGLE_FROM ** (1.0 / dimensions))).problem
         cycles = {}
         for name, single in (("double", False), ("single", True)):
             truncation = Truncation(build_hierarchy(problem.csr, single=single))
@@ -383,9 +383,9 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_UP_TO": _factor_or_multigrid, "LINEAR_PROGRAM_UP_TO": _program,
     "FACTOR_OPERATIONS_UP_TO": _operations, "DENSE_OPERATIONS": _dense_speed, "SPARSE_OPERATIONS": _sparse_speed,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
-    "CHOLESKY_UP_TO": partial(_cholesky, crossovers.CHOLESKY_UP_TO, 0.01),
-    "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, crossovers.FULL_CHOLESKY_UP_TO, crossovers.FULL_CHOLESKY_FROM),
-    "FULL_CHOLESKY_FROM": partial(_cholesky, 500, crossovers.FULL_CHOLESKY_FROM),
+    "CHOLESKY_UP_TO": partial(_cholesky, tuning.CHOLESKY_UP_TO, 0.01),
+    "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, tuning.FULL_CHOLESKY_UP_TO, tuning.FULL_CHOLESKY_FROM),
+    "FULL_CHOLESKY_FROM": partial(_cholesky, 500, tuning.FULL_CHOLESKY_FROM),
     "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound, "SHARED_FROM": _hand_over,
     "SINGLE_FROM": _single,
     **{name: partial(_dense_end, name) for name in ("BLOCKED_RATE", "BLOCKED_ENTRY", "BLOCKED_FROM")},

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from .checks import FloatVector
 
-WRITTEN_UP_TO = 8  # unknowns: up to here a repr holds all data
+REPR_UP_TO = 8  # unknowns: up to here a repr holds all data
 
 
 def in_words(count: int, what: str) -> str:
@@ -23,12 +23,12 @@ def in_words(count: int, what: str) -> str:
     return f"{count} {what}" + "s" * (count != 1)
 
 
-def written_lcp(problem: Any) -> str:
+def lcp_repr(problem: Any) -> str:
     """Return the call that makes a small LCP again; of an empty or a large one, what `str` says."""
-    if problem.is_distributed or not 0 < problem.n <= WRITTEN_UP_TO:
+    if problem.is_distributed or not 0 < problem.n <= REPR_UP_TO:
         return str(problem)
-    bounds = written_bounds(problem.lower, problem.upper, least=0.0)
-    return f"LCP({', '.join([written_matrix(problem.M), repr(problem.q.tolist()), *bounds])})"
+    bounds = bounds_repr(problem.lower, problem.upper, least=0.0)
+    return f"LCP({', '.join([matrix_repr(problem.M), repr(problem.q.tolist()), *bounds])})"
 
 
 def described_lcp(problem: Any) -> str:
@@ -46,23 +46,23 @@ def _bounds_in_words(problem: Any) -> str:
     return ", ".join(f"{count} {kind}" for count, kind in parts if count)
 
 
-def written_matrix(M: Any) -> str:
+def matrix_repr(M: Any) -> str:
     """Return what can be pasted for a matrix of floats, and is kept as this one is: a list of rows, or a CSR array.
 
     Examples
     --------
-    >>> written_matrix(np.eye(2)), written_matrix(sp.csr_array([[0.5, 2.0]]))
+    >>> matrix_repr(np.eye(2)), matrix_repr(sp.csr_array([[0.5, 2.0]]))
     ('[[1.0, 0.0], [0.0, 1.0]]', 'csr_array([[0.5, 2.0]])')
     """
     return f"csr_array({M.toarray().tolist()})" if sp.issparse(M) else repr(M.tolist())
 
 
-def written_bounds(lower: FloatVector, upper: FloatVector, least: float) -> list[str]:
+def bounds_repr(lower: FloatVector, upper: FloatVector, least: float) -> list[str]:
     """Return the bounds as keyword arguments; those that are `least` and ∞ throughout need none.
 
     Examples
     --------
-    >>> written_bounds(np.zeros(2), np.array([1.0, np.inf]), 0.0), written_bounds(-np.ones(2), np.ones(2), 0.0)
+    >>> bounds_repr(np.zeros(2), np.array([1.0, np.inf]), 0.0), bounds_repr(-np.ones(2), np.ones(2), 0.0)
     (['upper=[1.0, inf]'], ['lower=-1.0', 'upper=1.0'])
     """
     given = []

@@ -521,8 +521,11 @@ def one_of_each_kind() -> list[Any]:
 
 
 def test_time_ends_a_batch_of_several_kinds() -> None:
-    """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time."""
-    problems = one_of_each_kind() * 500
+    """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time.
+
+    Small problems over cones share a loop, which comes first.
+    """
+    problems = sorted(one_of_each_kind() * 500, key=lambda one: kind_of(one).word not in ON_CONES)  # type: ignore[union-attr]
     answers = solve_batch(problems, max_seconds=0.2)
     assert len(answers) == len(answers.status) == len(problems)
     assert answers.seconds < 5.0

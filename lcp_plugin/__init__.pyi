@@ -31,6 +31,7 @@ from .interfaces.quantecon import lemke as lemke
 from .methods.search import all_solutions as all_solutions
 from .modeling.constraint import box as box
 from .modeling.constraint import complements as complements
+from .modeling.constraint import friction_cone as friction_cone
 from .modeling.qp_solver import QPSolver as QPSolver
 from .modeling.registration import ComplementarityProblem as ComplementarityProblem
 from .modeling.registration import is_complementarity_problem as is_complementarity_problem

@@ -14,13 +14,16 @@ import numpy as np
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    ComplementarityProblem,
     ConeProblem,
     EquilibriumProgram,
     FrictionalContact,
     NonlinearProblem,
     QuadraticProgram,
     Status,
+    box,
     complements,
+    friction_cone,
 )
 
 INF = np.inf
@@ -228,7 +231,21 @@ def equilibrium(name: str, ends: Any, x: Any, P: Any, c: Any, pair: int, row: An
 
 
 def on_cones(name: str, problem: Any, ends: Any, x: Any = None) -> Sample:
-    return Sample(name, type(problem).__name__, problem, ends, x, None, None)
+    def in_cvxpy() -> Any:
+        import cvxpy as cp
+
+        z = cp.Variable(problem.n)
+        F = problem.rows.csr @ z + problem.q
+        if isinstance(problem, FrictionalContact):
+            return ComplementarityProblem(complements(friction_cone(z, problem.friction), F))
+        pairs = []
+        for first, end in zip(problem.starts[:-1], problem.starts[1:], strict=True):
+            own = slice(first, end)
+            side = box(z[own], problem.lower[own], problem.upper[own])
+            pairs.append(complements(cp.SOC(z[first], z[first + 1 : end]) if end - first > 1 else side, F[own]))
+        return ComplementarityProblem(pairs)
+
+    return Sample(name, type(problem).__name__, problem, ends, x, in_cvxpy, None)
 
 
 GOOD = (Status.SOLVED,)

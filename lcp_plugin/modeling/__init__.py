@@ -9,6 +9,9 @@
 - ``complements(box(x, lower, upper), F)``: bounds on both sides; at an upper bound F ≤ 0.
 - ``complements(x, F)``: the bounds are those of the variable, as in ``cp.Variable(2, nonneg=True)``; where it has none,
   F == 0 is what that means, and a ``ModelWarning`` says so.
+- ``complements(cp.SOC(t, x), F)`` over second-order cones, F affine, with the slack of t in its first row; or with
+  ``cp.SOC(s, y)``. Coulomb friction: ``complements(friction_cone(r, mu), W @ r + b)``, r of each contact its normal
+  impulse, then the tangents; nothing but definitions may stand beside it.
 - ``complements(y, G == 0)``, or plainly ``G == 0`` in the list: a free variable and its equation.
 - Bounds of a variable that equations define, as in ``w == M @ x + q`` with w nonneg, where the pairs imply them.
 

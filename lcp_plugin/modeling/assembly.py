@@ -17,6 +17,8 @@ from ..core.errors import InvalidOption, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.representation import in_words
 from ..core.solving.result import Result
+from ..problems.cones.data import Blocks
+from ..problems.cones.solving import solve_cones
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.nonlinear.solving import solve_nonlinear
 from .equations import Affine, Elimination, eliminate_definitions, known_ranges, matched_for_monotony
@@ -238,17 +240,26 @@ def _arranged(
     return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)
 
 
-def solve_from(problem: LCP | NonlinearProblem, start: FloatVector | None, options: dict[str, Any]) -> Result:
+def solve_from(problem: LCP | NonlinearProblem | Blocks, start: FloatVector | None, options: dict[str, Any]) -> Result:
     """Return the answer to a problem that a model became.
 
     Parameters
     ----------
-    problem : LCP or NonlinearProblem
+    problem : LCP, NonlinearProblem or Blocks
     start : array, shape (n,), or None
         The present values of the unknowns, where all have one; ``z0`` among the options goes before.
     options : dict
-        Of `solve` or of `solve_nonlinear`.
+        Of `solve`, of `solve_nonlinear` or of `solve_cones`.
     """
+    if isinstance(problem, Blocks):
+        problem.problem_kind.refuse(options)
+        known = list(inspect.signature(solve_cones).parameters)[1:]
+        for name in options:
+            if name not in known:
+                raise InvalidOption(f"a model with cones has no option {name!r}; it has {', '.join(known)}")
+        if "z0" in options or start is None or not np.isfinite(start).all():
+            return solve_cones(problem, **options)
+        return replace(solve_cones(problem, z0=start, **options), begun=BEGUN)
     if not isinstance(problem, NonlinearProblem):
         if "z0" in options or start is None or not np.isfinite(start).all():
             return solve_lcp(problem, **options)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.errors import ModelWarning, UnsupportedModel
-from ._compat import attribute_bounds, attribute_expressions, dense
+from ._compat import attribute_bounds, attribute_expressions, bound_value, dense
 from .assembly import Assembly, PairedRows
+from .cones import ConePair, over_cones
 from .equations import Elimination
 from .expressions.rows import as_matrix, is_definition
 from .model import BoundSource, DualReport, Model, Sources
@@ -52,6 +53,7 @@ class Builder(Assembly):
             if (stated := attribute_expressions(variable)) is not None:
                 columns = self.offsets[variable.id] + np.arange(variable.size)
                 self.bounds.append(BoundSource(columns, np.ones(variable.size), variable, *stated))
+        self.cones: list[ConePair] = []
         #: Variables that are paired as if they had bounds, and have none.
         self.unbounded: list[Side] = []
 
@@ -68,6 +70,9 @@ class Builder(Assembly):
         """Take in one complementarity: find the side that is a variable, or make one of the other's value."""
         sides = (pair.first, pair.second)
         functions = [PairedRows(side.expression, self.reader.rows(side.expression)) for side in sides]
+        if "cone" in (pair.first.kind, pair.second.kind):
+            self._pair_cones(pair, sides, functions)
+            return
         singles = [self._single_columns(function) for function in functions]
         ranks = [self._rank(sides[k], sides[1 - k], singles[k]) for k in (0, 1)]
         k = 0 if ranks[0] <= ranks[1] else 1
@@ -141,7 +146,8 @@ class Builder(Assembly):
         for constraint, is_slack in ((pair, True), (sides[0].constraint, True), (sides[1].constraint, False)):
             if constraint is not None:
                 how = (sign, 0.0, None) if is_slack else value
-                self.reports.append(DualReport(constraint, columns, shape, is_slack, *how))
+                own = (columns.size,) if isinstance(constraint, cp.SOC) else shape  # cvxpy reads it cone by cone
+                self.reports.append(DualReport(constraint, columns, own, is_slack, *how))
 
     def _tighten(self, side: Side, columns: NDArray[np.int64], low: FloatVector, high: FloatVector) -> None:
         """Set the bounds of the columns; the attributes of a variable may repeat them, not contradict them."""
@@ -160,25 +166,73 @@ class Builder(Assembly):
 
     def _pair_slack(self, pair: Complements, first: PairedRows, second: PairedRows) -> None:
         """S ≥ 0 ⟂ F ≥ 0 without a variable side: a new unknown s = S, s ≥ 0 ⟂ F ≥ 0."""
-        size = first.rows.size
+        columns = self._slacks_of(first, 0.0)
+        self._keep_pair(pair, (pair.first, pair.second), columns, second, np.ones(columns.size))
+
+    def _slacks_of(self, function: PairedRows, lower: float) -> NDArray[np.int64]:
+        """Return new unknowns s, which an equation makes the rows of the function."""
+        size = function.rows.size
         columns = np.arange(self.count, self.count + size)
         key = cp.Variable(size).id
         self.first[key] = self.count
-        rows = replace(first.rows, blocks={**first.rows.blocks, key: -1.0})
-        self.equations.append(replace(first, rows=rows, slacks=columns))
-        self.lower, self.upper = np.append(self.lower, np.zeros(size)), np.append(self.upper, np.full(size, np.inf))
+        rows = replace(function.rows, blocks={**function.rows.blocks, key: -1.0})
+        self.equations.append(replace(function, rows=rows, slacks=columns))
+        self.lower, self.upper = np.append(self.lower, np.full(size, lower)), np.append(self.upper, [np.inf] * size)
         self.is_paired = np.append(self.is_paired, np.ones(size, dtype=bool))
-        self._keep_pair(pair, (pair.first, pair.second), columns, second, np.ones(size))
+        return columns
+
+    def _pair_cones(self, pair: Complements, sides: tuple[Side, Side], functions: list[PairedRows]) -> None:
+        """K ∋ S ⟂ F ∈ K*: the unknowns are the side that is entries of variables, or new ones."""
+        for side, function in zip(sides, functions, strict=True):
+            if function.rows.level:
+                raise UnsupportedModel(
+                    f"{side} must be affine, as it is paired with a cone; give it a variable, or write it by affine "
+                    "expressions"
+                )
+        k = next(number for number in (0, 1) if sides[number].kind == "cone")
+        cone = sides[k]
+        entries = [self._entries(function) for function in functions]
+        if entries[k] is None and cone.friction is None and entries[1 - k] is not None:
+            k = 1 - k
+        columns = entries[k]
+        if columns is None:
+            columns = self._slacks_of(functions[k], -np.inf)
+        else:
+            self._drop_cone_bounds(sides[k], columns.reshape(-1, cone.rows))
+            self.is_paired[columns] = True
+        self._keep_pair(pair, (sides[k], sides[1 - k]), columns, functions[1 - k], np.ones(columns.size))
+        self.cones.append(ConePair(columns, cone.rows, friction_of(cone)))
+
+    def _entries(self, function: PairedRows) -> NDArray[np.int64] | None:
+        """Return the unknown that each row is, where they are distinct and in no other pair; else None."""
+        single = self._single_columns(function)
+        if single is None or (single[1] != 1.0).any() or np.any(function.rows.offset):
+            return None
+        columns = single[0]
+        return None if self.is_paired[columns].any() or self._is_defined(single) else columns
+
+    def _drop_cone_bounds(self, side: Side, columns: NDArray[np.int64]) -> None:
+        """Forget that t ≥ 0, which the cone says; raise where entries of a cone have other bounds."""
+        first = columns[:, 0]
+        self.lower[first] = np.where(self.lower[first] == 0.0, -np.inf, self.lower[first])
+        if (np.isfinite(self.lower[columns]) | np.isfinite(self.upper[columns])).any():
+            raise UnsupportedModel(
+                f"{side} holds variables with bounds of their own, and their partner says what gives way at the cone, "
+                "not at bounds; drop the bounds, or give them a pair of their own"
+            )
 
     def finished(self) -> Model:
         """Return the problem with the way back: see :meth:`Assembly.arranged`."""
         found = self.arranged()
+        problem: Any = found.problem
+        if self.cones:
+            problem, found = over_cones(found, self.cones, self.names_of)
         self._report_equations(found.elimination, found.matched)
         functions = [*(one for _, one, _ in self.pairs), *self.equations]
         slacks = {k: one.slacks for k, one in enumerate(functions) if one.slacks is not None}
         expressions = [one.expression for one in functions]
         sources = Sources(expressions, found.stored, found.places, found.signs, self.bounds, slacks)
-        return Model(found.problem, self.variables, self.offsets, self.reports, found.elimination, sources)
+        return Model(problem, self.variables, self.offsets, self.reports, found.elimination, sources)
 
     def variable_of(self) -> NDArray[np.int64]:
         """Return the variable that each unknown is an entry of; the slacks count as one more."""
@@ -207,6 +261,13 @@ class Builder(Assembly):
         """Return how the unknown is written: h[2]."""
         variable = next(one for one in reversed(self.variables) if self.offsets[one.id] <= column)
         return entry_name(variable, int(column) - self.offsets[variable.id])
+
+
+def friction_of(side: Side) -> FloatVector | None:
+    """Return the coefficients of the contacts of a side, None of one without friction."""
+    if side.friction is None:
+        return None
+    return np.array(np.broadcast_to(bound_value(side.friction, side), (side.expression.size // side.rows,)), float)
 
 
 def entry_name(variable: Any, k: int) -> str:
@@ -289,6 +350,11 @@ def pair_residual(pair: Complements) -> FloatVector | None:
         values = {id(side): side.expression.value for side in (pair.first, pair.second)}
     if any(value is None for value in values.values()):
         return None
+    if (cone := next((side for side in (pair.first, pair.second) if side.kind == "cone"), None)) is not None:
+        other = pair.second if cone is pair.first else pair.first
+        z, w = (np.ravel(dense(values[id(side)]), order="F") for side in (cone, other))
+        blocks = ConePair(np.arange(z.size), cone.rows, friction_of(cone)).blocks(np.eye(z.size), np.zeros(z.size))
+        return np.abs(blocks.residual(z, w, np.ones(blocks.slope.size))[0])
     first, second = by_rank(pair)
     low, high = bounds_of_rows(first)
     z, w = (np.ravel(dense(values[id(side)]), order="F") for side in (first, second))

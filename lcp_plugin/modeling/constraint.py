@@ -12,8 +12,10 @@ from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
 from ..core.errors import UnsupportedModel
+from ..problems.cones.data import dimension_of
 from ._compat import attribute_bounds, bound_value
 from .builder import pair_residual
+from .cones import stacked
 
 REMEDY = 'solve it with problem.solve(method="LCP")'
 
@@ -28,11 +30,15 @@ class Side:
         In the form "box" a variable, or a part of one.
     kind : str
         "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or "value" (an
-        expression whose bounds, if any, are those of its variable).
+        expression whose bounds, if any, are those of its variable), "cone" (each column of expression in a cone).
     constraint : cvxpy constraint or None
-        The inequality or equality that states the side.
+        The inequality, equality or cone that states the side.
     lower, upper : scalar, array or parameter
         Bounds of a box, of the shape of the expression, or scalars; ±∞ for none.
+    friction : scalar, array or parameter, or None
+        Coefficients of friction, of impulses.
+    rows : int
+        Those of one cone.
     """
 
     expression: Any
@@ -40,12 +46,16 @@ class Side:
     constraint: Any = None
     lower: Any = None
     upper: Any = None
+    friction: Any = None
+    rows: int = 0
 
     def __str__(self) -> str:
         if self.constraint is not None:
             return str(self.constraint)
         if self.kind == "box":
             return f"box({self.expression}, {self.lower}, {self.upper})"
+        if self.kind == "cone":
+            return f"friction_cone({self.expression}, {self.friction})"
         return str(self.expression)
 
     def bounds(self) -> tuple[Any, Any]:
@@ -86,6 +96,50 @@ def box(expression: Any, lower: Any, upper: Any) -> Side:
     return Side(_expression(expression, "the expression of box"), "box", None, lower, upper)
 
 
+def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None) -> Side:
+    """Return Coulomb's law ‖r_T‖ ≤ μ r_N, as one side of a complementarity; the other side are the velocities.
+
+    Parameters
+    ----------
+    impulses : cvxpy expression, shape (d k,)
+        r of k contacts one after the other: normal, then tangents.
+    friction : scalar, array of shape (k,), or parameter
+        Coefficients μ ≥ 0.
+    dimension : int, optional
+        d, 3 in space and 2 in the plane, where `friction` does not tell it: 3 by default where the length is a
+        multiple of 3.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the impulses are no vector, or coefficients and contacts differ in number.
+
+    Examples
+    --------
+    >>> import cvxpy as cp
+    >>> from lcp_plugin import ComplementarityProblem
+    >>> r = cp.Variable(3)
+    >>> problem = ComplementarityProblem(complements(friction_cone(r, 0.5), r + [-1, 3, 4]))
+    >>> _ = problem.solve()
+    >>> r.value.round(6)
+    array([ 1. , -0.3, -0.4])
+    """
+    expression = _expression(impulses, "the impulses of friction_cone")
+    if expression.ndim != 1:
+        raise UnsupportedModel(
+            f"friction_cone needs a vector of impulses, contact by contact, got shape {expression.shape}; write "
+            'cp.vec(r, order="C") of an array with a row a contact'
+        )
+    rows = dimension_of(dimension, np.empty(np.shape(friction)), expression.size)
+    count = expression.size // rows
+    if np.shape(friction) not in ((), (count,)):
+        raise UnsupportedModel(
+            f"friction must be a number, or have shape ({count},): one a contact of {rows} rows, got "
+            f"{np.shape(friction)}"
+        )
+    return Side(expression, "cone", friction=friction, rows=rows)
+
+
 def complements(first: Any, second: Any) -> Complements:
     """Return the constraint that two sides complement each other, row by row.
 
@@ -93,9 +147,10 @@ def complements(first: Any, second: Any) -> Complements:
     ----------
     first, second
         In either order: ``x >= 0`` with ``F >= 0``; ``box(x, l, u)`` with an expression F; a variable with
-        bounds of its own with F; a free variable with ``G == 0``. Both sides may be general expressions, affine
-        or smooth; see ``help("lcp_plugin.modeling")``. At a lower bound F ≥ 0, at an upper bound F ≤ 0, between them
-        F = 0.
+        bounds of its own with F; a free variable with ``G == 0``; ``cp.SOC(t, x)`` with ``cp.SOC(s, y)``, or with an
+        affine F that has s in its first row and y below; ``friction_cone(r, mu)`` with velocities u. Both sides may
+        be general expressions, affine or smooth; see ``help("lcp_plugin.modeling")``. At a lower bound F ≥ 0, at an
+        upper bound F ≤ 0, between them F = 0.
 
     Returns
     -------
@@ -124,12 +179,26 @@ def complements(first: Any, second: Any) -> Complements:
         raise UnsupportedModel("complements got two equalities; write two constraints, or pair one with a variable")
     if "box" in kinds and kinds <= {"box", "zero"}:
         raise UnsupportedModel("complements(box(x, l, u), F) needs an expression F as its other side")
+    if "cone" in kinds:
+        _require_cones(sides)
     if sides[0].expression.shape != sides[1].expression.shape:
         raise UnsupportedModel(
             f"the sides of complements must have the same shape, got {sides[0].expression.shape} for "
             f"{sides[0]} and {sides[1].expression.shape} for {sides[1]}; nothing is broadcast"
         )
     return Complements(sides[0], sides[1])
+
+
+def _require_cones(sides: list[Side]) -> None:
+    """Raise where one side is a cone, and the other is none and no expression."""
+    other = next((side for side in sides if side.kind != "cone"), None)
+    if other is not None and other.kind != "value":
+        raise UnsupportedModel(
+            f"one side of complements is a cone, and the other is {other}; it must be an expression F, or a cone like "
+            "it: complements(cp.SOC(t, x), F), the row of t first"
+        )
+    if other is None and any(side.friction is not None for side in sides):
+        raise UnsupportedModel("complements(friction_cone(r, mu), u) needs the velocities u as its other side")
 
 
 def _side(given: Any, which: str) -> Side:
@@ -145,9 +214,13 @@ def _side(given: Any, which: str) -> Side:
         return Side(given.args[0], "nonnegative", given)
     if isinstance(given, (Equality, Zero)):
         return Side(given.expr, "zero", given)
+    if isinstance(given, cp.SOC):
+        expression = stacked(given)
+        return Side(expression, "cone", given, rows=expression.shape[0])
     if isinstance(given, Constraint):
         raise UnsupportedModel(
-            f"the {which} side of complements is {given}; it must be an inequality, an equality or an expression"
+            f"the {which} side of complements is {given}; it must be an inequality, an equality, cp.SOC(t, x) or an "
+            "expression"
         )
     return Side(_expression(given, f"the {which} side of complements"), "value")
 
@@ -181,7 +254,7 @@ class Complements(Constraint):  # type: ignore[misc]
 
     ``dual_value`` is the value of the side that is no variable (w), of two expressions the second; after a solve the
     inequality that bounds the variable carries the same, and the other inequality carries the variable, as after a
-    quadratic program.
+    quadratic program; of a cone it has t in its first row.
 
     Parameters
     ----------
@@ -215,7 +288,7 @@ class Complements(Constraint):  # type: ignore[misc]
         """Return the parameters of both sides, those of the bounds of a box included."""
         found = {parameter.id: parameter for parameter in super().parameters()}
         for side in (self.first, self.second):
-            for bound in (side.lower, side.upper):
+            for bound in (side.lower, side.upper, side.friction):
                 if isinstance(bound, cp.Expression):
                     found.update({parameter.id: parameter for parameter in bound.parameters()})
         return list(found.values())

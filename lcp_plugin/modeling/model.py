@@ -16,6 +16,7 @@ from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.lcp import LCP
 from ..problems.batches.batch import solve_batch
 from ..problems.batches.batch_run import BatchResult
+from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
 from ._compat import dense, name_of
 from .equations import Elimination
@@ -47,10 +48,11 @@ class DualReport:
 class Model:
     """A complementarity problem together with the way back to the cvxpy variables and constraints.
 
-    `problem` is an LCP where everything is affine, else a NonlinearProblem.
+    `problem` is an LCP where everything is affine, with cones a ConeProblem or a FrictionalContact, else a
+    NonlinearProblem.
     """
 
-    problem: LCP | NonlinearProblem
+    problem: LCP | NonlinearProblem | Blocks
     variables: list[Any]
     offsets: dict[int, int]
     reports: list[DualReport] = field(repr=False)
@@ -67,6 +69,10 @@ class Model:
         """
         if isinstance(self.problem, LCP):
             return self.problem
+        if isinstance(self.problem, Blocks):
+            raise UnsupportedModel(
+                f"{purpose} takes no cones, and this model has some; problem.solve(method=\"LCP\") solves it"
+            )
         raise UnsupportedModel(
             f"{purpose} needs affine sides, and this model has nonlinear ones; problem.solve(method=\"LCP\") solves it"
         )
@@ -95,7 +101,9 @@ class Model:
             z[first : first + variable.size] = np.ravel(variable.value, order="F")
         with np.errstate(all="ignore"):  # outside of a domain
             for k, columns in self.sources.slacks.items():
-                z[columns] = np.maximum(np.ravel(dense(self.sources.functions[k].value), order="F"), 0.0)
+                value = np.ravel(dense(self.sources.functions[k].value), order="F")
+                # A start over cones is projected by their solver.
+                z[columns] = value if isinstance(self.problem, Blocks) else np.maximum(value, 0.0)
         return z[self.elimination.kept]
 
 
@@ -231,7 +239,7 @@ def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
     expected, width, terms = np.zeros((3, theirs.size))
     left = np.delete(np.arange(theirs.size), sources.matrices[0].shape[0] + elimination.rows)[sources.places]
     expected[left] = sources.signs * w
-    if isinstance(problem, LCP):
+    if not isinstance(problem, NonlinearProblem):
         terms = np.concatenate([abs(matrix) @ np.abs(unknowns) for matrix in sources.matrices])
     elif problem.enclosure is not None:
         lower, upper = problem.enclosure.interval_F(z, z)

@@ -19,6 +19,7 @@ from cvxpy.reductions.solution import Solution
 from ..core.errors import UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.result import Result
+from ..problems.cones.data import Blocks
 from ._compat import (
     CVXPY_STATUS,
     answer_derivatives,
@@ -258,6 +259,11 @@ def solve_model(
     parameters = differentiable_parameters(problem) if requires_grad else []
     known = values_of_parameters(parameters) if requires_grad else {}
     model = build_from(problem)
+    if requires_grad and isinstance(model.problem, Blocks):
+        raise UnsupportedModel(
+            "requires_grad=True takes no cones, and this model has some; solve without it, and take "
+            "lcp_plugin.derivative(problem.solver_stats.extra_stats)"
+        )
     start = model.start() if warm_start and "z0" not in options else None
     result = solve_from(model.problem, start, {"algorithm": algorithm, "verbose": bool(verbose), **options})
     if verbose:
@@ -277,6 +283,12 @@ def _best(
     """Find the best of all solutions."""
     from .best_equilibrium import solve_for_the_best
 
+    if any(side.kind == "cone" for pair in problem.constraints if isinstance(pair, Complements)
+           for side in (pair.first, pair.second)):
+        raise UnsupportedModel(
+            f"the objective {name_of(problem.objective.args[0])} stands beside a complementarity over cones, and "
+            "nothing searches for the best of its solutions; write cp.Minimize(0) for any of them"
+        )
     if algorithm != "auto" or requires_grad:
         what = "requires_grad=True" if requires_grad else f"algorithm={algorithm!r}"
         rest = "; for a local search leave out the objective" if requires_grad else "; leave it out"
@@ -331,7 +343,11 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
         problem.unpack(Solution(status, 0.0, model.values(result.z), known, attributes))
     for constraint, value in duals:
         if constraint.id not in own:  # the inequality inside a pair, which cvxpy does not know
-            constraint.save_dual_value(None if status == settings.INFEASIBLE else value)
+            if status == settings.INFEASIBLE:
+                for dual in constraint.dual_variables:
+                    dual.save_value(None)
+            else:
+                constraint.save_dual_value(value)
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
     if status != settings.INFEASIBLE and (what := contradiction(model, result.z, result.w)) is not None:
         problem._clear_solution()

@@ -231,7 +231,7 @@ def by_cvxpy(sample: Sample, folder: Path) -> None:
     assert answer.status in sample.ends
     if sample.x is not None:
         values = np.concatenate([np.ravel(one.value) for one in problem.variables()])
-        np.testing.assert_allclose(values, sample.x, atol=CLOSE)
+        np.testing.assert_allclose(values[: len(sample.x)], sample.x, atol=CLOSE)
 
 
 def by_pyomo(sample: Sample, folder: Path) -> None:
@@ -522,8 +522,11 @@ def one_of_each_kind() -> list[Any]:
 
 
 def test_time_ends_a_batch_of_several_kinds() -> None:
-    """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time."""
-    problems = one_of_each_kind() * 500
+    """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time.
+
+    Small problems over cones share a loop, which comes first.
+    """
+    problems = sorted(one_of_each_kind() * 500, key=lambda one: kind_of(one).word not in ON_CONES)  # type: ignore[union-attr]
     answers = solve_batch(problems, max_seconds=0.2)
     assert len(answers) == len(answers.status) == len(problems)
     assert answers.seconds < 5.0

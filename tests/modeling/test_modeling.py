@@ -303,7 +303,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "PSD": (lambda x: [pair_of(cp.Variable((2, 2), PSD=True))], "PSD"),
     "symmetric": (lambda x: [pair_of(cp.Variable((2, 2), symmetric=True))], "symmetric"),
     "contradicting bounds": (lambda x: [with_other_bounds(cp.Variable(3, nonneg=True))], "other bounds"),
-    "second-order cone": (lambda x: [complements(cp.SOC(x[0], x[1:]), x >= 0)], "inequality"),
+    "second-order cone": (lambda x: [complements(cp.SOC(x[0], x[1:]), x >= 0)], "a cone, and the other is"),
     "box with equality": (lambda x: [complements(box(x, 0, 1), x == 1)], "needs an expression"),
 }
 

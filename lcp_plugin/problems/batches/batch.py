@@ -22,6 +22,8 @@ from ...core.solving.answer import Answer
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ...systems.factors import bands
+from ..cones.batch import groups_of, solve_small
+from ..cones.batch import result_of as result_of_small
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
@@ -126,8 +128,9 @@ def solve_batch(
     Parameters
     ----------
     M : array, shape (B, n, n) or (n, n), a sparse array for all, a sequence of problems, or a QuadraticProgramBatch
-        Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data: these are solved one
-        by one, programs sooner in a QuadraticProgramBatch. LCPs may differ in size; they and programs bring q and their
+        Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data: of these small
+        problems over cones, with dense matrices, share a compiled loop, and others are solved one by one, programs
+        sooner in a QuadraticProgramBatch. LCPs may differ in size; they and programs bring q and their
         bounds. Arrays of shape (B, n, n) are read where they lie: leave their entries as they are while you use what is
         returned.
     q : array, shape (B, n) or (n,)
@@ -198,7 +201,7 @@ def solve_batch(
                      absolute_tolerance=absolute_tolerance, prove_infeasibility=prove_infeasibility)
         defaults = solve_batch.__kwdefaults__ or {}
         wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
-        return MixedRun(M, wishes, limit=limit).run()
+        return MixedRun(M, wishes, threads=checked, limit=limit).run()
     if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
         items = Listed(_checked_list(M, q, lower, upper), z0)
     else:
@@ -211,12 +214,16 @@ def solve_batch(
 
 
 class MixedRun(BatchLoop):
-    """The answers to problems of several kinds, one after the other."""
+    """The answers to problems of several kinds: small ones over cones in a compiled loop, others one by one."""
 
-    def __init__(self, problems: Sequence[Any], wishes: dict[str, Any], *, limit: float) -> None:
-        super().__init__(len(problems), "auto", wishes, {}, threads=1, limit=limit)
+    def __init__(self, problems: Sequence[Any], wishes: dict[str, Any], *, threads: int, limit: float) -> None:
+        # An algorithm is one of the problems' own kind.
+        self.named = {name: wish for name, wish in wishes.items() if name == "algorithm"}
+        others = {name: wish for name, wish in wishes.items() if name != "algorithm"}
+        super().__init__(len(problems), "auto", others, {}, threads=threads, limit=limit)
         self.problems = problems
         self.results: dict[int, Answer] = {}
+        self.compiled: dict[int, tuple[Any, Any]] = {}  # z of an item, and what was made for it
 
     def run(self) -> AnswerList:
         """Solve all, and gather what was found."""
@@ -226,17 +233,26 @@ class MixedRun(BatchLoop):
         return AnswerList(self, self.result_of)
 
     def _solve_compiled(self) -> None:
-        """There is no loop for all kinds."""
+        if self.named or self.wishes.keys() - {"tolerance", "prove_infeasibility"}:
+            return  # a start or an algorithm of the caller's
+        for group in groups_of(self.problems):
+            found = solve_small([self.problems[k] for k in group.tolist()], self.settings, self._in_chunks)
+            items = group[found.items]
+            self.compiled.update(zip(items.tolist(), zip(found.z, found.made.tolist(), strict=True), strict=True))
+            self.status[items], self.is_open[items] = Status.SOLVED, False
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
-        found = solve(self.problems[k], **wishes)
+        found = solve(self.problems[k], **self.named, **wishes)
         self.results[k], self.status[k], self.is_open[k] = found, found.status, False
         self.is_interrupted |= found.status is Status.INTERRUPTED
 
     def result_of(self, k: int) -> Answer:
         """Return the answer to problem k, which has no error; one that was not begun has what its start has."""
+        if k in self.compiled:
+            share = self.seconds / len(self.problems)
+            return result_of_small(self.problems[k], *self.compiled[k], self.settings, share)
         if k not in self.results:
-            found = solve(self.problems[k], **self.wishes, max_seconds=0.0)
+            found = solve(self.problems[k], **self.named, **self.wishes, max_seconds=0.0)
             self.results[k] = replace(found, status=self.status[k])
         return self.results[k]
 

@@ -28,7 +28,7 @@ _REFUSED: dict[str, str] = {
 
 def _kind(name: str, word: str, *ways: str, **instead: str) -> Kind:
     return Kind(
-        name, word, ("solve", "solve_batch", "derivative", "save", "pickle", "lcp-plugin solve", *ways),
+        name, word, ("solve", "solve_batch", "derivative", "save", "pickle", "cvxpy", "lcp-plugin solve", *ways),
         "solve(problem) solves it", {**_REFUSED, **instead},
     )
 

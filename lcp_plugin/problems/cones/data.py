@@ -48,6 +48,7 @@ class Blocks:
         Whether the slack of a cone is û.
     """
 
+    problem_kind: ClassVar[Kind]
     origin: Any = None
     criterion: None = None  # no program is behind it
     is_distributed = False
@@ -305,7 +306,7 @@ class FrictionalContact(Blocks):
             dimension = velocities.shape[1]
         offset = checked_vector(velocities.ravel(), "b", None)
         mu = real_array(friction, "friction must be a number, or an array of shape (k,): one a contact")
-        d = _dimension(dimension, mu, offset.size)
+        d = dimension_of(dimension, mu, offset.size)
         k = offset.size // d
         if mu.shape not in ((), (k,)):
             raise InvalidProblem(
@@ -390,8 +391,8 @@ def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:
     return other
 
 
-def _dimension(given: int | None, friction: FloatVector, rows: int) -> int:
-    """Return the rows of a contact."""
+def dimension_of(given: int | None, friction: FloatVector, rows: int) -> int:
+    """Return the rows of a contact; raise InvalidProblem where they do not add up."""
     if given is None and friction.ndim == 1 and friction.size and rows % friction.size == 0:
         given = rows // friction.size
     d = 3 if given is None and rows % 3 == 0 else 2 if given is None else given

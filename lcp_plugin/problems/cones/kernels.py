@@ -47,70 +47,81 @@ def _project(x, first, end, mu):  # type: ignore[no-untyped-def]
     return ON
 
 
+@compiled_part
+def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # type: ignore[no-untyped-def]
+    """Write R = z − P(z − ŵ / scale) of one block into `found`; return where the projection lies."""
+    first, end = starts[k], starts[k + 1]
+    if end - first == 1:
+        step = w[first] / scale[k]
+        below, above = z[first] - upper[first], z[first] - lower[first]
+        found[first] = min(max(step, below), above)
+        return WITHIN if below < step < above else OUT
+    for i in range(first, end):
+        found[i] = z[i] - w[i] / scale[k]
+    if friction:
+        found[first] -= slope[k] * _tangent(w, first, end) / scale[k]
+    case = _project(found, first, end, slope[k])
+    for i in range(first, end):
+        found[i] = z[i] - found[i]
+    return case
+
+
 @compiled
 def residuals(starts, slope, friction, lower, upper, z, w, scale, found, cases):  # type: ignore[no-untyped-def]
     """Write R = z − P(z − ŵ / scale) block by block into `found`, and into `cases` where the projections lie."""
     for k in range(slope.size):
-        first, end = starts[k], starts[k + 1]
-        if end - first == 1:
-            step = w[first] / scale[k]
-            below, above = z[first] - upper[first], z[first] - lower[first]
-            found[first] = min(max(step, below), above)
-            cases[k] = WITHIN if below < step < above else OUT
-            continue
-        for i in range(first, end):
-            found[i] = z[i] - w[i] / scale[k]
-        if friction:
-            found[first] -= slope[k] * _tangent(w, first, end) / scale[k]
-        cases[k] = _project(found, first, end, slope[k])
-        for i in range(first, end):
-            found[i] = z[i] - found[i]
+        cases[k] = _residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
+
+
+@compiled_part
+def _derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z, by_w):  # type: ignore[no-untyped-def]
+    """Write an element of the generalised derivative of R by z and by w of one block, of shape (m, m)."""
+    first, end = starts[k], starts[k + 1]
+    size, mu = end - first, slope[k]
+    by_z[:], by_w[:] = 0.0, 0.0
+    if size == 1:
+        step = w[first] / scale[k]
+        is_free = z[first] - upper[first] < step < z[first] - lower[first]
+        by_z[0, 0], by_w[0, 0] = (0.0, 1.0 / scale[k]) if is_free else (1.0, 0.0)
+        return
+    slip = _tangent(w, first, end)
+    for i in range(size):
+        x[i] = z[first + i] - w[first + i] / scale[k]
+        by_z[i, i] = 1.0
+    if friction:
+        x[0] -= mu * slip / scale[k]
+    tangent = _tangent(x, 0, size)
+    if mu * tangent <= -x[0] and not tangent <= mu * x[0]:
+        return
+    if tangent <= mu * x[0]:
+        for i in range(size):
+            by_z[i, i], by_w[i, i] = 0.0, 1.0 / scale[k]
+    else:
+        share = 1.0 / (1.0 + mu * mu)
+        radius = mu * (x[0] + mu * tangent) * share
+        for i in range(1, size):
+            way[i] = x[i] / tangent
+        by_w[0, 0] = share / scale[k]
+        for i in range(1, size):
+            by_w[0, i] = by_w[i, 0] = mu * share * way[i] / scale[k]
+            for j in range(1, size):
+                outer = (mu * mu * share - radius / tangent) * way[i] * way[j]
+                by_w[i, j] = (outer + (radius / tangent if i == j else 0.0)) / scale[k]
+        for i in range(size):
+            for j in range(size):
+                by_z[i, j] -= scale[k] * by_w[i, j]
+    if friction and slip > 0.0:  # ŵ_N depends on w_T
+        for i in range(size):
+            for j in range(1, size):
+                by_w[i, j] += by_w[i, 0] * mu * w[first + j] / slip
 
 
 @compiled
 def derivatives(starts, slope, friction, lower, upper, z, w, scale, by_z, by_w):  # type: ignore[no-untyped-def]
     """Write an element of the generalised derivative of R by z and by w, blocks of shape (k, m, m)."""
-    m = by_z.shape[1]
-    x, way = np.empty(m), np.empty(m)
+    x, way = np.empty(by_z.shape[1]), np.empty(by_z.shape[1])
     for k in range(slope.size):
-        first, end = starts[k], starts[k + 1]
-        size, mu = end - first, slope[k]
-        by_z[k], by_w[k] = 0.0, 0.0
-        if size == 1:
-            step = w[first] / scale[k]
-            is_free = z[first] - upper[first] < step < z[first] - lower[first]
-            by_z[k, 0, 0], by_w[k, 0, 0] = (0.0, 1.0 / scale[k]) if is_free else (1.0, 0.0)
-            continue
-        slip = _tangent(w, first, end)
-        for i in range(size):
-            x[i] = z[first + i] - w[first + i] / scale[k]
-            by_z[k, i, i] = 1.0
-        if friction:
-            x[0] -= mu * slip / scale[k]
-        tangent = _tangent(x, 0, size)
-        if mu * tangent <= -x[0] and not tangent <= mu * x[0]:
-            continue
-        if tangent <= mu * x[0]:
-            for i in range(size):
-                by_z[k, i, i], by_w[k, i, i] = 0.0, 1.0 / scale[k]
-        else:
-            share = 1.0 / (1.0 + mu * mu)
-            radius = mu * (x[0] + mu * tangent) * share
-            for i in range(1, size):
-                way[i] = x[i] / tangent
-            by_w[k, 0, 0] = share / scale[k]
-            for i in range(1, size):
-                by_w[k, 0, i] = by_w[k, i, 0] = mu * share * way[i] / scale[k]
-                for j in range(1, size):
-                    outer = (mu * mu * share - radius / tangent) * way[i] * way[j]
-                    by_w[k, i, j] = (outer + (radius / tangent if i == j else 0.0)) / scale[k]
-            for i in range(size):
-                for j in range(size):
-                    by_z[k, i, j] -= scale[k] * by_w[k, i, j]
-        if friction and slip > 0.0:  # ŵ_N depends on w_T
-            for i in range(size):
-                for j in range(1, size):
-                    by_w[k, i, j] += by_w[k, i, 0] * mu * w[first + j] / slip
+        _derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
 
 
 @compiled
@@ -208,6 +219,40 @@ def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-un
             return
 
 
+@compiled_part
+def _sweep(  # type: ignore[no-untyped-def]
+    block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, w, before
+):
+    """Solve each block up to the last with the others as they are; return the largest change, in the unit of z."""
+    moved = 0.0
+    for k in range(block, last):
+        first, end = starts[k], starts[k + 1]
+        size, mu, A = end - first, slope[k], diagonal[k]
+        for i in range(size):
+            total = q[first + i]
+            for p in range(indptr[first + i], indptr[first + i + 1]):
+                total += data[p] * z[indices[p]]
+            for j in range(size):
+                total -= A[i, j] * z[first + j]
+            b[i] = total
+        if size == 1:
+            if A[0, 0] > 0.0:
+                new = min(max(-b[0] / A[0, 0], lower[first]), upper[first])
+                moved = max(moved, abs(new - z[first]))
+                z[first] = new
+            continue
+        for i in range(size):
+            x[i] = before[i] = z[first + i]
+        if not (friction and size == 3 and _one_contact(A, b, mu, x)):
+            for i in range(size):
+                x[i] = before[i]
+            _by_projections(A, b, mu, friction, steps[k], size, x, w)
+        for i in range(size):
+            moved = max(moved, abs(x[i] - before[i]))
+            z[first + i] = x[i]
+    return moved
+
+
 @compiled
 def sweep(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, sweeps
@@ -220,30 +265,139 @@ def sweep(  # type: ignore[no-untyped-def]
     m = diagonal.shape[1]
     b, x, w, before, moved = np.empty(m), np.empty(m), np.empty(m), np.empty(m), 0.0
     for _ in range(sweeps):
-        moved = 0.0
-        for k in range(slope.size):
-            first, end = starts[k], starts[k + 1]
-            size, mu, A = end - first, slope[k], diagonal[k]
-            for i in range(size):
-                total = q[first + i]
-                for p in range(indptr[first + i], indptr[first + i + 1]):
-                    total += data[p] * z[indices[p]]
-                for j in range(size):
-                    total -= A[i, j] * z[first + j]
-                b[i] = total
-            if size == 1:
-                if A[0, 0] > 0.0:
-                    new = min(max(-b[0] / A[0, 0], lower[first]), upper[first])
-                    moved = max(moved, abs(new - z[first]))
-                    z[first] = new
-                continue
-            for i in range(size):
-                x[i] = before[i] = z[first + i]
-            if not (friction and size == 3 and _one_contact(A, b, mu, x)):
-                for i in range(size):
-                    x[i] = before[i]
-                _by_projections(A, b, mu, friction, steps[k], size, x, w)
-            for i in range(size):
-                moved = max(moved, abs(x[i] - before[i]))
-                z[first + i] = x[i]
+        moved = _sweep(
+            0, slope.size, starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z,
+            b, x, w, before,
+        )
     return moved
+
+
+@compiled_part
+def _measure(  # type: ignore[no-untyped-def]
+    block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+):
+    """Write w and R of some blocks; return the largest of their ‖R_k‖ times weights, and the norm of these."""
+    largest, total = 0.0, 0.0
+    for k in range(block, last):
+        own = 0.0
+        for i in range(starts[k], starts[k + 1]):
+            w[i] = q[i]
+            for p in range(indptr[i], indptr[i + 1]):
+                w[i] += data[p] * z[indices[p]]
+        _residual(k, starts, slope, friction, lower, upper, z, w, scale, R)
+        for i in range(starts[k], starts[k + 1]):
+            own += R[i] * R[i]
+        own = np.sqrt(own) * weights[k]
+        largest, total = (max(largest, own) if own == own else np.inf), total + own * own
+    return largest, np.sqrt(total)
+
+
+@compiled_part
+def _eliminate(A, b, n):  # type: ignore[no-untyped-def]
+    """Overwrite b with the solution of A x = b, by Gaussian elimination; return whether there is one."""
+    for j in range(n):
+        pivot = j
+        for i in range(j + 1, n):
+            if abs(A[i, j]) > abs(A[pivot, j]):
+                pivot = i
+        if not abs(A[pivot, j]) > 0.0:
+            return False
+        if pivot != j:
+            for c in range(j, n):
+                A[j, c], A[pivot, c] = A[pivot, c], A[j, c]
+            b[j], b[pivot] = b[pivot], b[j]
+        for i in range(j + 1, n):
+            if A[i, j] != 0.0:
+                share = A[i, j] / A[j, j]
+                for c in range(j + 1, n):
+                    A[i, c] -= share * A[j, c]
+                b[i] -= share * b[j]
+    for i in range(n - 1, -1, -1):
+        for c in range(i + 1, n):
+            b[i] -= A[i, c] * b[c]
+        b[i] /= A[i, i]
+    return True
+
+
+@compiled
+def solve_each(  # type: ignore[no-untyped-def]
+    item, end_item, ends, starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, scale,
+    weights, goal, rounds, most_steps, proximal, search, z, made
+):
+    """Solve small problems, item i of the blocks ends[i] … ends[i + 1] − 1: sweeps, then steps of Newton's method.
+
+    `rounds` are the sweeps before each run of Newton's method, of at most `most_steps` with a nonmonotone line search.
+    Sweeps go on from sweeps; each second run of Newton's method begins at a point moved at random, the same for each
+    item. `search` has the constants of Newton's method: memory, halvings, decrease, least proximal term, and how far a
+    start is moved. `made` gets how many of both an item took, and −1 for Newton's where the goal was not reached.
+    """
+    memory, halvings, decrease, least_proximal, away = search
+    m, most = diagonal.shape[1], 0
+    for number in range(item, end_item):
+        most = max(most, starts[ends[number + 1]] - starts[ends[number]])
+    b, x, y, before = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    by_z, by_w, J, step = np.empty((m, m)), np.empty((m, m)), np.empty((most, most)), np.empty(most)
+    w, R, start, sizes = np.empty(q.size), np.empty(q.size), np.empty(most), np.empty(memory)
+    swept = np.empty(most)
+    for number in range(item, end_item):
+        block, last = ends[number], ends[number + 1]
+        row, n = starts[block], starts[last] - starts[block]
+        made[number, 0] = made[number, 1] = 0
+        largest, size = _measure(
+            block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+        )
+        random = 1
+        for turn in range(rounds.size):
+            if largest <= goal:
+                break
+            if turn:
+                z[row:row + n] = swept[:n]
+            for _ in range(rounds[turn]):
+                _sweep(
+                    block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z,
+                    b, x, y, before,
+                )
+            made[number, 0] += rounds[turn]
+            swept[:n] = z[row:row + n]
+            if turn % 2:
+                spread = 2.0 * away * np.abs(swept[:n]).mean()
+                for i in range(row, row + n):
+                    random = (1103515245 * random + 12345) % 2147483648
+                    z[i] += spread * (random / 1073741824.0 - 1.0)
+            largest, size = _measure(
+                block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+            )
+            sizes[:] = size
+            for newton in range(most_steps):
+                if largest <= goal or not size < np.inf:
+                    break
+                epsilon = max(min(proximal, 0.1 * largest), least_proximal)
+                J[:n, :n] = 0.0
+                for k in range(block, last):
+                    _derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, y, by_z, by_w)
+                    first, width = starts[k], starts[k + 1] - starts[k]
+                    for i in range(width):
+                        at = first - row + i
+                        step[at] = -R[first + i]
+                        for j in range(width):
+                            for p in range(indptr[first + j], indptr[first + j + 1]):
+                                J[at, indices[p] - row] += by_w[i, j] * data[p]
+                            J[at, first - row + j] += by_z[i, j] + by_w[i, j] * epsilon * scale[k]
+                if not _eliminate(J, step, n):
+                    break
+                made[number, 1] += 1
+                start[:n] = z[row:row + n]
+                length, allowed = 1.0, sizes.max()
+                for _ in range(halvings):
+                    for i in range(n):
+                        z[row + i] = start[i] + length * step[i]
+                    largest, size = _measure(
+                        block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights,
+                        z, w, R,
+                    )
+                    if size <= (1.0 - decrease * length) * allowed:
+                        break
+                    length *= 0.5
+                sizes[newton % memory] = size
+        if not largest <= goal:
+            made[number, 1] = -1

@@ -39,6 +39,7 @@ NEWTON_STEPS = 15  # that an answer is predicted to take
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
 STARTS, LAST_STARTS = (1, 2, 3, 4), tuple(range(5, 17))
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
+FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
 
 
@@ -167,7 +168,7 @@ class ConeAuto(Policy):
             yield Choice(NPGS(), SWEEPS, from_start=True)
         else:
             yield Choice(NPGS(), SWEEPS)
-        yield Choice(Newton(), "sweeps have found most cases, Newton's steps solve for them")
+        yield Choice(Newton(), FOLLOWS)
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
         yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)

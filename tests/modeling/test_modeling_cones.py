@@ -1,0 +1,188 @@
+"""Cones in cvxpy: the pair (t, x) of cp.SOC and its slack, impulses with friction, mixed with ordinary pairs."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from lcp_plugin import (
+    LCP,
+    ComplementarityProblem,
+    ConeProblem,
+    FrictionalContact,
+    InvalidOption,
+    LCPError,
+    box,
+    complements,
+    friction_cone,
+    solve,
+)
+
+RNG = np.random.default_rng(3)
+
+
+def definite(n: int) -> Any:
+    A = RNG.standard_normal((n, n))
+    return A @ A.T + np.eye(n)
+
+
+def test_a_convex_program_over_cones_has_the_same_answer_in_cvxpy() -> None:
+    """Of min ½ zᵀM z + qᵀz over a cone: complementarity is its optimality condition, duals included."""
+    M, q = definite(4), RNG.standard_normal(4)
+    z = cp.Variable(4)
+    pair = complements(cp.SOC(z[0], z[1:]), M @ z + q)
+    ComplementarityProblem(pair).solve(tolerance=1e-10)
+    found = z.value
+    soc = cp.SOC(z[0], z[1:])
+    cp.Problem(cp.Minimize(0.5 * cp.quad_form(z, cp.psd_wrap(M)) + q @ z), [soc]).solve(
+        solver="CLARABEL", tol_gap_abs=1e-13, tol_gap_rel=1e-13
+    )
+    np.testing.assert_allclose(found, z.value, atol=1e-6)
+    np.testing.assert_allclose(pair.dual_value, M @ found + q, atol=1e-8)
+    np.testing.assert_allclose(np.concatenate([np.ravel(one) for one in soc.dual_value]), pair.dual_value, atol=1e-5)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_several_cones_beside_boxes_and_equations_make_one_cone_problem(axis: int) -> None:
+    """Each pair holds, whatever the order of rows in the model, and a second solve begins at the first."""
+    t, X, y, total = cp.Variable(3), cp.Variable((2, 3)), cp.Variable(2), cp.Variable()
+    q = RNG.standard_normal((3, 3))
+    cone = cp.SOC(t, X) if axis == 0 else cp.SOC(t, X.T, axis=1)
+    F = 3.0 * cp.vstack([cp.reshape(t, (1, 3), order="F"), X]) + q + 0.1 * cp.sum(y)
+    pairs = [complements(cone, F), complements(y >= 0, 2 * y + X[0, :2] - total - [1.0, -4.0] >= 0)]
+    problem = ComplementarityProblem([*pairs, total == 0.1 * cp.sum(X)])
+    problem.solve(tolerance=1e-10)
+    assert problem.status == "optimal"
+    assert isinstance(problem.solver_stats.extra_stats.problem, ConeProblem)
+    assert max(pair.violation() for pair in pairs) <= 1e-8
+    assert (np.linalg.norm(X.value, axis=0) <= t.value + 1e-8).all()
+    np.testing.assert_allclose(pairs[0].dual_value, F.value, atol=1e-8)
+    assert pairs[0].residual.shape == (3, 3)
+    problem.solve()
+    assert "begun from the values" in problem.solver_stats.extra_stats.begun
+
+
+def test_two_cones_of_expressions_complement_each_other() -> None:
+    """Neither side is entries of variables: a new unknown is, and both constraints get their duals."""
+    x = cp.Variable(3)
+    A, q = definite(3), RNG.standard_normal(3)
+    first, second = cp.SOC((A @ x)[0] + 1, (A @ x)[1:]), cp.SOC(x[0] + q[0], x[1:] + q[1:])
+    pair = complements(first, second)
+    problem = ComplementarityProblem(pair)
+    problem.solve(tolerance=1e-10)
+    z, w = A @ x.value + [1, 0, 0], x.value + q
+    assert pair.violation() <= 1e-8
+    assert abs(z @ w) <= 1e-8
+    for dual, value in ((first.dual_value, w), (second.dual_value, z)):
+        np.testing.assert_allclose(np.concatenate([np.ravel(one) for one in dual]), value, atol=1e-8)
+
+
+def test_friction_in_cvxpy_is_frictional_contact() -> None:
+    """By velocities of bodies as definitions, with parameters for μ and the push; again after they change."""
+    J, push, mu = RNG.standard_normal((6, 4)), cp.Parameter(4), cp.Parameter(2)
+    r, v = cp.Variable(6), cp.Variable(4)
+    problem = ComplementarityProblem([complements(friction_cone(r, mu), J @ v), v == push + J.T @ r])
+    for scale in (1.0, 2.0):
+        push.value, mu.value = scale * np.array([1.0, -2.0, 0.5, 1.0]), np.array([0.3, 0.9]) * scale
+        problem.solve(tolerance=1e-10)
+        expected = solve(FrictionalContact(J @ J.T, J @ push.value, mu.value), tolerance=1e-10).require_solved()
+        np.testing.assert_allclose(r.value, expected.z, atol=1e-7)
+        found = problem.solver_stats.extra_stats
+        assert isinstance(found.problem, FrictionalContact)
+        assert found.motion.touches.shape == (2,)
+
+
+def test_a_plane_contact_has_two_rows() -> None:
+    """Their d is told by the number of coefficients, or by `dimension`."""
+    for given in ({"friction": [0.5]}, {"friction": 0.5, "dimension": 2}):
+        r = cp.Variable(2)
+        ComplementarityProblem(complements(friction_cone(r, **given), r - np.array([1.0, -0.25]))).solve()
+        np.testing.assert_allclose(r.value, [1.0, -0.25], atol=1e-7)
+
+
+def test_the_order_of_the_sides_is_free() -> None:
+    """Of cones and of friction."""
+    for side in (lambda r: cp.SOC(r[0], r[1:]), lambda r: friction_cone(r, 1.0)):
+        r = cp.Variable(3)
+        pair = complements(r - np.array([1.0, -3.0, -4.0]), side(r))
+        ComplementarityProblem(pair).solve()
+        np.testing.assert_allclose(pair.dual_value, r.value - np.array([1.0, -3.0, -4.0]), atol=1e-8)
+        assert pair.violation() <= 1e-8
+
+
+def test_a_pair_over_cones_is_pickled_and_said() -> None:
+    """As other pairs are."""
+    r = cp.Variable(3, name="r")
+    pair = complements(friction_cone(r, 0.5), r - 1)
+    assert "friction_cone(r, 0.5)" in str(pair)
+    assert str(pickle.loads(pickle.dumps(pair))) == str(pair)
+
+
+t, x, y = cp.Variable(), cp.Variable(2), cp.Variable(3)
+REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
+    "an inequality": (lambda: complements(cp.SOC(t, x), y >= 0), r"must be an expression F, or a cone like it"),
+    "another shape": (lambda: complements(cp.SOC(t, x), x - 1), r"same shape, got \(3,\)"),
+    "friction and a cone": (lambda: complements(friction_cone(y, 1.0), cp.SOC(t, x)), "needs the velocities u"),
+    "a matrix": (lambda: friction_cone(cp.Variable((2, 3)), 1.0), "needs a vector of impulses"),
+    "no contacts": (lambda: friction_cone(cp.Variable(7), 1.0), "multiple of"),
+    "coefficients": (lambda: friction_cone(cp.Variable(6), [1.0, 2.0, 3.0], dimension=3), "one a contact of 3 rows"),
+    "a smooth side": (
+        lambda: ComplementarityProblem(complements(cp.SOC(t, x), cp.exp(cp.hstack([t, x])))).solve(), "must be affine"
+    ),
+    "a smooth pair beside": (
+        lambda: ComplementarityProblem(
+            [complements(cp.SOC(t, x), cp.hstack([t, x])), complements(y >= 0, cp.exp(y) >= 2)]
+        ).solve(), "beside affine sides only",
+    ),
+    "friction beside a pair": (
+        lambda: ComplementarityProblem([complements(friction_cone(y, 1.0), y - 1), complements(x >= 0, x)]).solve(),
+        "contact with friction has impulses alone",
+    ),
+    "negative friction": (
+        lambda: ComplementarityProblem(complements(friction_cone(y, -1.0), y - 1)).solve(), "not negative"
+    ),
+    "an objective": (
+        lambda: cp.Problem(cp.Minimize(t), [complements(cp.SOC(t, x), cp.hstack([t, x]))]).solve(method="LCP"),
+        "nothing searches for the best",
+    ),
+    "bounds of entries": (
+        lambda: ComplementarityProblem(
+            complements(cp.SOC(t, z := cp.Variable(2, nonneg=True)), cp.hstack([t, z]))
+        ).solve(), "bounds of their own",
+    ),
+    "backward": (
+        lambda: ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1)).solve(requires_grad=True),
+        "requires_grad=True takes no cones",
+    ),
+    "LCP.from_cvxpy": (
+        lambda: LCP.from_cvxpy(ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1))), "takes no cones"
+    ),
+    "an option": (
+        lambda: ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1)).solve(relaxation=1), "has no option"
+    ),
+    "a bound of the error": (
+        lambda: ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1)).solve(tolerance_on="error"),
+        "nothing bounds the error over cones",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_model_over_cones_is_refused_in_words(name: str) -> None:
+    """Saying what was given and what is needed."""
+    call, words = REFUSED[name]
+    with pytest.raises((LCPError, InvalidOption), match=words):
+        call()
+
+
+def test_t_may_be_declared_nonnegative() -> None:
+    """The cone says so anyway."""
+    t, x = cp.Variable(nonneg=True), cp.Variable(2)
+    pair = complements(cp.SOC(t, x), cp.hstack([t, x]) - np.array([0.0, 2.0, 0.0]))
+    ComplementarityProblem([pair, complements(box(y, 0, 1), y - 3)]).solve()
+    np.testing.assert_allclose([t.value, *x.value], [1.0, 1.0, 0.0], atol=1e-7)

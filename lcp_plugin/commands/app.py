@@ -1,4 +1,4 @@
-"""The application that commands register in, and what they share: arguments, and how failures are told."""
+"""The application that commands register in, and what they share: arguments, and how failures are reported."""
 
 from __future__ import annotations
 

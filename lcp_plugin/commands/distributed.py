@@ -39,7 +39,7 @@ SPEAKER = "lcp-plugin"
 
 @contextmanager
 def on_all_ranks() -> Iterator[None]:
-    """Run a whole command: only rank 0 is heard, and whatever ends one rank ends all."""
+    """Run a whole command: only rank 0 prints, and whatever ends one rank ends all."""
     try:
         from mpi4py import MPI
 

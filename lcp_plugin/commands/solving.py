@@ -330,7 +330,7 @@ class ModelAnswer:
 
 
 def is_model(target: str) -> bool:
-    """Return whether the target is a file whose answer is not told as that of an LCP."""
+    """Return whether the target is a file whose answer is not printed as that of an LCP."""
     path = target.strip()
     return Path(path).suffix.lower() == ".nl" or kind_in(path) is not LCP
 

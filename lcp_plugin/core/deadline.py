@@ -100,7 +100,7 @@ class Clock:
     """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation.
 
     Those are not counted in runs inside this one either. On several ranks these are the seconds of the slowest one, and
-    Ctrl-C is heard on any of them.
+    Ctrl-C is noticed on any of them.
 
     Attributes
     ----------

@@ -65,7 +65,7 @@ class JudgedAnswer:
         return self.x is not None and self.certification is not None and self.certification.verdict == "proved"
 
     def save(self, path: Path) -> None:
-        """Write x, the multipliers where the solver has told them, and the solver's name into an ``.npz`` file."""
+        """Write x, the multipliers where the solver returned them, and the solver's name into an ``.npz`` file."""
         from ..interfaces.files.files import write_whole
 
         vectors: dict[str, Any] = {"x": self.x, **(self.multipliers or {}), "solver": np.array(self.solver)}

@@ -25,7 +25,7 @@ AXIS_LABELS = {
 }
 AXES = {"seconds": "time [s], set-up included", "work": "work [passes over M]"}
 LEAST = {"work": 1.0, "seconds": 1e-9}
-"""Less is not told apart: a run whose start is the answer counts one pass."""
+"""Less is not resolved: a run whose start is the answer counts one pass."""
 
 
 class Point(NamedTuple):

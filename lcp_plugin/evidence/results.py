@@ -289,7 +289,7 @@ class ResultsFile:
             if path.exists():
                 self._read_all(path)
             else:
-                write_text(path, csv_text(COLUMNS, ()))  # what cannot be written is told before anything runs
+                write_text(path, csv_text(COLUMNS, ()))  # what cannot be written is reported before anything runs
 
     def _read_all(self, path: Path) -> None:
         try:

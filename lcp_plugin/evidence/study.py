@@ -176,7 +176,7 @@ class _Plan:
         """Return everything that a row depends on; it builds the problem."""
         try:
             problem = data_of(self.scene(label, size).problem)
-        except Exception as error:  # it is told where it is measured
+        except Exception as error:  # reported where it is measured
             problem = told(error)
         return str((problem, one.algorithm, own_source(one.algorithm), self.repeats, self.limits))
 

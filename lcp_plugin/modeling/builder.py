@@ -303,7 +303,7 @@ def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVect
     builder = Builder([expression], {})
     try:
         function = PairedRows(expression, builder.reader.rows(expression))
-    except UnsupportedModel:  # it is told where the expression is solved for
+    except UnsupportedModel:  # reported where the expression is solved for
         return None
     if (single := builder._single_columns(function)) is None:
         return None

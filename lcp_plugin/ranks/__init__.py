@@ -37,7 +37,7 @@ many rows, and more is lost near a free boundary.
 **Files:** ``problem.save(folder)`` writes a chunk a rank, ``LCP.load(folder, comm)`` reads it on any number of ranks.
 ``LCP.from_problem`` cuts a whole problem into equal parts.
 
-**Failures:** bad input is refused on every rank and told once; a rank that dies or raises ends the job.
+**Failures:** bad input is refused on every rank and reported once; a rank that dies or raises ends the job.
 
 Measured on the two cores of one machine, 2-D obstacle (``python tests/distributed/benchmark.py``):
 

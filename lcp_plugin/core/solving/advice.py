@@ -78,7 +78,7 @@ def _elsewhere(left_out: Sequence[str]) -> str:
 
 
 def advice_beside_a_wrong_row(words: Mapping[Status, str], row: str) -> dict[Status, str]:
-    """Return the advice where the residual is small enough and a row, told in words, is wrong in its own terms."""
+    """Return the advice where the residual is small enough and a row, which it names, is wrong in its own terms."""
     wrong = f"the residual is small enough, but a row is wrong beside its own terms q_i and m_ij z_j: {row}"
     units = "state rows and unknowns in units in which the entries of M are of one size"
     said = {status: f"{wrong}; {words[status]}" for status in LIMITS}

@@ -125,7 +125,7 @@ class Answer:
         }
 
     def _numbers(self) -> dict[str, float]:
-        """Return what else is told of the answer in numbers."""
+        """Return the answer's other numbers."""
         return {} if self.objective is None else {"objective": self.objective}
 
     def plot(self, **how: Any) -> Any:

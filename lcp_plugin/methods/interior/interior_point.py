@@ -369,7 +369,7 @@ class Search:
 
 
 def _weight_of(primal: PrimalActiveSet | None) -> float:
-    """Return the size of w beside that of z where an active set has told it, else 1."""
+    """Return the size of w beside that of z where an active set gives it, else 1."""
     z, w = (0.0, 0.0) if primal is None else (float(np.abs(values).max(initial=0.0)) for values in (primal.z, primal.w))
     return w / z if z > 0.0 and 0.0 < w / z < np.inf else 1.0
 

@@ -75,7 +75,8 @@ class LargestPoint(Algorithm):
     Parameters
     ----------
     prove_infeasibility : bool
-        Where False, or above the size up to which proofs are looked for, the contradiction is told as doubles have it.
+        Where False, or above the size up to which proofs are looked for, the contradiction is reported as doubles have
+        it.
     """
 
     prove_infeasibility: bool = True

@@ -28,7 +28,7 @@ from ...methods.banded import Banded
 from ..many.answers import AnswerSequence, Results
 from .marching import StepPolicy
 
-BLOCK = 64  # steps between two moments at which Ctrl-C is heard, and nothing before them is lost
+BLOCK = 64  # steps between two checks for Ctrl-C, and nothing before them is lost
 
 
 class March(AnswerSequence[Result]):

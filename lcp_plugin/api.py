@@ -73,8 +73,8 @@ def solve(
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
         Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. ``interior_point``
-        uses one on dense symmetric M and programs only; ``lemke`` tries its active set, and begins there where its
-        residual is a tenth of that point's or less; where it changes nothing ``explain()`` says so.
+        uses one on dense symmetric M and programs only; ``lemke`` begins from the active set of z0 where its residual is
+        at most a tenth of that of the default start. Where a start changes nothing, ``explain()`` says so.
     tolerance : float
         SOLVED means that in every connected component of M's graph the measured residual of the returned z is at most
         this times that of the point of [lower, upper] nearest to 0. All of it:
@@ -85,8 +85,8 @@ def solve(
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, with set-up and without compilation of kernels. It is obeyed at the end of the
-        iteration under way, or within a tenth of a second inside a long factorisation, as Ctrl-C is. The factorisation
-        then goes on in a thread of its own until it is done, and its result is dropped.
+        iteration under way, as Ctrl-C is; a long factorisation is finished first. With a limit, none is begun that is
+        predicted not to fit.
     absolute_tolerance : float
         In the unit of z: a component with ‖r‖∞ ≤ absolute_tolerance is solved in any case. Use it for contacts at rest,
         whose gaps are rounding. INFEASIBLE and NO_SOLUTION are proved beyond it.
@@ -113,8 +113,8 @@ def solve(
     Returns
     -------
     Result
-        Or that of the other kind; each is an :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x,
-        objective, advice and proof. Always, whatever the status, with the best iterate whose residual was measured
+        For other kinds of problem a result class of their own; each is an
+        :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x, objective, advice and proof. Always, whatever the status, with the best iterate whose residual was measured
         (in-place methods are measured at intervals and at the end), also after Ctrl-C; before the first step that is
         the start. ``result.require_solved()`` raises instead.
 
@@ -125,8 +125,8 @@ def solve(
 
     Notes
     -----
-    What the other kinds take, and what SOLVED means there, is that of the function which solves them; they refuse the
-    rest, and have default tolerances of their own:
+    For other kinds of problem, the functions and classes below say which options there are (others raise InvalidOption),
+    what SOLVED means, and which tolerance is the default:
 
     - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.solve_nonlinear`;
     - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and

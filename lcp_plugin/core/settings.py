@@ -21,7 +21,7 @@ TARGETS = ("residual", "error")
 
 
 class Status(Enum):
-    """Why a run ended; the value of each member says it in words, `advice` of a result also what to do."""
+    """Why a run ended, in words; `advice` of a result says more of the case at hand."""
 
     SOLVED = "the residual is within the tolerance, rounding included, as proved on your data"
     PRECISION_LIMIT = (
@@ -30,7 +30,7 @@ class Status(Enum):
     )
     MAX_ITERATIONS = "the iteration limit came first: raise max_iterations"
     MAX_SECONDS = "the time limit came first: raise max_seconds"
-    STALLED = "the residual has stopped falling, or falls too slowly to arrive within max_iterations"
+    STALLED = "the residual has stopped falling, falls too slowly to arrive within max_iterations, or the method has ended"
     DIVERGED = "the iterates ran away: the residual grew by a factor of 10⁸, or is not finite"
     INFEASIBLE = (
         "no z within its bounds gives w = M z + q the signs it needs, even with errors as large as the tolerance; "

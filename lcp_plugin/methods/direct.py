@@ -273,9 +273,10 @@ def _at_last(problem: LCP, prove_infeasibility: bool, words: list[str]) -> Itera
     from .search import LARGEST_SIZE
     from .search.stages import ExhaustiveSearch
 
-    if prove_infeasibility and problem.n <= LARGEST_SIZE:
-        yield Choice(ExhaustiveSearch(), "few enough unknowns to try every choice of bounds to the end")
-    elif prove_infeasibility:
+    if problem.n <= LARGEST_SIZE:
+        search = ExhaustiveSearch(prove_infeasibility=prove_infeasibility)
+        yield Choice(search, "few enough unknowns to try every choice of bounds to the end")
+    else:
         words.append(_up_to("the exhaustive search", LARGEST_SIZE, problem))
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")

@@ -66,7 +66,7 @@ class Certificate:
     z, w : ndarray, shape (n,)
         The point and its slack M z + q in double precision; on ranks the own parts, shape (own,).
     scaled_residual : float
-        ‖r(z)‖∞ of the worst component, in mixed units of all rows, in the caller's unit of z, measured.
+        ‖r(z)‖∞ of the worst component, in the caller's unit of z, measured.
     relative_residual : float
         The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all connected components P of the graph of M, with
         r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the scaling
@@ -88,10 +88,9 @@ class Certificate:
         max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
     relative_complementarity : float
         The same with w_i/d_i for w_i, over ‖r_P(z°)‖∞², P the component of row i. Invariant as the relative residual
-        is. That is about the lesser factor; where the other is huge, the product is large although the residual is
-        small.
+        is. The residual is about the smaller factor, so that this product can be large while the residual is small.
     worst_index : int
-        The row of the largest residual beside the reference of its component: it names the worst component; −1 for an
+        The row of the largest residual relative to the ‖r_P(z°)‖∞ of its component: it names the worst one; −1 for an
         empty problem.
 
     Examples

@@ -40,7 +40,8 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
     """Return the same problem, prepared for many q: everything that depends on M alone is computed.
 
     ``problem.with_q(q)`` shares it, so that a march in time pays for it once; a solve without it computes what it
-    needs when it needs it. Of a program it is what P, G and A say, and ``program.with_vectors(c, h, b)`` shares that.
+    needs when it needs it. For a program it is everything computed from P, G and A; ``program.with_vectors(c, h, b)``
+    shares that.
 
     Parameters
     ----------
@@ -150,7 +151,8 @@ def solve_batch(
     BatchResult, ProgramBatchResult for a QuadraticProgramBatch, or AnswerList for a sequence of other problems
         Each problem judged by its own certificate. One with NaN in it costs that one alone, and so does one without
         solution: what the compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED.
-        Each program is judged by its own residuals, those of a QPSolution to 1e-6. Where the compiled loop meets a
+        Each program is judged by its own residuals, as
+        :class:`~lcp_plugin.QuadraticProgramResult` says. Where the compiled loop meets a
         contradiction that proves it infeasible, this is said with prove_infeasibility=False, too.
 
     Raises

@@ -69,7 +69,8 @@ class EquilibriumProgram:
         Of each pair the variables z = x_first and w = x_second: w ≥ 0 where z is at its lower bound, w ≤ 0 where it is
         at its upper bound, w = 0 between them; where it has none, w = 0.
     lower, upper : scalar or array, shape (k,), optional
-        The bounds of z that pairs speak of; by default those of the program, of which the others are plain constraints.
+        The bounds of z that pairs speak of; by default those of the program. Where you give others, those of
+        the program still hold, as ordinary constraints.
     offset : float
         A constant in the objective.
     integers : array of int, optional
@@ -77,7 +78,7 @@ class EquilibriumProgram:
     smooth : SmoothPart, optional
         What is neither linear nor quadratic.
     names : sequence of str, optional
-        Of the variables, for messages, which do not speak of what has no name; by default x[0], x[1], ….
+        Of the variables, for messages; by default x[0], x[1], ….
 
     Raises
     ------

@@ -54,8 +54,8 @@ class BoundedLeastSquares:
     ridge : float
         ≥ 0.
     l1 : number or array, shape (n,)
-        ≥ 0; 0 leaves a column, as that of an intercept, without a penalty. From ‖AᵀWb‖∞ on the answer is the point of
-        the bounds nearest to 0.
+        ≥ 0; 0 leaves a column, as that of an intercept, without a penalty. Where every column has one of at least
+        ‖AᵀWb‖∞ and 0 lies within its bounds, x = 0 is the answer.
 
     Raises
     ------

@@ -188,8 +188,9 @@ def march(
     max_seconds : float, optional
         In seconds, for the whole march: the step under way then is the last one.
     keep_every : int
-        Of so many answers one stays in memory, and the last. The others are computed once more when they are looked at,
-        from the kept one before, so that what is given must not change: √k of k steps take the least memory.
+        One result in so many stays in memory, and the last; the others are computed again when they are looked at, so
+        that what is given must not change, and an algorithm of yours has to give the same iterates each time. √k of k
+        steps take the least memory.
     algorithm, **wishes
         What else :func:`lcp_plugin.solve` takes, for each step.
 

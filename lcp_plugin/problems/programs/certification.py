@@ -70,9 +70,9 @@ def certify(
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
         and of a result or a cvxpy problem what its status says.
     tolerance : float
-        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), and
-        neither is x proved to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one, nor are multipliers
-        that came with it wrong by more than 10 · tolerance beside the terms of their conditions: sign, gradient, and 0
+        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), u and v as in
+        the notes, and neither is x proved to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one, nor are multipliers
+        that came with it wrong by more than 10 · tolerance relative to the size of the terms in their conditions: sign, gradient, and 0
         where x leaves slack. Of "infeasible": that every x violates a constraint by more than this, so that no x can be
         proved to be optimal.
     max_seconds : float, optional
@@ -104,8 +104,8 @@ def certify(
 
     An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have
     answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for more.
-    A violation, however small, may buy any objective where units are small: unless a feasible point shows that it does
-    not, the bound by multipliers of our own has to agree with f(x).
+    Where constraints are in small units, a tiny violation can lower the objective by any amount: unless a feasible point
+    shows that it does not, the bound by multipliers of our own has to agree with f(x).
 
     Of a cvxpy problem the values, the objective and the constraints are yours, in double precision; bounds are those
     of the program that cvxpy makes of it.

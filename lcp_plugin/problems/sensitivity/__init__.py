@@ -88,7 +88,8 @@ def derivative(
     Returns
     -------
     Derivative or BatchDerivative or MarchDerivative
-        Nothing is computed before it is asked for. What a batch has not solved stands in `errors` of the latter.
+        Nothing is computed before it is asked for. ``BatchDerivative.errors`` says why a problem of a
+        batch has none.
 
     Raises
     ------

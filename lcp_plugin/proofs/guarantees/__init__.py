@@ -72,8 +72,8 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     Notes
     -----
     Cost: some passes over M, a loose solve with its comparison matrix where dominance does not settle it, and a
-    factorisation where M is symmetric. It speaks of exact arithmetic with step sizes rounded as a run has them; q is
-    any, boxes and free rows are covered.
+    factorisation where M is symmetric. Iterates are taken as exact, step sizes as a run
+    rounds them. It holds for any q, boxes and free rows included.
 
     Examples
     --------

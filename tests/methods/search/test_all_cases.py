@@ -120,6 +120,15 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     assert "not proved infeasible: you asked for no proof" in result.advice
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3, 4])
+def test_solutions_are_looked_for_where_no_proof_is(seed: int) -> None:
+    """What the search of all cases finds with proofs, it finds with prove_infeasibility=False: it saves no answers."""
+    rng, n = np.random.default_rng(seed), 40
+    M, z = rng.standard_normal((n, n)), np.where(rng.random(n) < 0.5, rng.random(n), 0.0)
+    problem = LCP(M, np.where(z > 0.0, 0.0, rng.random(n)) - M @ z)
+    assert solve(problem, prove_infeasibility=False).status is Status.SOLVED
+
+
 def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
     """With a record of the steps the run is driven, and ends after the look at all cases as well."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])

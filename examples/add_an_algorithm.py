@@ -32,6 +32,7 @@ import typer
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import Algorithm, Step
+from lcp_plugin.core.algorithm import check_flag, check_positive
 from lcp_plugin.evidence.drawing import STYLE
 
 
@@ -56,6 +57,11 @@ class Extragradient(Algorithm):
 
     step: float = 0.9
     looks_ahead: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse wrong options in words."""
+        check_positive(self, "step")
+        check_flag(self, "looks_ahead")
 
     def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
         """Yield z0, then one step an iteration, for ever."""

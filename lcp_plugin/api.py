@@ -73,8 +73,8 @@ def solve(
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
         Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. ``interior_point``
-        uses one on dense symmetric M and programs only; ``lemke`` begins from the active set of z0 where its residual is
-        at most a tenth of that of the default start. Where a start changes nothing, ``explain()`` says so.
+        uses one on dense symmetric M and programs only; ``lemke`` begins from the active set of z0 where its residual
+        is at most a tenth of that of the default start. Where a start changes nothing, ``explain()`` says so.
     tolerance : float
         SOLVED means that in every connected component of M's graph the measured residual of the returned z is at most
         this times that of the point of [lower, upper] nearest to 0. All of it:
@@ -114,9 +114,10 @@ def solve(
     -------
     Result
         For other kinds of problem a result class of their own; each is an
-        :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x, objective, advice and proof. Always, whatever the status, with the best iterate whose residual was measured
-        (in-place methods are measured at intervals and at the end), also after Ctrl-C; before the first step that is
-        the start. ``result.require_solved()`` raises instead.
+        :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x, objective, advice and proof. Always, whatever
+        the status, with the best iterate whose residual was measured (in-place methods are measured at intervals and
+        at the end), also after Ctrl-C; before the first step that is the start. ``result.require_solved()`` raises
+        instead.
 
     Raises
     ------
@@ -125,8 +126,8 @@ def solve(
 
     Notes
     -----
-    For other kinds of problem, the functions and classes below say which options there are (others raise InvalidOption),
-    what SOLVED means, and which tolerance is the default:
+    For other kinds of problem, the functions and classes below say which options there are (others raise
+    InvalidOption), what SOLVED means, and which tolerance is the default:
 
     - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.solve_nonlinear`;
     - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and

@@ -90,7 +90,10 @@ class Algorithm(ABC):
     """An algorithm: a frozen dataclass of its options, with a generator of iterates.
 
     Class attributes describe it to readers: `name` (registry name), `needs`, `solves`
-    (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more;
+    (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more. Of a
+    method in this package the first two are tested: `needs` that begins with "positive diagonal" means that it calls
+    `require_positive_diagonal`, and a class of matrices in `solves` ("H₊", "SPD", "PSD") that `theorem` proves it, for
+    the default options, on such matrices. Besides,
     `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
     `problem.communicator` for what other ranks know; `is_monotone` False says that rises of the residual are legal, and
     that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
@@ -99,7 +102,8 @@ class Algorithm(ABC):
     A method of your own needs a `name` and `iterates(problem, z0)`; clock, tolerance and status are `solve`'s. Of its
     problem it may use, and must not change:
 
-    - ``M``, as it is kept, dense or CSR, and ``csr``, canonical CSR, shape (n, n); ``is_dense``; ``diagonal``, (n,);
+    - ``M``, as it is kept, dense or CSR, and ``csr``, ``csc``, canonical, shape (n, n); ``is_dense``; ``diagonal``,
+      shape (n,); ``matrix``, M with what is known of it;
     - ``q``, ``lower``, ``upper``, shape (n,), bounds perhaps infinite; ``n`` and ``nonzeros``;
     - ``slack(z)``, w = M z + q; ``nearest_to_zero``, z°; ``residual_scale``, the d_i of the residual;
     - ``np.clip(z, problem.lower, problem.upper)`` for the projection, and `require_positive_diagonal` of this module.

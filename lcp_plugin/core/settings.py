@@ -30,7 +30,7 @@ class Status(Enum):
     )
     MAX_ITERATIONS = "the iteration limit came first: raise max_iterations"
     MAX_SECONDS = "the time limit came first: raise max_seconds"
-    STALLED = "the residual has stopped falling, falls too slowly to arrive within max_iterations, or the method has ended"
+    STALLED = "the residual has stopped falling, falls too slowly for max_iterations, or no method is left to try"
     DIVERGED = "the iterates ran away: the residual grew by a factor of 10⁸, or is not finite"
     INFEASIBLE = (
         "no z within its bounds gives w = M z + q the signs it needs, even with errors as large as the tolerance; "

@@ -70,11 +70,11 @@ def certify(
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
         and of a result or a cvxpy problem what its status says.
     tolerance : float
-        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), u and v as in
-        the notes, and neither is x proved to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one, nor are multipliers
-        that came with it wrong by more than 10 · tolerance relative to the size of the terms in their conditions: sign, gradient, and 0
-        where x leaves slack. Of "infeasible": that every x violates a constraint by more than this, so that no x can be
-        proved to be optimal.
+        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), u and v
+        as in the notes, and neither is x proved to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal
+        one, nor are multipliers that came with it wrong by more than 10 · tolerance relative to the size of the terms
+        in their conditions: sign, gradient, and 0 where x leaves slack. Of "infeasible": that every x violates a
+        constraint by more than this, so that no x can be proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 
@@ -102,10 +102,10 @@ def certify(
     met to it: neither is such an x disproved nor "infeasible" proved. u is a power of two that most coefficients of the
     objective are near, v is 1 where nothing shows another unit of x: no verdict depends on the unit of the objective.
 
-    An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as have
-    answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for more.
-    Where constraints are in small units, a tiny violation can lower the objective by any amount: unless a feasible point
-    shows that it does not, the bound by multipliers of our own has to agree with f(x).
+    An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as
+    have answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for
+    more. Where constraints are in small units, a tiny violation can lower the objective by any amount: unless a
+    feasible point shows that it does not, the bound by multipliers of our own has to agree with f(x).
 
     Of a cvxpy problem the values, the objective and the constraints are yours, in double precision; bounds are those
     of the program that cvxpy makes of it.

@@ -10,6 +10,7 @@ import argparse
 import inspect
 import os
 import sys
+from difflib import get_close_matches
 from pathlib import Path
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -18,7 +19,7 @@ sys.path[0] = str(Path(__file__).parents[1])
 sys.path.insert(1, str(Path(__file__).parents[2]))
 
 from benchmarks import BENCHMARKS, load  # noqa: E402
-from lcp_plugin.core.errors import LCPError, did_you_mean  # noqa: E402
+from lcp_plugin.core.errors import LCPError  # noqa: E402
 
 
 def main() -> int:
@@ -33,7 +34,8 @@ def main() -> int:
         print("\n".join(f"{name:<16} {purpose}" for name, purpose in BENCHMARKS.items()))
         return 0
     if given.name not in BENCHMARKS:
-        parser.error(f"unknown benchmark {given.name!r}{did_you_mean(given.name, BENCHMARKS)}")
+        meant = "".join(f"; did you mean {one!r}?" for one in get_close_matches(given.name, BENCHMARKS, 1))
+        parser.error(f"unknown benchmark {given.name!r}{meant or ';'} known: {', '.join(BENCHMARKS)}")
     run = load(given.name)
     wishes = {name: value for name in ("files", "plot") if (value := getattr(given, name))}
     for name, value in wishes.items():

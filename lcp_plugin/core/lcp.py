@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from os import PathLike
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,9 +13,13 @@ from numpy.typing import ArrayLike
 from .checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
 from .communicator import Communicator
 from .deadline import Lock
+from .errors import InvalidProblem
 from .kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind
 from .matrix.matrix import Matrix
 from .representation import described_lcp, lcp_repr
+
+if TYPE_CHECKING:
+    from ..problems.cones.data import FrictionalContact
 
 
 class OriginsCriterion(Protocol):
@@ -339,11 +343,23 @@ class LCP:
 
         return lcp_from_bimatrix_game(A, B)
 
+    @overload
     @classmethod
     def from_contacts(
         cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
-        gaps: ArrayLike | None = None, time_step: float | None = None,
-    ) -> LCP:
+        gaps: ArrayLike | None = None, time_step: float | None = None, cone: Literal["pyramid"] = "pyramid",
+    ) -> LCP: ...
+    @overload
+    @classmethod
+    def from_contacts(
+        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
+        gaps: ArrayLike | None = None, time_step: float | None = None, cone: Literal["exact"],
+    ) -> FrictionalContact: ...
+    @classmethod
+    def from_contacts(
+        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
+        gaps: ArrayLike | None = None, time_step: float | None = None, cone: str = "pyramid",
+    ) -> LCP | FrictionalContact:
         """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 
         ``origin.start_from(before, same)`` is a start z0 from the answer of the step before, where contacts come and
@@ -362,9 +378,23 @@ class LCP:
             Distances at the beginning of the step, in m. Add none to `velocities`.
         time_step : float, optional
             In s, beside `gaps`: a contact may close by gap / time step.
+        cone : "pyramid" or "exact"
+            With "exact" friction is as it is: what is returned is a :class:`lcp_plugin.FrictionalContact`, whose
+            result has the motion as ``result.motion``; `directions` are not used.
+
+        Raises
+        ------
+        InvalidProblem
+            Where `cone` is neither, and as `contact_data`.
         """
         from ..problems.contact import lcp_from_contacts
 
+        if cone == "exact":
+            from ..problems.cones.data import FrictionalContact
+
+            return FrictionalContact.from_contacts(contacts, friction, velocities, gaps=gaps, time_step=time_step)
+        if cone != "pyramid":
+            raise InvalidProblem(f'cone must be "pyramid" or "exact", got {cone!r}')
         return lcp_from_contacts(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step)
 
     def to_qp(self) -> Any:

@@ -18,6 +18,7 @@ from ..core.representation import in_words
 from ..core.settings import Status
 from ..core.solving.answer import Answer
 from ..core.solving.result import Result
+from ..problems.cones.data import FrictionalContact
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.many.answers import AnswerSequence
 from ..problems.march import March
@@ -38,6 +39,7 @@ def plot_answer(
     - z or x by its index, or as a map over a grid, what rests on a bound in orange or dotted. Of more than 2000 values
       without a grid the least and the largest of each bin. A run that was recorded has a second panel, how its
       residual fell, and a search for the best equilibrium one, how the proved bound rose.
+    - Contact with friction: the tangential impulses in their cones, ÷ μ r_N, with open contacts counted beside them.
     - A march: some of its steps. A batch: how many problems took how many iterations, a colour a status.
 
     Parameters
@@ -154,9 +156,12 @@ def _plotted(answer: Any, axes: Any, shape: Sequence[int] | None, new: Callable[
     if isinstance(answer, AnswerSequence):
         return _plot_batch(answer, axes, shape, new)
     beside = _panel_beside(answer)
+    draw = _draw_x
+    if shape is None and isinstance(getattr(answer, "problem", None), FrictionalContact):
+        draw = _draw_cones
     if answer.x is None and beside is None:
         raise UnsuitableProblem(f"there is no x to draw: {answer.status.name}")
-    panels = [panel for panel in (None if answer.x is None else partial(_draw_x, answer=answer, shape=shape), beside)
+    panels = [panel for panel in (None if answer.x is None else partial(draw, answer=answer, shape=shape), beside)
               if panel is not None]
     with _style_of(axes):
         every = _axes_for(new, len(panels)) if axes is None else [axes]
@@ -194,6 +199,24 @@ def labels_of(shape: Sequence[int]) -> tuple[str, ...]:
 def _draw_x(axes: Any, *, answer: Answer, shape: Sequence[int] | None) -> None:
     lower, upper = _bounds(answer)
     _draw_values(axes, answer.x, lower, upper, checked_shape(shape, len(answer.x)), _unknown(answer))
+
+
+def _draw_cones(axes: Any, *, answer: Any, shape: Sequence[int] | None) -> None:
+    """Draw the tangential impulse of each closed contact beside the largest that its friction allows, a unit circle."""
+    motion, mu = answer.motion, answer.problem.friction
+    limit = mu * motion.normal
+    shares = motion.tangential / np.where(limit > 0.0, limit, 1.0)[:, None]
+    across = shares[:, 1] if shares.shape[1] > 1 else np.zeros(len(shares))
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
+    slides = motion.touches & ~motion.sticks
+    for chosen, colour, marker, word in ((motion.sticks, FREE, "o", "stick"), (slides, ACTIVE, "^", "slide")):
+        axes.scatter(shares[chosen, 0], across[chosen], s=18, color=colour, marker=marker,
+                     label=f"{np.count_nonzero(chosen)} {word}")
+    axes.scatter([], [], s=18, facecolors="none", edgecolors="#7A7A7A", label=f"{(~motion.touches).sum()} open")
+    axes.legend(loc="upper right")
+    axes.set(aspect="equal", xlim=(-1.25, 1.25), ylim=(-1.25, 1.25), xlabel="first tangential impulse ÷ μ r_N",
+             ylabel="second tangential impulse ÷ μ r_N", title="Impulses in their cones")
 
 
 def _draw_values(

@@ -1,73 +1,173 @@
 """Contact with friction as it is: answers from scratch and warm steps in time, beside pyramids and Siconos.
 
-Siconos (Debian's python3-siconos) is compared with where Python finds it: its block Gauss–Seidel and its Alart–Curnier
-Newton on the same problems, and the performance profile of all, as text.
+Siconos (Debian's python3-siconos) runs in the system's Python where that has it: its block Gauss–Seidel on a sparse W,
+and its Alart–Curnier Newton on a sparse or a dense one, whichever serves it better, each to the same tolerance of its
+own criterion. Whether its answers hold is what it says itself; beside that stands how large their residual is here.
+``FILE.npz …`` in place of planted problems; ``--plot FILE.png`` draws the performance profile.
 """
 
 from __future__ import annotations
 
 import statistics
+import subprocess
 import time
-from collections.abc import Callable, Iterator
-from importlib.util import find_spec
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from cone_families import planted_contacts
 
-from lcp_plugin import LCP, FrictionalContact, solve
+from lcp_plugin import LCP, FrictionalContact, load_problem, solve
+from lcp_plugin.core.errors import UnreadableFile
 
 TOLERANCE, RATIOS = 1e-8, (1.0, 2.0, 5.0, 10.0)
-SOLVERS = {"NSGS": "SICONOS_FRICTION_3D_NSGS", "NSN_AC": "SICONOS_FRICTION_3D_NSN_AC"}
+SYSTEM_PYTHON, LIMIT = "/usr/bin/python3", 60.0  # s
+SICONOS = ("NSGS", "NSN_AC")
+#: Seconds, ∞ where it is not solved; and our relative residual.
+Outcome = tuple[float, float]
 
 
-def run(*, quick: bool = False) -> Iterator[str]:
-    """Yield a line for each size, for a pile in time, and for the profile."""
-    ways: dict[str, Callable[[FrictionalContact], bool]] = {"auto": _ours, "pyramids of 8 edges": _pyramids}
-    if find_spec("siconos") is not None:
-        ways |= {name: _siconos(constant) for name, constant in SOLVERS.items()}
+def run(*, quick: bool = False, files: Sequence[str] = (), plot: str | None = None) -> Iterator[str]:
+    """Yield a line for each size or file, for the profile, and for a pile in time."""
+    ways: dict[str, Callable[[FrictionalContact], Outcome]] = {"auto": _ours}
+    if not files:
+        ways["pyramids of 8 edges"] = _pyramids
+    if has_siconos():
+        ways |= {f"Siconos {name}": partial(_siconos, name) for name in SICONOS}
+    else:
+        yield f"without Siconos: {SYSTEM_PYTHON} has no siconos; apt-get install python3-siconos"
     seconds: dict[str, list[float]] = {name: [] for name in ways}
-    for count, bodies in ((4, 2), (10, 5)) if quick else ((4, 2), (10, 5), (30, 15), (100, 50)):
-        begun = len(seconds["auto"])
-        for seed in range(2 if quick else 10):
-            problem = planted_contacts(count, bodies, 10.0, np.random.default_rng(seed), most=1.0)[0]
-            for name, way in ways.items():
-                if seed == 0:
-                    way(problem)  # compiles
-                began = time.perf_counter()
-                is_solved = way(FrictionalContact(problem.W, problem.b, problem.friction))
-                seconds[name].append(time.perf_counter() - began if is_solved else np.inf)
-        told = (f"{name} {1e3 * statistics.median(own[begun:]):.2f} ms" for name, own in seconds.items())
-        yield f"{count} contacts: {', '.join(told)}; 1.0 s holds {1.0 / statistics.median(seconds['auto'][begun:]):.0f}"
+    for label, problems in _of_files(files) if files else _planted(quick=quick):
+        found = {name: [way(problem) for problem in problems] for name, way in ways.items()}
+        told = []
+        for name, outcomes in found.items():
+            own = [taken for taken, _ in outcomes]
+            seconds[name] += own
+            worst = max(one for _, one in outcomes)
+            told.append(f"{name} {1e3 * statistics.median(own):.2f} ms (residual {worst:.0e})")
+        yield f"{label}: {', '.join(told)}"
     least = [min(own) for own in zip(*seconds.values(), strict=True)]
     for name, own in seconds.items():
-        shares = [np.mean([mine <= ratio * best for mine, best in zip(own, least, strict=True)]) for ratio in RATIOS]
+        shares = [np.mean([mine <= ratio * best < np.inf for mine, best in zip(own, least, strict=True)])
+                  for ratio in RATIOS]
         within = ", ".join(f"{ratio:g} × {share:.0%}" for ratio, share in zip(RATIOS, shares, strict=True))
-        yield f"{name}: solved {np.isfinite(own).mean():.0%}, within so many times the quickest: {within}"
-    yield _pile(5 if quick else 100, 5 if quick else 200)
+        solved = np.isfinite(own)
+        yield f"{name}: solved {solved.sum()} of {solved.size}, within so many times the quickest: {within}"
+    rivals = [own for name, own in seconds.items() if name.startswith("Siconos")]
+    if rivals:
+        beside = [mine / min(one) for mine, *one in zip(seconds["auto"], *rivals, strict=True)
+                  if mine < np.inf and min(one) < np.inf]
+        yield (f"geometric mean of auto / the quicker of Siconos's two, where both have an answer ({len(beside)}): "
+               f"{float(np.exp(np.mean(np.log(beside)))):.2f}")
+    if plot is not None:
+        _draw(seconds, least, plot)
+        yield f"performance profile: {plot}"
+    if not files:
+        yield _pile(5 if quick else 100, 5 if quick else 200)
 
 
-def _ours(problem: FrictionalContact) -> bool:
-    return solve(problem, tolerance=TOLERANCE).is_solved
+def _planted(*, quick: bool) -> Iterator[tuple[str, list[FrictionalContact]]]:
+    for count, bodies in ((4, 2), (10, 5)) if quick else ((4, 2), (10, 5), (30, 15), (100, 50)):
+        yield f"{count} contacts", [
+            planted_contacts(count, bodies, 10.0, np.random.default_rng(seed), most=1.0)[0]
+            for seed in range(2 if quick else 10)
+        ]
 
 
-def _pyramids(problem: FrictionalContact) -> bool:
-    lcp = LCP.from_contacts(problem.W, problem.friction, problem.b.reshape(-1, 3), directions=8)
-    return solve(lcp, tolerance=TOLERANCE).is_solved
+def _of_files(files: Sequence[str]) -> Iterator[tuple[str, list[FrictionalContact]]]:
+    for name in files:
+        if not Path(name).is_file():
+            raise UnreadableFile(f"{name} is no file; give .npz files of contacts, or none for planted problems")
+        problem: Any = load_problem(name)
+        yield f"{Path(name).stem} ({problem.slope.size} contacts)", [problem]
 
 
-def _siconos(constant: str) -> Callable[[FrictionalContact], bool]:
-    import siconos.numerics as sn
+def _timed(solved: Callable[[], tuple[bool, float]]) -> Outcome:
+    """Return the least seconds of three runs, of a long one those of one, the first being one that loads."""
+    solved()
+    seconds: list[float] = []
+    while len(seconds) < 3 and not any(one > 0.5 for one in seconds):
+        began = time.perf_counter()
+        is_solved, residual = solved()
+        seconds.append(time.perf_counter() - began)
+    return (min(seconds) if is_solved else np.inf), residual
 
-    def way(problem: FrictionalContact) -> bool:
-        stated = sn.FrictionContactProblem(3, problem.rows.csr.toarray(), problem.b.copy(), problem.friction.copy())
-        options = sn.SolverOptions(getattr(sn, constant))
-        options.dparam[sn.SICONOS_DPARAM_TOL] = TOLERANCE
-        r, u = np.zeros(problem.n), np.zeros(problem.n)
-        call = sn.fc3d_nsgs if constant.endswith("NSGS") else sn.fc3d_nonsmooth_Newton_AlartCurnier
-        return bool(call(stated, r, u, options) == 0)
 
-    return way
+def _ours(problem: FrictionalContact) -> Outcome:
+    def solved() -> tuple[bool, float]:
+        result = solve(FrictionalContact(problem.W, problem.b, problem.friction), tolerance=TOLERANCE)
+        return result.is_solved, result.certificate.relative_residual
+
+    return _timed(solved)
+
+
+def _pyramids(problem: FrictionalContact) -> Outcome:
+    def solved() -> tuple[bool, float]:
+        lcp = LCP.from_contacts(problem.W, problem.friction, problem.b.reshape(-1, 3), directions=8)
+        result = solve(lcp, tolerance=TOLERANCE)
+        return result.is_solved, result.certificate.relative_residual
+
+    return _timed(solved)
+
+
+@cache
+def has_siconos() -> bool:
+    """Return whether the system's Python has Siconos."""
+    asked = [SYSTEM_PYTHON, "-c", "import siconos.numerics, scipy"]
+    try:
+        return subprocess.run(asked, capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False
+
+
+def _siconos(name: str, problem: FrictionalContact) -> Outcome:
+    """Return what Siconos makes of a problem, in a process of its own."""
+    with TemporaryDirectory() as folder:
+        source, target = Path(folder) / "problem.npz", Path(folder) / "answer.npz"
+        W = sp.csc_array(problem.rows.csr)
+        matrix = {"data": W.data, "indices": W.indices, "indptr": W.indptr, "shape": W.shape}
+        np.savez(source, **matrix, b=problem.b, mu=problem.friction)
+        script = str(Path(__file__).with_name("siconos_contacts.py"))
+        try:
+            subprocess.run([SYSTEM_PYTHON, script, str(source), name, str(TOLERANCE), str(target)],
+                           capture_output=True, check=True, timeout=LIMIT)
+        except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
+            return np.inf, np.nan
+        answer = np.load(target)
+    r = answer["r"]
+    if not np.isfinite(r).all():
+        return np.inf, np.nan
+    judged = solve(problem, z0=r, max_iterations=0, tolerance=TOLERANCE).certificate
+    return (float(answer["seconds"]) if answer["is_solved"] else np.inf), judged.relative_residual
+
+
+def _draw(seconds: dict[str, list[float]], least: list[float], target: str) -> None:
+    """Draw which share of the problems each way solves within a multiple of the quickest's time."""
+    import matplotlib.pyplot as plt
+
+    from lcp_plugin.evidence.drawing import STYLE
+
+    plt.style.use(STYLE)
+    figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
+    ratios = {name: [mine / best if best < np.inf else np.inf for mine, best in zip(own, least, strict=True)]
+              for name, own in seconds.items()}
+    end = 1.3 * max((one for own in ratios.values() for one in own if one < np.inf), default=1.0)
+    for name, own in ratios.items():
+        steps = np.sort(own)
+        shares = np.arange(1, steps.size + 1) / steps.size
+        is_in = steps < np.inf
+        x = np.concatenate([[1.0], steps[is_in], [end]])
+        y = np.concatenate([[0.0], shares[is_in], [shares[is_in][-1] if is_in.any() else 0.0]])
+        axes.step(x, y, where="post", label=name)
+    axes.set(xscale="log", xlim=(1.0, end), ylim=(0.0, 1.03), xlabel="seconds ÷ those of the quickest",
+             ylabel="share of the problems solved", title=f"Contact with friction, tolerance {TOLERANCE:g}")
+    axes.legend(loc="lower right")
+    figure.savefig(target, dpi=150)
+    plt.close(figure)
 
 
 def _pile(count: int, steps: int) -> str:

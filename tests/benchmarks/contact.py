@@ -23,7 +23,6 @@ from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.settings import Status
 from lcp_plugin.problems.batches.batch import solve_batch
 
-from . import cones
 from .small import COMPILED_LEMKE, friction, spectrum
 from .timing import medians
 
@@ -40,7 +39,6 @@ def run(*, quick: bool = False) -> Iterator[str]:
         for is_warm in (False, True):
             yield _trajectory(boxes, 5 if quick else 200 if boxes < 20 else 40, is_warm=is_warm)
     yield from _batches(50 if quick else 2000)
-    yield from cones.run(quick=quick)
 
 
 def _steps(contacts: int, count: int) -> str:

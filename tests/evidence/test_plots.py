@@ -13,7 +13,9 @@ import scipy.sparse as sp
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    ConeProblem,
     EquilibriumProgram,
+    FrictionalContact,
     InvalidOption,
     NonlinearProblem,
     QuadraticProgram,
@@ -55,6 +57,9 @@ def heat(steps: int, n: int) -> Any:
 
 ANSWERS: dict[str, Callable[[], Any]] = {
     "an LCP": lambda: solve(LCP(M, q)),
+    "contact with friction": lambda: solve(FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5)),
+    "contact in the plane": lambda: solve(FrictionalContact(np.eye(2), [[-1.0, 0.25]], 0.5)),
+    "a cone": lambda: solve(ConeProblem(np.eye(3), [0.0, -2.0, 0.0], [("second_order", 3)])),
     "recorded": lambda: solve(LCP(M, q), "npsor", record=True),
     "empty": lambda: solve(LCP(np.zeros((0, 0)), [])),
     "infeasible": lambda: solve(LCP([[0.0]], [-1.0])),
@@ -142,3 +147,12 @@ def test_what_cannot_be_drawn_is_refused_in_words() -> None:
         march(LCP(M, q), np.zeros((0, 2))).plot()
     with pytest.raises(InvalidOption, match="needs what solve returns, got LCP"):
         plot_answer(LCP(M, q))
+
+
+def test_impulses_are_drawn_in_their_cones() -> None:
+    """Open, sticking and sliding contacts are told apart; one that slides lies on the circle."""
+    b = [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
+    axes = solve(FrictionalContact(np.eye(12), b, [0.5, 0.5, 0.5, 0.0])).plot()
+    assert [one.get_text() for one in axes.get_legend().get_texts()] == ["2 stick", "1 slide", "1 open"]
+    sliding = axes.collections[1].get_offsets()
+    np.testing.assert_allclose(sliding, [[-0.6, -0.8]], atol=1e-7)

@@ -22,7 +22,7 @@ HEAVY = (
 FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "interfaces")  # which hold nothing but a docstring
 LEADS_ON = {  # imports inside a function that lead to what lies above: from which file, to what, why
     "core.lcp": (
-        {"contact", "files", "modeling", "programs", "ranks", "reformulations"},
+        {"cones", "contact", "files", "modeling", "programs", "ranks", "reformulations"},
         "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
     ),
     "core.kind": ({"kinds"}, "a refusal names every kind that would be taken"),

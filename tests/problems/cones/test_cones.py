@@ -253,3 +253,19 @@ def test_a_result_tells_of_its_contacts() -> None:
     told = solve(FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5)).explain()
     assert "2 contacts: 1 open, 0 stick, 1 slide; friction and impact take 2.25 J" in told
     assert "leans 26.6°" in told
+
+
+def test_from_contacts_states_pyramids_or_the_cone_itself() -> None:
+    """With cone="exact" bodies, gaps and all become a FrictionalContact; pyramids of many edges come near to it."""
+    data = (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]), 0.4, [1.0, 2.0, -3.0]
+    exact = LCP.from_contacts(*data, gaps=0.01, time_step=0.1, cone="exact")
+    assert isinstance(exact, FrictionalContact)
+    moved = solve(exact, tolerance=1e-12).require_solved().motion.body_velocities
+    speed = np.hypot(1.0, 2.0)
+    np.testing.assert_allclose(moved[:2], np.array([1.0, 2.0]) * (1.0 - 0.4 * 2.9 / speed), atol=1e-9)
+    pyramid = LCP.from_contacts(*data, 64, gaps=0.01, time_step=0.1)
+    assert isinstance(pyramid, LCP)
+    near = pyramid.origin.recover(solve(pyramid).require_solved()).body_velocities
+    assert 0.0 < np.abs(near - moved).max() < 0.1
+    with pytest.raises(InvalidProblem, match="cone must be"):
+        LCP.from_contacts(*data, cone="circle")

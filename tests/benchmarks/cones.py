@@ -21,8 +21,9 @@ import numpy as np
 import scipy.sparse as sp
 from cone_families import planted_contacts
 
-from lcp_plugin import LCP, FrictionalContact, load_problem, solve
+from lcp_plugin import LCP, FrictionalContact, load_problem, solve, solve_batch
 from lcp_plugin.core.errors import UnreadableFile
+from lcp_plugin.problems.contact import contact_data
 
 TOLERANCE, RATIOS = 1e-8, (1.0, 2.0, 5.0, 10.0)
 SYSTEM_PYTHON, LIMIT = "/usr/bin/python3", 60.0  # s
@@ -68,6 +69,7 @@ def run(*, quick: bool = False, files: Sequence[str] = (), plot: str | None = No
         yield f"performance profile: {plot}"
     if not files:
         yield _pile(5 if quick else 100, 5 if quick else 200)
+        yield _batch(200 if quick else 10_000)
 
 
 def _planted(*, quick: bool) -> Iterator[tuple[str, list[FrictionalContact]]]:
@@ -183,3 +185,25 @@ def _pile(count: int, steps: int) -> str:
         unsolved += not result.is_solved
     return (f"a shaken pile of {count} contacts, {steps} steps: {1e3 * statistics.median(seconds):.2f} ms a warm step, "
             f"{max(seconds):.2g} s at the most, {unsolved} unsolved")
+
+
+def _batch(count: int) -> str:
+    """Return what an item of a batch of 4 contacts costs, beside pyramids of 4 and of 8 edges, on one thread."""
+    rng = np.random.default_rng(0)
+    J = rng.standard_normal((count, 12, 6))
+    W, b = J @ np.swapaxes(J, 1, 2) + 0.05 * np.eye(12), rng.standard_normal((count, 4, 3))
+    mu = rng.uniform(0.0, 1.0, (count, 4))
+    b[:, :, 0] -= 0.5
+    problems = [FrictionalContact(*one) for one in zip(W, b, mu, strict=True)]
+    pyramids = [contact_data(W, mu, b, directions=edges).arrays for edges in (4, 8)]
+    ways = [partial(solve_batch, problems), *(partial(solve_batch, *arrays) for arrays in pyramids)]
+    seconds: list[list[float]] = [[], [], []]
+    for _ in range(4):  # the first loads
+        for own, way in zip(seconds, ways, strict=True):
+            began = time.perf_counter()
+            found = way(threads=1)
+            own.append(time.perf_counter() - began)
+            assert found.all_solved
+    cones, four, eight = (min(own[1:]) for own in seconds)
+    return (f"{count} problems of 4 contacts: {1e6 * cones / count:.0f} µs each, {cones / four:.1f} times pyramids of "
+            f"4 edges, {cones / eight:.1f} of 8")

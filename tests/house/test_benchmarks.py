@@ -55,7 +55,7 @@ def test_a_benchmark_runs_by_its_name() -> None:
     ("arguments", "told"),
     [
         ("smal", r"unknown benchmark 'smal'; did you mean 'small'\?"),
-        ("nothing", r"unknown benchmark 'nothing'; known: sweeps"),
+        ("xyz", r"unknown benchmark 'xyz'; known: sweeps"),
         ("sweeps one.npz", "sweeps takes no files"), ("programs none.npz", "none.npz"), ("small --slow", "--slow"),
     ],
 )

@@ -123,7 +123,7 @@ class PSOR(_InPlace):
     """
 
     name: ClassVar[str] = "psor"
-    solves: ClassVar[str] = "SPD for ω < 2, H₊ for ω < 2/(1+ρ), both for auto"
+    solves: ClassVar[str] = "SPD for ω < 2, H₊ for ω < 2/(1+ρ); the automatic ω on both"
 
     relaxation: float | str = "auto"
 

@@ -58,7 +58,7 @@ class SmoothPart:
 class EquilibriumProgram:
     """Minimise ½ xᵀP x + cᵀx over the constraints of a program and over pairs of variables z ⟂ w.
 
-    Each piece, one case of every pair, is a program; the problem is the least of all pieces. What is proved is proved
+    Each piece, one case of every pair, is a program; the problem is the best of all pieces. What is proved is proved
     where pieces are convex: P ⪰ 0, no integers, nothing smooth beside.
 
     Parameters

@@ -76,10 +76,9 @@ def solve(
         uses one on dense symmetric M and programs only; ``lemke`` begins from the active set of z0 where its residual
         is at most a tenth of that of the default start. Where a start changes nothing, ``explain()`` says so.
     tolerance : float
-        SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included, is
-        at most this times that of the point of [lower, upper] nearest to 0, and that no w_i misses its sign by more
-        than √tolerance of its own terms:
-        ``help("lcp_plugin.core.certificates.criterion")``.
+        SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included,
+        is at most this times that of the point of [lower, upper] nearest to 0, and that no w_i misses its sign by
+        more than √tolerance of its own terms: ``help("lcp_plugin.core.certificates.criterion")``.
     tolerance_on : {"residual", "error"}
         With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved for each of these components; z*
         is the solution.

@@ -130,10 +130,10 @@ def solve_batch(
     ----------
     M : array, shape (B, n, n) or (n, n), a sparse array for all, a sequence of problems, or a QuadraticProgramBatch
         Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data: of these small
-        problems over cones, with dense matrices, share a compiled loop, and others are solved one by one;
-        programs are faster in a QuadraticProgramBatch. LCPs may differ in size. Beside a sequence q, lower and upper
-        are not given. Arrays of shape (B, n, n) are read where they lie: leave their entries as they are while you use what is
-        returned.
+        problems over cones, with dense matrices, share a compiled loop, and others are solved one by one; programs
+        are faster in a QuadraticProgramBatch. LCPs may differ in size. Beside a sequence q, lower and upper are not
+        given. Arrays of shape (B, n, n) are read where they lie: leave their entries as they are while you use what
+        is returned.
     q : array, shape (B, n) or (n,)
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional

@@ -33,7 +33,7 @@ def test_an_algorithm_is_two_files(tmp_path: Path) -> None:
         '"""The extragradient method, which looks ahead."""\n\nfrom collections.abc import Iterator\n'
         "from dataclasses import dataclass\nfrom typing import ClassVar\n\nimport numpy as np\n"
         "import scipy.sparse.linalg\n\n"
-        "from ..core.algorithm import Algorithm, Step\nfrom ..core.lcp import LCP\n\n\n"
+        "from ..core.algorithm import Algorithm, Step, check_flag, check_positive\nfrom ..core.lcp import LCP\n\n\n"
     )
     (tmp_path / "lcp_plugin" / "methods" / "extragradient.py").write_text(head + source[start:end], encoding="utf-8")
     (tmp_path / TESTS[0]).write_text(TEST, encoding="utf-8")

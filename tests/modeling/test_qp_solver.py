@@ -77,7 +77,7 @@ def test_quadratic_programs_agree_with_cvxpy(name: str, how: str) -> None:
     for constraint, dual in zip(constraints, expected[2], strict=True):
         np.testing.assert_allclose(constraint.dual_value, dual, atol=2e-6)
     assert problem.solver_stats.solver_name == "LCP"
-    assert problem.solver_stats.num_iters > 0
+    assert problem.solver_stats.num_iters >= 0  # 0 where the minimum on the equations meets the rest
 
 
 def test_bounds_as_attributes_are_bounds() -> None:

@@ -89,7 +89,7 @@ def solve(
         predicted not to fit.
     absolute_tolerance : float
         In the unit of z: a component with ‖r‖∞ ≤ absolute_tolerance is solved in any case. Use it for contacts at rest,
-        whose gaps are rounding. INFEASIBLE and NO_SOLUTION are proved beyond it.
+        whose gaps are rounding. INFEASIBLE and NO_SOLUTION are proved by more than it.
     record : bool
         Keep samples of the run at geometric intervals in ``Result.history``.
     callback : callable, optional

@@ -149,11 +149,10 @@ def solve_batch(
     Returns
     -------
     BatchResult, ProgramBatchResult for a QuadraticProgramBatch, or AnswerList for a sequence of other problems
-        Each problem judged by its own certificate. One with NaN in it costs that one alone, and so does one without
-        solution: what the compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED.
-        Each program is judged by its own residuals, as
-        :class:`~lcp_plugin.QuadraticProgramResult` says. Where the compiled loop meets a
-        contradiction that proves it infeasible, this is said with prove_infeasibility=False, too.
+        Each problem judged by its own certificate. NaN in one, or no solution of it, harms no other: what the
+        compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED. Each program is
+        judged by its own residuals, as :class:`~lcp_plugin.QuadraticProgramResult` says. Where the compiled loop
+        meets a contradiction that proves it infeasible, this is said with prove_infeasibility=False, too.
 
     Raises
     ------

@@ -54,7 +54,7 @@ class BoundedLeastSquares:
     ridge : float
         ≥ 0.
     l1 : number or array, shape (n,)
-        ≥ 0; 0 leaves a column, as that of an intercept, without a penalty. Where every column has one of at least
+        ≥ 0; 0 leaves a column, as that of an intercept, without this penalty. Where every column has one of at least
         ‖AᵀWb‖∞ and 0 lies within its bounds, x = 0 is the answer.
 
     Raises

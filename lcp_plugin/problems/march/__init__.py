@@ -172,7 +172,7 @@ def march(
     problem: LCP, forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
 ) -> March:
-    """Return the results of steps in time: step k has q = forcing[k] + propagator @ z, z being the step before.
+    """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
 
     Parameters
     ----------
@@ -208,14 +208,14 @@ def march(
     Notes
     -----
     Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
-    `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` asks anew in the
-    first two steps; the others begin with the iteration that ended the step before. Where few rows have a bound, as in
-    contact, the others are eliminated by one factor, once for all steps, if that pays.
+    `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` chooses afresh
+    in the first two steps; later ones begin with the method that ended the step before. Where few rows have a bound,
+    as in contact, the others are eliminated by one factor, once for all steps, if that pays.
 
     A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
     propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only
-    where it is damped: by four implicit steps at first, half as long, which have the same M, and the propagator −B
-    (Rannacher 1984).
+    where it is damped: by four implicit half steps at first, with the same M, the propagator −B and the forcing
+    −½ Δt f (Rannacher 1984).
 
     References
     ----------

@@ -89,7 +89,7 @@ def certify(
     InvalidProblem
         Where it has not been solved, or x or the multipliers do not fit it. Of other kinds it names the right call.
     InvalidOption
-        For another claim, a tolerance that is no positive number, a limit that is none.
+        For another claim, a tolerance that is no positive number, an impossible limit.
 
     Notes
     -----

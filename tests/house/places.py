@@ -116,17 +116,13 @@ def says_solved(function: ast.AST) -> bool:
 
 
 ANOTHER_JOB = {  # looked at by eye
-    "core/solving/judge.py: Judge.may_meet_tolerance": "whether a certificate is worth its work",
-    "methods/banded/kernels.py: run_all": "when a compiled loop ends; `within` says what that is",
     "methods/direct.py: FallbackOrder.after": "whether another method has its turn",
     "core/policy/stages.py: CheckSchedule.is_due": "when to measure",
     "core/policy/stages.py: Stage.steps_to_go": "a prediction",
     "core/solving/advice.py: advice_of_run": "words",
     "core/solving/judge.py: Judge.is_limited_by_size": "rounding of z",
     "core/solving/run.py: Run.ended": "whether the start is given back",
-    "methods/small/kernels/contact_problems.py: solve_all_contacts": "when a compiled loop ends",
     "methods/small/kernels/small_problems.py: enclosed": "whether an enclosure is worth its work",
-    "methods/small/kernels/small_problems.py: run_all": "when a compiled loop ends",
     "problems/batches/batch_groups.py: excluded": "that nothing solves it",
     "problems/equilibria/equilibrium_program.py: EquilibriumProgram.distances": "distances of pairs",
     "problems/least_squares/certificate.py: _beside_cost": "whether a nearer dual point is worth its work",

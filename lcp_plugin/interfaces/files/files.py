@@ -80,6 +80,9 @@ def checked_path(path: Any) -> Path:
     return target
 
 
+OF_CONES = ("mu", "friction", "cone_kinds")  # whose M and q without these would be another problem
+
+
 def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
     """Read a problem from a ``.npz``, ``.mat`` or ``.nl`` file, or ``M.mtx`` and ``q.mtx`` in a folder or by prefix."""
     source = checked_path(path)
@@ -163,8 +166,8 @@ def _refuse_huge_bounds(problem: LCP) -> None:
 
 
 def _load_npz(kind: type[LCP], source: Path) -> LCP:
-    content = read_npz(source, {"M", *MATRIX_KEYS, *VECTORS, "P_data"})
-    if "P_data" in content or not {"M", *MATRIX_KEYS} & content.keys():
+    content = read_npz(source, {"M", *MATRIX_KEYS, *VECTORS, "P_data", *OF_CONES})
+    if {"P_data", *OF_CONES} & content.keys() or not {"M", *MATRIX_KEYS} & content.keys():
         _refuse_other_kinds(source)
     is_compressed = any(key in content for key in MATRIX_KEYS)
     require_keys(source, content, (*(MATRIX_KEYS if is_compressed else ("M",)), "q"), LAYOUT)
@@ -176,7 +179,10 @@ def _load_npz(kind: type[LCP], source: Path) -> LCP:
 def _refuse_other_kinds(source: Path) -> None:
     """Raise UnreadableFile in the words of what the names in the file state."""
     found = names_in(source)
-    for what, names in (("a quadratic program", ("P", "P_data", "c", "H")), ("a least squares problem", ("b",))):
+    for what, names in (
+        ("a contact problem with friction", ("mu", "friction")), ("a problem over cones", ("cone_kinds",)),
+        ("a quadratic program", ("P", "P_data", "c", "H")), ("a least squares problem", ("b",)),
+    ):
         if key := next((name for name in names if name in found), None):
             raise UnreadableFile(
                 f"{source} holds {what} (key {key}), not an LCP: lcp_plugin.load_problem(path) reads it, "

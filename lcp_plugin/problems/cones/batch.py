@@ -1,6 +1,6 @@
 """Many small problems over cones in one compiled loop: sweeps and Newton's steps, judged all at once.
 
-The problems are the diagonal blocks of one: each is a part of it, or several, and so has its own references. What
+The problems are the diagonal blocks of one: each is a component of it, or several, and so has its own references. What
 the loop leaves open, or the certificate does not confirm, is for whoever asked to solve by itself.
 """
 

@@ -50,7 +50,7 @@ class NPGS(ConeAlgorithm):
 
     name = "npgs"
     needs = "blocks on the diagonal that are positive definite"
-    converges_on = "cones without friction, M symmetric positive definite (descent by blocks); else observed"
+    solves = "cones without friction, M symmetric positive definite (descent by blocks); else observed"
     cost = "one product with M a sweep"
     reference = "Jourdan, Alart, Jean 1998, doi:10.1016/S0045-7825(97)00137-1"
     is_monotone = False
@@ -91,7 +91,7 @@ class Newton(ConeAlgorithm):
 
     name = "newton"
     needs = "a factor that fits"
-    converges_on = "locally, where the generalised derivatives are regular"
+    solves = "locally, where the generalised derivatives are regular"
     cost = "one factor of the blocks that are not open"
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
     is_monotone = False
@@ -205,7 +205,7 @@ class FixedPoint(ConeAlgorithm):
 
     name = "fixed_point"
     needs = "a symmetric part of M that is positive semidefinite"
-    converges_on = "cones without friction, M symmetric positive semidefinite"
+    solves = "cones without friction, M symmetric positive semidefinite"
     cost = "one conic program, some ten to thirty factors"
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
     is_monotone = False

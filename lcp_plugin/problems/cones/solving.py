@@ -187,7 +187,13 @@ class ConeJudge(Judge):
     """Measures by blocks; see :class:`Judge`."""
 
     words = {  # noqa: RUF012 - read only
-        Status.SOLVED: "the residual is within the tolerance, rounding included, as proved on your data",
+        Status.STALLED: "no method reduces the residual further; try another start z0",
+        Status.INFEASIBLE: (
+            "no z in the cones has an M z + q in their duals, even with errors as large as the tolerance; "
+            "result.proof proves it: check the data"
+        ),
+    }
+    words_of_contacts = {  # noqa: RUF012 - read only
         Status.STALLED: (
             "no method reduces the residual further: with friction a solution need not exist, nor be found where it "
             "does; try another start z0, or less friction"
@@ -204,6 +210,8 @@ class ConeJudge(Judge):
         self.asked, self.settings = problem, settings
         self.reference = 1.0  # residuals are relative to those of the components already
         self.proof = self._certificate = None
+        if problem.has_friction:
+            self.words = self.words_of_contacts
 
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z; the latest one is kept."""

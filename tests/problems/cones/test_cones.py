@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +208,24 @@ def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
             np.testing.assert_array_equal(solve(other).z, solve(problem).z)
     with pytest.raises(LCPError, match="npz"):
         contact.save(tmp_path / "p.nl")
+
+
+def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
+    """Its matrix and q alone would be another problem: LCP.load says what it is, and what reads it."""
+    contact, _, _ = planted_contacts(2, 3, 10.0, np.random.default_rng(0))
+    cones = ConeProblem(np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])
+    for problem, words in ((contact, "contact problem with friction"), (cones, "problem over cones")):
+        problem.save(tmp_path / "p.npz")
+        with pytest.raises(LCPError, match=rf"{words}.*load_problem\(path\) reads it"):
+            LCP.load(tmp_path / "p.npz")
+
+
+@pytest.mark.parametrize("prove_infeasibility", [True, False])
+def test_cones_without_friction_are_not_told_of_contacts(prove_infeasibility: bool) -> None:
+    """Advice speaks of the kind that was asked for."""
+    problem = ConeProblem(-np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])
+    advice = solve(problem, prove_infeasibility=prove_infeasibility).advice
+    assert not re.search("friction|contact|impulse", advice)
 
 
 SQUEEZED = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 1, 0], [0, 0, 1.0]])

@@ -14,6 +14,8 @@ from .core.solving.result import Result
 from .core.solving.run import Callback
 
 if TYPE_CHECKING:
+    from .problems.cones.data import ConeProblem, FrictionalContact
+    from .problems.cones.solving import ConeResult
     from .problems.equilibria.equilibrium_program import EquilibriumProgram
     from .problems.equilibria.result import EquilibriumResult
     from .problems.least_squares.data import BoundedLeastSquares
@@ -43,6 +45,10 @@ def solve(
 def solve(problem: EquilibriumProgram, **options: Any) -> EquilibriumResult: ...
 @overload
 def solve(problem: BoundedLeastSquares, **options: Any) -> LeastSquaresResult: ...
+@overload
+def solve(
+    problem: ConeProblem | FrictionalContact, algorithm: str | Algorithm = "auto", **options: Any
+) -> ConeResult: ...
 def solve(
     problem: Any,
     algorithm: str | Algorithm | Policy = "auto",
@@ -65,7 +71,7 @@ def solve(
 
     Parameters
     ----------
-    problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem or BoundedLeastSquares
+    problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem, BoundedLeastSquares, or one over cones
         Never modified. What follows is said of an LCP; see Notes for the others. Where its rows are spread over ranks
         (:meth:`LCP.from_rows`), all of them call with the same arguments; z0, z and w are the rank's own rows then,
         and everything else is the same on every rank.
@@ -134,7 +140,8 @@ def solve(
       UNBOUNDED with a proof, see :class:`~lcp_plugin.QuadraticProgramResult`; options as for an LCP, z0 is the
       ``result.z`` of an earlier run, a start where that has as many unknowns;
     - ``EquilibriumProgram``: :func:`~lcp_plugin.minimize_over_solutions`;
-    - ``BoundedLeastSquares``: :func:`~lcp_plugin.bounded_least_squares`.
+    - ``BoundedLeastSquares``: :func:`~lcp_plugin.bounded_least_squares`;
+    - ``ConeProblem`` and ``FrictionalContact``: :func:`~lcp_plugin.problems.cones.solving.solve_cones`.
 
     Kernels of small problems are interpreted, with the same bits, until compiling them pays. The first large problem of
     its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles everything.

@@ -24,6 +24,8 @@ from ..core.settings import checked_threads
 from ..core.tuning import SINGLE_FROM
 from ..methods.interior.primal_active_set import UpdatedFactor
 from ..problems.batches.batch import solve_batch
+from ..problems.cones.data import FrictionalContact
+from ..problems.cones.methods import METHODS
 from ..problems.march import march
 from ..problems.march.march_many import march_many
 from ..problems.programs.stacked_programs import QuadraticProgramBatch
@@ -31,7 +33,7 @@ from ..problems.sensitivity import derivative
 from ..proofs.bounds.error_bounds import error_bound
 
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
-PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "others")
+PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "cones", "others")
 LARGE_GRID = round(SINGLE_FROM**0.5)
 MOST_PROCESSES = 4  # each takes 0.3 GB
 
@@ -66,6 +68,12 @@ def _run(part: str) -> None:
         found = derivative(solve_batch([dense]))
         found.vjp(np.ones((1, 9)))
         found.jvp(dq=np.ones(9))
+        return
+    if part == "cones":
+        contact = FrictionalContact(2.0 * np.eye(6), [-1.0, 3.0, 4.0, -1.0, 0.1, 0.2], 0.5)
+        for name in METHODS:
+            derivative(solve(contact, name)).vjp(np.ones(6))
+        solve_batch([contact, contact])
         return
     for name in REGISTRY if part == "others" else (part,):
         for problem, record in product((sparse, dense), (False, True)):  # fused, and step by step

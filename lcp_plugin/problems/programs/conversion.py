@@ -369,8 +369,7 @@ class QPOrigin:
     def _whole(self, x: FloatVector, multipliers: FloatVector) -> QPSolution:
         """Return the program's solution from x and the multipliers of the rows that are left, and of all bounds."""
         x, every = self.reduction.outward(x, multipliers)
-        if np.isinf(every).any():  # divided by a coefficient far from 1, one overflowed
-            return QPSolution(self.program, x, *self.program.constraints.split(every))  # which refuses it in words
+        _refuse_infinite(self.program, every)
         return QPSolution.of_rows(self.program, x, every)
 
     def has_no_solution(self, tolerance: float) -> bool:
@@ -404,6 +403,16 @@ class QPOrigin:
         n = self.reduction.reduced.n
         z = checked_answer(answer, n + self.rows)
         return z[:n], z[n:].copy()
+
+
+def _refuse_infinite(program: QuadraticProgram, multipliers: FloatVector) -> None:
+    """Raise InvalidProblem where the multiplier of a constraint is beyond the range of doubles."""
+    for name, part in zip(("G", "A", "lower", "upper"), program.constraints.split(multipliers), strict=True):
+        for row in np.flatnonzero(np.isinf(part))[:1]:
+            raise InvalidProblem(
+                f"the multiplier of {name}[{row}] is beyond the range of doubles, ±1.8e308; give that constraint, "
+                "limits and the objective in units in which their largest coefficients are near 1"
+            )
 
 
 def _is_better_left(

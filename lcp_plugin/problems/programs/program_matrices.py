@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, frozen, read_only
 from ...core.communicator import ALONE
-from ...core.matrix.matrix import Matrix, largest_in_rows
+from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 from ...systems.null_space import null_space_of
@@ -59,12 +59,23 @@ class ProgramMatrices:
         return vertically(self.rows, diagonal_array(-1.0, n), diagonal_array(1.0, n))
 
     @cached_property
+    def dense_rows(self) -> FloatVector:
+        """[G; A] as an ndarray, C-contiguous."""
+        given = [one.toarray() if sp.issparse(one) else one for one in (self.G, self.A) if one.shape[0]]
+        if len(given) == 1:
+            return read_only(np.ascontiguousarray(given[0]))
+        return read_only(np.vstack([np.zeros((0, self.P.shape[0])), *given]))
+
+    @cached_property
     def dense(self) -> tuple[Any, Any]:
         """P and [G; A] as ndarrays of shapes (1, n, n) and (1, m + p, n), C-contiguous."""
-        given = [one for one in (self.P, self.G, self.A) if one.shape[0]]
-        P, *rows = (np.ascontiguousarray(one.toarray() if sp.issparse(one) else one) for one in given)
-        C = rows[0] if len(rows) == 1 else np.vstack([np.zeros((0, P.shape[0])), *rows])
-        return read_only(P)[np.newaxis], read_only(C)[np.newaxis]
+        P = np.ascontiguousarray(self.P.toarray() if sp.issparse(self.P) else self.P)
+        return read_only(P)[np.newaxis], self.dense_rows[np.newaxis]
+
+    @cached_property
+    def diagonal(self) -> FloatVector:
+        """That of P."""
+        return read_only(np.ascontiguousarray(self.P.diagonal()))
 
     @cached_property
     def stored(self) -> int:
@@ -84,10 +95,7 @@ class ProgramMatrices:
     @cached_property
     def rows_of_hessian(self) -> tuple[Any, Any, FloatVector, bool]:
         """Where rows of P begin, their columns, their entries; of an ndarray the columns of one row stand for all."""
-        if sp.issparse(self.P):
-            return self.P.indptr, self.P.indices, self.P.data, False
-        n = self.P.shape[0]
-        return n * np.arange(n + 1, dtype=np.int32), np.arange(n, dtype=np.int32), self.P.ravel(), True
+        return by_rows(self.P)
 
     @cached_property
     def magnitudes(self) -> Any:
@@ -97,26 +105,17 @@ class ProgramMatrices:
     @cached_property
     def row_sizes(self) -> FloatVector:
         """The largest |entry| of each constraint, 1 where there is none."""
-        return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
+        return or_one(np.concatenate([self.exponents.largest[0], np.ones(2 * self.P.shape[0])]))
 
     @cached_property
-    def curved(self) -> sp.csr_array:
-        """P without rows and columns whose diagonal entry is 0: what a semidefinite P has there is rounding."""
-        P, has_diagonal = as_csr(self.P), self.P.diagonal() > 0.0
-        kept = has_diagonal[row_numbers(P)] & has_diagonal[P.indices]
-        return P if kept.all() else sp.csr_array((P.data[kept], (row_numbers(P)[kept], P.indices[kept])), shape=P.shape)
+    def curved(self) -> Any:
+        """P without rows and columns whose diagonal entry is 0."""
+        return curved_part(self.P, self.diagonal)
 
     @cached_property
-    def exponents(self) -> tuple[FloatVector, FloatVector, float]:
-        """The mean log2 |entry| of each row of [G; A] and of P, NaN of an empty one; how far columns are from these."""
-        sums, counts, means = np.zeros(self.P.shape[0]), np.zeros(self.P.shape[0]), list[FloatVector]()
-        for part in (self.rows, self.curved):
-            rows, sizes = row_numbers(part), np.frexp(part.data)[1] - 1.0
-            with np.errstate(invalid="ignore"):
-                means.append(np.bincount(rows, sizes, part.shape[0]) / np.diff(part.indptr))
-            sums += np.bincount(part.indices, sizes - means[-1][rows], sums.size)
-            counts += np.bincount(part.indices, minlength=sums.size)
-        return means[0], means[1], float(np.abs(sums / np.maximum(counts, 1.0)).max(initial=0.0))
+    def exponents(self) -> Exponents:
+        """What the exponents of [G; A] and of P are on average."""
+        return exponents_of(self.rows if self.has_sparse_rows else self.dense_rows, self.curved)
 
     @cached_property
     def columns_of_rows(self) -> FloatVector:
@@ -132,7 +131,8 @@ class ProgramMatrices:
     @cached_property
     def entries(self) -> tuple[int, int]:
         """How many nonzeros P and [G; A] have."""
-        return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(self.rows.nnz)
+        of_G, of_A = (one.nnz if sp.issparse(one) else np.count_nonzero(one) for one in (self.G, self.A))
+        return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(of_G + of_A)
 
     @cached_property
     def singletons(self) -> tuple[Indices, Indices, FloatVector]:
@@ -150,7 +150,7 @@ class ProgramMatrices:
         One without a quadratic term defines nothing that would become strictly convex.
         """
         of_A, of_G = (np.bincount(as_csr(part).indices, minlength=self.P.shape[0]) for part in (self.A, self.G))
-        is_definable: NDArray[np.bool_] = (of_A == 1) & (of_G == 0) & (self.P.diagonal() > 0.0)
+        is_definable: NDArray[np.bool_] = (of_A == 1) & (of_G == 0) & (self.diagonal > 0.0)
         return is_definable
 
     @cached_property
@@ -166,7 +166,7 @@ class ProgramMatrices:
     @cached_property
     def is_definite(self) -> bool:
         """Whether P is proven positive definite; a factorisation where its diagonal is positive."""
-        return bool((self.P.diagonal() > 0.0).all()) and positive_definite_solver(self.P) is not None
+        return bool((self.diagonal > 0.0).all()) and positive_definite_solver(self.P) is not None
 
     @cached_property
     def hessian(self) -> Matrix:
@@ -216,6 +216,78 @@ class ProgramMatrices:
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""
         return {"P": self.P, "G": self.G, "A": self.A, "_kept": {}}
+
+
+def curved_part(P: Any, diagonal: Any) -> Any:
+    """Return P, a CSR array or ndarrays, without rows and columns whose diagonal entry is 0.
+
+    What a semidefinite P has there is rounding.
+    """
+    is_curved = diagonal > 0.0
+    if is_curved.all():
+        return P
+    if not sp.issparse(P):
+        return np.where(is_curved[..., :, np.newaxis] & is_curved[..., np.newaxis, :], P, 0.0)
+    kept = is_curved[row_numbers(P)] & is_curved[P.indices]
+    return P if kept.all() else sp.csr_array((P.data[kept], (row_numbers(P)[kept], P.indices[kept])), shape=P.shape)
+
+
+class Exponents(NamedTuple):
+    """Exponents of the entries of [G; A] and of P, floor(log2 |entry|), of one program or of a stack.
+
+    Attributes
+    ----------
+    of_rows, of_hessian : ndarray, shapes (1 or count, m + p) and (1 or count, n)
+        The mean one of each row, NaN of an empty one.
+    largest : ndarray, shape (1 or count, m + p)
+        The largest |entry| of each row of [G; A].
+    spread : ndarray, shape (1 or count,)
+        The most that those in a column are above the means of their rows, or below, on average.
+    """
+
+    of_rows: FloatVector
+    of_hessian: FloatVector
+    largest: FloatVector
+    spread: FloatVector
+
+
+def exponents_of(constraints: Any, hessian: Any) -> Exponents:
+    """Return those of [G; A] and P, ndarrays, stacks of them or CSR arrays."""
+    from .kernels.entry_sizes import mean_exponents  # numba, which not every run needs
+
+    found, sums = list[Any](), np.zeros(1)
+    for matrix in (constraints, hessian):
+        starts, indices, data, is_full = by_rows(matrix)
+        stack = data if data.ndim == 2 else data[np.newaxis]
+        means, largest = np.empty((2, len(stack), starts.size - 1))
+        columns = np.zeros((len(stack), 2, matrix.shape[-1]))
+        mean_exponents(starts, indices, stack, is_full, means, largest, columns)
+        found.append((means, largest))
+        sums = sums + columns
+    spread = np.abs(sums[:, 0] / np.maximum(sums[:, 1], 1.0)).max(axis=1, initial=0.0)
+    return Exponents(found[0][0], found[1][0], found[0][1], spread)
+
+
+def by_rows(matrix: Any) -> tuple[Any, Any, Any, bool]:
+    """Return where the rows of an array begin, their columns, their entries, and whether one row's columns are all's.
+
+    Of stacked ndarrays, shape (count, m, n), the entries are of shape (count, m n).
+
+    Examples
+    --------
+    >>> by_rows(np.array([[1.0, 2.0], [0.0, 3.0]]))
+    (array([0, 2, 4], dtype=int32), array([0, 1], dtype=int32), array([1., 2., 0., 3.]), True)
+    """
+    if sp.issparse(matrix):
+        return matrix.indptr, matrix.indices, matrix.data, False
+    *lead, m, n = matrix.shape
+    return *_full_pattern(m, n), matrix.reshape(*lead, m * n), True
+
+
+@lru_cache(maxsize=64)
+def _full_pattern(m: int, n: int) -> tuple[Any, Any]:
+    """Return where the rows of an ndarray begin, and the columns of each: small, and the same for all."""
+    return read_only(n * np.arange(m + 1, dtype=np.int32)), read_only(np.arange(n, dtype=np.int32))
 
 
 def is_full(entries: int, shape: tuple[int, int]) -> bool:

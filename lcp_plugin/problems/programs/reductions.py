@@ -220,7 +220,8 @@ class FoldedRows(Step):
         own = []
         for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
             moved = np.flatnonzero((owner != OWN) & (share != 0))
-            every[owner[moved]] += sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
+            with np.errstate(over="ignore"):  # what is beyond the range of doubles is infinite, and no answer
+                every[owner[moved]] += sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
             own.append(np.where(owner == OWN, share, 0))
         return np.concatenate([every, *own])
 

@@ -25,16 +25,15 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector, assembled, read_only
 from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.scaling import ALIKE, NOISE, fitted_columns
+from ...core.matrix.scaling import ALIKE, fitted_columns
 from ...core.matrix.structure import row_numbers
 from ...methods.presolve import like
-from .program_matrices import ProgramMatrices, as_csr, or_one, vertically
+from .program_matrices import Exponents, ProgramMatrices, as_csr, curved_part, exponents_of, or_one, vertically
 from .reductions import Step
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-ROUNDING = -44.0  # log2: limits so small beside the largest one, or beside 1, are rounding
 MOST = 900  # no exponent is larger in size
 FAR = 16  # log2 of an objective, or of a row's coefficients: linear programs and pivots have tolerances of their own
 
@@ -72,12 +71,15 @@ class ProgramScaling(NamedTuple):
     @classmethod
     def of_unknowns(cls, program: QuadraticProgram, unknown: FloatVector | None) -> ProgramScaling:
         """Return those of a program whose unknowns are measured in these; None: as the user has them."""
-        diagonal, rows = program.P.diagonal(), program.matrices.rows
-        if unknown is None:
+        diagonal = program.matrices.diagonal
+        with np.errstate(over="ignore"):
+            costs = (program.c, diagonal) if unknown is None else (program.c * unknown, diagonal * unknown * unknown)
+        if unknown is None or not np.isfinite(costs).all():  # beyond the range of doubles no objective is measured
             size, least = objective_sizes(program.c, diagonal).tolist()
             return cls(program.matrices.row_sizes, np.ones(program.n), size, least, True)
+        rows = program.matrices.rows
         of_rows = or_one(largest_in_rows(rows, np.abs(rows.data) * unknown[rows.indices]))
-        size, least = objective_sizes(program.c * unknown, diagonal * unknown * unknown).tolist()
+        size, least = objective_sizes(*costs).tolist()
         return cls(np.concatenate([of_rows, unknown, unknown]), unknown, size, least, False)
 
     def of_rows(self, left: Any) -> ProgramScaling:
@@ -103,65 +105,25 @@ def objective_sizes(c: Any, diagonal: Any) -> Any:
     >>> objective_sizes(np.array([[3e6, 2e3, 0.0], [0.0, 1e-9, 1e-25]]), np.zeros(3)).tolist()
     [[32768.0, 1024.0], [9.313225746154785e-10, 9.313225746154785e-10]]
     """
-    (middle, of_P), (least, least_of_P) = _exponents(np.stack(np.broadcast_arrays(c, diagonal)))
-    exponents = np.stack([np.maximum(middle, of_P), np.where(least > -np.inf, least, least_of_P)], axis=-1)
-    return np.ldexp(1.0, np.where(np.isfinite(exponents), exponents, 0.0).astype(np.int64))
+    from .kernels.entry_sizes import objective_exponents  # numba, which not every run needs
 
-
-def _exponents(values: Any) -> tuple[Any, Any]:
-    """Return the mean and the smallest floor(log2 |value|) along the last axis; −∞ where all are 0."""
-    sizes = np.abs(values)
-    used = (sizes > 0.0) & (sizes >= 2.0**NOISE * sizes.max(axis=-1, initial=0.0)[..., np.newaxis])
-    count, exponents = used.sum(axis=-1), np.frexp(sizes)[1] - 1
-    mean = np.floor(np.where(used, exponents, 0).sum(axis=-1) / np.maximum(count, 1))
-    least = np.where(used, exponents, 2 * MOST).min(axis=-1, initial=2 * MOST)
-    return np.where(count > 0, mean, -np.inf), np.where(count > 0, least, -np.inf)
+    exponents = np.empty((*c.shape[:-1], 2))
+    objective_exponents(*(np.atleast_2d(one) for one in (c, diagonal, exponents)))
+    return np.ldexp(1.0, exponents.astype(np.int64))
 
 
 def size_of_unknowns(
-    of_rows: Any, of_hessian: Any, is_equality: Any, limits: Any, c: Any, lower: Any, upper: Any
+    exponents: Exponents, is_equality: Any, limits: Any, c: Any, lower: Any, upper: Any
 ) -> tuple[Any, Any]:
     """Return how large unknowns are in log2, on average, and which of the limits, costs, and bounds say so.
 
-    Equations do, and limits and bounds that x = 0 violates. Where there are none, minima of the rows of P, or what
-    rows permit, or else bounds: whatever is smallest, as a bound of 1e9 is one that nobody reaches.
-
-    Parameters
-    ----------
-    of_rows, of_hessian
-        The mean log2 |entry| of each row of [G; A] and of P, shapes (…, m) and (…, n); NaN of an empty one.
-    is_equality, limits, c, lower, upper
-        Shapes (m,), (…, m), and (…, n).
-
-    Returns
-    -------
-    array, shape (…), and array of bool, shape (…, m + 3 n)
+    Shapes (m,) and (count, m) and (count, n) to (count,) and (count, m + 3n); ∞ where nothing says so.
     """
-    m, n, lead = limits.shape[-1], c.shape[-1], c.shape[:-1]
-    values = np.concatenate([limits, c, lower, upper], axis=-1)
-    beside = np.concatenate([np.broadcast_to(of, (*lead, of.shape[-1])) for of in (of_rows, of_hessian)], axis=-1)
-    mantissa, exponent = np.frexp(values)
-    sizes = exponent - 1.0
-    sizes[..., : beside.shape[-1]] -= beside
-    used = (mantissa != 0.0) & np.isfinite(values) & np.isfinite(sizes)
-    place = np.repeat([0, 1, 2], [m, n, 2 * n])
-    largest = np.where(used & (place != 1), sizes, 0.0).max(axis=-1, initial=0.0)
-    used &= np.where(used, sizes, 0.0) >= ROUNDING + largest[..., np.newaxis]
-    sizes = np.where(used, sizes, 0.0)
-    kinds = np.zeros((4, *used.shape), bool)
-    kinds[0, ..., :m] = (limits < 0.0) | is_equality
-    kinds[0, ..., m + n : m + 2 * n], kinds[0, ..., m + 2 * n :] = lower > 0.0, upper < 0.0
-    for kind, of_kind in enumerate((1, 0, 2), 1):
-        kinds[kind] = place == of_kind
-    kinds &= used
-    counts = kinds.sum(axis=-1)
-    means = np.where(kinds, sizes, 0.0).sum(axis=-1) / np.maximum(counts, 1)
-    data, minima, rows, bounds = np.where(counts > 0, means, np.inf)
-    permitted = np.where(rows < np.inf, rows, bounds)
-    chosen = np.where(data < np.inf, 0, np.where(minima <= permitted, 1, np.where(rows < np.inf, 2, 3)))
-    say = np.take_along_axis(kinds, chosen[np.newaxis, ..., np.newaxis], axis=0)[0]
-    size = np.take_along_axis(means, chosen[np.newaxis], axis=0)[0]
-    return size, say
+    from .kernels.entry_sizes import sizes_of_unknowns  # numba, which not every run needs
+
+    sizes, say = np.empty(len(c)), np.empty((len(c), limits.shape[1] + 3 * c.shape[1]), np.bool_)
+    sizes_of_unknowns(exponents.of_rows, exponents.of_hessian, is_equality, limits, c, lower, upper, sizes, say)
+    return sizes, say
 
 
 def scaling_of_stacks(
@@ -171,32 +133,22 @@ def scaling_of_stacks(
 
     Shapes (1 or count, rows, n) of the matrices and (count, size) of the vectors to (count,).
     """
-    means, sums, counts = list[Any](), 0.0, 0
-    for part in (C, P):
-        mantissa, exponent = np.frexp(part)
-        is_entry = mantissa != 0.0
-        with np.errstate(invalid="ignore"):
-            means.append(np.where(is_entry, exponent - 1.0, 0.0).sum(axis=2) / is_entry.sum(axis=2))
-        sums = sums + np.where(is_entry, exponent - 1.0 - means[-1][:, :, np.newaxis], 0.0).sum(axis=1)
-        counts = counts + is_entry.sum(axis=1)
-    spread = np.abs(sums / np.maximum(counts, 1)).max(axis=1)
-    beside = size_of_unknowns(means[0], means[1], is_equality, d, c, lower, upper)[0]
-    sizes = objective_sizes(c, np.broadcast_to(np.diagonal(P, axis1=1, axis2=2), c.shape))
-    return sizes, (spread <= ALIKE) & (np.abs(beside) <= ALIKE)
+    diagonal = np.ascontiguousarray(np.diagonal(P, axis1=1, axis2=2))
+    exponents = exponents_of(C, curved_part(P, diagonal))
+    size, _ = size_of_unknowns(exponents, is_equality, d, c, lower, upper)
+    return objective_sizes(c, diagonal), (exponents.spread <= ALIKE) & (np.abs(size) <= ALIKE)
 
 
 def _fitted(program: QuadraticProgram) -> Any:
     """Return the exponents that scale the unknowns, None where all stay the user's."""
     matrices, n = program.matrices, program.n
-    of_rows, of_hessian, spread = matrices.exponents
-    limits = np.concatenate([program.h, program.b])
-    size, say = size_of_unknowns(
-        of_rows, of_hessian, matrices.is_equality[: limits.size], limits, program.c, program.lower, program.upper
-    )
+    limits, spread = np.concatenate([program.h, program.b]), float(matrices.exponents.spread[0])
+    vectors = (one[np.newaxis] for one in (limits, program.c, program.lower, program.upper))
+    (size,), (say,) = size_of_unknowns(matrices.exponents, matrices.is_equality[: limits.size], *vectors)
     if (spread <= ALIKE and abs(size) <= ALIKE) or not np.isfinite([spread, size]).all():
         return None
     identity = sp.eye_array(n, format="csr")
-    matrix = vertically(matrices.rows, matrices.curved, identity, identity)
+    matrix = vertically(matrices.rows, as_csr(matrices.curved), identity, identity)
     column = np.where(say, np.concatenate([limits, program.c, program.lower, program.upper]), 0.0)
     of_costs = slice(limits.size, limits.size + n)
     is_relative = bool(say[of_costs].any())  # minima of rows of P are of all unknowns together: one may be an outlier
@@ -237,16 +189,15 @@ class Rescaled(Step):
 
         None, too, where it has bounds alone and a positive diagonal of P: a complementarity problem in any unit.
         """
-        if program.matrices.sizes[:2] == (0, 0) and (program.P.diagonal() > 0.0).all():
+        if program.matrices.sizes[:2] == (0, 0) and (program.matrices.diagonal > 0.0).all():
             return None
         coefficient, unknown, objective, _, leaves_unknowns = program.scaling
-        rows = np.ldexp(1.0, np.frexp(coefficient)[1] - 1)
-        far = 2.0**FAR
-        of_matrices = rows[: program.constraints.rows]
-        is_near = 1.0 / far <= objective <= far and of_matrices.max(initial=1.0) <= far
+        m, p = program.matrices.sizes[:2]
+        far, of_matrices = 2.0**FAR, coefficient[: m + p]
+        is_near = 1.0 / far <= objective <= far and of_matrices.max(initial=1.0) < 2.0 * far
         if leaves_unknowns and is_near and of_matrices.min(initial=1.0) >= 1.0 / far:
             return None
-        m, p = program.matrices.sizes[:2]
+        rows = np.ldexp(1.0, np.frexp(coefficient)[1] - 1)
         with np.errstate(over="ignore", under="ignore"):
             matrices = ProgramMatrices(
                 _scaled(program.P, unknown / objective, unknown), _scaled(program.G, 1.0 / rows[:m], unknown),
@@ -255,7 +206,9 @@ class Rescaled(Step):
             vectors = (program.c * unknown / objective, program.h / rows[:m], program.b / rows[m : m + p],
                        program.lower / unknown, program.upper / unknown)
         stored = [as_csr(one).data for one in (matrices.P, matrices.G, matrices.A)]
-        if not np.isfinite(np.concatenate([*stored, vectors[0], vectors[2]])).all() or np.isnan(vectors[1]).any():
+        given = (program.c, program.h, program.b, program.lower, program.upper)
+        was_finite, is_finite = (np.isfinite(np.concatenate(numbers)) for numbers in (given, vectors))
+        if not np.isfinite(np.concatenate(stored)).all() or (was_finite != is_finite).any():
             return None
         made = program.with_matrices(matrices, *map(read_only, vectors))
         made.__dict__.update(asymmetry=0.0, ranges=None, rescaled=None)
@@ -267,11 +220,13 @@ class Rescaled(Step):
 
     def point(self, x: Any, *, is_direction: bool = False) -> Any:
         """Return x in the units in which the program was stated."""
-        return x * like(self.of_x, x)
+        with np.errstate(over="ignore"):
+            return x * like(self.of_x, x)
 
     def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
         """Return multipliers likewise; of those that contradict each other the size of no objective is a part."""
-        return reduced * (like(1.0 / self.of_rows, reduced) if x is None else self.of_multipliers)
+        with np.errstate(over="ignore"):
+            return reduced * (like(1.0 / self.of_rows, reduced) if x is None else self.of_multipliers)
 
     def proof(self, found: Any) -> Any:
         """Return the same proof of the given program; where a radius is too small in its units, the one in its own."""

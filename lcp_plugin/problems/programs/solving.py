@@ -231,7 +231,9 @@ def solve_program(
             raise InvalidOption(str(error)) from error
     options = {name: wish for name, wish in options.items() if wish is not None}
     if program.rescaled is not None and "callback" not in options:  # which is shown the problem as it is stated
-        return _solved_rescaled(program.rescaled, algorithm, tolerance, options)
+        scaled = _solved_rescaled(program.rescaled, algorithm, tolerance, options)
+        if scaled is not None:
+            return scaled
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, prove_infeasibility, begun = program_goal(tolerance), options.get("prove_infeasibility", True), Begun(program)
@@ -274,14 +276,20 @@ def solve_program(
 
 def _solved_rescaled(
     own: Rescaled, algorithm: Any, tolerance: float, options: dict[str, Any]
-) -> QuadraticProgramResult:
-    """Return the answer to a program that is solved scaled, in the units in which it was given."""
-    left = FoldedRows.of(own.program).left
-    if (guess := options.pop("guess", None)) is not None and guess.size == own.program.n + left.size:
-        options["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])
-    found = solve_program(own.reduced, algorithm, tolerance=tolerance, **options)
+) -> QuadraticProgramResult | None:
+    """Return the answer to a program that is solved scaled, in the units in which it was given.
+
+    None where it is beyond the range of doubles in these.
+    """
+    left, wishes = FoldedRows.of(own.program).left, dict(options)
+    if (guess := wishes.pop("guess", None)) is not None and guess.size == own.program.n + left.size:
+        wishes["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])
+    found = solve_program(own.reduced, algorithm, tolerance=tolerance, **wishes)
     proof = own.program.accept_proof(own.proof(found.proof))
-    solution = QPSolution.of_rows(own.program, *own.outward(found.solution.x, found.solution.multipliers))
+    x, multipliers = own.outward(found.solution.x, found.solution.multipliers)
+    if not np.isfinite(x if found.has_no_solution else np.append(x, multipliers)).all():
+        return None
+    solution = QPSolution.of_rows(own.program, x, multipliers)
     return replace(found, solution=solution, proof=proof, _run=None, _origin=None)
 
 

@@ -106,8 +106,9 @@ class FarkasProgram:
     @cached_property
     def _scaled_unit(self) -> float:
         asked = self.constraints
-        q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
-        sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
+        with np.errstate(over="ignore"):
+            q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
+            sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
         largest = float(sizes[np.isfinite(sizes)].max(initial=0.0)) if self.unit is None else self.unit
         return float(0.5 * power_of_two(max(largest, 2.0**-900)))
 

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 from campaigns import convex_programs, scaled_programs
 
-from lcp_plugin import QuadraticProgram, Status, solve
+from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
 from lcp_plugin.problems.programs.definitions import Substitution
 from lcp_plugin.problems.programs.reductions import FoldedRows
@@ -167,3 +167,25 @@ def test_an_unknown_in_no_row_has_the_unit_of_the_others(exponent: int, curvatur
     s = 2.0**exponent
     program = QuadraticProgram(np.diag([curvature * s * s, 0.0]), [-s, -s], G=[[s, 0.0]], h=[1.0], lower=[0.0, 0.0])
     assert solve(program).status is Status.UNBOUNDED
+
+
+@pytest.mark.parametrize(("P", "c", "h", "said"), [
+    (np.eye(2), [1.0, 1.0], 1e200, Status.SOLVED),
+    (np.eye(2), [1.0, 1.0], 0.0, Status.SOLVED),
+    (np.diag([1.0, 0.0]), [1.0, 1.0], -1.0, Status.SOLVED),
+    (np.diag([1.0, 0.0]), [1.0, 1.0], 1e200, Status.STALLED),
+    (None, [1.0, 1.0], 1e200, Status.UNBOUNDED),
+    (np.eye(2), [1.0, 1.0], -1.0, None),
+    (np.eye(2), [1.0, 0.0], -1.0, None),
+])
+def test_numbers_beyond_the_range_of_doubles_are_no_answer(P: Any, c: list[float], h: float, said: Status) -> None:
+    """−1e-200 x ≤ h: a status and finite x, or a refusal that names the multiplier, 1e400; never a warning."""
+    program = QuadraticProgram(P, c, G=[[0.0, -1e-200]], h=[h])
+    if said is None:
+        with pytest.raises(InvalidProblem, match=r"multiplier of G\[0\].*units"):
+            solve(program)
+        assert solve(QuadraticProgram(P, c, G=[[0.0, -1.0]], h=[1e200 * h])).is_solved
+        return
+    result = solve(program)
+    assert result.status is said
+    assert np.isfinite(result.x).all()

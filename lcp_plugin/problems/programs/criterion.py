@@ -63,7 +63,7 @@ def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVecto
     matrices, rows = program.matrices, program.constraints
     worst, columns = np.zeros(7), np.zeros((4, program.n))
     program_residuals(
-        *matrices.rows_of_hessian, matrices.rows.indptr, matrices.rows.indices, matrices.rows.data, program.h.size,
+        *matrices.rows_of_hessian, *matrices.rows_of_constraints, program.h.size,
         program.c, rows.limit, rows.unit, rows.coefficient, program.dual_unit, np.array(program.scaling[2:4]), x,
         multipliers, columns, worst,
     )

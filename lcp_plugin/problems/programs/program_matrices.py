@@ -98,6 +98,11 @@ class ProgramMatrices:
         return by_rows(self.P)
 
     @cached_property
+    def rows_of_constraints(self) -> tuple[Any, Any, FloatVector, bool]:
+        """The same of [G; A]."""
+        return by_rows(self.rows if self.has_sparse_rows else self.dense_rows)
+
+    @cached_property
     def magnitudes(self) -> Any:
         """|P|."""
         return abs(self.P)
@@ -124,6 +129,9 @@ class ProgramMatrices:
 
     def columns_beside(self, coefficients: FloatVector, units: FloatVector) -> FloatVector:
         """Return the largest |entry| of each column of [G; A] in these units of rows and of columns."""
+        if not self.has_sparse_rows:
+            beside = np.abs(self.dense_rows) / coefficients[: self.dense_rows.shape[0], np.newaxis]
+            return np.asarray(beside.max(axis=0, initial=0.0) * units)
         rows, largest = self.rows, np.zeros(self.P.shape[0])
         np.maximum.at(largest, rows.indices, np.abs(rows.data) / coefficients[row_numbers(rows)])
         return largest * units
@@ -189,7 +197,9 @@ class ProgramMatrices:
         return Matrix.of_own_rows(M, ALONE)  # canonical, as its blocks are
 
     def sum_of_rows(self, y: FloatVector) -> FloatVector:
-        """Return [Gᵀ Aᵀ] y; nothing is transposed."""
+        """Return [Gᵀ Aᵀ] y, row after row; nothing is transposed."""
+        if not self.has_sparse_rows:
+            return np.asarray((self.dense_rows * y[:, np.newaxis]).sum(axis=0))
         terms = self.rows.data * y[row_numbers(self.rows)]
         return np.asarray(np.bincount(self.rows.indices, terms, self.P.shape[0]), dtype=np.float64)
 

@@ -118,8 +118,8 @@ def _far_gain(left, x, bound, curvature, largest):  # type: ignore[no-untyped-de
 
 @interpreted_while_small
 def program_residuals(  # type: ignore[no-untyped-def]
-    of_P, indices_of_P, P, is_full, indptr, indices, data, equations, c, limits, units, coefficients, dual_units,
-    objective, x, y, columns, worst,
+    of_P, indices_of_P, P, is_full, indptr, indices, data, is_full_of_rows, equations, c, limits, units, coefficients,
+    dual_units, objective, x, y, columns, worst,
 ):
     """Fill `worst` with the largest errors of any condition and the gap; NaN where one is not finite.
 
@@ -127,8 +127,8 @@ def program_residuals(  # type: ignore[no-untyped-def]
     ----------
     of_P, indices_of_P, P, is_full
         P as CSR; where it is full, the columns of one row stand for those of all.
-    indptr, indices, data, equations
-        [G; A] as CSR, and the place of the first row that is an equation.
+    indptr, indices, data, is_full_of_rows, equations
+        [G; A] likewise, and the place of the first row that is an equation.
     limits, units, coefficients, y
         Of all constraints, the lower and upper bounds after the rows; a bound's coefficient is the unit of its unknown.
     dual_units, objective
@@ -141,8 +141,11 @@ def program_residuals(  # type: ignore[no-untyped-def]
     for i in range(rows):
         limit, of_row = limits[i], y[i]
         total, errors, lost, largest = -limit if abs(limit) < np.inf else 0.0, 0.0, 0.0, 0.0
-        for k in range(indptr[i], indptr[i + 1]):
-            a, j = data[k], indices[k]
+        begin = indptr[i]
+        for k in range(begin, indptr[i + 1]):
+            a, j = data[k], indices[k - begin if is_full_of_rows else k]
+            if a == 0.0:
+                continue
             total, errors, lost = _added(total, errors, lost, a, x[j])
             largest = max(largest, abs(a * x[j]))
             if of_row != 0.0:

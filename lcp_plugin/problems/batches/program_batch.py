@@ -10,8 +10,9 @@ import scipy.sparse as sp
 
 from ...core.settings import Status
 from ..programs.criterion import PROGRAM_TOLERANCE, Errors, program_goal
+from ..programs.program_matrices import may_be_small
 from ..programs.scaling import scaling_of_stacks
-from ..programs.small_programs import ACTIVE_SET, MOST_STEPS, SmallAnswers, SmallPrograms, may_be_small
+from ..programs.small_programs import ACTIVE_SET, MOST_STEPS, SmallAnswers, SmallPrograms
 from ..programs.solution import QPSolution
 from ..programs.solving import QuadraticProgramResult, solve_program
 from ..programs.stacked_programs import QuadraticProgramBatch

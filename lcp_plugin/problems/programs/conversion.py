@@ -16,12 +16,12 @@ from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, program_goal
-from .definitions import Substitution
 from .least_multipliers import CANCELS, least_multipliers
 from .program import QuadraticProgram, asymmetry_of
 from .program_matrices import sums_and_terms
-from .reductions import FoldedRows, Reduction
+from .reductions import Purpose, Reduction
 from .solution import QPSolution
+from .steps import reduction_for
 
 if TYPE_CHECKING:
     from .no_minimum import QPInfeasibility, QPUnboundedness
@@ -94,8 +94,8 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     refuse_nonconvex(program)
     if form not in FORMS:
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
-    reduction = Reduction(program)
-    problem = optimality_conditions(reduction.then(Substitution.of, saves_work=True) if form == "auto" else reduction)
+    purpose = Purpose.LEAST_WORK if form == "auto" else Purpose.AS_IT_STANDS
+    problem = optimality_conditions(reduction_for(program, purpose))
     if form == "direct" and (left := problem.origin.rows):
         raise UnsuitableProblem(
             f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
@@ -149,8 +149,8 @@ def lcp_from_lp(
 
 
 def optimality_conditions(reduction: Reduction) -> LCP:
-    """Return the conditions of a program known to be convex, of what a reduction leaves of it, simple rows folded."""
-    origin = QPOrigin(reduction.then(FoldedRows.of))
+    """Return the conditions of a program known to be convex, of what a reduction leaves of it."""
+    origin = QPOrigin(reduction)
     problem = origin.problem()
     problem.origin = problem.criterion = origin
     return problem
@@ -178,17 +178,16 @@ def attempts(program: QuadraticProgram, first: Attempt | None = None) -> Iterato
     >>> [attempt.because for attempt in attempts(program)]
     ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
     """
-    as_it_stands = Reduction(program)
     if first is None:
-        cheap = as_it_stands.then(Substitution.of, saves_work=True)
-        problem = optimality_conditions(cheap)
-        form = f"the {problem.origin.form} form"
-        first = Attempt(problem, f"{form}, defined variables put in" if cheap.steps else form)
+        problem = optimality_conditions(reduction_for(program, Purpose.LEAST_WORK))
+        remarks = problem.origin.reduction.remarks
+        first = Attempt(problem, ", ".join([f"the {problem.origin.form} form", *remarks]))
     yield first
-    if first.problem.origin.reduction.reduced.n < program.n:
+    if first.problem.origin.reduction.computes:
+        as_it_stands = reduction_for(program, Purpose.AS_IT_STANDS)
         yield Attempt(optimality_conditions(as_it_stands), "the KKT form of the program as it stands")
-    elif (whole := as_it_stands.then(Substitution.of)).steps:
-        yield Attempt(optimality_conditions(whole), "defined variables put in")
+    elif (smallest := reduction_for(program, Purpose.SMALLEST)).computes:
+        yield Attempt(optimality_conditions(smallest), ", ".join(smallest.remarks))
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
@@ -286,6 +285,11 @@ class QPOrigin:
         return self.reduction.reduced.constraints.rows
 
     @property
+    def n(self) -> int:
+        """Number of unknowns of the problem."""
+        return self.reduction.reduced.n + self.rows
+
+    @property
     def form(self) -> str:
         """"direct" where bounds are all that is left, else "kkt"."""
         return "kkt" if self.rows else "direct"
@@ -304,6 +308,11 @@ class QPOrigin:
         """Return z of an x and multipliers of all constraints of the program; NaN counts as 0."""
         x, multipliers = self.reduction.inward(x, np.nan_to_num(multipliers))
         return np.append(x, multipliers[: self.rows])
+
+    def outward(self, z: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return x and multipliers of all constraints of the program, those of bounds that are left 0."""
+        x, y = self._split(z)
+        return self.reduction.outward(x, np.append(y, np.zeros(2 * x.size)))
 
     def recover(self, answer: Any) -> QPSolution:
         """Return the program's solution that an answer of the complementarity problem stands for.
@@ -401,7 +410,7 @@ class QPOrigin:
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""
         n = self.reduction.reduced.n
-        z = checked_answer(answer, n + self.rows)
+        z = checked_answer(answer, self.n)
         return z[:n], z[n:].copy()
 
 

@@ -1,9 +1,9 @@
 """Programs made smaller by one stack of steps, each with its way back for x, multipliers and proofs.
 
-A step is a class: how it makes the smaller program (`of`), and its way back (`inward`, `point`, `multipliers`). One
-that drops rows which are stated twice, say, keeps the variables and needs no `point`; in a stack it stands as
-``Reduction(program).then(DistinctRows.of)``. Whether a contradiction or a direction of descent of the smaller program
-is one of the program is checked on the program's own numbers, whatever the step says.
+A step is a class – how it makes the smaller program (`of`), and its way back (`inward`, `point`, `multipliers`) – and
+an entry in the list of :mod:`lcp_plugin.problems.programs.steps`: nothing else knows which steps there are. One that
+drops rows which are stated twice, say, keeps the variables and needs no `point`. Whether a contradiction or a direction
+of descent of the smaller program is one of the program is checked on the program's own numbers, whatever the step says.
 """
 
 from __future__ import annotations
@@ -11,19 +11,34 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from ...core.checks import FloatVector
 from ...methods.presolve import like
-from .program_matrices import Indices, ProgramMatrices, block
+from .program_matrices import MANY, Indices, ProgramMatrices, block, may_be_small
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 OWN = -1  # the variable's own bound, not a row's
+FOLDED_FROM = 5e5  # multiplications of the compiled call by rows that may be bounds: to look for these takes as long
+
+
+class Purpose(Enum):
+    """What a smaller program is for."""
+
+    AS_IT_STANDS = auto()
+    """A complementarity problem that has the numbers of the program: no step that computes others."""
+    LEAST_WORK = auto()
+    """A complementarity problem that is predicted to take the fewest multiplications."""
+    SMALLEST = auto()
+    """A complementarity problem with the fewest unknowns."""
+    COMPILED_CALL = auto()
+    """A small program that one compiled call solves: only steps that take less time than they save there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +49,27 @@ class Step(ABC):
     ----------
     program, reduced : QuadraticProgram
         Before and after.
+    computes : bool
+        Whether numbers of what is left are sums of several given ones: rounded, and P may be convex where it was not.
+    remark : str
+        What a run says of a form of the program that was made so.
     """
+
+    computes: ClassVar[bool] = False
+    remark: ClassVar[str] = ""
 
     program: QuadraticProgram
     reduced: QuadraticProgram
+
+    @classmethod
+    @abstractmethod
+    def of(cls, program: QuadraticProgram) -> Step | None:
+        """Return that of a program; None, or the same object left, where there is nothing to do."""
+
+    @classmethod
+    def for_purpose(cls, program: QuadraticProgram, purpose: Purpose) -> Step | None:
+        """Return that of a program where it serves this purpose: unless a step says otherwise, it always does."""
+        return cls.of(program)
 
     @abstractmethod
     def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
@@ -101,9 +133,9 @@ class Reduction:
     program: QuadraticProgram
     steps: tuple[Step, ...] = ()
 
-    def then(self, step: Callable[..., Step | None], **options: Any) -> Reduction:
+    def then(self, step: Callable[..., Step | None], *purpose: Purpose) -> Reduction:
         """Return the reduction with one more step, or as it is where that does nothing."""
-        found = step(self.reduced, **options)
+        found = step(self.reduced, *purpose)
         if found is None or found.reduced is self.reduced:
             return self
         return Reduction(self.program, (*self.steps, found))
@@ -112,6 +144,16 @@ class Reduction:
     def reduced(self) -> QuadraticProgram:
         """What is left of the program."""
         return self.steps[-1].reduced if self.steps else self.program
+
+    @property
+    def computes(self) -> bool:
+        """Whether numbers of what is left are sums of several given ones."""
+        return any(step.computes for step in self.steps)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a run says of a form that was made so."""
+        return [step.remark for step in self.steps if step.remark]
 
     def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of all constraints of what is left."""
@@ -167,6 +209,18 @@ class FoldedRows(Step):
         if known is None:
             known = program.__dict__["_folded"] = cls._of(program)
         return known
+
+    @classmethod
+    def for_purpose(cls, program: QuadraticProgram, purpose: Purpose) -> FoldedRows | None:
+        """Return it, but for the compiled call, which takes simple rows as rows, only where these are many."""
+        matrices = program.matrices
+        if purpose is Purpose.COMPILED_CALL:
+            if not (matrices.has_sparse_rows and matrices.sizes[0] * program.n**2 > FOLDED_FROM):
+                return None
+            free, simple = int(np.count_nonzero(program.lower < program.upper)), matrices.singletons[0].size
+            if not may_be_small(free, sum(matrices.sizes[:2]) - simple, MANY):
+                return None
+        return cls.of(program)
 
     @classmethod
     def _of(cls, program: QuadraticProgram) -> FoldedRows:

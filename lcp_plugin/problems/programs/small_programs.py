@@ -14,23 +14,19 @@ from ...core.solving.result import StageRecord
 from .conversion import QPOrigin
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, Errors, program_goal
-from .definitions import Substitution
 from .no_minimum import QPInfeasibility, with_bounds
 from .program import QuadraticProgram
-from .reductions import FixedVariables, FoldedRows, Reduction
+from .program_matrices import may_be_small
+from .reductions import FixedVariables, Purpose, Reduction
 from .solution import QPSolution
+from .steps import reduction_for
 
-UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows
-SPARSE, SPARSE_UP_TO = 0.3, 2e7  # share of entries; multiplications that sparse factors take more quickly
 MEASURES = 7  # of an answer
 MOST_STEPS = 100  # with a smaller limit they are taken one by one
 LARGEST = 1e100  # numbers whose products stay in range
 ACTIVE_SET = "dual active set"
 AT_ONCE = "begins at the minimum without constraints and takes in those that are violated, one by one, until none is"
 BOXED_UP_TO, BOXED = 160, 1.5  # unknowns and their bounds; where few rows hold x, the path from far outside is long
-FOLDED_FROM = 5e5  # multiplications by rows that may be bounds: to look for these takes as long
-SUBSTITUTED_FROM = 5e5  # multiplications: to put in what equations define takes as long
-MANY = UP_TO**2 * ROWS_UP_TO  # entries: those that are left are not counted yet
 REACHED = 1e-9  # the smallest tolerance that the compiled call is asked for
 
 
@@ -65,13 +61,6 @@ class SmallPrograms(NamedTuple):
         from .kernels.dual_active_set import run
 
         run(*self, tolerance, first, end, *answers, contradicts)
-
-
-def may_be_small(n: int, m: int, entries: int) -> bool:
-    """Return whether the compiled call may take a program with so many unknowns, rows, and entries of P and C."""
-    if not (0 < n <= UP_TO and m <= ROWS_UP_TO):
-        return False
-    return n * n * (n + m) <= SPARSE_UP_TO or entries >= SPARSE * n * (n + m)
 
 
 def work_of_search(n: int, m: int, steps: int) -> float:
@@ -164,18 +153,10 @@ def settled_at_once(program: QuadraticProgram, tolerance: float) -> Found | QPIn
 
 def _made_small(program: QuadraticProgram) -> Reduction | None:
     """Return what the compiled call is to take of a program; None where that is too much work for dense loops."""
-    reduction = Reduction(program)
-    if program.b.size and _is_worth_substituting(program):
-        reduction = reduction.then(Substitution.of)
-        if reduction.steps:
-            refuse_nonconvex(program)  # on the subspace that is left P may be convex
+    reduction = reduction_for(program, Purpose.COMPILED_CALL)
+    if reduction.computes:
+        refuse_nonconvex(program)  # on the subspace that is left P may be convex
     reduced = reduction.reduced
-    if reduced.matrices.has_sparse_rows and reduced.matrices.sizes[0] * reduced.n**2 > FOLDED_FROM:
-        count, simple = int(np.count_nonzero(reduced.lower < reduced.upper)), reduced.matrices.singletons[0].size
-        if not may_be_small(count, sum(reduced.matrices.sizes[:2]) - simple, MANY):
-            return None
-        reduction = reduction.then(FoldedRows.of)
-        reduced = reduction.reduced
     free = reduced.lower < reduced.upper
     count, rows = int(np.count_nonzero(free)), sum(reduced.matrices.sizes[:2])
     if not may_be_small(count, rows, reduced.matrices.stored):
@@ -200,13 +181,3 @@ def _arrays(program: QuadraticProgram) -> SmallPrograms:
 def contradiction(program: QuadraticProgram, y: FloatVector) -> QPInfeasibility:
     """Return what these multipliers of rows prove if they contradict each other, with those of bounds."""
     return with_bounds(program, {i: Fraction(value) for i, value in enumerate(y.tolist()) if value})
-
-
-def _is_worth_substituting(program: QuadraticProgram) -> bool:
-    """Return whether what equations define is put in; not where the call is quick, or too long, with it or without.
-
-    Without, P has to be definite by the look of its diagonal: on the subspace that is left it may be so.
-    """
-    n, defined = program.n, min(int(np.count_nonzero(program.matrices.is_definable)), program.b.size)
-    is_quick = n**2 * (n + program.constraints.rows) <= SUBSTITUTED_FROM and bool((program.P.diagonal() > 0.0).all())
-    return not is_quick and may_be_small(n - defined, 0, 0)

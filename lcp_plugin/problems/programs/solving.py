@@ -42,10 +42,12 @@ from .interior_points import Begun, solved_again, solved_by_interior_points
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers, prove_unheld
 from .program import QuadraticProgram
-from .reductions import FoldedRows
+from .program_matrices import may_be_small
+from .reductions import Purpose
 from .scaling import Rescaled
-from .small_programs import ACTIVE_SET, MOST_STEPS, Found, may_be_small, settled_at_once
+from .small_programs import ACTIVE_SET, MOST_STEPS, Found, settled_at_once
 from .solution import QPSolution
+from .steps import reduction_for
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
@@ -129,7 +131,7 @@ class QuadraticProgramResult(Answer):
         """The run on the complementarity problem of the program; where none was needed, the answer converted."""
         if self._run is not None:
             return self._run
-        origin = next(attempts(self.program)).problem.origin if self._origin is None else self._origin
+        origin = self._origin or QPOrigin(reduction_for(self.program, Purpose.LEAST_WORK))
         problem = origin.problem()
         problem.origin = problem.criterion = origin
         certificate = Certificate.of(problem, origin.stated(self.x, self.solution.multipliers))
@@ -281,9 +283,11 @@ def _solved_rescaled(
 
     None where it is beyond the range of doubles in these.
     """
-    left, wishes = FoldedRows.of(own.program).left, dict(options)
-    if (guess := wishes.pop("guess", None)) is not None and guess.size == own.program.n + left.size:
-        wishes["z0"] = guess / np.append(own.of_x, own.of_multipliers[left])
+    wishes = dict(options)
+    if (guess := wishes.pop("guess", None)) is not None:
+        given, scaled = (QPOrigin(reduction_for(one, Purpose.LEAST_WORK)) for one in (own.program, own.reduced))
+        if guess.size == given.n:
+            wishes["z0"] = scaled.stated(*own.inward(*given.outward(guess)))
     found = solve_program(own.reduced, algorithm, tolerance=tolerance, **wishes)
     proof = own.program.accept_proof(own.proof(found.proof))
     x, multipliers = own.outward(found.solution.x, found.solution.multipliers)

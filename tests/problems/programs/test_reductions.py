@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from lcp_plugin import QuadraticProgram, solve
 from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.problems.programs import steps
+from lcp_plugin.problems.programs.conversion import attempts
 from lcp_plugin.problems.programs.definitions import Substitution
 from lcp_plugin.problems.programs.program_matrices import Indices
 from lcp_plugin.problems.programs.reductions import FixedVariables, FoldedRows, Reduction, Step
@@ -18,7 +20,9 @@ from lcp_plugin.problems.programs.reductions import FixedVariables, FoldedRows, 
 
 @dataclass(frozen=True, eq=False)
 class DistinctRows(Step):
-    """The program without the rows of G that are stated before: all that a reduction of one's own takes."""
+    """The program without the rows of G that are stated before: all that a step of one's own takes."""
+
+    remark: ClassVar[str] = "doubled rows dropped"
 
     kept: Indices
 
@@ -101,6 +105,34 @@ def test_the_answer_to_what_is_left_is_one_to_the_program(name: str, seed: int) 
     inner = reduction.inward(x, multipliers)
     np.testing.assert_allclose(inner[0], found.x, atol=1e-12)
     np.testing.assert_allclose(reduction.outward(*inner)[1], multipliers, atol=1e-9)
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
+@pytest.mark.parametrize("contradicts", [False, True])
+@pytest.mark.parametrize("scale", [1.0, 1e9])
+def test_a_step_of_ones_own_enters_in_one_list(
+    monkeypatch: pytest.MonkeyPatch, algorithm: str, contradicts: bool, scale: float
+) -> None:
+    """With an entry in the list of steps every way to solve a program takes it, and answers and proofs come back."""
+    stated = program_with_all(3, contradicts=contradicts)
+    program = QuadraticProgram(
+        stated.P, stated.c, scale * stated.G, scale * stated.h, stated.A, stated.b, stated.lower, stated.upper
+    )
+    expected = solve(program, algorithm)
+    monkeypatch.setattr(steps, "STEPS", (DistinctRows, *steps.STEPS))
+    found = solve(program, algorithm)
+    tried = list(attempts(program))
+    assert [attempt.problem.origin.reduction.reduced.h.size for attempt in tried] == [2, 2]
+    assert all("doubled rows dropped" in attempt.because for attempt in tried[:1])
+    assert found.status is expected.status
+    if contradicts:
+        assert found.proof is not None
+        assert found.proof.program is program
+        assert found.proof.verify()
+        return
+    assert found.is_solved
+    assert found.solution.is_optimal(1e-8)
+    np.testing.assert_allclose(found.x, expected.x, atol=1e-7)
 
 
 @pytest.mark.parametrize("seed", range(5))

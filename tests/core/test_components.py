@@ -135,6 +135,13 @@ def test_where_rounding_keeps_all_components_open_no_step_is_taken() -> None:
     assert result.iterations == 0
 
 
+def test_a_residual_beyond_the_range_of_doubles_is_not_rounding() -> None:
+    """w₁ = −1e200 measured in 1e-200, and w₂ = −1 contradicts: the misfit of 1e400 is no rounding of 1e400."""
+    result = solve(LCP([[-1e-200, 0.0], [0.0, 0.0]], [-1e200, -1.0]))
+    assert result.infeasibility is not None
+    assert result.status is not Status.PRECISION_LIMIT
+
+
 @pytest.mark.parametrize("name", ["auto", *REGISTRY])
 def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name: str) -> None:
     """1e200 in a component whose answer is 1e-200: in the units of that component it is no double."""

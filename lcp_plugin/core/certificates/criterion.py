@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from ..checks import BoolVector, FloatVector, read_only
-from ..kernels.floats import DATA_ROUNDING, EPSILON, TINY
+from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact
 from ..matrix.scaling import Scaling, is_representable, scaling_of, times_power
@@ -219,12 +219,15 @@ def measured_scaled_residual(problem: LCP, z: FloatVector) -> float:
 
 
 def rounding_of_data(problem: LCP) -> float:
-    """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q̂_i|/d̂_i."""
+    """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q̂_i|/d̂_i.
+
+    What is beyond the range of doubles counts as the largest of them: no residual that is so as well is explained.
+    """
     scaling = RowScaling.of(problem)
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
     sizes = times_power(sizes, None if scaling is None else -scaling.column)
-    return DATA_ROUNDING * problem.communicator.largest(float(sizes.max(initial=0.0)))
+    return DATA_ROUNDING * min(problem.communicator.largest(float(sizes.max(initial=0.0))), LARGEST)
 
 
 @dataclass(frozen=True, eq=False)

@@ -506,7 +506,7 @@ def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     tight = rows[np.abs(value) <= MET] if answer.x[-1] <= NARROW else rows[:0]
     at_bound = (x <= program.lower) | (x >= program.upper)
     guess = [near if not stuck else exact
-             for near, stuck, exact in zip(short(x, 1 << 40), at_bound, rational(x), strict=True)]
+             for near, stuck, exact in zip(short(x, 1 << 52), at_bound, rational(x), strict=True)]
     system = [*equal.tolist(), *tight.tolist()]
     exact = solved_nearby(
         [constraints.exactly[i] for i in system], rational(limit[system]), guess, [not stuck for stuck in at_bound]

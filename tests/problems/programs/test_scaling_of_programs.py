@@ -189,3 +189,13 @@ def test_numbers_beyond_the_range_of_doubles_are_no_answer(P: Any, c: list[float
     result = solve(program)
     assert result.status is said
     assert np.isfinite(result.x).all()
+
+
+def test_a_point_far_out_meets_its_equations_to_rounding() -> None:
+    """At |x| = 2e5 forty bits miss an equation by 9e-8, and no direction of descent was proved from there."""
+    case = scaled_programs.planted(461, np.random.default_rng([77, 461]))
+    assert case.status is Status.UNBOUNDED
+    result = solve(case.program)
+    assert result.status is Status.UNBOUNDED
+    assert result.proof is not None
+    assert result.proof.verify()

@@ -21,7 +21,7 @@ from ...core.deadline import Lock
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.kind import Kind
 from ...core.lcp import LCP
-from ..contact import Bodies, contact_data
+from ..contact import Bodies, checked_contacts, warn_of_much_friction
 from . import CONE_PROBLEM, FRICTIONAL_CONTACT
 
 CONES = ("free", "nonnegative", "box", "second_order")
@@ -267,7 +267,8 @@ class FrictionalContact(Blocks):
     W : array or sparse array, shape (d k, d k), or three arrays (mass matrix, normals, tangents)
         Velocities by impulses, d rows a contact: its normal, then its d − 1 tangents, d = 3 in space and 2 in the
         plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data are written with few digits; it is
-        used as it is given. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`.
+        used as it is given. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; where one of the arrays is sparse,
+        W stays sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
     b : array, shape (d k,) or (k, d); or (v,) beside a mass matrix
         Velocities without the impulses, in m/s; of the bodies beside a mass matrix.
     friction : number or array, shape (k,)
@@ -296,7 +297,7 @@ class FrictionalContact(Blocks):
     def __init__(self, W: Any, b: ArrayLike, friction: ArrayLike, *, dimension: int | None = None) -> None:
         bodies = None
         if isinstance(W, tuple):
-            data = contact_data(W, friction, b)
+            data = checked_contacts(W, friction, b, keeps_sparse=True)
             W, b, friction, bodies = data.W, data.velocities, data.friction, data.bodies
         need = "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
         velocities = real_array(b, need)
@@ -319,6 +320,7 @@ class FrictionalContact(Blocks):
             raise InvalidProblem(
                 f"friction must be finite and not negative, but friction[{at}] = {mu[at]}; give μ ≥ 0, 0 for none"
             )
+        warn_of_much_friction(mu, 3)
         W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         _require_symmetry(W)
         rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
@@ -342,7 +344,7 @@ class FrictionalContact(Blocks):
         InvalidProblem
             As there.
         """
-        data = contact_data(contacts, friction, velocities, gaps=gaps, time_step=time_step)
+        data = checked_contacts(contacts, friction, velocities, gaps=gaps, time_step=time_step, keeps_sparse=True)
         if data.W.ndim != 2:
             raise InvalidProblem("from_contacts makes one problem, got arrays of a batch; write one for each item")
         b = np.array(data.velocities)

@@ -17,6 +17,8 @@ from ..problems.cones.data import ConeProblem, FrictionalContact
 from ..problems.cones.files import problem_of as cone_problem_of
 from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
+from .fclib import SUFFIXES as HDF5
+from .fclib import load_fclib
 from .files.files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys, with_infinities
 from .files.matrix_market import read_mat
 from .nl.model import program_in_nl
@@ -68,7 +70,8 @@ def load_problem(path: str | PathLike[str]) -> Any:
         ``.qps`` and ``.mps`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A, l, u, or
         the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program; with A
         and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares; with mu beside a matrix a
-        FrictionalContact, with cone_kinds a ConeProblem (``.npz`` alone). Everything else is read by
+        FrictionalContact, with cone_kinds a ConeProblem (``.npz`` alone). ``.h5`` and ``.hdf5`` of fclib, the field's
+        collection, state a FrictionalContact; h5py reads them. Everything else is read by
         :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Raises
@@ -81,6 +84,8 @@ def load_problem(path: str | PathLike[str]) -> Any:
     kind = kind_in(path)
     if kind is QuadraticProgram:
         return load_program(path).program
+    if kind is FrictionalContact and checked_path(path).suffix.lower() in HDF5:
+        return load_fclib(checked_path(path))
     if kind in (ConeProblem, FrictionalContact):
         return cone_problem_of(read_npz(checked_path(path), OF_CONES), path)
     return load_least_squares(path) if kind is BoundedLeastSquares else LCP.load(path)
@@ -95,6 +100,8 @@ def kind_in(path: str | PathLike[str]) -> Any:
         is_file = False
     if source.suffix.lower() in MPS:
         return QuadraticProgram
+    if source.suffix.lower() in HDF5:
+        return FrictionalContact
     if source.suffix.lower() not in ARRAYS or not is_file:
         return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}

@@ -21,6 +21,7 @@ from ...core.deadline import Lock
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.kind import Kind
 from ...core.lcp import LCP
+from ...core.representation import in_words
 from ..contact import Bodies, checked_contacts, warn_of_much_friction
 from . import CONE_PROBLEM, FRICTIONAL_CONTACT
 
@@ -253,7 +254,7 @@ class ConeProblem(Blocks):
         }
 
     def _words(self) -> str:
-        return f"n={self.n}, {int((self.sizes > 1).sum())} second-order cones"
+        return f"n={self.n}, {in_words(int((self.sizes > 1).sum()), 'second-order cone')}"
 
 
 class FrictionalContact(Blocks):
@@ -378,7 +379,7 @@ class FrictionalContact(Blocks):
         return {"mu": self.friction}
 
     def _words(self) -> str:
-        return f"{self.slope.size} contacts in {'space' if self.dimension == 3 else f'{self.dimension} dimensions'}"
+        return f"{in_words(self.slope.size, 'contact')} in {'space' if self.dimension == 3 else 'the plane'}"
 
 
 def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:

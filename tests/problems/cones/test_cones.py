@@ -288,3 +288,30 @@ def test_from_contacts_states_pyramids_or_the_cone_itself() -> None:
     assert 0.0 < np.abs(near - moved).max() < 0.1
     with pytest.raises(InvalidProblem, match="cone must be"):
         LCP.from_contacts(*data, cone="circle")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_derivatives_by_bounds_and_of_the_slack(seed: int) -> None:
+    """Of boxes beside cones: vjp is jvp transposed, and jvp the difference of two answers."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(7, 7))
+    M, q, low, high = A @ A.T + np.eye(7), 3.0 * rng.normal(size=7), np.full(4, -0.3), np.full(4, 0.2)
+    changes = {"dq": rng.normal(size=7), "dlower": rng.normal(size=7), "dupper": rng.normal(size=7)}
+
+    def answer(step: float) -> Any:
+        own = low + step * changes["dlower"][:4], high + step * changes["dupper"][:4]
+        return solve(ConeProblem(M, q + step * changes["dq"], [("box", *own), ("second_order", 3)]), tolerance=1e-13)
+
+    found = derivative(answer(0.0))
+    dz = found.jvp(**changes)
+    dw = found.dw(dz, dq=changes["dq"])
+    ends = answer(1e-6), answer(-1e-6)
+    np.testing.assert_allclose(dz, (ends[0].z - ends[1].z) / 2e-6, atol=1e-5)
+    np.testing.assert_allclose(dw, (ends[0].w - ends[1].w) / 2e-6, atol=1e-4)
+    g, gw = rng.normal(size=(2, 7))
+    gradient = found.vjp(g, gw)
+    pulled = sum(getattr(gradient, name[1:]) @ change for name, change in changes.items())
+    np.testing.assert_allclose(pulled, g @ dz + gw @ dw, rtol=1e-9, atol=1e-9)
+    assert not gradient.friction.any()
+    with pytest.raises(InvalidOption, match="dfriction is of a FrictionalContact"):
+        found.jvp(dfriction=np.ones(2))

@@ -212,7 +212,8 @@ def scene_text(target: str, size: int | None = None) -> str | None:
     name = name.strip().replace("-", "_")
     if name not in gallery.names():
         if not (set(target) & set("/\\.") or Path(target).exists() or Path(f"{target}M.mtx").exists()):
-            raise InvalidOption(f"{target!r} is neither a file nor a scene{did_you_mean(name, gallery.names())}")
+            hint = did_you_mean(name, gallery.names(), is_listed=True)
+            raise InvalidOption(f"{target!r} is neither a file nor a scene{hint}")
         if size is not None:
             raise InvalidOption(f"--size {size} is for a scene, but {target!r} is none; leave it out")
         return None

@@ -294,7 +294,7 @@ class ConeResult(Result):
         lines = [
             f"{in_words(problem.slope.size, 'contact')}: {int((~motion.touches).sum())} open, "
             f"{int(motion.sticks.sum())} stick, {int(slides.sum())} slide; friction and impact take "
-            f"{self.certificate.dissipation:.3g} J"  # type: ignore[attr-defined]
+            f"{self.certificate.dissipation + 0.0:.3g} J"  # type: ignore[attr-defined]
         ]
         if motion.touches.any():
             pulls = np.linalg.norm(motion.tangential, axis=1)[motion.touches]

@@ -8,6 +8,8 @@ answer, `files` reads and writes.
 from ...core.kind import Kind
 
 _REFUSED: dict[str, str] = {
+    "sweeps=": "it is of an algorithm: NPGS(sweeps=…), from lcp_plugin.problems.cones.methods",
+    "proximal=": "it is of an algorithm: Newton(proximal=…), from lcp_plugin.problems.cones.methods",
     "x0=": "a start is called z0 here",
     "tolerance_on=": "nothing bounds the error over cones; result.certificate has the residuals",
     "error_bound=": "nothing bounds the error over cones; result.certificate has the residuals",

@@ -405,7 +405,8 @@ def dimension_of(given: int | None, friction: FloatVector, rows: int) -> int:
             f"{friction.size} coefficients of friction"
         )
     if rows % d:
-        raise InvalidProblem(f"{rows} rows are no multiple of {d}, the rows of a contact: normal, then tangents")
+        need = "3, nor, in the plane, of 2" if given is None else d
+        raise InvalidProblem(f"{rows} rows are no multiple of {need}, the rows of a contact: normal, then tangents")
     return int(d)
 
 

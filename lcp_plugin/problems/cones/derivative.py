@@ -14,8 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, checked_vector, rectangular_matrix
+from ...core.checks import FloatVector, checked_vector, is_number, rectangular_matrix
 from ...core.errors import InvalidOption, UnsuitableProblem
+from ...core.kind import changes_by_name
 from ...core.matrix.matrix import Matrix
 from ...systems.free_systems import FreeSystem
 from .certificate import weighted
@@ -23,6 +24,7 @@ from .data import Blocks
 from .methods import NewtonSystem
 
 REFINEMENTS = 5  # steps of Newton towards the answer before it is differentiated
+BY_HAND = "; of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du"
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
 
 
@@ -89,7 +91,7 @@ class ConeDerivative:
 
     def jvp(
         self, *, dq: ArrayLike | None = None, dM: Any = None, dfriction: ArrayLike | None = None,
-        dlower: ArrayLike | None = None, dupper: ArrayLike | None = None,
+        dlower: ArrayLike | None = None, dupper: ArrayLike | None = None, **named: Any,
     ) -> FloatVector:
         """Return the change dz, shape (n,), that changes of the data make.
 
@@ -99,11 +101,17 @@ class ConeDerivative:
             db of contacts.
         dM : array, shape (n, n), optional
             dW of contacts.
-        dfriction : array, shape (k,), optional
+        dfriction : number or array, shape (k,), optional
         dlower, dupper : array, shape (n,), optional
             Of the bounds; only those that hold matter.
+
+        Raises
+        ------
+        InvalidOption
+            For any other name: of a mass matrix give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities dq = J du.
         """
         problem, n = self.problem, self.problem.n
+        changes_by_name(None, named, ("dq", "dM", "dfriction", "dlower", "dupper"), BY_HAND)
         right = np.zeros(n)
         for change, holds in ((dlower, self._holds[0]), (dupper, self._holds[1])):
             if change is not None:
@@ -112,6 +120,7 @@ class ConeDerivative:
         if dfriction is not None:
             if not problem.has_friction:
                 raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper")
+            dfriction = np.full(problem.slope.size, dfriction) if is_number(dfriction) else dfriction
             slopes = checked_vector(dfriction, "dfriction", problem.slope.size)
             right -= self._by_friction * slopes[problem.block_of_row]
         dz = np.where(self._is_free, 0.0, right)  # where a block is open, or a row at its bound

@@ -36,7 +36,7 @@ BAD: dict[str, tuple[Any, str]] = {
     "μ < 0": (lambda: FrictionalContact(*ONE[:2], -0.1), r"friction\[0\] = -0.1"),
     "μ is NaN": (lambda: FrictionalContact(*ONE[:2], np.nan), r"friction\[0\] = nan"),
     "two coefficients": (lambda: FrictionalContact(*ONE[:2], [0.1, 0.2]), "no multiple|coefficients|shape"),
-    "four rows": (lambda: FrictionalContact(np.eye(5), np.ones(5), 0.1), "no multiple of 2"),
+    "four rows": (lambda: FrictionalContact(np.eye(5), np.ones(5), 0.1), "no multiple of 3, nor, in the plane, of 2"),
     "b is NaN": (lambda: FrictionalContact(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
     "W is NaN": (lambda: FrictionalContact(np.diag([1, np.nan, 1]), [0, 0, 0], 0.1), "nan"),
     "b does not fit": (lambda: FrictionalContact(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
@@ -315,3 +315,17 @@ def test_derivatives_by_bounds_and_of_the_slack(seed: int) -> None:
     assert not gradient.friction.any()
     with pytest.raises(InvalidOption, match="dfriction is of a FrictionalContact"):
         found.jvp(dfriction=np.ones(2))
+
+
+def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
+    """One number of friction for all contacts; names of bodies; an option of a method; a batch."""
+    problem = FrictionalContact(np.eye(6), [[-1.0, 3.0, 4.0], [-2.0, 0.1, 0.0]], 0.5)
+    found = derivative(solve(problem))
+    np.testing.assert_array_equal(found.jvp(dfriction=0.1), found.jvp(dfriction=[0.1, 0.1]))
+    with pytest.raises(InvalidOption, match=r"takes no dmass here; known: .*dfriction.*; of a mass matrix"):
+        found.jvp(dmass=np.eye(6))
+    with pytest.raises(InvalidOption, match=r"solve takes no sweeps .*; it is of an algorithm: NPGS\(sweeps=…\)"):
+        solve(problem, "npgs", sweeps=3)
+    with pytest.raises(InvalidOption, match=r"derivative\(answers\[k\]\) for the answer to one problem"):
+        derivative(solve_batch([problem, problem]))
+    assert derivative(solve_batch([problem, problem])[1]).vjp(np.ones(6)).q.shape == (6,)

@@ -282,6 +282,17 @@ class FrictionalContact(Blocks):
     InvalidProblem
         For a W that is not symmetric, μ < 0, rows that are no multiple of d, numbers that are not finite.
 
+    Notes
+    -----
+    With friction this is no convex program, whatever W: an answer need not be the only one, nor need there be one
+    (Painlevé). A run that finds none ends STALLED, or INFEASIBLE where no impulses keep the contacts from closing.
+    The answers of a pile share the motion more often than the impulses. Rolling and spinning friction are left out: a
+    moment that ‖m‖ ≤ ν r_N limits beside ‖r_T‖ ≤ μ r_N is no second-order cone.
+
+    ``result.motion`` has impulses and velocities contact by contact. Steps in time whose contacts change begin with
+    the impulses of the step before, ``solve(FrictionalContact(W, b, friction), z0=r)``, 0 for new contacts; those of
+    one W are a :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
+
     Examples
     --------
     A block of 1 kg on the ground is pushed along (3, 4); friction is too weak to hold it:

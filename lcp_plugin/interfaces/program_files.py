@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
+from ..core.kind import with_article
 from ..core.lcp import LCP
 from ..problems.cones.data import ConeProblem, FrictionalContact
 from ..problems.cones.files import problem_of as cone_problem_of
@@ -149,7 +150,8 @@ def load_program(path: str | PathLike[str]) -> Stated:
     if not source.exists():
         raise UnreadableFile(f"no such file: {source}")
     raise UnreadableFile(
-        f"cannot read {source}: a program is an .npz, .mat, .qps, .mps or .nl file; an LCP is for `lcp-plugin solve`"
+        f"cannot read {source}: a program is an .npz, .mat, .qps, .mps or .nl file; other problems are for "
+        "`lcp-plugin solve`"
     )
 
 
@@ -177,11 +179,11 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
 
 def _from_arrays(source: Path) -> Stated:
     names = set(names_in(source))
-    is_least_squares = kind_in(source).__name__ == "BoundedLeastSquares"
-    if others := names & {"M", *MATRIX_KEYS} or (names & {"b"} if is_least_squares else set()):
+    found = kind_in(source)
+    if others := names & {"M", "W", *MATRIX_KEYS} or (names & {"b"} if found is BoundedLeastSquares else set()):
+        what = "a least squares problem" if others == {"b"} else with_article(found.__name__)
         raise UnreadableFile(
-            f"{source} holds {'a least squares problem' if others == {'b'} else 'an LCP'} (key {min(others)}), not a "
-            f"program: `lcp-plugin solve` takes it; {LAYOUT}"
+            f"{source} holds {what} (key {min(others)}), not a program: `lcp-plugin solve` takes it; {LAYOUT}"
         )
     content = _arrays(source, KEYS)
     renamed = QUADPROG if content.keys() & {"H", "f"} else ALIASES

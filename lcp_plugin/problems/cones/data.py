@@ -171,6 +171,8 @@ class Blocks:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to a ``.npz`` file, which ``load_problem(path)`` and ``lcp-plugin solve`` read.
 
+        Of bodies it keeps W and b.
+
         Raises
         ------
         UnreadableFile

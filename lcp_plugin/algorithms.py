@@ -219,7 +219,8 @@ def class_from_outside(name: str) -> type[Algorithm]:
     """Return the class that an installed package offers by that name; raise UnknownAlgorithm where there is none."""
     offers = _offers()
     if name not in offers:
-        raise UnknownAlgorithm(f"unknown algorithm {name!r}{did_you_mean(name, {'auto', *REGISTRY, *offers})}")
+        hint = did_you_mean(name, {"auto", *REGISTRY, *offers}, is_listed=True)
+        raise UnknownAlgorithm(f"unknown algorithm {name!r}{hint}")
     return _checked_offer(name, offers[name])
 
 

@@ -52,8 +52,8 @@ AnyTarget = Annotated[
     str,
     typer.Argument(
         help="A file, a folder with M.mtx and q.mtx, a scene: name:key=value,…, or file.py:function. A file is an .npz "
-        "or .mat with M, q (an LCP), with P, q, A, l, u or the like (a program: `certify --help`), or with A, b "
-        "(least squares), an .nl, .qps or .mps.",
+        "or .mat with M, q (an LCP), with P, q, A, l, u or the like (a program: `certify --help`), with A, b "
+        "(least squares), with W, q, mu (contacts with friction), an .nl, .qps, .mps, or an .h5 of fclib.",
         autocompletion=scene_names,
     ),
 ]

@@ -13,6 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 import typer
 
+from ..algorithms import made
 from ..core.certificates.row_residuals import is_at_bound
 from ..core.communicator import ALONE, Communicator
 from ..core.errors import InvalidOption, UnreadableFile
@@ -20,6 +21,8 @@ from ..core.lcp import LCP
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
 from ..interfaces.program_files import kind_in, load_least_squares, load_problem, load_program
+from ..problems.cones.data import FrictionalContact
+from ..problems.cones.methods import METHODS
 from ..problems.programs.program import QuadraticProgram
 from .target import read_target
 from .terminal import LINE, show_search, show_step
@@ -353,7 +356,10 @@ def run_model(
     asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
     asked |= {name: options.pop(name) for name in ("prove",) if name in options}  # of a search
     is_on_cones = kind_in(target.strip()).__name__ in ON_CONES  # whose algorithms have names of their own
-    chosen = algorithm if is_on_cones else policy_for(algorithm, options).chosen
+    if is_on_cones and options and algorithm in METHODS:
+        chosen: Any = made(METHODS[algorithm], algorithm, options)
+    else:
+        chosen = algorithm if is_on_cones and not options else policy_for(algorithm, options).chosen
     OneProcess().check_outputs(target, picture.path, out)
     find = _in_nl if Path(target.strip()).suffix.lower() == ".nl" else _in_arrays
     found = find(target.strip(), chosen, asked)
@@ -398,6 +404,8 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
         vectors = answer.duals | rows | ({} if names is None else {"names": np.array(names, dtype=np.str_)})
     elif kind_in(target).__name__ in ON_CONES:
         problem, constant, sign, names = load_problem(target), 0.0, 1.0, None
+        if isinstance(problem, FrictionalContact):
+            names = [f"r[{k // problem.dimension}, {k % problem.dimension}]" for k in range(problem.n)]
         answer = solve(problem, chosen, **asked)
         vectors = {"z": answer.z, "w": answer.w}
     else:

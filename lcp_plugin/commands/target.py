@@ -212,7 +212,8 @@ def scene_text(target: str, size: int | None = None) -> str | None:
     name = name.strip().replace("-", "_")
     if name not in gallery.names():
         if not (set(target) & set("/\\.") or Path(target).exists() or Path(f"{target}M.mtx").exists()):
-            raise InvalidOption(f"{target!r} is neither a file nor a scene{did_you_mean(name, gallery.names())}")
+            hint = did_you_mean(name, gallery.names(), is_listed=True)
+            raise InvalidOption(f"{target!r} is neither a file nor a scene{hint}")
         if size is not None:
             raise InvalidOption(f"--size {size} is for a scene, but {target!r} is none; leave it out")
         return None
@@ -245,18 +246,21 @@ def print_everything() -> None:
     from ..core.kind import WAYS
     from ..gallery import describe
     from ..kinds import KINDS
+    from ..problems.cones.methods import METHODS
     from .terminal import console, table
 
     foreign = from_other_packages()
     offers = {**{name: algorithm_class(name) for name in REGISTRY}, **foreign}
     kinds = {name: kind for name, kind in offers.items() if not isinstance(kind, LCPError)}
-    references = dict.fromkeys(kind.reference for kind in kinds.values() if kind.reference != Algorithm.reference)
+    every = *kinds.values(), *METHODS.values()
+    references = dict.fromkeys(kind.reference for kind in every if kind.reference != Algorithm.reference)
     sources = {reference: f"[{k}]" for k, reference in enumerate(references, start=1)}
     headings = ("name", "needs", "proved to converge on", "an iteration costs", "source")
-    algorithms = [
-        (name, kind.needs, kind.solves, kind.cost, sources.get(kind.reference, kind.reference))
-        for name, kind in kinds.items()
-    ]
+    algorithms, over_cones = (
+        [(name, kind.needs, kind.solves, kind.cost, sources.get(kind.reference, kind.reference))
+         for name, kind in some.items()]
+        for some in (kinds, METHODS)
+    )
     scenes = [
         (name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
         for name, summary, parameters in describe()
@@ -267,6 +271,8 @@ def print_everything() -> None:
     terminal.print(table("Kinds of problems, and what takes each", words, ways, pad_edge=False))
     terminal.print()
     terminal.print(table("Algorithms", headings, algorithms, pad_edge=False))
+    terminal.print()
+    terminal.print(table("Algorithms over cones, and for contact with friction", headings, over_cones, pad_edge=False))
     for reference, source in sources.items():
         terminal.print(f"{source} {reference}")
     for error in (one for one in foreign.values() if isinstance(one, LCPError)):

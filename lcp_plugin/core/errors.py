@@ -53,10 +53,13 @@ class ModelWarning(UserWarning):
     """The model can be read, but probably says something else than was meant."""
 
 
-def did_you_mean(word: object, known: Iterable[str | None], of_solve: Collection[str] = ()) -> str:
+def did_you_mean(
+    word: object, known: Iterable[str | None], of_solve: Collection[str] = (), *, is_listed: bool = False
+) -> str:
     """Return ``"; did you mean 'psor'?"`` or nothing, then the known words, and those that `solve` itself takes.
 
-    Of words equally close the first one in the alphabet is meant.
+    Of words equally close the first one in the alphabet is meant. Many algorithms or scenes, which ``lcp-plugin list``
+    shows (`is_listed`), are not named.
 
     Examples
     --------
@@ -65,7 +68,7 @@ def did_you_mean(word: object, known: Iterable[str | None], of_solve: Collection
     """
     written = {str(name): repr(name) for name in known}
     told = [f"known: {', '.join(sorted(written))}"] if written else []
-    if len(written) > LONG_LIST:
+    if is_listed and len(written) > LONG_LIST:
         told = [f"{len(written)} are known, lcp-plugin list shows them"]
     written |= {name: repr(name) for name in of_solve}
     told += [f"solve itself takes {', '.join(sorted(of_solve))}"] if of_solve else []

@@ -123,7 +123,7 @@ def refusal(way: str, given: Any) -> str:
 def _remedy(way: str, given: Any, takes_programs: bool) -> str:
     """Return what to write for what is no problem of any kind, but near one."""
     if way == "derivative" and hasattr(given, "all_solved"):
-        return "write derivative(answers[k]) for one that is the answer to an LCP"
+        return "write derivative(answers[k]) for the answer to one problem"
     if way == "derivative":
         return "write derivative(solve(problem))"
     if way == "certify" and hasattr(given, "is_stationary"):

@@ -13,8 +13,8 @@ Other packages. No package is best at everything. As far as we know, none of the
 
 - PATH (in GAMS, AMPL, JuMP) is better at nonlinear complementarity and has decades of hard models behind it. This one
   adds open source without a licence key, grids with a million unknowns, proofs of infeasibility.
-- Siconos is better at friction and dynamics of many bodies. This one adds one `solve` for dense and sparse LCPs,
-  modelling in cvxpy.
+- Siconos simulates whole mechanisms: it detects contacts, integrates, and knows rolling friction. This one adds, for
+  the contact problem of a step, answers judged on your data, gradients and cvxpy (``python tests/benchmarks cones``).
 - PETSc SNESVI is better at nonlinear problems on several machines. Here are no residual functions and no geometry to
   write where M and q are enough, on one machine or, through PETSc, on several.
 - QuantEcon's ``lcp_lemke`` and lemkelcp have few dependencies. This one adds sparse matrices and every method but

@@ -202,21 +202,31 @@ def _draw_x(axes: Any, *, answer: Answer, shape: Sequence[int] | None) -> None:
 
 
 def _draw_cones(axes: Any, *, answer: Any, shape: Sequence[int] | None) -> None:
-    """Draw the tangential impulse of each closed contact beside the largest that its friction allows, a unit circle."""
+    """Draw the tangential impulse of each closed contact beside the largest that its friction allows, 1 in any unit."""
     motion, mu = answer.motion, answer.problem.friction
     limit = mu * motion.normal
     shares = motion.tangential / np.where(limit > 0.0, limit, 1.0)[:, None]
-    across = shares[:, 1] if shares.shape[1] > 1 else np.zeros(len(shares))
-    angle = np.linspace(0.0, 2.0 * np.pi, 200)
-    axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
-    slides = motion.touches & ~motion.sticks
+    slides, count = motion.touches & ~motion.sticks, len(shares)
+    is_plane = shares.shape[1] == 1
+    across = np.arange(count) if is_plane else shares[:, 1]
+    if is_plane:
+        axes.axvline(-1.0, color="#7A7A7A", linewidth=1.0)
+        axes.axvline(1.0, color="#7A7A7A", linewidth=1.0)
+        axes.set(xlim=(-1.25, 1.25), ylim=(-0.5, max(1.2 * count, 1.0)), ylabel="contact")
+        axes.yaxis.get_major_locator().set_params(integer=True)
+    else:
+        angle = np.linspace(0.0, 2.0 * np.pi, 200)
+        axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
+        axes.set(aspect="equal", xlim=(-1.25, 1.25), ylim=(-1.15, 1.45))
+        axes.set_ylabel("second tangential impulse ÷ $\\mu\\,r_N$")
+    size = float(np.clip(3000.0 / max(count, 1), 6.0, 24.0))
     for chosen, colour, marker, word in ((motion.sticks, FREE, "o", "stick"), (slides, ACTIVE, "^", "slide")):
-        axes.scatter(shares[chosen, 0], across[chosen], s=18, color=colour, marker=marker,
+        axes.scatter(shares[chosen, 0], across[chosen], s=size, color=colour, marker=marker,
                      label=f"{np.count_nonzero(chosen)} {word}")
-    axes.scatter([], [], s=18, facecolors="none", edgecolors="#7A7A7A", label=f"{(~motion.touches).sum()} open")
-    axes.legend(loc="upper right")
-    axes.set(aspect="equal", xlim=(-1.25, 1.25), ylim=(-1.25, 1.25), xlabel="first tangential impulse ÷ μ r_N",
-             ylabel="second tangential impulse ÷ μ r_N", title="Impulses in their cones")
+    axes.scatter([], [], s=size, facecolors="none", edgecolors="#7A7A7A", label=f"{(~motion.touches).sum()} open")
+    axes.legend(loc="upper center", ncols=3, columnspacing=1.0, handletextpad=0.2)
+    what = "tangential" if is_plane else "first tangential"
+    axes.set(xlabel=f"{what} impulse ÷ $\\mu\\,r_N$", title="Impulses in their cones")
 
 
 def _draw_values(

@@ -119,7 +119,8 @@ def _named(one: Any) -> Any:
     name = one.partition(":")[0].strip()
     if name in scene_names():
         return partial(_scene, one)
-    raise InvalidOption(f"unknown scene {one!r}{did_you_mean(name, scene_names())}; a file: load_problem(path)")
+    hint = did_you_mean(name, scene_names(), is_listed=True)
+    raise InvalidOption(f"unknown scene {one!r}{hint}; a file: load_problem(path)")
 
 
 def _scene(text: str, size: int | None = None) -> Scene:

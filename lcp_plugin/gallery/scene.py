@@ -315,7 +315,7 @@ def read(text: str) -> tuple[str, dict[str, Any]]:
 def builder_of(name: str) -> Builder:
     """Return the function that builds the scene of that name."""
     if not isinstance(name, str) or name not in _SCENES:
-        raise InvalidOption(f"unknown scene {name!r}{did_you_mean(name, _SCENES)}")
+        raise InvalidOption(f"unknown scene {name!r}{did_you_mean(name, _SCENES, is_listed=True)}")
     return _SCENES[name]
 
 

@@ -9,6 +9,7 @@
 | QuantEcon | ``from lcp_plugin import lemke as lcp_lemke``, ``LCP.from_game(game)`` |
 | files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
 | programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
+| contacts with friction in ``.h5`` of fclib (extra ``[fclib]``), ``.npz`` | ``solve(load_problem("pile.h5"))`` |
 | finite elements, as by scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
 | cvxpy; PyTorch, JAX | ``help("lcp_plugin.modeling")``; ``help("lcp_plugin.interfaces.learn")`` |
 

@@ -12,11 +12,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
+from ..core.kind import with_article
 from ..core.lcp import LCP
 from ..problems.cones.data import ConeProblem, FrictionalContact
 from ..problems.cones.files import problem_of as cone_problem_of
 from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
+from .fclib import SUFFIXES as HDF5
+from .fclib import load_fclib
 from .files.files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys, with_infinities
 from .files.matrix_market import read_mat
 from .nl.model import program_in_nl
@@ -68,7 +71,8 @@ def load_problem(path: str | PathLike[str]) -> Any:
         ``.qps`` and ``.mps`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A, l, u, or
         the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program; with A
         and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares; with mu beside a matrix a
-        FrictionalContact, with cone_kinds a ConeProblem (``.npz`` alone). Everything else is read by
+        FrictionalContact, with cone_kinds a ConeProblem (``.npz`` alone). ``.h5`` and ``.hdf5`` of fclib, the field's
+        collection, state a FrictionalContact; h5py reads them. Everything else is read by
         :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Raises
@@ -81,6 +85,8 @@ def load_problem(path: str | PathLike[str]) -> Any:
     kind = kind_in(path)
     if kind is QuadraticProgram:
         return load_program(path).program
+    if kind is FrictionalContact and checked_path(path).suffix.lower() in HDF5:
+        return load_fclib(checked_path(path))
     if kind in (ConeProblem, FrictionalContact):
         return cone_problem_of(read_npz(checked_path(path), OF_CONES), path)
     return load_least_squares(path) if kind is BoundedLeastSquares else LCP.load(path)
@@ -95,6 +101,8 @@ def kind_in(path: str | PathLike[str]) -> Any:
         is_file = False
     if source.suffix.lower() in MPS:
         return QuadraticProgram
+    if source.suffix.lower() in HDF5:
+        return FrictionalContact
     if source.suffix.lower() not in ARRAYS or not is_file:
         return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}
@@ -142,7 +150,8 @@ def load_program(path: str | PathLike[str]) -> Stated:
     if not source.exists():
         raise UnreadableFile(f"no such file: {source}")
     raise UnreadableFile(
-        f"cannot read {source}: a program is an .npz, .mat, .qps, .mps or .nl file; an LCP is for `lcp-plugin solve`"
+        f"cannot read {source}: a program is an .npz, .mat, .qps, .mps or .nl file; other problems are for "
+        "`lcp-plugin solve`"
     )
 
 
@@ -170,11 +179,11 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
 
 def _from_arrays(source: Path) -> Stated:
     names = set(names_in(source))
-    is_least_squares = kind_in(source).__name__ == "BoundedLeastSquares"
-    if others := names & {"M", *MATRIX_KEYS} or (names & {"b"} if is_least_squares else set()):
+    found = kind_in(source)
+    if others := names & {"M", "W", *MATRIX_KEYS} or (names & {"b"} if found is BoundedLeastSquares else set()):
+        what = "a least squares problem" if others == {"b"} else with_article(found.__name__)
         raise UnreadableFile(
-            f"{source} holds {'a least squares problem' if others == {'b'} else 'an LCP'} (key {min(others)}), not a "
-            f"program: `lcp-plugin solve` takes it; {LAYOUT}"
+            f"{source} holds {what} (key {min(others)}), not a program: `lcp-plugin solve` takes it; {LAYOUT}"
         )
     content = _arrays(source, KEYS)
     renamed = QUADPROG if content.keys() & {"H", "f"} else ALIASES

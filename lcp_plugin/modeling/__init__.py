@@ -129,8 +129,8 @@ than what is called optimal (1e-7 by default).
 >>> x.delta.round(12), pair.dual_variables[0].delta.round(12)
 (array([-0.015,  0.   ]), array([0., 0.]))
 
-- In a model parameters may stand in M, q, bounds and definitions, and need not enter affinely; a program must follow
-  cvxpy's DPP rules. Integer, Boolean, symmetric, PSD, diagonal, sparse and complex parameters are refused.
+- In a model parameters may stand in M, q, bounds, friction and definitions, and need not enter affinely; a program
+  must follow cvxpy's DPP rules. Integer, Boolean, symmetric, PSD, diagonal, sparse and complex parameters are refused.
 - Dual values take part: ``constraint.dual_variables[0]`` has a ``gradient``, none by default, and gets a ``delta``. For
   a function of them alone set the gradients of the variables to zeros.
 - Derivatives are at the values of the solve: a parameter that has changed since counts from the next solve on. A solve

@@ -54,6 +54,7 @@ class Builder(Assembly):
                 columns = self.offsets[variable.id] + np.arange(variable.size)
                 self.bounds.append(BoundSource(columns, np.ones(variable.size), variable, *stated))
         self.cones: list[ConePair] = []
+        self.friction: list[tuple[Any, int]] = []
         #: Variables that are paired as if they had bounds, and have none.
         self.unbounded: list[Side] = []
 
@@ -202,6 +203,8 @@ class Builder(Assembly):
             self.is_paired[columns] = True
         self._keep_pair(pair, (sides[k], sides[1 - k]), columns, functions[1 - k], np.ones(columns.size))
         self.cones.append(ConePair(columns, cone.rows, friction_of(cone)))
+        if cone.friction is not None:
+            self.friction.append((cone.friction, columns.size // cone.rows))
 
     def _entries(self, function: PairedRows) -> NDArray[np.int64] | None:
         """Return the unknown that each row is, where they are distinct and in no other pair; else None."""
@@ -231,7 +234,7 @@ class Builder(Assembly):
         functions = [*(one for _, one, _ in self.pairs), *self.equations]
         slacks = {k: one.slacks for k, one in enumerate(functions) if one.slacks is not None}
         expressions = [one.expression for one in functions]
-        sources = Sources(expressions, found.stored, found.places, found.signs, self.bounds, slacks)
+        sources = Sources(expressions, found.stored, found.places, found.signs, self.bounds, slacks, self.friction)
         return Model(problem, self.variables, self.offsets, self.reports, found.elimination, sources)
 
     def variable_of(self) -> NDArray[np.int64]:

@@ -146,6 +146,8 @@ class Sources:
         What holds of an unknown is what comes last.
     slacks : dict
         From the number of a function to the unknowns that its rows are less than its expression, one a row.
+    friction : list of pairs
+        Coefficients as they were stated, and of how many contacts they are.
     """
 
     functions: list[Any]
@@ -154,6 +156,7 @@ class Sources:
     signs: FloatVector
     bounds: list[BoundSource]
     slacks: dict[int, NDArray[np.int64]]
+    friction: list[tuple[Any, int]] = field(default_factory=list)
 
 
 class ModelBatch:

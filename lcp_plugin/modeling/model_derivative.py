@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import cvxpy as cp
 import numpy as np
@@ -26,9 +26,6 @@ from . import _compat
 from .expressions.program import Program
 from .model import Model
 from .reading import Reader
-
-if TYPE_CHECKING:
-    from ..problems.sensitivity import Derivative
 
 Changes = dict[int, Any]
 
@@ -122,7 +119,8 @@ class ModelDerivative:
             rows = rows + matrix @ moved
         h = model.sources.signs * rows[self._left]
         dlower, dupper = np.split(self._bounds @ changed, 2)
-        dz = at.jvp(dq=h, dlower=dlower, dupper=dupper)
+        of_friction = {"dfriction": self._friction @ changed} if self._model.sources.friction else {}
+        dz = at.jvp(dq=h, dlower=dlower, dupper=dupper, **of_friction)
         dw = model.elimination.expand_slack(at.dw(dz, dq=h))
         du = moved + dz if model.elimination.expansion is None else moved + model.elimination.expansion @ dz
         duals = []
@@ -162,10 +160,12 @@ class ModelDerivative:
             rows[defining] = -solved((by_unknown + matrix.T @ rows)[model.elimination.columns], "T")
         np.add.at(total, self._rows, rows)
         total += self._bounds.T @ np.concatenate([gradient.lower, gradient.upper])
+        if model.sources.friction:
+            total += self._friction.T @ gradient.friction
         return self._parametric.gradient(total)
 
     @cached_property
-    def _at(self) -> Derivative:
+    def _at(self) -> Any:  # a Derivative, or a ConeDerivative
         from ..problems.sensitivity import (
             derivative,  # with compiled kernels, which a model alone does not need
         )
@@ -179,7 +179,7 @@ class ModelDerivative:
         stated = [part for source in sources.bounds for part in (source.expression, source.lower, source.upper)]
         shifts = [report.expression for report in self._model.reports]
         known = {**self._known, **self._model.values(self._at.z)}
-        every = [*sources.functions, *stated, *shifts]
+        every = [*sources.functions, *stated, *shifts, *(one for one, _ in sources.friction)]
         return ParametricRows([one for one in every if isinstance(one, cp.Expression)], known)
 
     @cached_property
@@ -223,6 +223,19 @@ class ModelDerivative:
         rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
         matrix = sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(2 * n, self._parametric.size)))
         return matrix[np.concatenate([kept, n + kept])]
+
+
+    @cached_property
+    def _friction(self) -> sp.csr_array:
+        """The change of the coefficients of friction by that of the expressions that state them."""
+        columns = [np.zeros(0, dtype=np.int64)]
+        for one, count in self._model.sources.friction:
+            span = self._parametric.spans.get(id(one), slice(-1, 0))
+            columns.append(span.start + np.arange(count) * (span.stop - span.start > 1))
+        places = np.concatenate(columns)
+        stated = np.flatnonzero(places >= 0)
+        shape = places.size, self._parametric.size
+        return sp.csr_array((np.ones(stated.size), (stated, places[stated])), shape=shape)
 
 
 #: They tie the entries of a parameter to each other, or make it no real number.

@@ -19,7 +19,6 @@ from cvxpy.reductions.solution import Solution
 from ..core.errors import UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.result import Result
-from ..problems.cones.data import Blocks
 from ._compat import (
     CVXPY_STATUS,
     answer_derivatives,
@@ -259,11 +258,6 @@ def solve_model(
     parameters = differentiable_parameters(problem) if requires_grad else []
     known = values_of_parameters(parameters) if requires_grad else {}
     model = build_from(problem)
-    if requires_grad and isinstance(model.problem, Blocks):
-        raise UnsupportedModel(
-            "requires_grad=True takes no cones, and this model has some; solve without it, and take "
-            "lcp_plugin.derivative(problem.solver_stats.extra_stats)"
-        )
     start = model.start() if warm_start and "z0" not in options else None
     result = solve_from(model.problem, start, {"algorithm": algorithm, "verbose": bool(verbose), **options})
     if verbose:

@@ -36,8 +36,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
 
-from ..core.checks import is_number, real_array
+from ..core.checks import canonical_csr, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidOption, InvalidProblem, ModelWarning
 from ..core.lcp import LCP
 from ..core.solving.result import Result
@@ -47,6 +48,10 @@ FloatArray = NDArray[np.float64]
 SYMMETRIC = 1e-8  # of the largest entry
 STILL = 1e-8  # of the largest velocity given: what is slower sticks
 UNIT = 1e-6  # by which the length of a direction may differ from 1
+NOT_DEFINITE = (
+    "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out bodies that "
+    "do not move, or give W"
+)
 MOST_FRICTION = 5.0  # of soft rubber it is some 2; what is larger is probably an angle or a percentage
 
 
@@ -85,13 +90,15 @@ class ContactMotion:
 class Bodies(NamedTuple):
     """The bodies behind contacts: mass, shape (v, v), rows J, (d k, v), and velocities, (v,) or None if not given."""
 
-    mass: FloatArray
-    rows: FloatArray
+    mass: Any
+    rows: Any
     velocities: FloatArray | None
 
     @property
-    def by_impulse(self) -> FloatArray:
-        """What a unit impulse of each row adds to the velocities, m⁻¹ Jᵀ, shape (v, d k)."""
+    def by_impulse(self) -> Any:
+        """What a unit impulse of each row adds to the velocities, m⁻¹ Jᵀ, shape (v, d k); sparse where these are."""
+        if sp.issparse(self.mass):
+            return inverse_by_components(self.mass) @ self.rows.T
         return np.asarray(np.linalg.solve(self.mass, np.swapaxes(self.rows, -1, -2)), dtype=np.float64)
 
 
@@ -447,13 +454,13 @@ def lcp_from_contacts(
     >>> derivative(result).jvp(dgaps=1.0)[0].round(6)
     np.float64(-200.0)
     """
-    given = _checked_data(contacts, friction, velocities, directions, gaps, time_step)
+    given = checked_contacts(contacts, friction, velocities, directions, gaps, time_step)
     if given.W.ndim != 2:
         raise InvalidProblem(
             "LCP.from_contacts makes one problem, got arrays of a batch; write contact_data(…) from "
             "lcp_plugin.problems.contact, and solve_batch(*data.arrays)"
         )
-    _warn_of_much_friction(given.friction, 4)
+    warn_of_much_friction(given.friction, 4)
     problem = LCP(*given.arrays)
     problem.origin = given
     return problem
@@ -506,19 +513,21 @@ def contact_data(
     >>> data.recover(solve_batch(*data.arrays)).tangential.round(6).tolist()
     [[[-0.3, 0.0]], [[-0.5, 0.0]]]
     """
-    data = _checked_data(contacts, friction, velocities, directions, gaps, time_step)
-    _warn_of_much_friction(data.friction, 3)
+    data = checked_contacts(contacts, friction, velocities, directions, gaps, time_step)
+    warn_of_much_friction(data.friction, 3)
     return data
 
 
-def _checked_data(
-    contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int, gaps: ArrayLike | None,
-    time_step: float | None,
+def checked_contacts(
+    contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, gaps: ArrayLike | None = None,
+    time_step: float | None = None, *, keeps_sparse: bool = False,
 ) -> Contacts:
+    """Return what :func:`contact_data` does, without a warning; W is sparse where a part is and `keeps_sparse`."""
     bodies = None
     given = _array(velocities, "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane")
     if isinstance(contacts, tuple) or (isinstance(contacts, list) and len(contacts) == 3 and np.ndim(contacts[0]) == 2):
-        W, given, bodies = _of_bodies(tuple(contacts), given)
+        is_sparse = keeps_sparse and any(map(sp.issparse, contacts))
+        W, given, bodies = (_of_sparse_bodies if is_sparse else _of_bodies)(tuple(contacts), given)
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         _check_symmetric(W, "W")
@@ -559,7 +568,7 @@ def _distances(gaps: ArrayLike | None, time_step: float | None, k: int) -> Float
     return distances
 
 
-def _warn_of_much_friction(friction: FloatArray, level: int) -> None:
+def warn_of_much_friction(friction: FloatArray, level: int) -> None:
     """Warn the caller so many frames up where a coefficient is larger than those of any material."""
     if not friction.max(initial=0.0) > MOST_FRICTION:
         return
@@ -598,36 +607,103 @@ def _symmetric_product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _of_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[FloatArray, FloatArray, Bodies]:
     """Return W, the contacts' velocities and the bodies from (mass matrix, normals, tangents) and velocities."""
-    if len(contacts) != 3:
-        raise InvalidProblem(f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays")
+    _require_three(contacts)
     mass = _array(contacts[0], "the mass matrix must be a finite array of shape (v, v)")
     _check_symmetric(mass, "the mass matrix")
     v = mass.shape[-1]
     normals = _array(contacts[1], f"normals must be a finite array of shape (k, {v}), {v} the size of the mass matrix")
     need = f"tangents must be a finite array of shape (k, t, {v}), t = 2 in space and 1 in the plane"
     tangents = _array(contacts[2], need)
-    if tangents.ndim == normals.ndim:
-        tangents = tangents[..., None, :]
-    if normals.ndim < 2 or normals.shape[-1] != v:
-        raise InvalidProblem(f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals.shape}")
+    _require_fit(normals.shape, v)
     k = normals.shape[-2]
+    if tangents.ndim == normals.ndim and tangents.shape[-2] in (k, 2 * k):  # those of a contact one after the other
+        tangents = tangents.reshape(*tangents.shape[:-2], k, tangents.shape[-2] // max(k, 1), -1 if k else v)
     is_fit = tangents.ndim == normals.ndim + 1 and tangents.shape[:-2] == normals.shape[:-1]
     if not is_fit or tangents.shape[-2] not in (1, 2) or tangents.shape[-1] != v:
         raise InvalidProblem(f"{need}, k = {k} as of the normals, got {tangents.shape}")
     rows = np.concatenate([normals[..., None, :], tangents], axis=-2)
-    _check_directions(rows, mass)
     d = rows.shape[-2]
+    _check_directions(sp.csr_array(rows.reshape(-1, v)), sp.csr_array(mass.reshape(-1, v, v)[0]), d)
     J = rows.reshape(*rows.shape[:-3], k * d, v)
     try:
         half = np.linalg.solve(np.linalg.cholesky(mass), np.swapaxes(J, -1, -2))
     except np.linalg.LinAlgError as error:
+        raise InvalidProblem(NOT_DEFINITE) from error
+    W = np.swapaxes(half, -1, -2) @ half
+    return 0.5 * (W + np.swapaxes(W, -1, -2)), *_of_contacts(velocities, mass, J, k, d)
+
+
+def _of_sparse_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[sp.csr_array, FloatArray, Bodies]:
+    """Return the same, sparse; the mass matrix is inverted component by component, as body by body."""
+    _require_three(contacts)
+    names, flat = ("the mass matrix", "normals", "tangents"), list(contacts)
+    if np.ndim(flat[2]) == 3:
+        flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
+    mass, normals, tangents = (
+        canonical_csr(sp.csr_array(rectangular_matrix(part, name, None, None)), name)
+        for part, name in zip(flat, names, strict=True)
+    )
+    v = mass.shape[1]
+    _check_symmetric(mass, "the mass matrix")
+    _require_fit(normals.shape, v)
+    k = normals.shape[0]
+    t = tangents.shape[0] // max(k, 1)
+    if (k and t not in (1, 2)) or tangents.shape != (t * k, v):
         raise InvalidProblem(
-            "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out "
-            "bodies that do not move, or give W"
-        ) from error
-    W, own = np.swapaxes(half, -1, -2) @ half, None
+            f"sparse tangents must have shape (t k, {v}), t = 2 in space and 1 in the plane, the t of a contact one "
+            f"after the other, k = {k} as of the normals; got {tangents.shape}"
+        )
+    order = np.concatenate([np.arange(k)[:, None], k + np.arange(t * k).reshape(k, t)], axis=1).ravel()
+    J = sp.csr_array(sp.vstack([normals, tangents], format="csr")[order])
+    _check_directions(J, mass, 1 + t)
+    W = J @ inverse_by_components(mass) @ J.T
+    return sp.csr_array(0.5 * (W + W.T)), *_of_contacts(velocities, mass, J, k, 1 + t)
+
+
+def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
+    """Return the inverse of a symmetric positive definite matrix, whose connected components are small.
+
+    Raises
+    ------
+    InvalidProblem
+        Where it is not positive definite.
+    """
+    count, component = connected_components(mass, directed=False)
+    order, sizes = np.argsort(component, kind="stable"), np.bincount(component, minlength=count)
+    firsts = np.cumsum(sizes) - sizes
+    place = np.empty(order.size, np.int64)
+    place[order] = np.arange(order.size) - np.repeat(firsts, sizes)
+    M, inverse = sp.coo_array(mass), [sp.csr_array(mass.shape)]
+    for size in np.unique(sizes).tolist():
+        own = np.flatnonzero(sizes == size)
+        number, inside = np.searchsorted(own, component[M.row]), sizes[component[M.row]] == size
+        blocks = np.zeros((own.size, size, size))
+        blocks[number[inside], place[M.row[inside]], place[M.col[inside]]] = M.data[inside]
+        try:
+            np.linalg.cholesky(blocks)
+        except np.linalg.LinAlgError as error:
+            raise InvalidProblem(NOT_DEFINITE) from error
+        rows = order[firsts[own][:, None] + np.arange(size)]
+        where = np.repeat(rows, size, axis=1).ravel(), np.tile(rows, size).ravel()
+        inverse.append(sp.csr_array((np.linalg.inv(blocks).ravel(), where), shape=mass.shape))
+    return sp.csr_array(sum(inverse[1:], inverse[0]))
+
+
+def _require_three(contacts: tuple[Any, ...]) -> None:
+    if len(contacts) != 3:
+        raise InvalidProblem(f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays")
+
+
+def _require_fit(normals: tuple[int, ...], v: int) -> None:
+    if len(normals) < 2 or normals[-1] != v:
+        raise InvalidProblem(f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals}")
+
+
+def _of_contacts(velocities: FloatArray, mass: Any, J: Any, k: int, d: int) -> tuple[FloatArray, Bodies]:
+    """Return the contacts' velocities and the bodies, from the velocities of either."""
+    v, own = mass.shape[-1], None
     if velocities.shape[-1:] == (v,) and (velocities.ndim == 1 or velocities.shape[-2] != k or d != v):
-        own, velocities = velocities, _product(velocities, np.swapaxes(J, -1, -2))
+        own, velocities = velocities, _product(velocities, J.T if sp.issparse(J) else np.swapaxes(J, -1, -2))
         velocities = velocities.reshape(*velocities.shape[:-1], k, d)
     elif velocities.ndim == 1:
         raise InvalidProblem(
@@ -635,34 +711,36 @@ def _of_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[Float
             f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}; give one for each row of the mass "
             "matrix"
         )
-    return 0.5 * (W + np.swapaxes(W, -1, -2)), velocities, Bodies(mass, J, own)
+    return velocities, Bodies(mass, J, own)
 
 
-def _check_directions(rows: FloatArray, mass: FloatArray) -> None:
-    """Refuse rows (k, d, v) that are no unit vectors where they show it.
+def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
+    """Refuse rows of J, d a contact, that are no unit vectors where they show it.
 
     Columns in which the mass matrix is m times the identity, beside zeros, are translations of a free body, or
     rotations of one with three equal moments of inertia. Normal and tangents are linearly independent there for
     translations only: r × n, r × t and r × s lie in a plane.
     """
-    *batch, _, d, v = rows.shape
-    if batch or mass.ndim != 2:
-        rows, mass = rows.reshape(-1, d, v), mass.reshape(-1, v, v)[0]
-    seen, worst = np.zeros(rows.shape[0], np.bool_), np.full(rows.shape[0], np.inf)
-    for first in range(v - d + 1):
-        own = slice(first, first + d)
-        others = np.delete(mass[own], np.s_[own], axis=1)
-        if others.any() or not np.array_equal(mass[own, own], mass[first, first] * np.eye(d)):
-            continue
-        products = rows[:, :, own] @ np.swapaxes(rows[:, :, own], 1, 2)
-        lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
-        are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT
-        seen, worst = seen | are, np.where(are, np.minimum(worst, np.abs(products - np.eye(d)).max(axis=(1, 2))), worst)
-    wrong = np.flatnonzero(seen & (worst > UNIT))
+    diagonal, v = mass.diagonal(), mass.shape[0]
+    alone = (np.bincount(mass.indices, minlength=v) == 1) & (diagonal != 0.0)
+    windows = np.arange(max(v - d + 1, 0))[:, None] + np.arange(d)
+    windows = windows[(alone[windows] & (diagonal[windows] == diagonal[windows[:, :1]])).all(axis=1)]
+    part = sp.coo_array(J[:, windows.ravel()])
+    pair, number = np.unique((part.row // d) * len(windows) + part.col // d, return_inverse=True)
+    own = np.zeros((pair.size, d, d))
+    own[number, part.row % d, part.col % d] = part.data
+    products = own @ np.swapaxes(own, 1, 2)
+    lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
+    are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT
+    off = np.abs(products - np.eye(d)).max(axis=(1, 2))[are]
+    contact = pair[are] // max(len(windows), 1)
+    least = np.full(J.shape[0] // d, np.inf)
+    np.minimum.at(least, contact, off)  # one body in whose translations they are unit vectors is enough
+    wrong = np.flatnonzero((least > UNIT) & (least < np.inf))
     if wrong.size:
         c = int(wrong[0])
         raise InvalidProblem(
-            f"normals and tangents must be orthogonal unit vectors, but those of contact {c} are off by {worst[c]:.2g} "
+            f"normals and tangents must be orthogonal unit vectors, but those of contact {c} are off by {least[c]:.2g} "
             "in the translations of a body; divide each by its length, the lever arms with it; or, where the unknowns "
             "are no translations, give W = J m⁻¹ Jᵀ and the velocities J u"
         )
@@ -689,11 +767,12 @@ def _array(values: Any, need: str) -> FloatArray:
     return array
 
 
-def _check_symmetric(matrix: FloatArray, name: str) -> None:
+def _check_symmetric(matrix: Any, name: str) -> None:
     if matrix.ndim not in (2, 3) or matrix.shape[-1] != matrix.shape[-2]:
         raise InvalidProblem(f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)")
-    difference = np.abs(matrix - np.swapaxes(matrix, -1, -2)).max(initial=0.0)
-    if difference > SYMMETRIC * np.abs(matrix).max(initial=0.0):
+    other = matrix.T if sp.issparse(matrix) else np.swapaxes(matrix, -1, -2)
+    difference, largest = (abs(part).max() if part.size else 0.0 for part in (matrix - other, matrix))
+    if difference > SYMMETRIC * largest:
         raise InvalidProblem(
             f"{name} must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
             "J m⁻¹ Jᵀ with the same J on both sides?"

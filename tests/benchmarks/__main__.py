@@ -26,7 +26,7 @@ def main() -> int:
     """Print the lines of a benchmark as they come; return the exit code: 2 for bad input."""
     parser = argparse.ArgumentParser("python tests/benchmarks", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("name", nargs="?", help="which benchmark; without a name they are listed")
-    parser.add_argument("files", nargs="*", help="of programs (.npz, .qps, .mps) or cones (.npz), not random ones")
+    parser.add_argument("files", nargs="*", help="of programs (.npz, .qps, .mps) or cones (.npz, .h5), not random ones")
     parser.add_argument("--plot", metavar="FILE", help="of cones: a picture of the performance profile")
     parser.add_argument("--quick", action="store_true", help="small sizes: to see that it runs, not for figures")
     given = parser.parse_args()

@@ -23,6 +23,7 @@ from lcp_plugin import LCP, Status, __version__, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.commands.cli import run
 from lcp_plugin.evidence import paper_tables
+from lcp_plugin.problems.cones.methods import METHODS
 
 BOX = LCP([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]], [-5.0, 1.0, 2.0], upper=[2.0, np.inf, np.inf])
 ZERO_DIAGONAL = LCP([[1.0, 0.0], [0.0, 0.0]], [-1.0, 1.0])
@@ -440,8 +441,9 @@ def test_list_shows_everything_there_is() -> None:
     done = lcp_plugin("list")
     assert done.exit_code == 0
     rows = re.findall(r"^ (\w+) {2,}\S", done.stdout.partition("Algorithms")[2], re.MULTILINE)
-    assert [row for row in rows if row != "name"] == [*REGISTRY, *gallery.names()]
+    assert [row for row in rows if row != "name"] == [*REGISTRY, *METHODS, *gallery.names()]
     assert all(algorithm_class(name).reference in done.stdout for name in REGISTRY)
+    assert all(kind.reference in done.stdout for kind in METHODS.values())
     for _, _, parameters in gallery.describe():
         for key, value in parameters.items():
             assert f"{key}={value}" in done.stdout

@@ -42,7 +42,7 @@ SMALL = st.integers(1, 5)
 CLASSES: dict[str, tuple[Any, list[str]]] = {
     "H₊, bounds": (solved_lcps(h_plus_matrices(SMALL), bounds=True), [*proved_on("H₊"), "lemke"]),
     "H₊": (solved_lcps(h_plus_matrices(SMALL)), [*proved_on("H₊"), "lemke"]),
-    "M": (solved_lcps(h_plus_matrices(SMALL).map(comparison)), [*proved_on("H₊", "M, bounds"), "lemke"]),
+    "M": (solved_lcps(h_plus_matrices(SMALL).map(comparison)), [*proved_on("H₊", "M-matrices, bounds"), "lemke"]),
     "SPD, bounds": (solved_lcps(definite_matrices(), bounds=True), proved_on("SPD", "PSD")),
 }
 LOSES = {  # what a relation takes from a class, beyond which the proofs do not reach

@@ -17,7 +17,7 @@ PACKAGE = ROOT / "lcp_plugin"
 FLOORS = 14
 HEAVY = (
     "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
-    "qpsolvers", "quantecon", "cvxpylayers",
+    "qpsolvers", "quantecon", "cvxpylayers", "h5py",
 )
 FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "interfaces")  # which hold nothing but a docstring
 LEADS_ON = {  # imports inside a function that lead to what lies above: from which file, to what, why

@@ -155,10 +155,6 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
             complements(cp.SOC(t, z := cp.Variable(2, nonneg=True)), cp.hstack([t, z]))
         ).solve(), "bounds of their own",
     ),
-    "backward": (
-        lambda: ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1)).solve(requires_grad=True),
-        "requires_grad=True takes no cones",
-    ),
     "LCP.from_cvxpy": (
         lambda: LCP.from_cvxpy(ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1))), "takes no cones"
     ),
@@ -186,3 +182,65 @@ def test_t_may_be_declared_nonnegative() -> None:
     pair = complements(cp.SOC(t, x), cp.hstack([t, x]) - np.array([0.0, 2.0, 0.0]))
     ComplementarityProblem([pair, complements(box(y, 0, 1), y - 3)]).solve()
     np.testing.assert_allclose([t.value, *x.value], [1.0, 1.0, 0.0], atol=1e-7)
+
+
+def with_friction(rng: Any) -> tuple[Any, list[Any]]:
+    """Six contacts that open, stick and slide; coefficients of three are one parameter, those of the others three."""
+    J = rng.standard_normal((18, 24)) / 5.0
+    r, b = cp.Variable(18, name="r"), cp.Parameter(18, value=rng.standard_normal(18))
+    same, each = cp.Parameter(nonneg=True, value=0.4), cp.Parameter(3, nonneg=True, value=[0.2, 0.5, 0.9])
+    u = J @ J.T @ r + b
+    pairs = [complements(friction_cone(r[:9], 2 * same), u[:9]), complements(friction_cone(r[9:], each**2), u[9:])]
+    return ComplementarityProblem(pairs), [b, same, each]
+
+
+def with_boxes(rng: Any) -> tuple[Any, list[Any]]:
+    """A cone of expressions beside one of variables, a box whose bounds are parameters, an equation and scales."""
+    M, A = definite(7), definite(3)
+    z, y, s = cp.Variable(4, name="z"), cp.Variable(3, name="y"), cp.Variable(3, name="s")
+    q, scale = cp.Parameter(7, value=rng.standard_normal(7)), cp.Parameter(nonneg=True, value=1.3)
+    low, high = cp.Parameter(3, value=[-0.1, -0.2, -9.0]), cp.Parameter(3, value=[9.0, 0.1, 9.0])
+    F = scale**2 * (M @ cp.hstack([z, y])) + q
+    side = A @ s + q[:3]
+    return ComplementarityProblem([
+        complements(cp.SOC(z[0], z[1:]), F[:4]), complements(box(y, low, high), F[4:]),
+        complements(cp.SOC(side[0], side[1:]), scale * s - [2.0, 1.0, 0.0]),
+    ]), [q, scale, low, high]
+
+
+@pytest.mark.parametrize("make", [with_friction, with_boxes])
+@pytest.mark.parametrize("seed", range(5))
+def test_gradients_over_cones_agree_with_differences_of_solves(make: Any, seed: int) -> None:
+    """By friction, by bounds, by what stands in F; of variables and of duals; backward is derivative transposed."""
+    rng = np.random.default_rng(seed)
+    problem, parameters = make(rng)
+    pair = problem.constraints[0]
+
+    def solved() -> np.ndarray:
+        problem.solve(tolerance=1e-11, requires_grad=True)
+        assert problem.status == "optimal"
+        return np.concatenate([*(np.ravel(one.value, order="F") for one in problem.variables()), pair.dual_value])
+
+    solved()
+    values = [parameter.value for parameter in parameters]
+    for parameter in parameters:
+        parameter.delta = rng.standard_normal(parameter.shape)
+    deltas = [parameter.delta for parameter in parameters]
+    problem.derivative()
+    pushed = np.concatenate([
+        *(np.ravel(one.delta, order="F") for one in problem.variables()), pair.dual_variables[0].delta
+    ])
+    weights = rng.standard_normal(pushed.size)
+    first = 0
+    for leaf in [*problem.variables(), pair.dual_variables[0]]:
+        leaf.gradient = weights[first:first + leaf.size].reshape(leaf.shape, order="F")
+        first += leaf.size
+    problem.backward()
+    pulled = sum(np.sum(parameter.gradient * delta) for parameter, delta in zip(parameters, deltas, strict=True))
+    np.testing.assert_allclose(pulled, weights @ pushed, rtol=1e-7, atol=1e-9)
+    ends = []
+    for step in (1e-5, -1e-5):
+        for parameter, value, delta in zip(parameters, values, deltas, strict=True):
+            parameter.value = value + step * delta
+        ends.append(solved())
+    np.testing.assert_allclose(pushed, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-5 * np.abs(pushed).max())

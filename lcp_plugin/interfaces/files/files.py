@@ -290,8 +290,8 @@ def _matrix_market_prefix(source: Path) -> str:
             raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
         if source.is_file():
             raise UnreadableFile(
-                f"cannot read {source}: expected an .npz, .mat, .nl, .qps or .mps file, or M.mtx with q.mtx beside it; "
-                f"{LAYOUT}: write "
+                f"cannot read {source}: expected an .npz, .mat, .nl file, or M.mtx with q.mtx beside it "
+                f"(load_problem reads .qps, .mps, .h5); {LAYOUT}: write "
                 f'LCP(M, q).save("{source.stem}.npz"), or numpy.savez("{source.stem}.npz", M=M, q=q)'
             )
         tried = "" if source.suffix else f" (nor {prefix}M.mtx)"

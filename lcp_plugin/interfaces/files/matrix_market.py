@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.errors import UnreadableFile
+from ...core.errors import LCPError, UnreadableFile
 
 NUMBERS = ("real", "double", "integer", "unsigned-integer")
 SIGN_OF_MIRROR = {"symmetric": 1.0, "skew-symmetric": -1.0}
@@ -35,7 +35,7 @@ def opened(source: Path, kind: str) -> Iterator[Any]:
             yield file
     except FileNotFoundError as error:
         raise UnreadableFile(f"no such file: {source}") from error
-    except UnreadableFile:
+    except LCPError:
         raise
     except Exception as error:
         raise UnreadableFile(f"cannot read {source}: it is damaged or no {kind} ({error})") from error

@@ -85,7 +85,7 @@ class Banded(Algorithm):
 
     name: ClassVar[str] = "banded"
     needs: ClassVar[str] = "a narrow band"
-    solves: ClassVar[str] = "M, bounds on one side; tridiagonal M"
+    solves: ClassVar[str] = "M-matrices, bounds on one side; tridiagonal ones"
     cost: ClassVar[str] = "1 factorisation of the band"
     reference: ClassVar[str] = (
         "Cryer 1983, doi:10.1145/357456.357458; Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6"

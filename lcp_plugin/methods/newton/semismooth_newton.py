@@ -67,7 +67,7 @@ class Newton(Algorithm):
 
     name: ClassVar[str] = "newton"
     needs: ClassVar[str] = "none"
-    solves: ClassVar[str] = "M, bounds on one side, n ≤ 250"
+    solves: ClassVar[str] = "M-matrices, bounds on one side, n ≤ 250"
     cost: ClassVar[str] = "1 factorisation of the free block"
     reference: ClassVar[str] = (
         "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "

@@ -8,13 +8,14 @@ answer, `files` reads and writes.
 from ...core.kind import Kind
 
 _REFUSED: dict[str, str] = {
+    "sweeps=": "it is of an algorithm: NPGS(sweeps=…), from lcp_plugin.problems.cones.methods",
+    "proximal=": "it is of an algorithm: Newton(proximal=…), from lcp_plugin.problems.cones.methods",
     "x0=": "a start is called z0 here",
     "tolerance_on=": "nothing bounds the error over cones; result.certificate has the residuals",
     "error_bound=": "nothing bounds the error over cones; result.certificate has the residuals",
     "solve_many": "write [solve(problem.with_q(q)) for q in …]",
     "prepare": "what depends on M alone is kept with the problem: problem.with_q(q) shares it",
-    "march": "write solve(problem.with_q(q), z0=result.z) for each step",
-    "march_many": "write solve(problem.with_q(q), z0=result.z) for each step",
+    "march_many": "write [march(problem, forcing) for forcing in …]",
     "Certificate.of": "solve(problem, z0=z, max_iterations=0).certificate is that of z",
     "error_bound": "nothing bounds the error over cones; result.certificate has the residuals",
     "certify": "solve(problem, z0=z, max_iterations=0).certificate has the residuals of any z",
@@ -26,10 +27,10 @@ _REFUSED: dict[str, str] = {
 }
 
 
-def _kind(name: str, word: str, *ways: str, **instead: str) -> Kind:
+def _kind(name: str, word: str) -> Kind:
     return Kind(
-        name, word, ("solve", "solve_batch", "derivative", "save", "pickle", "cvxpy", "lcp-plugin solve", *ways),
-        "solve(problem) solves it", {**_REFUSED, **instead},
+        name, word, ("solve", "solve_batch", "march", "derivative", "save", "pickle", "cvxpy", "lcp-plugin solve"),
+        "solve(problem) solves it", _REFUSED,
     )
 
 

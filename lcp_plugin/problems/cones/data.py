@@ -21,7 +21,8 @@ from ...core.deadline import Lock
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.kind import Kind
 from ...core.lcp import LCP
-from ..contact import Bodies, contact_data
+from ...core.representation import in_words
+from ..contact import Bodies, checked_contacts, warn_of_much_friction
 from . import CONE_PROBLEM, FRICTIONAL_CONTACT
 
 CONES = ("free", "nonnegative", "box", "second_order")
@@ -170,6 +171,8 @@ class Blocks:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to a ``.npz`` file, which ``load_problem(path)`` and ``lcp-plugin solve`` read.
 
+        Of bodies it keeps W and b.
+
         Raises
         ------
         UnreadableFile
@@ -253,7 +256,7 @@ class ConeProblem(Blocks):
         }
 
     def _words(self) -> str:
-        return f"n={self.n}, {int((self.sizes > 1).sum())} second-order cones"
+        return f"n={self.n}, {in_words(int((self.sizes > 1).sum()), 'second-order cone')}"
 
 
 class FrictionalContact(Blocks):
@@ -267,7 +270,8 @@ class FrictionalContact(Blocks):
     W : array or sparse array, shape (d k, d k), or three arrays (mass matrix, normals, tangents)
         Velocities by impulses, d rows a contact: its normal, then its d − 1 tangents, d = 3 in space and 2 in the
         plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data are written with few digits; it is
-        used as it is given. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`.
+        used as it is given. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; where one of the arrays is sparse,
+        W stays sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
     b : array, shape (d k,) or (k, d); or (v,) beside a mass matrix
         Velocities without the impulses, in m/s; of the bodies beside a mass matrix.
     friction : number or array, shape (k,)
@@ -279,6 +283,17 @@ class FrictionalContact(Blocks):
     ------
     InvalidProblem
         For a W that is not symmetric, μ < 0, rows that are no multiple of d, numbers that are not finite.
+
+    Notes
+    -----
+    With friction this is no convex program, whatever W: an answer need not be the only one, nor need there be one
+    (Painlevé). A run that finds none ends STALLED, or INFEASIBLE where no impulses keep the contacts from closing.
+    The answers of a pile share the motion more often than the impulses. Rolling and spinning friction are left out: a
+    moment that ‖m‖ ≤ ν r_N limits beside ‖r_T‖ ≤ μ r_N is no second-order cone.
+
+    ``result.motion`` has impulses and velocities contact by contact. Steps in time whose contacts change begin with
+    the impulses of the step before, ``solve(FrictionalContact(W, b, friction), z0=r)``, 0 for new contacts; those of
+    one W are a :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
 
     Examples
     --------
@@ -296,7 +311,7 @@ class FrictionalContact(Blocks):
     def __init__(self, W: Any, b: ArrayLike, friction: ArrayLike, *, dimension: int | None = None) -> None:
         bodies = None
         if isinstance(W, tuple):
-            data = contact_data(W, friction, b)
+            data = checked_contacts(W, friction, b, keeps_sparse=True)
             W, b, friction, bodies = data.W, data.velocities, data.friction, data.bodies
         need = "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
         velocities = real_array(b, need)
@@ -319,6 +334,7 @@ class FrictionalContact(Blocks):
             raise InvalidProblem(
                 f"friction must be finite and not negative, but friction[{at}] = {mu[at]}; give μ ≥ 0, 0 for none"
             )
+        warn_of_much_friction(mu, 3)
         W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         _require_symmetry(W)
         rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
@@ -342,7 +358,7 @@ class FrictionalContact(Blocks):
         InvalidProblem
             As there.
         """
-        data = contact_data(contacts, friction, velocities, gaps=gaps, time_step=time_step)
+        data = checked_contacts(contacts, friction, velocities, gaps=gaps, time_step=time_step, keeps_sparse=True)
         if data.W.ndim != 2:
             raise InvalidProblem("from_contacts makes one problem, got arrays of a batch; write one for each item")
         b = np.array(data.velocities)
@@ -376,7 +392,7 @@ class FrictionalContact(Blocks):
         return {"mu": self.friction}
 
     def _words(self) -> str:
-        return f"{self.slope.size} contacts in {'space' if self.dimension == 3 else f'{self.dimension} dimensions'}"
+        return f"{in_words(self.slope.size, 'contact')} in {'space' if self.dimension == 3 else 'the plane'}"
 
 
 def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:
@@ -402,7 +418,8 @@ def dimension_of(given: int | None, friction: FloatVector, rows: int) -> int:
             f"{friction.size} coefficients of friction"
         )
     if rows % d:
-        raise InvalidProblem(f"{rows} rows are no multiple of {d}, the rows of a contact: normal, then tangents")
+        need = "3, nor, in the plane, of 2" if given is None else d
+        raise InvalidProblem(f"{rows} rows are no multiple of {need}, the rows of a contact: normal, then tangents")
     return int(d)
 
 

@@ -1,4 +1,4 @@
-"""The derivative of an answer over cones by q, M and friction, by the equation R(z; M, q, μ) = 0 of the natural map.
+"""The derivative of an answer over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0, the natural map.
 
 R_z dz + R_w (M dz + dM z + dq) + R_μ dμ = 0, with the generalised derivatives that Newton's steps use. Where M leaves
 the blocks that press undetermined (several impulses make one motion), dz is the least of several, and of velocities
@@ -14,8 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, checked_vector, rectangular_matrix
+from ...core.checks import FloatVector, checked_vector, is_number, rectangular_matrix
 from ...core.errors import InvalidOption, UnsuitableProblem
+from ...core.kind import changes_by_name
 from ...core.matrix.matrix import Matrix
 from ...systems.free_systems import FreeSystem
 from .certificate import weighted
@@ -23,15 +24,18 @@ from .data import Blocks
 from .methods import NewtonSystem
 
 REFINEMENTS = 5  # steps of Newton towards the answer before it is differentiated
+BY_HAND = "; of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du"
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
 
 
 class ConeGradient(NamedTuple):
-    """What a function of z has for gradients: by q, shape (n,), by M on its pattern, by friction, shape (k,)."""
+    """What a function of z has for gradients: by q and the bounds, (n,), by M on its pattern, by friction, (k,)."""
 
     q: FloatVector
     M: sp.csr_array
     friction: FloatVector
+    lower: FloatVector
+    upper: FloatVector
 
 
 class ConeDerivative:
@@ -86,7 +90,8 @@ class ConeDerivative:
         return np.flatnonzero(differs)
 
     def jvp(
-        self, *, dq: ArrayLike | None = None, dM: Any = None, dfriction: ArrayLike | None = None
+        self, *, dq: ArrayLike | None = None, dM: Any = None, dfriction: ArrayLike | None = None,
+        dlower: ArrayLike | None = None, dupper: ArrayLike | None = None, **named: Any,
     ) -> FloatVector:
         """Return the change dz, shape (n,), that changes of the data make.
 
@@ -96,33 +101,60 @@ class ConeDerivative:
             db of contacts.
         dM : array, shape (n, n), optional
             dW of contacts.
-        dfriction : array, shape (k,), optional
+        dfriction : number or array, shape (k,), optional
+        dlower, dupper : array, shape (n,), optional
+            Of the bounds; only those that hold matter.
+
+        Raises
+        ------
+        InvalidOption
+            For any other name: of a mass matrix give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities dq = J du.
         """
         problem, n = self.problem, self.problem.n
+        changes_by_name(None, named, ("dq", "dM", "dfriction", "dlower", "dupper"), BY_HAND)
         right = np.zeros(n)
-        moved = np.zeros(n) if dq is None else np.array(checked_vector(dq, "dq", n))
-        if dM is not None:
-            moved = moved + rectangular_matrix(dM, "dM", n, n) @ self.z
-        right -= self._system.times(moved)
+        for change, holds in ((dlower, self._holds[0]), (dupper, self._holds[1])):
+            if change is not None:
+                right[holds] = checked_vector(change, "dlower or dupper", n)[holds]
+        right -= self._system.times(self.dw(right, dq=dq, dM=dM))
         if dfriction is not None:
+            if not problem.has_friction:
+                raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper")
+            dfriction = np.full(problem.slope.size, dfriction) if is_number(dfriction) else dfriction
             slopes = checked_vector(dfriction, "dfriction", problem.slope.size)
             right -= self._by_friction * slopes[problem.block_of_row]
         dz = np.where(self._is_free, 0.0, right)  # where a block is open, or a row at its bound
         dz[self.free] = self._solved(right[self.free])
         return dz
 
-    def vjp(self, g: ArrayLike) -> ConeGradient:
-        """Return the gradients of a function of z that has the gradient g, shape (n,), by z."""
-        problem, n = self.problem, self.problem.n
-        g = checked_vector(g, "g", n)
-        y = np.zeros(n)
-        y[self.free] = self._solved(g[self.free], transposed=True)
-        by_q = -self._system.times(y, transposed=True)
-        M = problem.rows.csr
+    def dw(self, dz: FloatVector, *, dq: ArrayLike | None = None, dM: Any = None) -> FloatVector:
+        """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
+        n = self.problem.n
+        change: FloatVector = self.problem.rows.csr @ dz
+        if dq is not None:
+            change = change + checked_vector(dq, "dq", n)
+        return change if dM is None else change + rectangular_matrix(dM, "dM", n, n) @ self.z
+
+    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> ConeGradient:
+        """Return the gradients of a function that has the gradients g by z and gw, 0 by default, by w, (n,) each."""
+        problem, n, M = self.problem, self.problem.n, self.problem.rows.csr
+        by_w = np.zeros(n) if gw is None else checked_vector(gw, "gw", n)
+        by_z, y = checked_vector(g, "g", n) + M.T @ by_w, np.zeros(n)
+        y[self.free] = self._solved(by_z[self.free], transposed=True)
+        by_q = by_w - self._system.times(y, transposed=True)
+        by_bound = by_z + M.T @ (by_q - by_w)
         rows = np.repeat(np.arange(n), np.diff(M.indptr))
         by_M = sp.csr_array((by_q[rows] * self.z[M.indices], M.indices, M.indptr), shape=M.shape)
         by_friction = -np.add.reduceat(self._by_friction * y, problem.starts[:-1]) if n else np.zeros(0)
-        return ConeGradient(by_q, by_M, by_friction)
+        lower, upper = (np.where(holds, by_bound, 0.0) for holds in self._holds)
+        return ConeGradient(by_q, by_M, by_friction, lower, upper)
+
+    @cached_property
+    def _holds(self) -> tuple[Any, Any]:
+        """Which rows are at their lower bound, and which at the upper one."""
+        problem, at_bound = self.problem, ~self._is_free & (self.problem.sizes == 1)[self.problem.block_of_row]
+        is_lower = (self.z <= problem.lower) & ((self.z < problem.upper) | (self.w > 0.0))
+        return at_bound & is_lower, at_bound & ~is_lower
 
     @property
     def _is_free(self) -> Any:
@@ -135,7 +167,7 @@ class ConeDerivative:
         """R_μ, shape (n,), of blocks on the boundary of their cones."""
         problem, found = self.problem, np.zeros(self.problem.n)
         if not problem.has_friction:
-            raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has dq and dM")
+            return found
         x = self.z - self.w / problem.scale[problem.block_of_row]
         for k in np.flatnonzero(problem.residual(self.z, self.w)[1] == 2):
             own, mu = slice(problem.starts[k], problem.starts[k + 1]), problem.slope[k]

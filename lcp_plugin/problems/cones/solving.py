@@ -292,8 +292,9 @@ class ConeResult(Result):
         motion, problem = self.motion, self.problem
         slides = motion.touches & ~motion.sticks
         lines = [
-            f"{problem.slope.size} contacts: {int((~motion.touches).sum())} open, {int(motion.sticks.sum())} stick, "
-            f"{int(slides.sum())} slide; friction and impact take {self.certificate.dissipation:.3g} J"  # type: ignore[attr-defined]
+            f"{in_words(problem.slope.size, 'contact')}: {int((~motion.touches).sum())} open, "
+            f"{int(motion.sticks.sum())} stick, {int(slides.sum())} slide; friction and impact take "
+            f"{self.certificate.dissipation + 0.0:.3g} J"  # type: ignore[attr-defined]
         ]
         if motion.touches.any():
             pulls = np.linalg.norm(motion.tangential, axis=1)[motion.touches]

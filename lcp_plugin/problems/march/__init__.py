@@ -16,7 +16,7 @@ from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, check_kind, checked_vector, is_number, read_only, real_array
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
-from ...core.kind import refusal
+from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
 from ...core.matrix.scaling import scaling_of
 from ...core.matrix.structure import connected_components
@@ -24,7 +24,9 @@ from ...core.policy.policy import Policy
 from ...core.settings import OF_SOLVE, Settings, Status
 from ...core.solving.driver import fused_result
 from ...core.solving.result import Result
+from ...kinds import solve_any
 from ...methods.banded import Banded
+from ..cones.data import Blocks
 from ..many.answers import AnswerSequence, Results
 from .marching import StepPolicy
 
@@ -36,7 +38,7 @@ class March(AnswerSequence[Result]):
 
     Parameters
     ----------
-    problem, forcing, propagator, z0 : LCP, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
+    problem, forcing, propagator, z0 : problem, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
         What :func:`march` was given; they are read again where an answer was not kept.
     keep_every : int
         How many steps there are from one kept answer to the next. The last one is kept, too.
@@ -58,7 +60,7 @@ class March(AnswerSequence[Result]):
     all_solved = True
 
     def __init__(
-        self, problem: LCP, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector, keep_every: int,
+        self, problem: Any, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector, keep_every: int,
         again: Callable[..., March],
     ) -> None:
         self.problem, self.forcing, self.propagator = problem, forcing, propagator
@@ -169,15 +171,15 @@ class _Answers(Results[FloatVector]):
 
 
 def march(
-    problem: LCP, forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
+    problem: LCP | Blocks, forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
 ) -> March:
     """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
 
     Parameters
     ----------
-    problem : LCP
-        Gives M and the bounds; its own q is not used.
+    problem : LCP or ConeProblem or FrictionalContact
+        Gives M and the bounds or cones; its own q is not used.
     forcing : array, shape (k, n)
         A row a step; ``np.broadcast_to(row, (k, n))`` where it is always the same.
     propagator : number or array or sparse array, shape (n, n)
@@ -217,6 +219,11 @@ def march(
     where it is damped: by four implicit half steps at first, with the same M, the propagator −B and the forcing
     −½ Δt f (Rannacher 1984).
 
+    Contacts with friction on elastic bodies: W has displacements by forces, and a slow load gives, step by step, the
+    gaps without contact and the tangential displacements from the step before. The propagator is −W with zeros in the
+    rows of the normals then: slip is what the tangents move on in a step. Where contacts change there is another W,
+    and no march: write ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step.
+
     References
     ----------
     R. Rannacher, *Finite element solution of diffusion problems with irregular data*, Numer. Math. 43 (1984),
@@ -228,9 +235,10 @@ def march(
     >>> [z.round(3) for z in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z]
     [array([0.875, 0.625]), array([0.781, 0.469])]
     """
-    if not isinstance(problem, LCP):
+    if (kind := kind_of(problem)) is None or "march" not in kind.ways:
         raise InvalidOption(refusal("march", problem))
-    problem.matrix.require_all_rows()
+    if isinstance(problem, LCP):
+        problem.matrix.require_all_rows()
     offsets, rows = checked_forcing(forcing, problem.n), _checked_propagator(propagator, problem.n)
     if given := [name for name in ("lower", "upper") if name in wishes]:
         raise InvalidOption(
@@ -241,7 +249,8 @@ def march(
         raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
     if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:
         raise InvalidOption(f"keep_every must be an integer ≥ 1, got {keep_every!r}; 1 keeps every answer")
-    asked_of_solve(algorithm, wishes)  # what is wrong is refused before the first step
+    if isinstance(problem, LCP):
+        asked_of_solve(algorithm, wishes)  # what is wrong is refused before the first step
     limit = Settings(max_seconds=max_seconds).max_seconds
     state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
     done = begun(problem, offsets, rows, state, int(keep_every), algorithm, wishes)
@@ -249,12 +258,12 @@ def march(
     return done
 
 
-def propagator_remark(problem: LCP, propagator: sp.csr_array) -> str:
+def propagator_remark(problem: LCP | Blocks, propagator: sp.csr_array) -> str:
     """Return a sentence where every step raises the q of the next one, as a wrong sign of the propagator does; else ''.
 
     Parameters
     ----------
-    problem : LCP
+    problem : LCP or ConeProblem or FrictionalContact
     propagator : csr_array, shape (n, n)
 
     Examples
@@ -266,6 +275,8 @@ def propagator_remark(problem: LCP, propagator: sp.csr_array) -> str:
     >>> propagator_remark(rod, sp.csr_array(-np.eye(2)))
     ''
     """
+    if not isinstance(problem, LCP):
+        return ""
     diagonal = propagator.diagonal()
     rows = np.flatnonzero((diagonal > 0.0) & (problem.diagonal > 0.0))
     if not rows.size or (propagator.data < 0.0).any():
@@ -278,7 +289,7 @@ def propagator_remark(problem: LCP, propagator: sp.csr_array) -> str:
 
 
 def begun(
-    problem: LCP, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector, keep_every: int,
+    problem: LCP | Blocks, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector, keep_every: int,
     algorithm: str | Algorithm, wishes: dict[str, Any],
 ) -> March:
     """Return a march before its first step."""
@@ -287,8 +298,8 @@ def begun(
 
 
 def _part(
-    problem: LCP, propagator: sp.csr_array, algorithm: str | Algorithm, wishes: dict[str, Any], forcing: FloatVector, *,
-    z0: FloatVector, **where: Any,
+    problem: LCP | Blocks, propagator: sp.csr_array, algorithm: str | Algorithm, wishes: dict[str, Any],
+    forcing: FloatVector, *, z0: FloatVector, **where: Any,
 ) -> March:
     """Return the march along a part of the forcing, with every answer."""
     done = begun(problem, forcing, propagator, z0, 1, algorithm, wishes)
@@ -305,9 +316,10 @@ def take_steps(
     The march is that from step number `first` on, beginning with `begin`, of one with so many steps in all, for which
     what is dear may pay as well.
     """
-    (policy, settings), clock = asked_of_solve(algorithm, wishes), Clock(done.problem.communicator)
     problem, forcing, propagator = done.problem, done.forcing[:end], done.propagator
-    is_unobserved, total = settings.is_unobserved and wishes.get("callback") is None, total or len(done.forcing)
+    is_lcp, clock, total = isinstance(problem, LCP), Clock(problem.communicator), total or len(done.forcing)
+    policy, settings = asked_of_solve(algorithm, wishes) if is_lcp else asked_of_solve("auto", {})
+    is_unobserved = is_lcp and settings.is_unobserved and wishes.get("callback") is None
     state, begin = done._kept[len(done) - 1] if len(done) else (done.z0, begin)
     while len(done) < end and done.all_solved:
         before = len(done)
@@ -320,9 +332,13 @@ def take_steps(
                     step = problem.with_q(forcing[before] + propagator @ state)
                 left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
                 of_step = None
-                if algorithm == "auto":
+                if is_lcp and algorithm == "auto":
                     of_step = StepPolicy(begin, prove_infeasibility=settings.prove_infeasibility)
-                found = solve_lcp(step, of_step or algorithm, z0=state, **{**wishes, **left})
+                if is_lcp:
+                    found = solve_lcp(step, of_step or algorithm, z0=state, **{**wishes, **left})
+                else:  # a start at rest is none: over cones Newton begins where one is given
+                    start = {"z0": state} if (state != problem.nearest_to_zero).any() else {}
+                    found = solve_any(step, algorithm, {**wishes, **left, **start})
                 done.all_solved = found.is_solved
                 if of_step is not None and found.is_solved:
                     begin = of_step.following(problem, first + before, total - first - before - 1)

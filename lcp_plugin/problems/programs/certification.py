@@ -70,11 +70,12 @@ def certify(
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
         and of a result or a cvxpy problem what its status says.
     tolerance : float
-        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), u and v
-        as in the notes, and neither is x proved to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal
-        one, nor are multipliers that came with it wrong by more than 10 · tolerance relative to the size of the terms
-        in their conditions: sign, gradient, and 0 where x leaves slack. Of "infeasible": that every x violates a
-        constraint by more than this, so that no x can be proved to be optimal.
+        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), where u
+        and v are the units of objective and x that the notes define, and neither is x proved to be farther than
+        10 · tolerance max(v, ‖x‖∞) from every optimal one, nor are multipliers that came with it wrong by more than
+        10 · tolerance relative to the size of the terms in their conditions: sign, gradient, and 0 where x leaves
+        slack. Of "infeasible": that every x violates a constraint by more than this, so that no x can be proved to be
+        optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 

@@ -96,7 +96,8 @@ def derivative(
     UnsuitableProblem
         Where a Result is not SOLVED, or a march was not solved to its end.
     InvalidOption
-        Where it is none of these.
+        Where it is none of these, or a march over cones: write ``derivative(done[k])`` for each step. Of a batch over
+        cones likewise: ``derivative(batch[k])``.
 
     Examples
     --------
@@ -114,6 +115,10 @@ def derivative(
     if isinstance(result, BatchResult):
         return BatchDerivative(result, derivative)
     if isinstance(result, March):
+        if not isinstance(result.problem, LCP):
+            raise InvalidOption(
+                "no derivative leads through a march over cones; write derivative(done[k]) for that of step k by its q"
+            )
         return MarchDerivative(result, Derivative)
     if not isinstance(result, Result):
         raise InvalidOption(refusal("derivative", result))

@@ -13,6 +13,7 @@ from scipy.io import savemat
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    FrictionalContact,
     InvalidProblem,
     LCPError,
     QuadraticProgram,
@@ -116,3 +117,17 @@ def test_what_states_no_program_is_refused_in_words(
     np.savez(tmp_path / "p.npz", **content)
     with pytest.raises(kind, match=words):
         load_problem(tmp_path / "p.npz")
+
+
+def test_contacts_are_no_program(tmp_path: Path) -> None:
+    """Neither by W nor by CSR arrays does a contact problem pass for a linear program."""
+    contact = FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5)
+    contact.save(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", W=np.eye(3), q=contact.q, mu=contact.friction)
+    for name in ("a.npz", "b.npz"):
+        assert isinstance(load_problem(tmp_path / name), FrictionalContact)
+        with pytest.raises(UnreadableFile, match=r"holds a FrictionalContact .*`lcp-plugin solve` takes it"):
+            load_program(tmp_path / name)
+    (tmp_path / "a.h5").touch()
+    with pytest.raises(UnreadableFile, match="other problems are for `lcp-plugin solve`"):
+        load_program(tmp_path / "a.h5")

@@ -36,7 +36,7 @@ BAD: dict[str, tuple[Any, str]] = {
     "μ < 0": (lambda: FrictionalContact(*ONE[:2], -0.1), r"friction\[0\] = -0.1"),
     "μ is NaN": (lambda: FrictionalContact(*ONE[:2], np.nan), r"friction\[0\] = nan"),
     "two coefficients": (lambda: FrictionalContact(*ONE[:2], [0.1, 0.2]), "no multiple|coefficients|shape"),
-    "four rows": (lambda: FrictionalContact(np.eye(5), np.ones(5), 0.1), "no multiple of 2"),
+    "four rows": (lambda: FrictionalContact(np.eye(5), np.ones(5), 0.1), "no multiple of 3, nor, in the plane, of 2"),
     "b is NaN": (lambda: FrictionalContact(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
     "W is NaN": (lambda: FrictionalContact(np.diag([1, np.nan, 1]), [0, 0, 0], 0.1), "nan"),
     "b does not fit": (lambda: FrictionalContact(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
@@ -288,3 +288,44 @@ def test_from_contacts_states_pyramids_or_the_cone_itself() -> None:
     assert 0.0 < np.abs(near - moved).max() < 0.1
     with pytest.raises(InvalidProblem, match="cone must be"):
         LCP.from_contacts(*data, cone="circle")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_derivatives_by_bounds_and_of_the_slack(seed: int) -> None:
+    """Of boxes beside cones: vjp is jvp transposed, and jvp the difference of two answers."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(7, 7))
+    M, q, low, high = A @ A.T + np.eye(7), 3.0 * rng.normal(size=7), np.full(4, -0.3), np.full(4, 0.2)
+    changes = {"dq": rng.normal(size=7), "dlower": rng.normal(size=7), "dupper": rng.normal(size=7)}
+
+    def answer(step: float) -> Any:
+        own = low + step * changes["dlower"][:4], high + step * changes["dupper"][:4]
+        return solve(ConeProblem(M, q + step * changes["dq"], [("box", *own), ("second_order", 3)]), tolerance=1e-13)
+
+    found = derivative(answer(0.0))
+    dz = found.jvp(**changes)
+    dw = found.dw(dz, dq=changes["dq"])
+    ends = answer(1e-6), answer(-1e-6)
+    np.testing.assert_allclose(dz, (ends[0].z - ends[1].z) / 2e-6, atol=1e-5)
+    np.testing.assert_allclose(dw, (ends[0].w - ends[1].w) / 2e-6, atol=1e-4)
+    g, gw = rng.normal(size=(2, 7))
+    gradient = found.vjp(g, gw)
+    pulled = sum(getattr(gradient, name[1:]) @ change for name, change in changes.items())
+    np.testing.assert_allclose(pulled, g @ dz + gw @ dw, rtol=1e-9, atol=1e-9)
+    assert not gradient.friction.any()
+    with pytest.raises(InvalidOption, match="dfriction is of a FrictionalContact"):
+        found.jvp(dfriction=np.ones(2))
+
+
+def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
+    """One number of friction for all contacts; names of bodies; an option of a method; a batch."""
+    problem = FrictionalContact(np.eye(6), [[-1.0, 3.0, 4.0], [-2.0, 0.1, 0.0]], 0.5)
+    found = derivative(solve(problem))
+    np.testing.assert_array_equal(found.jvp(dfriction=0.1), found.jvp(dfriction=[0.1, 0.1]))
+    with pytest.raises(InvalidOption, match=r"takes no dmass here; known: .*dfriction.*; of a mass matrix"):
+        found.jvp(dmass=np.eye(6))
+    with pytest.raises(InvalidOption, match=r"solve takes no sweeps .*; it is of an algorithm: NPGS\(sweeps=…\)"):
+        solve(problem, "npgs", sweeps=3)
+    with pytest.raises(InvalidOption, match=r"derivative\(answers\[k\]\) for the answer to one problem"):
+        derivative(solve_batch([problem, problem]))
+    assert derivative(solve_batch([problem, problem])[1]).vjp(np.ones(6)).q.shape == (6,)

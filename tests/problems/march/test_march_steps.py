@@ -97,7 +97,7 @@ def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
     """Data of another shape, or not finite, in words and before the first step."""
     with pytest.raises(InvalidProblem, match=message):
         march(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((1, 3)), **given})
-    with pytest.raises(InvalidOption, match="march needs an LCP, got ndarray"):
+    with pytest.raises(InvalidOption, match="march needs an LCP, ConeProblem or FrictionalContact, got ndarray"):
         march(np.eye(3), np.zeros((1, 3)))
 
 

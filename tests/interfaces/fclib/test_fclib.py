@@ -1,0 +1,189 @@
+"""Files in the layout of fclib: local and global problems, in the plane and in space; mistakes are told in words."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from typer.testing import CliRunner
+
+from lcp_plugin import LCP, FrictionalContact, LCPError, UnreadableFile, UnsupportedModel, load_problem, solve
+from lcp_plugin.commands.cli import app
+
+h5py = pytest.importorskip("h5py")
+
+LOW = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 1.5]])
+PUSHED = np.array([-1.0, 3.0, 4.0])
+
+
+def write_matrix(group: Any, matrix: Any, kind: str) -> None:
+    """m, n, nz, nzmax, p, i, x; with room behind the entries, as fclib may leave it."""
+    M = {"columns": sp.csc_array, "rows": sp.csr_array}.get(kind, sp.coo_array)(matrix)
+    spare = [0] if kind in ("columns", "rows") else []
+    arrays = {"x": np.append(M.data, spare)}
+    if kind in ("columns", "rows"):
+        arrays |= {"p": M.indptr, "i": np.append(M.indices, spare)}
+    else:
+        arrays |= {"p": M.row, "i": M.col} if kind == "entries" else {"p": M.col, "i": M.row}
+    numbers = {"m": M.shape[0], "n": M.shape[1], "nzmax": M.nnz + len(spare),
+               "nz": {"columns": -1, "rows": -2}.get(kind, M.nnz)}  # fmt: skip
+    for name, value in (arrays | {name: [number] for name, number in numbers.items()}).items():
+        dtype = np.float64 if name == "x" else np.int32
+        group.create_dataset(name, data=np.asarray(value, dtype))
+
+
+def write(path: Path, name: str, matrices: dict[str, Any], d: int = 3, kind: str = "columns", **vectors: Any) -> Path:
+    with h5py.File(path, "w") as file:
+        group = file.create_group(name)
+        group.create_dataset("spacedim", data=[d])
+        group.create_group("info")["title"] = "a block"
+        for key, matrix in matrices.items():
+            write_matrix(group.create_group(key), matrix, kind)
+        group.create_group("vectors")
+        for key, vector in vectors.items():
+            group["vectors"].create_dataset(key, data=np.asarray(vector, float))
+    return path
+
+
+def local(path: Path, W: Any = LOW, q: Any = PUSHED, mu: Any = (0.5,), **rest: Any) -> Path:
+    return write(path, "fclib_local", {"W": W}, q=q, mu=mu, **rest)
+
+
+@pytest.mark.parametrize("kind", ["columns", "rows", "entries", "entries of CSparse"])
+def test_a_local_problem_in_space(kind: str, tmp_path: Path) -> None:
+    """Each form of a matrix states the same contacts."""
+    problem = load_problem(local(tmp_path / "block.h5", kind=kind))
+    assert isinstance(problem, FrictionalContact)
+    np.testing.assert_array_equal(problem.rows.csr.toarray(), LOW)
+    np.testing.assert_array_equal(problem.q, PUSHED)
+    np.testing.assert_allclose(solve(problem).z, solve(FrictionalContact(LOW, PUSHED, 0.5)).z, atol=1e-12)
+
+
+def test_a_local_problem_in_the_plane(tmp_path: Path) -> None:
+    """Six rows of spacedim 2 are three contacts, whatever six rows could be besides."""
+    q, mu = [-1.0, 0.1, -1.0, 2.0, 1.0, 0.0], [0.5, 0.5, 0.2]
+    problem = load_problem(local(tmp_path / "three.hdf5", np.eye(6), q, mu, d=2))
+    assert problem.dimension == 2
+    result = solve(problem)
+    np.testing.assert_allclose(result.z, [1.0, -0.1, 1.0, -0.5, 0.0, 0.0], atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["columns", "rows", "entries", "entries of CSparse"])
+def test_a_global_problem(kind: str, tmp_path: Path) -> None:
+    """M v = H r + f, u = Hᵀv + w: the impulses are those of the velocities that the contacts then have."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(2, 4, 4))
+    M = sp.block_diag([a @ a.T + np.eye(4) for a in A]).toarray()
+    H, f, w = rng.normal(size=(8, 6)), rng.normal(size=8), rng.normal(size=6)
+    path = write(tmp_path / "g.h5", "fclib_global", {"M": M, "H": H}, kind=kind, f=f, w=w, mu=[0.3, 0.6])
+    result = solve(load_problem(path))
+    assert result.is_solved
+    v = np.linalg.solve(M, H @ result.z + f)
+    np.testing.assert_allclose(result.w, H.T @ v + w, atol=1e-10)
+
+
+def test_the_command_solves_such_a_file(tmp_path: Path) -> None:
+    """``lcp-plugin solve block.h5``."""
+    found = CliRunner().invoke(app, ["solve", str(local(tmp_path / "block.h5"))])
+    assert found.exit_code == 0, found.output
+    assert "SOLVED" in found.output
+    assert "1 contact: 0 open, 0 stick, 1 slide" in found.output
+
+
+def without(name: str) -> Callable[[Path], None]:
+    def delete(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            del file[name]
+
+    return delete
+
+
+def with_(name: str, values: Any) -> Callable[[Path], None]:
+    def replace(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            if name in file:
+                del file[name]
+            file.create_group(name) if values is None else file.create_dataset(name, data=values)
+
+    return replace
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    (without("fclib_local"), "holds nothing; an fclib file holds fclib_local with spacedim, W"),
+    (without("fclib_local/vectors/mu"), "fclib_local/vectors lacks mu, it holds q; an fclib file"),
+    (without("fclib_local/vectors"), "fclib_local lacks vectors"),
+    (without("fclib_local/W"), "fclib_local lacks W, it holds info, spacedim, vectors; an fclib file"),
+    (without("fclib_local/W/p"), "fclib_local/W lacks p, it holds i, m, n, nz, nzmax, x"),
+    (with_("fclib_local/W", None), "fclib_local/W lacks m, it holds nothing"),
+    (with_("fclib_local/vectors/q", ["a"]), "fclib_local/vectors/q must hold numbers, got numbers of dtype object"),
+    (with_("fclib_local/vectors/q", None), "fclib_local/vectors/q must hold numbers, got a group"),
+    (with_("fclib_local/vectors/q", np.zeros(2)), "mu has 1 numbers, spacedim is 3 (2 or 3), but velocities are 2"),
+    (with_("fclib_local/spacedim", [2]), "mu has 1 numbers, spacedim is 2 (2 or 3), but velocities are 3"),
+    (with_("fclib_local/spacedim", [2, 3]), "fclib_local/spacedim must be one whole number, got 2"),
+    (with_("fclib_local/W/m", [10**9]), "fclib_local/W is of 1000000000 × 3, but its vectors need 3 × 3"),
+    (with_("fclib_local/W/p", np.array([0, 9, 9, 9])), "fclib_local/W is no matrix"),
+    (with_("fclib_local/W/i", np.full(6, 7)), "fclib_local/W is no matrix"),
+    (with_("fclib_local/W/x", np.arange(6.0)), "states no problem over cones: W must be symmetric"),
+    (with_("fclib_local/vectors/mu", [-1.0]), "friction must be finite and not negative, but friction[0] = -1.0"),
+])
+def test_what_is_wrong_with_a_file_is_said(change: Callable[[Path], None], words: str, tmp_path: Path) -> None:
+    """A missing key, an empty group, another dimension: what the file holds, what it should."""
+    path = local(tmp_path / "block.h5")
+    change(path)
+    with pytest.raises(UnreadableFile, match=re.escape(words)):
+        load_problem(path)
+    found = CliRunner().invoke(app, ["solve", str(path)])
+    assert found.exit_code == 2, found.output
+
+
+def test_other_files_are_told_apart(tmp_path: Path) -> None:
+    """No file, no HDF5, equations beside contacts, a mass matrix that is none; LCP.load, which has no place for it."""
+    with pytest.raises(UnreadableFile, match="no such file"):
+        load_problem(tmp_path / "none.h5")
+    (tmp_path / "text.h5").write_text("W = 1")
+    with pytest.raises(UnreadableFile, match="damaged or no HDF5 file"):
+        load_problem(tmp_path / "text.h5")
+    vectors = {"f": np.zeros(2), "w": np.zeros(3), "mu": [0.5]}
+    path = write(tmp_path / "g.h5", "fclib_global", {"M": np.eye(2), "H": np.eye(2, 3), "G": np.eye(2)}, **vectors)
+    with pytest.raises(UnsupportedModel, match=r"equations beside its contacts \(fclib_global/G\)"):
+        load_problem(path)
+    path = write(tmp_path / "g.h5", "fclib_global", {"M": -np.eye(2), "H": np.eye(2, 3)}, **vectors)
+    with pytest.raises(UnreadableFile, match="the mass matrix must be positive definite"):
+        load_problem(path)
+    with pytest.raises(LCPError, match="load_problem"):
+        LCP.load(local(tmp_path / "block.h5"))
+
+
+def test_without_h5py_the_words_say_what_to_install(tmp_path: Path) -> None:
+    """And nothing else of the package asks for it."""
+    path = local(tmp_path / "block.h5")
+    script = (
+        "import sys; sys.modules['h5py'] = None\n"
+        "import lcp_plugin\n"
+        f"try:\n    lcp_plugin.load_problem({str(path)!r})\n"
+        "except lcp_plugin.UnreadableFile as error:\n    print(error)\n"
+    )
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "is read by h5py; install it with: pip install h5py" in found.stdout
+
+
+def test_the_command_hands_options_to_the_methods_of_cones(tmp_path: Path) -> None:
+    """An option of npgs counts, one that no method has is refused."""
+    path = str(local(tmp_path / "block.h5"))
+    works = []
+    for sweeps in (3, 50):
+        told = CliRunner().invoke(app, ["solve", path, "--algorithm", "npgs", "--option", f"sweeps={sweeps}", "--json"])
+        works.append(json.loads(told.output)["run"]["work"])
+    assert works[0] < 10.0 < 50.0 < works[1]
+    for words in (["--algorithm", "npgs", "--option", "sweep=3"], ["--option", "sweeps=3"]):
+        refused = CliRunner().invoke(app, ["solve", path, *words])
+        assert refused.exit_code == 2
+        assert "has no option" in refused.output

@@ -32,7 +32,7 @@ from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .infeasibility import InfeasibilityCheck
-from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
+from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, InteriorPoint, Newton
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
@@ -64,7 +64,7 @@ def solve_cones(
     ----------
     problem : ConeProblem or FrictionalContact
     algorithm : str or object
-        "npgs", "newton", "fixed_point" or "auto"; or an object of their classes in
+        "npgs", "newton", "interior_point", "fixed_point" or "auto"; or an object of their classes in
         :mod:`lcp_plugin.problems.cones.methods`, with options.
     z0 : array, shape (n,), optional
         Warm start, projected onto the cones.
@@ -134,8 +134,9 @@ class ConeAuto(Policy):
 
     def __init__(self, problem: Blocks, *, is_warm: bool, prove_infeasibility: bool) -> None:
         self._prove_infeasibility = prove_infeasibility
-        self._left = self._stages(is_warm)
         self._problem = problem
+        self._newton_steps = float(NEWTON_STEPS) if problem.has_friction else np.inf  # before an interior point's
+        self._left = self._stages(is_warm)
 
     def first(self, problem: Any) -> Choice:
         """Return the first stage."""
@@ -145,6 +146,8 @@ class ConeAuto(Policy):
         """Return the next stage where one has come to its end, or where sweeps need more work than Newton."""
         stage = stages[-1]
         if not failed:
+            if stage.algorithm.name == "newton":
+                return next(self._left, None) if stage.iterations >= self._newton_steps else None
             if stage.algorithm.name != "npgs" or stage.iterations < TRIAL:
                 return None
             if stage.algorithm.sweeps >= LONG:  # type: ignore[attr-defined]
@@ -169,6 +172,9 @@ class ConeAuto(Policy):
         else:
             yield Choice(NPGS(), SWEEPS)
         yield Choice(Newton(), FOLLOWS)
+        if self._problem.has_friction:
+            self._newton_steps = np.inf
+            yield Choice(InteriorPoint(), "from the middle of the impulses that make the same motion Newton converges")
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
         yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)

@@ -54,7 +54,7 @@ class CentralPath:
             slip = y[:, 1:] / np.maximum(np.linalg.norm(y[:, 1:], axis=1), np.finfo(float).tiny)[:, None]
             G = self.identity.copy()
             G[:, 0, 1:] -= self.slope[:, None] * slip
-            left = np.einsum("kij,kj->ki", G, scale * y).ravel() - M @ (x / scale).ravel() - self.problem.q
+            left = apply(G, scale * y).ravel() - M @ (x / scale).ravel() - self.problem.q
             by_z = np.einsum("kia,ka,kab,kb->kib", G, scale, H, scale)
         if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
             return None
@@ -67,22 +67,27 @@ class CentralPath:
 
         def direction(c: Cones) -> tuple[Cones, Cones]:
             """Return the changes of x and y with H dx + dy = c that the linearised motion allows."""
-            right = left + np.einsum("kij,kj->ki", G, scale * c).ravel()
+            right = left + apply(G, scale * c).ravel()
             dx = factor.solve(right).reshape(x.shape) * scale
-            return dx, c - np.einsum("kij,kj->ki", H, dx)
+            return dx, c - apply(H, dx)
 
         dx, dy = direction(-y)
         length = min(1.0, longest(x, dx), longest(y, dy))
         mean = float((x * y).sum()) / len(x)
         after = float(((x + length * dx) * (y + length * dy)).sum()) / len(x)
-        at = np.einsum("kij,kj->ki", root, x)
-        right = -product(at, at) - product(np.einsum("kij,kj->ki", root, dx),
-                                           np.linalg.solve(root, dy[:, :, None])[:, :, 0])
+        at, moved = apply(root, x), apply(root, dx)
+        right = product(moved, at + moved) - product(at, at)  # root⁻¹ y = at, and root⁻¹ dy = −at − moved
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
-        dx, dy = direction(np.einsum("kij,kj->ki", root, quotient(right, at)))
+        dx, dy = direction(apply(root, quotient(right, at)))
         length = min(1.0, TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy)))
         self.x, self.y = x + length * dx, y + length * dy
         return (factor.work + 2.0 * factor.solve_work) / max(self.problem.nonzeros, 1) + 1.0
+
+
+def apply(blocks: NDArray[np.float64], x: Cones) -> Cones:
+    """Return the product of each block with its part of x."""
+    found: Cones = np.einsum("kij,kj->ki", blocks, x)
+    return found
 
 
 def determinant(x: Cones) -> FloatVector:

@@ -27,6 +27,7 @@ from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result, told_stages
 from ...core.solving.run import Callback, Run
+from ...systems.factors import sizes_of_factor
 from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
@@ -161,9 +162,11 @@ class ConeAuto(Policy):
         """Return about how many multiplications an answer by Newton takes, the blocks at rest left out."""
         if stage.z is None:
             return np.inf
-        closed = self._problem.block_of_row[stage.z != 0.0]
-        rows = float(self._problem.sizes[np.unique(closed)].sum())
-        return NEWTON_STEPS * (rows**3 / 3.0 + 2.0 * self._problem.nonzeros)
+        problem = self._problem
+        closed = problem.block_of_row[stage.z != 0.0]
+        rows = float(problem.sizes[np.unique(closed)].sum())
+        sparse = float(problem.sizes.max(initial=1)) ** 3 * sizes_of_factor(problem.block_norms.matrix)[1]
+        return NEWTON_STEPS * (min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros)
 
     def _stages(self, is_warm: bool) -> Iterator[Choice]:
         if is_warm:

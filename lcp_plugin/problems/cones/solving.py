@@ -37,6 +37,7 @@ from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, InteriorPoint, Ne
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
+BEFORE_THE_PATH = 40  # steps of Newton before an interior point, which costs about as much as so many
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
 STARTS, LAST_STARTS = (1, 2, 3, 4), tuple(range(5, 17))
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
@@ -136,7 +137,7 @@ class ConeAuto(Policy):
     def __init__(self, problem: Blocks, *, is_warm: bool, prove_infeasibility: bool) -> None:
         self._prove_infeasibility = prove_infeasibility
         self._problem = problem
-        self._newton_steps = float(NEWTON_STEPS) if problem.has_friction else np.inf  # before an interior point's
+        self._newton_steps = float(BEFORE_THE_PATH) if problem.has_friction else np.inf
         self._left = self._stages(is_warm)
 
     def first(self, problem: Any) -> Choice:
@@ -169,15 +170,18 @@ class ConeAuto(Policy):
         return NEWTON_STEPS * (min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros)
 
     def _stages(self, is_warm: bool) -> Iterator[Choice]:
+        middle = Choice(InteriorPoint(), "from the middle of the impulses that make the same motion Newton converges")
         if is_warm:
             yield Choice(Newton(), "a start that is given is near: Newton's steps from there come first")
+            if self._problem.has_friction:
+                yield middle
             yield Choice(NPGS(), SWEEPS, from_start=True)
         else:
             yield Choice(NPGS(), SWEEPS)
         yield Choice(Newton(), FOLLOWS)
-        if self._problem.has_friction:
-            self._newton_steps = np.inf
-            yield Choice(InteriorPoint(), "from the middle of the impulses that make the same motion Newton converges")
+        self._newton_steps = np.inf
+        if self._problem.has_friction and not is_warm:
+            yield middle
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
         yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)

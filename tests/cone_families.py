@@ -40,6 +40,37 @@ def planted_contacts(
     return FrictionalContact(W, u.ravel() - W @ r.ravel(), mu), r.ravel(), u.ravel()
 
 
+def wall(width: int, height: int, friction: float = 0.6) -> tuple[FrictionalContact, float]:
+    """Bricks in a running bond, four contacts a face, for 10 ms of gravity; and the floor's impulse, over 4 · width."""
+    long, tall, deep, mass, pull = 0.2, 0.1, 0.1, 4.0, 0.0981
+    inertia = mass / 12.0 * np.array([tall**2 + deep**2, long**2 + deep**2, long**2 + tall**2])
+    centre = np.array([[(column + 0.5 * (row % 2)) * long, 0.0, (row + 0.5) * tall]
+                       for row in range(height) for column in range(width)])
+    upper, lower, points = [], [], []
+    for one, at in enumerate(centre):
+        for other in [-1] if one < width else range(one // width * width - width, one // width * width):
+            left, right = at[0] - 0.5 * long, at[0] + 0.5 * long
+            if other >= 0:
+                left, right = max(left, centre[other][0] - 0.5 * long), min(right, centre[other][0] + 0.5 * long)
+            if right - left > 1e-9:
+                for x in (left, right):
+                    for y in (-0.5 * deep, 0.5 * deep):
+                        upper.append(one)
+                        lower.append(other)
+                        points.append([x, y, at[2] - 0.5 * tall])
+    rows = np.zeros((len(upper), 3, 6 * len(centre)))
+    for c, (one, other, point) in enumerate(zip(upper, lower, points, strict=True)):
+        for row, way in enumerate(np.eye(3)[[2, 0, 1]]):
+            for body, sign in ((one, 1.0), (other, -1.0)):
+                if body >= 0:
+                    arm = np.cross(np.array(point) - centre[body], way)
+                    rows[c, row, 6 * body:6 * body + 6] = sign * np.concatenate([way, arm])
+    matrix = np.diag(np.tile(np.concatenate([np.full(3, mass), inertia]), len(centre)))
+    velocities = np.tile([0.0, 0.0, -pull, 0.0, 0.0, 0.0], len(centre))
+    problem = FrictionalContact((matrix, rows[:, 0], rows[:, 1:]), velocities, friction)
+    return problem, mass * pull * len(centre)
+
+
 def planted_cones(blocks: int, rng: np.random.Generator, *, rank: float = 1.0) -> tuple[ConeProblem, Any]:
     """A convex problem over free rows, half-lines, boxes and second-order cones, with its answer."""
     cones: list[Any] = []

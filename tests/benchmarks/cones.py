@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from cone_families import planted_contacts
+from cone_families import planted_contacts, wall
+from scipy.spatial import cKDTree
 
 from lcp_plugin import LCP, FrictionalContact, load_problem, solve, solve_batch
 from lcp_plugin.core.errors import UnreadableFile
@@ -68,7 +69,8 @@ def run(*, quick: bool = False, files: Sequence[str] = (), plot: str | None = No
         _draw(seconds, least, plot)
         yield f"performance profile: {plot}"
     if not files:
-        yield _pile(5 if quick else 100, 5 if quick else 200)
+        yield _pile(8 if quick else 100, 10 if quick else 200)
+        yield _walls((2,) if quick else (4, 8, 10))
         yield _batch(200 if quick else 10_000)
 
 
@@ -100,11 +102,12 @@ def _timed(solved: Callable[[], tuple[bool, float]]) -> Outcome:
 
 
 def _ours(problem: FrictionalContact) -> Outcome:
-    def solved() -> tuple[bool, float]:
-        result = solve(FrictionalContact(problem.W, problem.b, problem.friction), tolerance=TOLERANCE)
-        return result.is_solved, result.certificate.relative_residual
+    return _timed(partial(_solved_anew, problem))
 
-    return _timed(solved)
+
+def _solved_anew(problem: FrictionalContact) -> tuple[bool, float]:
+    result = solve(FrictionalContact(problem.W, problem.b, problem.friction), tolerance=TOLERANCE)
+    return result.is_solved, result.certificate.relative_residual
 
 
 def _pyramids(problem: FrictionalContact) -> Outcome:
@@ -173,18 +176,85 @@ def _draw(seconds: dict[str, list[float]], least: list[float], target: str) -> N
 
 
 def _pile(count: int, steps: int) -> str:
-    """Return what a step of a pile costs that is shaken, each begun where the last one ended."""
-    rng: Any = np.random.default_rng(0)
-    problem = planted_contacts(count, max(count // 2, 1), 2.0, rng, most=0.8)[0]
-    result, seconds, unsolved = solve(problem), [], 0
+    """Return what a step of 10 ms costs of spheres that are poured into a box, each begun where the last one ended."""
+    pile, seconds, unsolved, kept = Pile(count), list[float](), 0, dict[Any, Any]()
     for _ in range(steps):
-        problem = problem.with_q(problem.b + 1e-3 * rng.standard_normal(problem.n))
+        problem, rows, pairs = pile.contacts()
+        start = np.concatenate([kept.get(pair, np.zeros(3)) for pair in pairs])
         began = time.perf_counter()
-        result = solve(problem, z0=result.z)
+        result = solve(problem, z0=start, max_seconds=2.0)
         seconds.append(time.perf_counter() - began)
         unsolved += not result.is_solved
-    return (f"a shaken pile of {count} contacts, {steps} steps: {1e3 * statistics.median(seconds):.2f} ms a warm step, "
-            f"{max(seconds):.2g} s at the most, {unsolved} unsolved")
+        kept = dict(zip(pairs, result.z.reshape(-1, 3), strict=True))
+        pile.move(rows, result.z)
+    slow = sum(one > Pile.step for one in seconds)
+    return (f"{count} spheres poured into a box, {steps} steps of 10 ms, {len(pairs)} contacts at the end: "
+            f"{1e3 * statistics.median(seconds):.2f} ms a warm step, {max(seconds):.2g} s at the most, {slow} "
+            f"late, {unsolved} unsolved")
+
+
+def _walls(sizes: Sequence[int]) -> str:
+    """Return what walls of bricks cost from nothing: four contacts a face, many times what the bricks determine."""
+    told = []
+    for size in sizes:
+        problem = wall(size, size)[0]
+        seconds, residual = _timed(partial(_solved_anew, problem))
+        told.append(f"{problem.slope.size} contacts {1e3 * seconds:.0f} ms (residual {residual:.0e})")
+    return f"walls of bricks from nothing: {', '.join(told)}"
+
+
+class Pile:
+    """Spheres of 10 cm in a box with friction, in steps of 10 ms (Moreau, Jean), their contacts by a tree."""
+
+    step, radius, slop = 0.01, 0.1, 1e-5  # s, m, m: what is nearer is closed
+
+    def __init__(self, count: int) -> None:
+        side = max(2, round(count ** (1 / 3) * 0.9))
+        place = np.arange(count)
+        grid = np.column_stack([place % side - 0.5 * (side - 1), place // side % side - 0.5 * (side - 1),
+                                place // side**2 + 0.7])
+        noise = np.random.default_rng(0).uniform(-0.08, 0.08, grid.shape)
+        self.at, self.half = self.radius * (2.2 * grid + noise), 1.25 * self.radius * side
+        mass = 4000.0 / 3.0 * np.pi * self.radius**3
+        self.mass = np.tile(mass * np.repeat([1.0, 0.4 * self.radius**2], 3), count)
+        self.velocities = np.zeros(6 * count)
+
+    @property
+    def free(self) -> Any:
+        """Velocities without contacts."""
+        return self.velocities - np.tile(9.81 * self.step * np.eye(6)[2], len(self.at))
+
+    def contacts(self) -> tuple[FrictionalContact, Any, list[Any]]:
+        """Return the problem, its rows J, and which bodies touch: of walls negative numbers."""
+        reach = min(0.06, 0.02 + 2.0 * self.step * np.abs(self.velocities).max())
+        pairs = cKDTree(self.at).query_pairs(2.0 * self.radius + reach, output_type="ndarray")
+        apart = self.at[pairs[:, 0]] - self.at[pairs[:, 1]]
+        length = np.linalg.norm(apart, axis=1)
+        parts = [(pairs[:, 0], pairs[:, 1], apart / length[:, None], length - 2.0 * self.radius)]
+        walls = np.vstack([np.eye(3)[[2, 0, 1]], -np.eye(3)[:2]])
+        for number, (normal, away) in enumerate(zip(walls, [0.0, *[self.half] * 4], strict=True)):
+            gap = self.at @ normal + away - self.radius
+            near = np.flatnonzero(gap < reach)
+            parts.append((near, np.full(near.size, -1 - number), np.tile(normal, (near.size, 1)), gap[near]))
+        one, other, n, gaps = (np.concatenate(part) for part in zip(*parts, strict=True))
+        t = np.cross(n, np.where(np.abs(n[:, :1]) < 0.6, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]))
+        t /= np.linalg.norm(t, axis=1)[:, None]
+        ways = np.stack([n, t, np.cross(n, t)], axis=1)
+        arms = np.cross(-self.radius * n[:, None], ways)  # of both spheres the same
+        sides = np.where(other >= 0, 1.0, 0.0)[:, None, None]
+        rows = np.concatenate([ways, arms, -sides * ways, sides * arms], axis=2)
+        places = 6 * np.stack([one, np.maximum(other, 0)], axis=1)[:, None, :, None] + np.arange(6)
+        columns = np.broadcast_to(places, (len(n), 3, 2, 6))
+        J = sp.csr_array((rows.ravel(), columns.ravel(), np.arange(0, rows.size + 1, 12)),
+                         shape=(3 * len(n), self.mass.size))
+        b = (J @ self.free).reshape(-1, 3)
+        b[:, 0] += np.where(gaps > self.slop, gaps, 0.0) / self.step
+        return FrictionalContact(sp.csr_array(J / self.mass @ J.T), b, 0.5), J, [*zip(one, other, strict=True)]
+
+    def move(self, rows: Any, impulses: Any) -> None:
+        """Take the step."""
+        self.velocities = self.free + rows.T @ impulses / self.mass
+        self.at = self.at + self.step * self.velocities.reshape(-1, 6)[:, :3]
 
 
 def _batch(count: int) -> str:

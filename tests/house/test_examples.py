@@ -54,11 +54,12 @@ CHECKS = [
     ("cheapest_bolts", f"the cost of an integer program differs by {NUMBER}", 1e-5),
     ("block_on_incline", f"the speeds differ from the closed form by {NUMBER} m/s", 1e-9),
     ("sliding_along_gravity", f"with the cone it slides at most {NUMBER}° aside", 1e-6),
+    ("spinning_disc", rf"v / \(R ω\) differs from 0.653 by {NUMBER}", 0.03),
     ("tower_of_ten", f"the weights above them by {NUMBER} N, ", 1e-9),
     ("tower_of_ten", f"the speeds from the closed form by {NUMBER} m/s", 1e-9),
 ]
 NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
-NUMBERS = {25: "Twenty-five", 26: "Twenty-six", 27: "Twenty-seven", 28: "Twenty-eight", 29: "Twenty-nine"}
+NUMBERS = {25: "Twenty-five", 26: "Twenty-six", 27: "Twenty-seven", 28: "Twenty-eight", 29: "Twenty-nine", 30: "Thirty"}
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,15 +27,17 @@ from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result, told_stages
 from ...core.solving.run import Callback, Run
+from ...systems.factors import sizes_of_factor
 from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .infeasibility import InfeasibilityCheck
-from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
+from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, InteriorPoint, Newton
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
+BEFORE_THE_PATH = 40  # steps of Newton before an interior point, which costs about as much as so many
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
 STARTS, LAST_STARTS = (1, 2, 3, 4), tuple(range(5, 17))
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
@@ -64,7 +66,7 @@ def solve_cones(
     ----------
     problem : ConeProblem or FrictionalContact
     algorithm : str or object
-        "npgs", "newton", "fixed_point" or "auto"; or an object of their classes in
+        "npgs", "newton", "interior_point", "fixed_point" or "auto"; or an object of their classes in
         :mod:`lcp_plugin.problems.cones.methods`, with options.
     z0 : array, shape (n,), optional
         Warm start, projected onto the cones.
@@ -134,8 +136,9 @@ class ConeAuto(Policy):
 
     def __init__(self, problem: Blocks, *, is_warm: bool, prove_infeasibility: bool) -> None:
         self._prove_infeasibility = prove_infeasibility
-        self._left = self._stages(is_warm)
         self._problem = problem
+        self._newton_steps = float(BEFORE_THE_PATH) if problem.has_friction else np.inf
+        self._left = self._stages(is_warm)
 
     def first(self, problem: Any) -> Choice:
         """Return the first stage."""
@@ -145,6 +148,8 @@ class ConeAuto(Policy):
         """Return the next stage where one has come to its end, or where sweeps need more work than Newton."""
         stage = stages[-1]
         if not failed:
+            if stage.algorithm.name == "newton":
+                return next(self._left, None) if stage.iterations >= self._newton_steps else None
             if stage.algorithm.name != "npgs" or stage.iterations < TRIAL:
                 return None
             if stage.algorithm.sweeps >= LONG:  # type: ignore[attr-defined]
@@ -158,17 +163,25 @@ class ConeAuto(Policy):
         """Return about how many multiplications an answer by Newton takes, the blocks at rest left out."""
         if stage.z is None:
             return np.inf
-        closed = self._problem.block_of_row[stage.z != 0.0]
-        rows = float(self._problem.sizes[np.unique(closed)].sum())
-        return NEWTON_STEPS * (rows**3 / 3.0 + 2.0 * self._problem.nonzeros)
+        problem = self._problem
+        closed = problem.block_of_row[stage.z != 0.0]
+        rows = float(problem.sizes[np.unique(closed)].sum())
+        sparse = float(problem.sizes.max(initial=1)) ** 3 * sizes_of_factor(problem.block_norms.matrix)[1]
+        return NEWTON_STEPS * (min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros)
 
     def _stages(self, is_warm: bool) -> Iterator[Choice]:
+        middle = Choice(InteriorPoint(), "from the middle of the impulses that make the same motion Newton converges")
         if is_warm:
             yield Choice(Newton(), "a start that is given is near: Newton's steps from there come first")
+            if self._problem.has_friction:
+                yield middle
             yield Choice(NPGS(), SWEEPS, from_start=True)
         else:
             yield Choice(NPGS(), SWEEPS)
         yield Choice(Newton(), FOLLOWS)
+        self._newton_steps = np.inf
+        if self._problem.has_friction and not is_warm:
+            yield middle
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
         yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cone_families import exact_relative_residual, planted_cones, planted_contacts
+from cone_families import exact_relative_residual, planted_cones, planted_contacts, wall
 
 from lcp_plugin import (
     LCP,
@@ -21,6 +21,7 @@ from lcp_plugin import (
     LCPError,
     Status,
     UnknownAlgorithm,
+    UnsuitableProblem,
     derivative,
     load_problem,
     solve,
@@ -72,7 +73,7 @@ def test_planted_contacts_are_solved(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", ["npgs", "newton", "fixed_point"])
 def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
     """Cones without friction, M positive definite: each method finds the planted answer."""
     problem, _ = planted_cones(4, np.random.default_rng(seed))
@@ -80,6 +81,32 @@ def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
     result = solve(problem, name, tolerance=tolerance)
     assert result.is_solved, result
     assert exact_relative_residual(problem, result.z) <= tolerance
+
+
+@pytest.mark.parametrize("edge", [2, 3])
+def test_an_interior_point_solves_what_many_contacts_determine_many_times(edge: int) -> None:
+    """A wall of bricks, four contacts a face: SOLVED, every brick stands, and the floor carries the weight."""
+    problem, weight = wall(edge, edge)
+    result = solve(problem, "interior_point")
+    assert result.is_solved, result
+    assert exact_relative_residual(problem, result.z) <= 1e-8
+    assert np.abs(result.motion.body_velocities).max() <= 1e-8
+    floor = result.motion.normal[:4 * edge].sum()
+    assert floor == pytest.approx(weight, rel=1e-6)
+
+
+def test_an_interior_point_takes_contacts_only() -> None:
+    """Other cones are refused with what to try."""
+    with pytest.raises(UnsuitableProblem, match="fixed_point"):
+        solve(ConeProblem(np.eye(3), np.ones(3), [("second_order", 3)]), "interior_point")
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_each_method_solves_a_contact_that_slides(name: str) -> None:
+    """The impulse that friction allows, against the push."""
+    result = solve(FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5), name)
+    assert result.is_solved
+    np.testing.assert_allclose(result.z, [1.0, -0.3, -0.4], atol=1e-7)
 
 
 @pytest.mark.parametrize("seed", range(40))

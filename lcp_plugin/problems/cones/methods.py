@@ -18,12 +18,13 @@ from ...systems.factors import factor_fits, factorise
 from .certificate import relative_residual, weighted
 from .data import Blocks
 
+SWEEPS_A_STEP = 10
 MEMORY = 5  # residuals that a step of Newton may rise to the largest of
 SHORTEST = 14  # halvings of a step
 DECREASE = 1e-4  # of the residual, times the length of the step
 PATIENCE = 60  # steps of Newton without a new best
 PROGRAMS, GAIN = 5, 0.9  # convex programs without a residual that is so much smaller than the best before
-LEAST_PROXIMAL = 1e-12
+PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d, in the systems of Newton's steps
 SPREAD = 0.3
 ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
 HARDER = 100.0  # times the proximal term where a system is singular
@@ -56,7 +57,7 @@ class NPGS(ConeAlgorithm):
     is_monotone = False
     is_watched = True
 
-    sweeps: int = 10
+    sweeps: int = SWEEPS_A_STEP
 
     def __post_init__(self) -> None:
         if isinstance(self.sweeps, bool) or not isinstance(self.sweeps, int) or self.sweeps < 1:
@@ -96,7 +97,7 @@ class Newton(ConeAlgorithm):
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
     is_monotone = False
 
-    proximal: float = 1e-3
+    proximal: float = PROXIMAL
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from ...auto import Single
 from ...core.algorithm import Algorithm
 from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector, checked_vector
+from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
@@ -24,15 +24,17 @@ from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.representation import in_words
 from ...core.settings import Settings, Status, checked_callback
+from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.judge import End, Judge
-from ...core.solving.result import Result, told_stages
+from ...core.solving.result import Result, StageRecord, told_stages
 from ...core.solving.run import Callback, Run
 from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .infeasibility import InfeasibilityCheck
-from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, Newton
+from .methods import METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, FixedPoint, Newton
+from .small import LARGEST, solve_small
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
@@ -90,6 +92,8 @@ def solve_cones(
     checked_callback(callback)
     clock = Clock(ALONE)
     start = _start(problem, z0)
+    if algorithm == "auto" and callback is None and (found := _at_once(problem, settings, start, z0, clock)):
+        return found
     with np.errstate(), threads_for(settings.threads):
         policy = _policy(problem, algorithm, settings, is_warm=z0 is not None)
         judge = ConeJudge(problem, settings)
@@ -99,6 +103,41 @@ def solve_cones(
         except KeyboardInterrupt:
             reason = End.INTERRUPTED
         return ConeResult.of(problem, run.judged(start, reason))
+
+
+def _at_once(
+    problem: Blocks, settings: Settings, start: FloatVector, z0: ArrayLike | None, clock: Clock
+) -> ConeResult | None:
+    """Return the result of a small problem that the compiled loop solves, where nobody wants to see its steps."""
+    is_limited = settings.absolute_tolerance or not (settings.is_unobserved and settings.max_iterations)
+    if not 0 < problem.n <= LARGEST or is_limited or clock.read() >= settings.max_seconds:
+        return None
+    found = solve_small([problem], settings, start=None if z0 is None else start)
+    if not found.items.size:
+        return None
+    result = result_of(problem, found.z[0], found.made[0], found.residual[0], settings, clock.read())
+    return result if result.iterations <= settings.max_iterations else None
+
+
+def result_of(
+    problem: Blocks, z: FloatVector, made: Sequence[int], residual: float, settings: Settings, seconds: float
+) -> ConeResult:
+    """Return the result of a problem that the compiled loop has solved, after these seconds."""
+    sweeps, newton = made
+    stages = []
+    if sweeps or not newton:
+        rounds = sweeps // SWEEPS_A_STEP
+        stages.append(StageRecord("npgs", SWEEPS if sweeps else NOTHING_TO_DO, rounds, sweeps + rounds + 1.0))
+    if newton:
+        passes = problem.n**3 / (3.0 * max(problem.nonzeros, 1)) + 2.0
+        stages.append(StageRecord("newton", FOLLOWS, newton, newton * passes))
+    certificate = ConeCertificate.proved(problem, z, residual)
+    return ConeResult(
+        z=certificate.point, w=read_only(problem.slack(z)), status=Status.SOLVED, certificate=certificate,
+        tolerance=settings.tolerance, algorithm=f"auto: {', '.join(stage.name for stage in stages)}",
+        iterations=sum(stage.iterations for stage in stages), work=sum(stage.work for stage in stages),
+        seconds=seconds, setup_seconds=0.0, stages=tuple(stages), problem=problem,
+    )
 
 
 def _start(problem: Blocks, z0: ArrayLike | None) -> FloatVector:

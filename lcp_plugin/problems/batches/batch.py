@@ -239,7 +239,8 @@ class MixedRun(BatchLoop):
         for group in groups_of(self.problems):
             found = solve_small([self.problems[k] for k in group.tolist()], self.settings, self._in_chunks)
             items = group[found.items]
-            self.compiled.update(zip(items.tolist(), zip(found.z, found.made, found.residual, strict=True), strict=True))
+            answers = zip(found.z, found.made, found.residual, strict=True)
+            self.compiled.update(zip(items.tolist(), answers, strict=True))
             self.status[items], self.is_open[items] = Status.SOLVED, False
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:

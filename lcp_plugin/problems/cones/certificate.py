@@ -30,7 +30,6 @@ from ...core.rounding import compensated_product
 from .data import Blocks
 
 
-
 class ConeCertificate(Certificate):
     """Every measure of how far a point is from solving a problem over cones.
 
@@ -81,7 +80,7 @@ class ConeCertificate(Certificate):
 
     @property
     def velocity(self) -> FloatVector:
-        """w = M z + q, shape (n,)."""
+        """W = M z + q, shape (n,)."""
         return self._product[0]
 
     @cached_property

@@ -388,7 +388,8 @@ def _norms_of_blocks(problem: Blocks) -> Matrix:
         squares = np.bincount(where, weights=(M.data / largest[where]) ** 2, minlength=pairs.size)
         norms = np.minimum(largest * np.sqrt(squares), np.finfo(np.float64).max)
         left = pairs // k != pairs % k
-        means = np.add.reduceat(problem.rows.diagonal / problem.sizes[of_row], problem.starts[:-1]) if k else np.zeros(0)
+        shares = problem.rows.diagonal / problem.sizes[of_row]
+        means = np.add.reduceat(shares, problem.starts[:-1]) if k else shares
     rows, columns = (np.concatenate([side[left], np.arange(k)]) for side in (pairs // k, pairs % k))
     return Matrix(sp.csr_array((np.concatenate([norms[left], means]), (rows, columns)), shape=(k, k)))
 

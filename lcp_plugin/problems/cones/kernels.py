@@ -266,10 +266,18 @@ def sweep_once(  # type: ignore[no-untyped-def]
     for k in range(slope.size):
         first, end = starts[k], starts[k + 1]
         size, mu, A = end - first, slope[k], diagonal[k]
+        length = indptr[first + 1] - indptr[first]
+        for i in range(0, size, 3):  # three sums at once
+            two, three = indptr[first + min(i + 1, size - 1)], indptr[first + min(i + 2, size - 1)]
+            one, x_sum, y_sum, z_sum = indptr[first + i], 0.0, 0.0, 0.0
+            for place in range(length):
+                value = z[indices[one + place]]
+                x_sum += data[one + place] * value
+                y_sum += data[two + place] * value
+                z_sum += data[three + place] * value
+            b[min(i + 2, size - 1)], b[min(i + 1, size - 1)], b[i] = z_sum, y_sum, x_sum
         for i in range(size):
-            total = q[first + i]
-            for p in range(indptr[first + i], indptr[first + i + 1]):
-                total += data[p] * z[indices[p]]
+            total = b[i] + q[first + i]
             for j in range(size):
                 total -= A[i, j] * z[first + j]
             b[i] = total
@@ -298,7 +306,7 @@ def sweep(  # type: ignore[no-untyped-def]
     """Take sweeps of block Gauss–Seidel on z; return the largest change of the last one, in the unit of z.
 
     Each block is solved with the others as they are: a contact in space exactly, another cone by a few projections of
-    the step steps[k] = 1/‖M_kk‖. `diagonal` has the blocks M_kk, shape (k, m, m).
+    the step steps[k] = 1/‖M_kk‖. `diagonal` has the blocks M_kk, shape (k, m, m). Rows of a block have one pattern.
     """
     m = diagonal.shape[1]
     b, x, w, before, moved = np.empty(m), np.empty(m), np.empty(m), np.empty(m), 0.0

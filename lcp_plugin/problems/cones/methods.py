@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,10 +23,14 @@ SWEEPS_A_STEP = 10
 MEMORY = 5  # residuals that a step of Newton may rise to the largest of
 SHORTEST = 14  # halvings of a step
 DECREASE = 1e-4  # of the residual, times the length of the step
-PATIENCE = 60  # steps of Newton without a new best
-PROGRAMS, GAIN = 5, 0.9  # convex programs without a residual that is so much smaller than the best before
+PATIENCE = 30  # steps of Newton without a residual that is so much smaller than the best before
+GAIN = 0.9
+PROGRAMS = 5  # convex ones without
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d, in the systems of Newton's steps
 SPREAD = 0.3
+INNER_STEPS, CLOSER = 15, 0.1  # of Newton for one step of the proximal point method, and what they are to gain
+FALL, RISE, LARGEST_SHIFT = 0.1, 5.0, 100.0  # of its α
+WITHOUT_GAIN = 20  # of its steps in a row
 ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
 HARDER = 100.0  # times the proximal term where a system is singular
 
@@ -35,6 +40,11 @@ class ConeAlgorithm(Algorithm):
     """A method whose problem has blocks."""
 
     is_for_cones: ClassVar[bool] = True
+
+
+def _check_sweeps(method: Any) -> None:
+    if isinstance(method.sweeps, bool) or not isinstance(method.sweeps, int) or method.sweeps < 1:
+        raise InvalidOption(f"{method.name}: sweeps must be a whole number ≥ 1, got {method.sweeps!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,14 +70,13 @@ class NPGS(ConeAlgorithm):
     sweeps: int = SWEEPS_A_STEP
 
     def __post_init__(self) -> None:
-        if isinstance(self.sweeps, bool) or not isinstance(self.sweeps, int) or self.sweeps < 1:
-            raise InvalidOption(f"npgs: sweeps must be a whole number ≥ 1, got {self.sweeps!r}")
+        _check_sweeps(self)
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step every few sweeps."""
         from .kernels import sweep
 
-        z, M = z0, problem.rows.csr
+        z, M = z0, closed_matrix(problem)
         diagonal, steps = diagonal_blocks(problem)
         yield Step(z, residual=relative_residual(problem, z))
         while True:
@@ -107,35 +116,67 @@ class Newton(ConeAlgorithm):
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a system; end where none gains any more."""
-        system, z = NewtonSystem(problem), z0
+        z = z0
         if self.seed:
             spread = SPREAD * float(np.abs(z).mean())
             z = problem.projected(z + spread * np.random.default_rng(self.seed).standard_normal(z.size))
-        w = problem.slack(z)
-        R = problem.residual(z, w)[0]
-        shares = weighted(problem, R)
-        size = float(np.linalg.norm(shares))
-        sizes, best, since = [size], size, 0
-        yield Step(z, residual=float(shares.max(initial=0.0)))
-        while since < PATIENCE and math.isfinite(size):
-            work, step = system.step(z, w, R, min(self.proximal, 0.1 * float(shares.max(initial=0.0))))
-            if step is None:
+        best, since = math.inf, 0
+        for point, shares, work in NewtonSystem(problem).steps(z, self.proximal):
+            size = float(np.linalg.norm(shares))
+            best, since = (size, 0) if size < GAIN * best else (best, since + 1)
+            yield Step(point, residual=float(shares.max(initial=0.0)), work=work)
+            if since >= PATIENCE:
                 return
-            length, allowed = 1.0, max(sizes[-MEMORY:])
-            for _ in range(SHORTEST):
-                new = z + length * step
-                w = problem.slack(new)
-                R = problem.residual(new, w)[0]
-                shares = weighted(problem, R)
-                size = float(np.linalg.norm(shares))
-                work += 1.0
-                if size <= (1.0 - DECREASE * length) * allowed:
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProximalPoint(ConeAlgorithm):
+    """The proximal point method: z ← the answer for M + α D and q − α D z, by Newton's method, D = diag(d).
+
+    Where several impulses make the same motion, that problem has one of them. α falls where Newton's method answers it
+    in a few steps, and rises where it does not.
+
+    Parameters
+    ----------
+    shift : float
+        α at the beginning.
+    sweeps : int
+        Of block Gauss–Seidel that come first: without them Newton's method knows no cases.
+    """
+
+    name = "proximal_point"
+    needs = "a factor that fits"
+    solves = "cones without friction, M monotone; else observed"
+    cost = "a few factors of the blocks that are not open, a step"
+    reference = "Rockafellar 1976, doi:10.1137/0314056; Acary, Brémond, Huber 2018"
+    is_monotone = False
+
+    shift: float = 1.0
+    sweeps: int = 20
+
+    def __post_init__(self) -> None:
+        check_positive(self, "shift")
+        _check_sweeps(self)
+
+    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, then a step a system; end where α would have to be large."""
+        for step in islice(NPGS(sweeps=self.sweeps).iterates(problem, z0), 2):
+            yield step
+            z, residual = step.z, float(step.residual or 0.0)
+        system, shift, best, since = NewtonSystem(problem), self.shift, residual, 0
+        while shift <= LARGEST_SHIFT and since < WITHOUT_GAIN:
+            goal, new, now = CLOSER * min(residual, 0.1), z, residual
+            for step, (point, shares, work) in enumerate(system.steps(z, LEAST_PROXIMAL, shift)):
+                is_met = float(shares.max(initial=0.0)) <= goal
+                if step:
+                    new, now = point, relative_residual(problem, point)
+                    yield Step(new, residual=now, work=work + 1.0)
+                if is_met or step >= INNER_STEPS:
                     break
-                length *= 0.5
-            z = new
-            sizes.append(size)
-            best, since = (size, 0) if size < best else (best, since + 1)
-            yield Step(z, residual=float(shares.max(initial=0.0)), work=work)
+            if is_met or now < residual:
+                z, residual = new, now
+            shift = max(shift * FALL, LEAST_PROXIMAL) if is_met else shift * RISE
+            best, since = (residual, 0) if residual < GAIN * best else (best, since + 1)
 
 
 class NewtonSystem:
@@ -147,13 +188,48 @@ class NewtonSystem:
         self.by_z, self.by_w = np.empty((k, m, m)), np.empty((k, m, m))
         self.entries = np.empty(self.M.nnz)
 
+    def steps(
+        self, z: FloatVector, proximal: float, shift: float = 0.0
+    ) -> Iterator[tuple[FloatVector, FloatVector, float]]:
+        """Yield the start and then Newton's steps: z, ‖R_k‖ beside the references, work; end where a system has none.
+
+        With a shift α those of the problem with M + α D and q − α D z at the start.
+        """
+        problem, start = self.problem, z
+        damping = shift * problem.scale[problem.block_of_row]
+
+        def measured(z: FloatVector) -> tuple[Any, ...]:
+            w = problem.slack(z) + damping * (z - start)
+            R = problem.residual(z, w)[0]
+            shares = weighted(problem, R)
+            return w, R, shares, float(np.linalg.norm(shares))
+
+        w, R, shares, size = measured(z)
+        sizes = [size]
+        yield z, shares, 0.0
+        while math.isfinite(size):
+            work, step = self.step(z, w, R, min(proximal, 0.1 * float(shares.max(initial=0.0))), shift)
+            if step is None:
+                return
+            length, allowed = 1.0, max(sizes[-MEMORY:])
+            for _ in range(SHORTEST):
+                new = z + length * step
+                w, R, shares, size = measured(new)
+                work += 1.0
+                if size <= (1.0 - DECREASE * length) * allowed:
+                    break
+                length *= 0.5
+            z = new
+            sizes.append(size)
+            yield z, shares, work
+
     def step(
-        self, z: FloatVector, w: FloatVector, R: FloatVector, proximal: float
+        self, z: FloatVector, w: FloatVector, R: FloatVector, proximal: float, shift: float = 0.0
     ) -> tuple[float, FloatVector | None]:
         """Return the work in products with M, and the step; None where every system is singular."""
         problem, work, epsilon = self.problem, 1.0, max(proximal, LEAST_PROXIMAL)
         while epsilon <= 1.0:
-            J, rows = self.rows(z, w, epsilon)
+            J, rows = self.rows(z, w, shift + epsilon)
             if not factor_fits(J):
                 return work, None
             held = -R  # open blocks: z_k + s_k is the apex, or the bound
@@ -296,7 +372,7 @@ def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[A
     return sp.vstack(rows), np.concatenate(limits), cones
 
 
-METHODS: dict[str, type[ConeAlgorithm]] = {one.name: one for one in (NPGS, Newton, FixedPoint)}
+METHODS: dict[str, type[ConeAlgorithm]] = {one.name: one for one in (NPGS, Newton, ProximalPoint, FixedPoint)}
 
 
 @fact

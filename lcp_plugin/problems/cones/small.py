@@ -17,7 +17,7 @@ from ...core.settings import Settings
 from .data import Blocks
 from .methods import DECREASE, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL, SHORTEST, SPREAD
 
-LARGEST = 60  # unknowns: beyond, Newton's system is worth its sparsity
+LARGEST = 100  # unknowns: beyond, Newton's system is worth its sparsity
 ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
 NEWTON_STEPS = 20
 CONSTANTS = (PROXIMAL, MEMORY, SHORTEST, DECREASE, LEAST_PROXIMAL, SPREAD, HARDER)

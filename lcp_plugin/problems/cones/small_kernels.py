@@ -18,7 +18,7 @@ SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale o
 def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
     """Write M as CSR, its diagonal blocks, the norms of its blocks, 1/‖M_kk‖, and d; return whether M is in one unit.
 
-    On the diagonal of `norms` are the means of the blocks' diagonals, as in the LCP of block norms.
+    The rows of a block have one pattern. On the diagonal of `norms` are the means of the blocks' diagonals, as in the LCP of block norms.
     """
     filled, largest, least, shows_none = 0, 0.0, np.inf, True
     norms[:], diagonal[:] = 0.0, 0.0
@@ -29,7 +29,10 @@ def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  #
             indptr[i] = filled
             mean += M[i, i] / (end - first)
             for j in range(M.shape[1]):
-                if M[i, j] != 0.0:
+                is_stored = False
+                for row in range(first, end):
+                    is_stored = is_stored or M[row, j] != 0.0
+                if is_stored:
                     indices[filled], data[filled] = j, M[i, j]
                     filled += 1
         row = abs(mean)
@@ -55,7 +58,7 @@ def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  #
 
 @compiled_part
 def _label(norms, labels):  # type: ignore[no-untyped-def]
-    """Number the connected components: each block gets the number of the first in its own."""
+    """Give each block the number of the first block in its connected component."""
     for k in range(labels.size):
         labels[k] = k
     has_changed = True

@@ -33,13 +33,13 @@ from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .infeasibility import InfeasibilityCheck
-from .methods import METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, FixedPoint, Newton
+from .methods import METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, Newton, ProximalPoint
 from .small import LARGEST, solve_small
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
-STARTS, LAST_STARTS = (1, 2, 3, 4), tuple(range(5, 17))
+STARTS = range(8)
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
 FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
@@ -210,15 +210,10 @@ class ConeAuto(Policy):
         yield Choice(Newton(), FOLLOWS)
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
-        yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)
-        yield Choice(Newton(), "from there")
+        yield Choice(ProximalPoint(), "a term that vanishes tells apart what makes the same motion", from_start=True)
+        yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still", from_start=True)
+        yield Choice(ProximalPoint(), "once more, from the best point")
         for seed in STARTS:
-            yield Choice(Newton(seed=seed), "from a point nearby")
-        yield Choice(FixedPoint(), "convex programs, friction's term held", from_start=True)
-        yield Choice(Newton(), "the last digits are Newton's")
-        yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still")
-        yield Choice(Newton(proximal=1e-5), "with less damping")
-        for seed in LAST_STARTS:
             yield Choice(Newton(seed=seed), "from a point nearby")
 
 

@@ -319,14 +319,14 @@ def sweep(  # type: ignore[no-untyped-def]
 
 @compiled_part
 def measure(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, shift, centre, z, w, R
 ):
-    """Write w and R; return the largest ‖R_k‖ times weights, and the norm of these."""
+    """Write w, with shift · d (z − centre) in it, and R; return the largest ‖R_k‖ times weights, and their norm."""
     largest, total = 0.0, 0.0
     for k in range(slope.size):
         own = 0.0
         for i in range(starts[k], starts[k + 1]):
-            w[i] = q[i]
+            w[i] = q[i] + shift * scale[k] * (z[i] - centre[i])
             for p in range(indptr[i], indptr[i + 1]):
                 w[i] += data[p] * z[indices[p]]
         _residual(k, starts, slope, friction, lower, upper, z, w, scale, R)

@@ -28,8 +28,8 @@ GAIN = 0.9
 PROGRAMS = 5  # convex ones without
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d, in the systems of Newton's steps
 SPREAD = 0.3
-INNER_STEPS, CLOSER = 15, 0.1  # of Newton for one step of the proximal point method, and what they are to gain
-FALL, RISE, LARGEST_SHIFT = 0.1, 5.0, 100.0  # of its α
+INNER_STEPS, GAINED = 15, 0.1  # of Newton for one step of the proximal point method, and what they are to gain
+FIRST_SHIFT, FALL, RISE, LARGEST_SHIFT = 1.0, 0.1, 5.0, 100.0  # of its α
 WITHOUT_GAIN = 20  # of its steps in a row
 ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
 HARDER = 100.0  # times the proximal term where a system is singular
@@ -151,7 +151,7 @@ class ProximalPoint(ConeAlgorithm):
     reference = "Rockafellar 1976, doi:10.1137/0314056; Acary, Brémond, Huber 2018"
     is_monotone = False
 
-    shift: float = 1.0
+    shift: float = FIRST_SHIFT
     sweeps: int = 20
 
     def __post_init__(self) -> None:
@@ -165,7 +165,7 @@ class ProximalPoint(ConeAlgorithm):
             z, residual = step.z, float(step.residual or 0.0)
         system, shift, best, since = NewtonSystem(problem), self.shift, residual, 0
         while shift <= LARGEST_SHIFT and since < WITHOUT_GAIN:
-            goal, new, now = CLOSER * min(residual, 0.1), z, residual
+            goal, new, now = GAINED * min(residual, 0.1), z, residual
             for step, (point, shares, work) in enumerate(system.steps(z, LEAST_PROXIMAL, shift)):
                 is_met = float(shares.max(initial=0.0)) <= goal
                 if step:

@@ -15,12 +15,28 @@ from ...core.certificates.criterion import within
 from ...core.checks import FloatVector
 from ...core.settings import Settings
 from .data import Blocks
-from .methods import DECREASE, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL, SHORTEST, SPREAD
+from .methods import (
+    DECREASE,
+    FALL,
+    FIRST_SHIFT,
+    GAINED,
+    HARDER,
+    INNER_STEPS,
+    LARGEST_SHIFT,
+    LEAST_PROXIMAL,
+    MEMORY,
+    PROXIMAL,
+    RISE,
+    SHORTEST,
+    SPREAD,
+)
 
-LARGEST = 100  # unknowns: beyond, Newton's system is worth its sparsity
-ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
+LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
+ROUNDS = np.array([10, 10, 50, -1, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
+FIRST_ROUNDS = 4
 NEWTON_STEPS = 20
-CONSTANTS = (PROXIMAL, MEMORY, SHORTEST, DECREASE, LEAST_PROXIMAL, SPREAD, HARDER)
+CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER)
+POINTS = (FIRST_SHIFT, FALL, RISE, LARGEST_SHIFT, GAINED, INNER_STEPS, 40)
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
 
 
@@ -75,14 +91,16 @@ def solve_small(
         _stacked([getter(problem) for problem in problems]) for getter in _ARRAYS
     )
     z = np.array(origins if start is None else start[np.newaxis])
-    rounds = ROUNDS if start is None else np.concatenate([[0], ROUNDS])
+    rounds = ROUNDS if first.n <= ALL_ROUNDS_UP_TO else ROUNDS[:FIRST_ROUNDS]
+    rounds = rounds if start is None else np.concatenate([[0], rounds])
     made, proved = np.empty((count, 2), np.int64), np.empty((count, 2))
     made[:, 1] = -1
 
     def solve_chunk(begin: int, end: int) -> None:
         solve_each(
             begin, end, first.starts, float(first.has_friction), slopes, lower, upper, M, q, origins,
-            CLOSER * settings.tolerance, rounds, NEWTON_STEPS, CONSTANTS, z, made, proved,
+            CLOSER * settings.tolerance, rounds, NEWTON_STEPS, MEMORY, CONSTANTS, SPREAD, POINTS, z,
+            made, proved,
         )
 
     if in_chunks is None:

@@ -18,7 +18,8 @@ SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale o
 def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
     """Write M as CSR, its diagonal blocks, the norms of its blocks, 1/‖M_kk‖, and d; return whether M is in one unit.
 
-    The rows of a block have one pattern. On the diagonal of `norms` are the means of the blocks' diagonals, as in the LCP of block norms.
+    The rows of a block have one pattern. On the diagonal of `norms` are the means of the blocks' diagonals, as in the
+    LCP of block norms.
     """
     filled, largest, least, shows_none = 0, 0.0, np.inf, True
     norms[:], diagonal[:] = 0.0, 0.0
@@ -107,24 +108,47 @@ def _references(  # type: ignore[no-untyped-def]
 
 @compiled_part
 def _newton_step(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J, whole
+    starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J, whole,
+    place, step
 ):
-    """Write the step s of (R_z + R_w (M + ε D)) s = −R into the last column of J; return whether there is one."""
-    n = z.size
-    J[:n] = 0.0
+    """Write the step s of (R_z + R_w (M + ε D)) s = −R; return whether there is one.
+
+    Of open blocks, and of rows at bounds, s = −R; the system is that of the others, whose rows `place` numbers.
+    """
+    n = 0
     for k in range(slope.size):
-        block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z, by_w)
+        block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
+        is_free = False
+        for i in range(by_w.shape[1]):
+            is_free = is_free or by_w[k, 0, i] != 0.0
+        for i in range(starts[k], starts[k + 1]):
+            place[i] = n if is_free else -1
+            n += is_free
+    for k in range(slope.size):
         first, width = starts[k], starts[k + 1] - starts[k]
         for i in range(width):
-            J[first + i, n] = -R[first + i]
+            row, step[first + i] = place[first + i], -R[first + i]
+            if row < 0:
+                continue
+            for j in range(n):
+                J[row, j] = 0.0
+            right = -R[first + i]
             for j in range(width):
-                J[first + i, first + j] += by_z[i, j] + by_w[i, j] * epsilon * scale[k]
-                if by_w[i, j] != 0.0:
+                J[row, place[first + j]] += by_z[k, i, j] + by_w[k, i, j] * epsilon * scale[k]
+                if by_w[k, i, j] != 0.0:
                     for p in range(indptr[first + j], indptr[first + j + 1]):
-                        J[first + i, indices[p]] += by_w[i, j] * data[p]
-    if not eliminate(J, whole, n, n):
+                        column = indices[p]
+                        if place[column] >= 0:
+                            J[row, place[column]] += by_w[k, i, j] * data[p]
+                        else:
+                            right += by_w[k, i, j] * data[p] * R[column]
+            J[row, n] = right
+    if not eliminate(J, whole, place.size, n):
         return False
     substitute(J, n)
+    for i in range(place.size):
+        if place[i] >= 0:
+            step[i] = J[place[i], n]
     return True
 
 
@@ -151,21 +175,65 @@ def _proved(  # type: ignore[no-untyped-def]
             proved[1] = max(proved[1], OUTWARD * wrong * wrong)
 
 
+@compiled_part
+def _newton(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, shift, centre, goal, most_steps,
+    constants, z, w, R, start, sizes, x, way, by_z, by_w, J, whole, place, step
+):
+    """Take Newton's steps, with a nonmonotone line search, to the goal; return the largest residual and how many.
+
+    With a shift α they are those of M + α D and q − α D centre.
+    """
+    proximal, halvings, decrease, least_proximal, harder = constants
+    largest, size = measure(
+        starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, shift, centre, z, w, R
+    )
+    sizes[:] = size
+    for made in range(most_steps):
+        if largest <= goal or not size < np.inf:
+            return largest, made
+        epsilon = max(min(proximal, 0.1 * largest), least_proximal)
+        while epsilon <= 1.0 and not _newton_step(
+            starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, shift + epsilon, x, way, by_z,
+            by_w, J, whole, place, step,
+        ):
+            epsilon *= harder
+        if epsilon > 1.0:
+            return largest, made
+        for i in range(z.size):
+            start[i] = z[i]
+        length, allowed = 1.0, size
+        for earlier in sizes:
+            allowed = max(allowed, earlier)
+        for _ in range(halvings):
+            for i in range(z.size):
+                z[i] = start[i] + length * step[i]
+            largest, size = measure(
+                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, shift, centre, z, w, R
+            )
+            if size <= (1.0 - decrease * length) * allowed:
+                break
+            length *= 0.5
+        sizes[made % sizes.size] = size
+    return largest, most_steps
+
+
 @compiled
 def solve_each(  # type: ignore[no-untyped-def]
     item, end_item, starts, friction, slopes, lowers, uppers, matrices, offsets, origins, goal, rounds, most_steps,
-    constants, points, made, proved
+    memory, constants, away, proximal_point, points, made, proved
 ):
     """Solve problems of the same blocks: sweeps, then steps of Newton's method, from `points`, which get the answers.
 
-    `rounds` are the sweeps before each run of Newton's method, of at most `most_steps` with a nonmonotone line search.
-    Sweeps go on from sweeps; each second run of Newton's method begins at a point moved at random, the same for each
-    item. `constants` are those of Newton's method: proximal term, memory, halvings, decrease, least proximal term, how
-    far a start is moved, and the factor of the proximal term where a system is singular. `made` gets how many of both
-    an item took, and −1 for Newton's where M shows several units or the goal was not reached; `proved` bounds of the
-    relative residual and of the term residual.
+    `rounds` are the sweeps before each run of Newton's method, of at most `most_steps`; −1 is the proximal point method
+    in their place, from the latest sweeps. Sweeps go on from sweeps; each second run of Newton's method begins at a
+    point moved at random, by `away` times the mean of its |z_i|, the same for each item. `constants` are those of
+    Newton's method (proximal term, halvings, decrease, least proximal term, factor where a system is singular) and of
+    proximal points (first shift, fall, rise, largest, gain, gain of Newton's method, steps of it, steps in all).
+    `made` gets how many sweeps and Newton's steps an item took, and −1 for these where M shows several units or the
+    goal was not reached; `proved` bounds of the relative residual and of the term residual.
     """
-    proximal, memory, halvings, decrease, least_proximal, away, harder = constants
+    first_shift, fall, rise, largest_shift, closer, inner_steps, most_points = proximal_point
     blocks, n, m = starts.size - 1, offsets.shape[1], 1
     for k in range(blocks):
         m = max(m, starts[k + 1] - starts[k])
@@ -173,8 +241,9 @@ def solve_each(  # type: ignore[no-untyped-def]
     diagonal, norms, labels = np.empty((blocks, m, m)), np.empty((blocks, blocks)), np.empty(blocks, np.int64)
     steps, scale, reference, weights = np.empty(blocks), np.empty(blocks), np.empty(blocks), np.empty(blocks)
     least, most, sizes = np.empty(blocks), np.empty(blocks), np.empty(memory)
-    b, x, y, before, by_z, by_w = np.empty(m), np.empty(m), np.empty(m), np.empty(m), np.empty((m, m)), np.empty((m, m))
-    w, R, slip, start, swept = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    b, x, y, before = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    by_z, by_w, step, place = np.empty((blocks, m, m)), np.empty((blocks, m, m)), np.empty(n), np.empty(n, np.int64)
+    w, R, slip, start, swept, centre = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     J, whole = np.empty((n + 4, n + 1)), np.empty((CANDIDATE + 1, 2 * n + 2), np.int64)
     for number in range(item, end_item):
         made[number, 0], made[number, 1] = 0, -1
@@ -191,9 +260,9 @@ def solve_each(  # type: ignore[no-untyped-def]
         for k in range(blocks):
             if weights[k] == 0.0:
                 z[starts[k]:starts[k + 1]] = origin[starts[k]:starts[k + 1]]
-        largest, size = measure(
-            starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-        )
+        largest = measure(
+            starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, 0.0, z, z, w, R
+        )[0]
         random, swept[:], newton_steps = 1, z, 0
         for turn in range(rounds.size):
             if largest <= goal:
@@ -203,41 +272,46 @@ def solve_each(  # type: ignore[no-untyped-def]
                 sweep_once(
                     starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, y, before
                 )
-            made[number, 0] += rounds[turn]
+            made[number, 0] += max(rounds[turn], 0)
             swept[:] = z
-            if turn % 2:
-                spread = 2.0 * away * np.abs(swept).mean()
-                for i in range(n):
-                    random = (1103515245 * random + 12345) % 2147483648
-                    z[i] += spread * (random / 1073741824.0 - 1.0)
-            largest, size = measure(
-                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-            )
-            sizes[:] = size
-            for newton in range(most_steps):
-                if largest <= goal or not size < np.inf:
-                    break
-                epsilon = max(min(proximal, 0.1 * largest), least_proximal)
-                while epsilon <= 1.0 and not _newton_step(
-                    starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, y, by_z,
-                    by_w, J, whole,
-                ):
-                    epsilon *= harder
-                if epsilon > 1.0:
-                    break
-                newton_steps += 1
-                start[:] = z
-                length, allowed = 1.0, sizes.max()
-                for _ in range(halvings):
+            if rounds[turn] >= 0:
+                if turn % 2:
+                    spread = 2.0 * away * np.abs(swept).mean()
                     for i in range(n):
-                        z[i] = start[i] + length * J[i, n]
-                    largest, size = measure(
-                        starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-                    )
-                    if size <= (1.0 - decrease * length) * allowed:
-                        break
-                    length *= 0.5
-                sizes[newton % memory] = size
+                        random = (1103515245 * random + 12345) % 2147483648
+                        z[i] += spread * (random / 1073741824.0 - 1.0)
+                largest, taken = _newton(
+                    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, 0.0, swept, goal,
+                    most_steps, constants, z, w, R, start, sizes, x, y, by_z, by_w, J, whole, place,
+                    step,
+                )
+                newton_steps += taken
+                continue
+            shift, residual = first_shift, measure(
+                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, 0.0, z, z, w, R
+            )[0]
+            for _ in range(most_points):
+                centre[:] = z
+                enough = max(closer * min(residual, 0.1), 0.5 * goal)
+                own, taken = _newton(
+                    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, shift, centre,
+                    enough, inner_steps, constants, z, w, R, start, sizes, x, y, by_z, by_w, J, whole, place,
+                    step,
+                )
+                newton_steps += taken
+                largest = measure(
+                    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, 0.0, z, z, w, R
+                )[0]
+                if largest <= goal or shift > largest_shift:
+                    break
+                if own <= enough:
+                    shift *= fall
+                else:
+                    shift *= rise
+                if own <= enough or largest < residual:
+                    residual = largest
+                else:
+                    z[:] = centre
         if largest <= goal:
             made[number, 1] = newton_steps
             for k in range(blocks):

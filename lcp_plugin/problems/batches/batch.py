@@ -224,7 +224,7 @@ class MixedRun(BatchLoop):
         super().__init__(len(problems), "auto", others, {}, threads=threads, limit=limit)
         self.problems = problems
         self.results: dict[int, Answer] = {}
-        self.compiled: dict[int, tuple[Any, ...]] = {}  # z of an item, what was made for it, its residual
+        self.compiled: dict[int, tuple[Any, int]] = {}  # what was found of its group, and its place
 
     def run(self) -> AnswerList:
         """Solve all, and gather what was found."""
@@ -239,8 +239,7 @@ class MixedRun(BatchLoop):
         for group in groups_of(self.problems):
             found = solve_small([self.problems[k] for k in group.tolist()], self.settings, self._in_chunks)
             items = group[found.items]
-            answers = zip(found.z, found.made, found.residual, strict=True)
-            self.compiled.update(zip(items.tolist(), answers, strict=True))
+            self.compiled.update((k, (found, place)) for place, k in enumerate(items.tolist()))
             self.status[items], self.is_open[items] = Status.SOLVED, False
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:

@@ -28,19 +28,23 @@ from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result, StageRecord, told_stages
 from ...core.solving.run import Callback, Run
+from ...systems.factors import sizes_of_factor
 from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .infeasibility import InfeasibilityCheck
 from .methods import METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, Newton, ProximalPoint
-from .small import LARGEST, solve_small
+from .small import LARGEST, Found, solve_small
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
+STEP_OPERATIONS = 5e5  # that the calls of one of its steps take as long as
+MORE = 50  # sweeps a step
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
-STARTS = range(8)
+STARTS, LAST_STARTS = 3, 9  # of Newton's method, moved at random but for the first
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
+NEARBY = "from a point nearby"
 FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
 
@@ -92,10 +96,15 @@ def solve_cones(
     checked_callback(callback)
     clock = Clock(ALONE)
     start = _start(problem, z0)
-    if algorithm == "auto" and callback is None and (found := _at_once(problem, settings, start, z0, clock)):
-        return found
+    was_tried = False
+    if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock):
+        found = solve_small([problem], settings, start=None if z0 is None else start)
+        if was_tried := not found.items.size:
+            start = problem.nearest_to_zero
+        elif (result := result_of(problem, found, 0, settings, clock.read())).iterations <= settings.max_iterations:
+            return result
     with np.errstate(), threads_for(settings.threads):
-        policy = _policy(problem, algorithm, settings, is_warm=z0 is not None)
+        policy = _policy(problem, algorithm, settings, is_warm=z0 is not None, was_tried=was_tried)
         judge = ConeJudge(problem, settings)
         run = Run(judge.scaling, policy, settings, callback, clock, judge)
         try:
@@ -105,25 +114,17 @@ def solve_cones(
         return ConeResult.of(problem, run.judged(start, reason))
 
 
-def _at_once(
-    problem: Blocks, settings: Settings, start: FloatVector, z0: ArrayLike | None, clock: Clock
-) -> ConeResult | None:
-    """Return the result of a small problem that the compiled loop solves, where nobody wants to see its steps."""
-    is_limited = settings.absolute_tolerance or not (settings.is_unobserved and settings.max_iterations)
-    if not 0 < problem.n <= LARGEST or is_limited or clock.read() >= settings.max_seconds:
-        return None
-    found = solve_small([problem], settings, start=None if z0 is None else start)
-    if not found.items.size:
-        return None
-    result = result_of(problem, found.z[0], found.made[0], found.residual[0], settings, clock.read())
-    return result if result.iterations <= settings.max_iterations else None
+def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock) -> bool:
+    """Return whether the problem is small, and nobody wants to see the steps or a measure that the loop lacks."""
+    is_plain = settings.is_unobserved and settings.max_iterations > 0 and not settings.absolute_tolerance
+    return 0 < problem.n <= LARGEST and is_plain and clock.read() < settings.max_seconds
 
 
 def result_of(
-    problem: Blocks, z: FloatVector, made: Sequence[int], residual: float, settings: Settings, seconds: float
+    problem: Blocks, found: Found, k: int, settings: Settings, seconds: float
 ) -> ConeResult:
-    """Return the result of a problem that the compiled loop has solved, after these seconds."""
-    sweeps, newton = made
+    """Return the result of a problem, the k-th of those that the compiled loop has solved, after these seconds."""
+    sweeps, newton = found.made[k]
     stages = []
     if sweeps or not newton:
         rounds = sweeps // SWEEPS_A_STEP
@@ -131,9 +132,9 @@ def result_of(
     if newton:
         passes = problem.n**3 / (3.0 * max(problem.nonzeros, 1)) + 2.0
         stages.append(StageRecord("newton", FOLLOWS, newton, newton * passes))
-    certificate = ConeCertificate.proved(problem, z, residual)
+    certificate = ConeCertificate.proved(problem, found.z[k], found.residual[k])
     return ConeResult(
-        z=certificate.point, w=read_only(problem.slack(z)), status=Status.SOLVED, certificate=certificate,
+        z=certificate.point, w=read_only(problem.slack(found.z[k])), status=Status.SOLVED, certificate=certificate,
         tolerance=settings.tolerance, algorithm=f"auto: {', '.join(stage.name for stage in stages)}",
         iterations=sum(stage.iterations for stage in stages), work=sum(stage.work for stage in stages),
         seconds=seconds, setup_seconds=0.0, stages=tuple(stages), problem=problem,
@@ -149,7 +150,7 @@ def _start(problem: Blocks, z0: ArrayLike | None) -> FloatVector:
         raise InvalidOption(str(error)) from error
 
 
-def _policy(problem: Blocks, algorithm: Any, settings: Settings, *, is_warm: bool) -> Policy:
+def _policy(problem: Blocks, algorithm: Any, settings: Settings, **known: bool) -> Policy:
     if isinstance(algorithm, ConeAlgorithm):
         return Single(algorithm, prove_infeasibility=False)
     if isinstance(algorithm, Algorithm) or not isinstance(algorithm, str):
@@ -158,7 +159,7 @@ def _policy(problem: Blocks, algorithm: Any, settings: Settings, *, is_warm: boo
             f"lcp_plugin.problems.cones.methods, got {algorithm!r}"
         )
     if algorithm == "auto":
-        return ConeAuto(problem, is_warm=is_warm, prove_infeasibility=settings.prove_infeasibility)
+        return ConeAuto(problem, prove_infeasibility=settings.prove_infeasibility, **known)
     if algorithm not in METHODS:
         raise UnknownAlgorithm(
             f"no algorithm for cones is called {algorithm!r}{did_you_mean(algorithm, {'auto', *METHODS})}"
@@ -171,9 +172,9 @@ class ConeAuto(Policy):
 
     name = chosen = "auto"
 
-    def __init__(self, problem: Blocks, *, is_warm: bool, prove_infeasibility: bool) -> None:
+    def __init__(self, problem: Blocks, *, is_warm: bool, was_tried: bool, prove_infeasibility: bool) -> None:
         self._prove_infeasibility = prove_infeasibility
-        self._left = self._stages(is_warm)
+        self._left = self._stages(is_warm=is_warm, was_tried=was_tried)
         self._problem = problem
 
     def first(self, problem: Any) -> Choice:
@@ -197,24 +198,28 @@ class ConeAuto(Policy):
         """Return about how many multiplications an answer by Newton takes, the blocks at rest left out."""
         if stage.z is None:
             return np.inf
-        closed = self._problem.block_of_row[stage.z != 0.0]
-        rows = float(self._problem.sizes[np.unique(closed)].sum())
-        return NEWTON_STEPS * (rows**3 / 3.0 + 2.0 * self._problem.nonzeros)
+        problem = self._problem
+        closed = problem.block_of_row[stage.z != 0.0]
+        rows = float(problem.sizes[np.unique(closed)].sum())
+        sparse = (problem.n / problem.slope.size) ** 3 * sizes_of_factor(problem.block_norms.matrix)[1]
+        return NEWTON_STEPS * (min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros + STEP_OPERATIONS)
 
-    def _stages(self, is_warm: bool) -> Iterator[Choice]:
-        if is_warm:
+    def _stages(self, *, is_warm: bool, was_tried: bool) -> Iterator[Choice]:
+        """Yield what comes in turn; where the compiled loop `was_tried`, what it did not do."""
+        if is_warm and not was_tried:
             yield Choice(Newton(), "a start that is given is near: Newton's steps from there come first")
-            yield Choice(NPGS(), SWEEPS, from_start=True)
-        else:
-            yield Choice(NPGS(), SWEEPS)
-        yield Choice(Newton(), FOLLOWS)
+        if not was_tried:
+            yield Choice(NPGS(), SWEEPS, from_start=is_warm)
+            yield Choice(Newton(), FOLLOWS)
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
+        if not was_tried:
+            yield Choice(NPGS(sweeps=MORE), "another start for Newton, after more sweeps", from_start=True)
+            yield from (Choice(Newton(seed=seed), NEARBY) for seed in range(STARTS))
         yield Choice(ProximalPoint(), "a term that vanishes tells apart what makes the same motion", from_start=True)
         yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still", from_start=True)
-        yield Choice(ProximalPoint(), "once more, from the best point")
-        for seed in STARTS:
-            yield Choice(Newton(seed=seed), "from a point nearby")
+        yield Choice(ProximalPoint(), "from the best point")
+        yield from (Choice(Newton(seed=seed), NEARBY) for seed in range(STARTS, LAST_STARTS))
 
 
 class ConeJudge(Judge):

@@ -11,7 +11,7 @@ import time
 import numpy as np
 import scipy.sparse as sp
 
-SWEEPS = 100_000
+SWEEPS, STEPS = 100_000, 2_000  # Newton's default, 200, ends on capsules before it is there
 LONG = 0.5  # s
 
 
@@ -36,8 +36,7 @@ def timed(W, b, mu, name: str, tolerance: float):  # type: ignore[no-untyped-def
         problem = sn.FrictionContactProblem(3, W, b.copy(), mu.copy())
         options = sn.SolverOptions(getattr(sn, f"SICONOS_FRICTION_3D_{name}"))
         options.dparam[sn.SICONOS_DPARAM_TOL] = tolerance
-        if name == "NSGS":
-            options.iparam[sn.SICONOS_IPARAM_MAX_ITER] = SWEEPS
+        options.iparam[sn.SICONOS_IPARAM_MAX_ITER] = SWEEPS if name == "NSGS" else STEPS
         call = sn.fc3d_nsgs if name == "NSGS" else sn.fc3d_nonsmooth_Newton_AlartCurnier
         r, u = np.zeros(b.size), np.zeros(b.size)
         began = time.perf_counter()

@@ -22,8 +22,8 @@ from ...core.solving.answer import Answer
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ...systems.factors import bands
-from ..cones.batch import groups_of, solve_small
-from ..cones.batch import result_of as result_of_small
+from ..cones.small import groups_of, solve_small
+from ..cones.solving import result_of as result_of_small
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
@@ -224,7 +224,7 @@ class MixedRun(BatchLoop):
         super().__init__(len(problems), "auto", others, {}, threads=threads, limit=limit)
         self.problems = problems
         self.results: dict[int, Answer] = {}
-        self.compiled: dict[int, tuple[Any, Any]] = {}  # z of an item, and what was made for it
+        self.compiled: dict[int, tuple[Any, int]] = {}  # what was found of its group, and its place
 
     def run(self) -> AnswerList:
         """Solve all, and gather what was found."""
@@ -239,7 +239,7 @@ class MixedRun(BatchLoop):
         for group in groups_of(self.problems):
             found = solve_small([self.problems[k] for k in group.tolist()], self.settings, self._in_chunks)
             items = group[found.items]
-            self.compiled.update(zip(items.tolist(), zip(found.z, found.made.tolist(), strict=True), strict=True))
+            self.compiled.update((k, (found, place)) for place, k in enumerate(items.tolist()))
             self.status[items], self.is_open[items] = Status.SOLVED, False
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:

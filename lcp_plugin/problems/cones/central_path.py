@@ -23,6 +23,7 @@ Cones = NDArray[np.float64]  # shape (k, d)
 
 LEAST_SLOPE = 1e-3  # of the cones that the path is in: Newton's steps have the caller's
 TO_THE_BOUNDARY = 0.9
+SHORT, CENTRED = 0.1, (0.5, 0.9)  # a step that is no longer goes to the path instead, to these parts of σ
 
 
 class CentralPath:
@@ -65,9 +66,9 @@ class CentralPath:
         if factor is None:
             return None
 
-        def direction(c: Cones) -> tuple[Cones, Cones]:
-            """Return the changes of x and y with H dx + dy = c that the linearised motion allows."""
-            right = left + apply(G, scale * c).ravel()
+        def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
+            """Return the changes of x and y with H dx + dy = c that take a share of what is left of the motion."""
+            right = share * left + apply(G, scale * c).ravel()
             dx = factor.solve(right).reshape(x.shape) * scale
             return dx, c - apply(H, dx)
 
@@ -79,7 +80,15 @@ class CentralPath:
         right = product(moved, at + moved) - product(at, at)  # root⁻¹ y = at, and root⁻¹ dy = −at − moved
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
         dx, dy = direction(apply(root, quotient(right, at)))
-        length = min(1.0, TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy)))
+        length = TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy))
+        for sigma in CENTRED if length < SHORT else ():
+            right = -product(at, at)
+            right[:, 0] += sigma * mean
+            centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
+            further = TO_THE_BOUNDARY * min(longest(x, centring[0]), longest(y, centring[1]))
+            if further > length:
+                (dx, dy), length = centring, further
+        length = min(1.0, length)
         self.x, self.y = x + length * dx, y + length * dy
         return (factor.work + 2.0 * factor.solve_work) / max(self.problem.nonzeros, 1) + 1.0
 

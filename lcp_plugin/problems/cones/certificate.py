@@ -13,7 +13,6 @@ rows, u = 2⁻⁵³.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -24,16 +23,13 @@ from numpy.typing import NDArray
 from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components
 from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
-from ...core.certificates.row_residuals import over, residual_ends_of, rounding_floor, sharp_residual_ends
+from ...core.certificates.row_residuals import over, rounding_floor
 from ...core.checks import FloatVector, read_only
-from ...core.kernels.floats import TINY, UNIT
-from ...core.rounding import compensated_product, lower_end
+from ...core.lcp import LCP
+from ...core.rounding import compensated_product
 from .data import Blocks
 
-OUTWARD = 1.0 + 2.0**-48  # of a handful of roundings
 
-
-@dataclass(frozen=True, eq=False)
 class ConeCertificate(Certificate):
     """Every measure of how far a point is from solving a problem over cones.
 
@@ -51,19 +47,41 @@ class ConeCertificate(Certificate):
 
     is_linearised: ClassVar[bool] = True  # its rows are not those of an LCP
 
-    cones: Blocks = field(kw_only=True, repr=False)
-    point: FloatVector = field(kw_only=True, repr=False)
-    velocity: FloatVector = field(kw_only=True, repr=False)
-    slip: FloatVector = field(kw_only=True, repr=False)
+    def __init__(self, cones: Blocks, point: FloatVector) -> None:
+        self.__dict__.update(cones=cones, point=point)
 
     @classmethod
     def at(cls, cones: Blocks, z: FloatVector) -> ConeCertificate:
         """Return the certificate of z, shape (n,)."""
-        point = read_only(np.array(z, dtype=np.float64))
+        return cls(cones, read_only(np.array(z, dtype=np.float64)))
+
+    @classmethod
+    def proved(cls, cones: Blocks, z: FloatVector, relative_residual: float) -> ConeCertificate:
+        """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed."""
+        certificate = cls(cones, read_only(z))
+        certificate.__dict__["relative_residual"] = relative_residual
+        return certificate
+
+    @cached_property
+    def problem(self) -> LCP:  # type: ignore[override]
+        """The LCP of block norms."""
+        return self.cones.block_norms
+
+    @cached_property
+    def z(self) -> FloatVector:  # type: ignore[override]
+        """Norms of z of each block, shape (k,)."""
+        return read_only(self.cones.norms(self.point))
+
+    @cached_property
+    def _product(self) -> tuple[FloatVector, FloatVector]:
         with np.errstate(all="ignore"):
-            w, slip = compensated_product(cones.rows.csr, point, cones.q)
-            return cls(cones.block_norms, read_only(cones.norms(point)), cones=cones, point=point,
-                       velocity=read_only(w), slip=slip)
+            w, slip = compensated_product(self.cones.rows.csr, self.point, self.cones.q)
+        return read_only(w), slip
+
+    @property
+    def velocity(self) -> FloatVector:
+        """W = M z + q, shape (n,)."""
+        return self._product[0]
 
     @cached_property
     def w(self) -> FloatVector:
@@ -76,53 +94,21 @@ class ConeCertificate(Certificate):
         return criterion_of(self.cones).references
 
     def _ends(self, scale: FloatVector) -> VectorEnds:
-        """Return bounds of every ‖R_k‖; of rows that are no cone's those of an LCP."""
-        cones, is_cone = self.cones, self.cones.sizes > 1
-        mu = np.where(is_cone, cones.slope, 0.0)
-        with np.errstate(all="ignore"):
-            sizes = cones.norms(cones.residual(self.point, self.velocity, scale)[0])
-            stretch = 1.0 + (mu if cones.has_friction else 0.0)
-            moved = stretch * cones.norms(self.slip) / scale
-            terms = self.z + stretch * (self.w + cones.norms(self.slip)) / scale
-            rounded = 8.0 * (cones.sizes + 10.0) * UNIT * (1.0 + mu) * terms
-            off = OUTWARD * (moved + rounded) + 4.0 * TINY
-            is_finite = np.isfinite(sizes) & np.isfinite(off)
-            least = np.where(is_finite, np.maximum(sizes / OUTWARD - off, 0.0), 0.0)
-            most = np.where(is_finite, OUTWARD * (sizes + off), np.inf)
-            most = np.where(self._is_open, 0.0, most)
-        if not is_cone.all() and is_cone.size:
-            of_rows = residual_ends_of(
-                cones.rows.csr, self.point, cones.rows, self.point, scale[cones.block_of_row]
-            )
-            first = cones.starts[:-1]
-            least, most = (np.where(is_cone, end, row[first]) for end, row in zip((least, most), of_rows, strict=True))
-        return least, most
+        """Return bounds of every ‖R_k‖."""
+        from .kernels import bounds
 
-    @cached_property
-    def _is_open(self) -> NDArray[np.bool_]:
-        """Which cones have a point that is 0 and a slack proved to be in the dual cone: their residual is 0."""
-        cones, first = self.cones, self.cones.starts[:-1]
-        normal = lower_end(self.velocity, self.slip)[first]
-        is_open: NDArray[np.bool_] = (self.z == 0.0) & (cones.sizes > 1) & (normal >= 0.0)
-        if cones.has_friction:  # û_N ≥ μ‖u_T‖ says u_N ≥ 0
-            return is_open
-        tangents = np.abs(self.velocity) + self.slip
-        tangents[first] = 0.0
-        enough = normal >= OUTWARD * cones.norms(tangents)
-        for k in np.flatnonzero((self.z == 0.0) & (normal > 0.0) & ~enough & (cones.norms(self.slip) == 0.0)):
-            own = [Fraction(value) for value in self.velocity[cones.starts[k]:cones.starts[k + 1]].tolist()]
-            enough[k] = own[0] ** 2 >= sum(value**2 for value in own[1:])
-        is_open &= enough
-        return is_open
+        cones, (w, slip) = self.cones, self._product
+        least, most = np.empty((2, cones.slope.size))
+        bounds(*cones.arrays, self.point, w, slip, scale, least, most)
+        if not cones.has_friction:  # 0 and a slack on the boundary of the dual cone, exactly
+            for k in np.flatnonzero((most > 0.0) & (self.z == 0.0) & (cones.sizes > 1) & (cones.norms(slip) == 0.0)):
+                own = [Fraction(value) for value in w[cones.starts[k]:cones.starts[k + 1]].tolist()]
+                most[k] *= own[0] < 0 or own[0] ** 2 < sum(value**2 for value in own[1:])
+        return least, most
 
     def _sharp_ends(self) -> FloatVector:
         """Return the bounds in components that z° solves, where only what is exactly 0 will do."""
-        return self._sharp_ends_at(self._scale)
-
-    def _sharp_ends_at(self, scale: FloatVector) -> FloatVector:
-        cones = self.cones
-        rows = sharp_residual_ends(cones.rows, self.point, scale[cones.block_of_row])[1]
-        return np.where(cones.sizes > 1, self._ends(scale)[1], rows[cones.starts[:-1]])
+        return self._scaled_ends[1]
 
     @cached_property
     def term_residuals(self) -> FloatVector:
@@ -202,8 +188,6 @@ def _criterion(cones: Blocks) -> Criterion:
     norms, origin = cones.block_norms, ConeCertificate.at(cones, cones.nearest_to_zero)
     scaling, scale = origin._scaling, origin._scale
     least, most = origin._ends(scale)
-    if ((least == 0.0) & (most > 0.0)).any():
-        most = np.where(least == 0.0, origin._sharp_ends_at(scale), most)
     if scaling is not None:
         least, most = scaling.downwards(least), scaling.upwards(most)
     references = largest_of_components(norms, least), largest_of_components(norms, most)

@@ -21,6 +21,7 @@ from ...core.deadline import Lock
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.kind import Kind
 from ...core.lcp import LCP
+from ...core.matrix.matrix import Matrix, fact
 from ...core.representation import in_words
 from ..contact import Bodies, checked_contacts, warn_of_much_friction
 from . import CONE_PROBLEM, FRICTIONAL_CONTACT
@@ -128,21 +129,9 @@ class Blocks:
         Its entries are the Frobenius norms of the blocks of M, on the diagonal the means of theirs, and it has no
         bounds.
         """
-        M, of_row, k = sp.coo_array(self.rows.csr), self.block_of_row, self.slope.size
-        with np.errstate(all="ignore"):
-            places = of_row[M.row] * k + of_row[M.col]
-            pairs, where = np.unique(places, return_inverse=True)
-            largest = np.zeros(pairs.size)
-            np.maximum.at(largest, where, np.abs(M.data))
-            squares = np.bincount(where, weights=(M.data / largest[where]) ** 2, minlength=pairs.size)
-            norms = np.minimum(largest * np.sqrt(squares), np.finfo(np.float64).max)
-            left = pairs // k != pairs % k
-            means = np.add.reduceat(self.rows.diagonal / self.sizes[of_row], self.starts[:-1]) if k else np.zeros(0)
-        rows, columns = (np.concatenate([side[left], np.arange(k)]) for side in (pairs // k, pairs % k))
-        B = sp.csr_array((np.concatenate([norms[left], means]), (rows, columns)), shape=(k, k))
         with np.errstate(all="ignore"):
             sizes = np.minimum(self.norms(self.q), np.finfo(np.float64).max)
-        return LCP(B, sizes, lower=-np.inf, upper=np.inf)
+        return LCP(_norms_of_blocks(self), sizes, lower=-np.inf, upper=np.inf)
 
     @property
     def scale(self) -> FloatVector:
@@ -400,11 +389,25 @@ def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:
     other.__dict__.update(problem.__dict__)
     for computed in ("_criterion", "block_norms"):
         other.__dict__.pop(computed, None)
-    offset = checked_vector(q, name, problem.n)
-    other.rows = problem.rows.with_q(offset, lower=problem.lower, upper=problem.upper)
-    norms = problem.block_norms
-    other.block_norms = norms.with_q(problem.norms(offset), lower=norms.lower, upper=norms.upper)
+    other.rows = problem.rows.with_q(checked_vector(q, name, problem.n), lower=problem.lower, upper=problem.upper)
     return other
+
+
+@fact
+def _norms_of_blocks(problem: Blocks) -> Matrix:
+    """Return the matrix of the LCP of block norms."""
+    M, of_row, k = sp.coo_array(problem.rows.csr), problem.block_of_row, problem.slope.size
+    with np.errstate(all="ignore"):
+        pairs, where = np.unique(of_row[M.row] * k + of_row[M.col], return_inverse=True)
+        largest = np.zeros(pairs.size)
+        np.maximum.at(largest, where, np.abs(M.data))
+        squares = np.bincount(where, weights=(M.data / largest[where]) ** 2, minlength=pairs.size)
+        norms = np.minimum(largest * np.sqrt(squares), np.finfo(np.float64).max)
+        left = pairs // k != pairs % k
+        shares = problem.rows.diagonal / problem.sizes[of_row]
+        means = np.add.reduceat(shares, problem.starts[:-1]) if k else shares
+    rows, columns = (np.concatenate([side[left], np.arange(k)]) for side in (pairs // k, pairs % k))
+    return Matrix(sp.csr_array((np.concatenate([norms[left], means]), (rows, columns)), shape=(k, k)))
 
 
 def dimension_of(given: int | None, friction: FloatVector, rows: int) -> int:

@@ -10,7 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.kernels.compilation import compiled, compiled_part
+from ...core.kernels.enclosures import row_ends
+from ...core.kernels.floats import TINY, UNIT
 
+OUTWARD = 1.0 + 2.0**-48  # of a handful of roundings
 OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: at the apex or a bound, inside, on the boundary
 LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for one block
 TURN = 0.5  # radians a step of Newton turns at the most
@@ -74,7 +77,42 @@ def residuals(starts, slope, friction, lower, upper, z, w, scale, found, cases):
 
 
 @compiled_part
-def _derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z, by_w):  # type: ignore[no-untyped-def]
+def block_bounds(  # type: ignore[no-untyped-def]
+    k, starts, slope, friction, lower, upper, z, w, slip, scale, found
+):
+    """Return bounds of ‖R‖ of one block, for every w in w ± slip; `found` gets R.
+
+    The largest is 0 where z is 0 and w is proved to be in the dual cone: with friction û_N ≥ μ‖u_T‖ says u_N ≥ 0.
+    """
+    first, end = starts[k], starts[k + 1]
+    size, mu = end - first, slope[k]
+    if size == 1:
+        return row_ends(w[first], slip[first], scale[k], z[first], lower[first], upper[first])
+    _residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
+    here, own = _tangent(z, first - 1, end), _tangent(found, first - 1, end)
+    wide = _tangent(slip, first - 1, end)
+    stretch = 1.0 + mu if friction else 1.0
+    terms = here + stretch * (_tangent(w, first - 1, end) + wide) / scale[k]
+    off = OUTWARD * (stretch * wide / scale[k] + 8.0 * (size + 10.0) * UNIT * (1.0 + mu) * terms) + 4.0 * TINY
+    if not (own < np.inf and off < np.inf):
+        return 0.0, np.inf
+    needed = 0.0 if friction else OUTWARD * (_tangent(w, first, end) + wide)
+    is_open = here == 0.0 and w[first] - slip[first] >= OUTWARD * needed
+    return max(own / OUTWARD - off, 0.0), 0.0 if is_open else OUTWARD * (own + off)
+
+
+@compiled
+def bounds(starts, slope, friction, lower, upper, z, w, slip, scale, least, most):  # type: ignore[no-untyped-def]
+    """Write bounds of ‖R_k‖ of every block into `least` and `most`, for every w in w ± slip."""
+    found = np.empty(z.size)
+    for k in range(slope.size):
+        least[k], most[k] = block_bounds(
+            k, starts, slope, friction, lower, upper, z, w, slip, scale, found
+        )
+
+
+@compiled_part
+def block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z, by_w):  # type: ignore[no-untyped-def]
     """Write an element of the generalised derivative of R by z and by w of one block, of shape (m, m)."""
     first, end = starts[k], starts[k + 1]
     size, mu = end - first, slope[k]
@@ -121,7 +159,7 @@ def derivatives(starts, slope, friction, lower, upper, z, w, scale, by_z, by_w):
     """Write an element of the generalised derivative of R by z and by w, blocks of shape (k, m, m)."""
     x, way = np.empty(by_z.shape[1]), np.empty(by_z.shape[1])
     for k in range(slope.size):
-        _derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
+        block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
 
 
 @compiled
@@ -220,18 +258,26 @@ def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-un
 
 
 @compiled_part
-def _sweep(  # type: ignore[no-untyped-def]
-    block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, w, before
+def sweep_once(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, w, before
 ):
-    """Solve each block up to the last with the others as they are; return the largest change, in the unit of z."""
+    """Solve each block with the others as they are; return the largest change, in the unit of z."""
     moved = 0.0
-    for k in range(block, last):
+    for k in range(slope.size):
         first, end = starts[k], starts[k + 1]
         size, mu, A = end - first, slope[k], diagonal[k]
+        length = indptr[first + 1] - indptr[first]
+        for i in range(0, size, 3):  # three sums at once
+            two, three = indptr[first + min(i + 1, size - 1)], indptr[first + min(i + 2, size - 1)]
+            one, x_sum, y_sum, z_sum = indptr[first + i], 0.0, 0.0, 0.0
+            for place in range(length):
+                value = z[indices[one + place]]
+                x_sum += data[one + place] * value
+                y_sum += data[two + place] * value
+                z_sum += data[three + place] * value
+            b[min(i + 2, size - 1)], b[min(i + 1, size - 1)], b[i] = z_sum, y_sum, x_sum
         for i in range(size):
-            total = q[first + i]
-            for p in range(indptr[first + i], indptr[first + i + 1]):
-                total += data[p] * z[indices[p]]
+            total = b[i] + q[first + i]
             for j in range(size):
                 total -= A[i, j] * z[first + j]
             b[i] = total
@@ -260,25 +306,24 @@ def sweep(  # type: ignore[no-untyped-def]
     """Take sweeps of block Gauss–Seidel on z; return the largest change of the last one, in the unit of z.
 
     Each block is solved with the others as they are: a contact in space exactly, another cone by a few projections of
-    the step steps[k] = 1/‖M_kk‖. `diagonal` has the blocks M_kk, shape (k, m, m).
+    the step steps[k] = 1/‖M_kk‖. `diagonal` has the blocks M_kk, shape (k, m, m). Rows of a block have one pattern.
     """
     m = diagonal.shape[1]
     b, x, w, before, moved = np.empty(m), np.empty(m), np.empty(m), np.empty(m), 0.0
     for _ in range(sweeps):
-        moved = _sweep(
-            0, slope.size, starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z,
-            b, x, w, before,
+        moved = sweep_once(
+            starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, w, before
         )
     return moved
 
 
 @compiled_part
-def _measure(  # type: ignore[no-untyped-def]
-    block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+def measure(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
 ):
-    """Write w and R of some blocks; return the largest of their ‖R_k‖ times weights, and the norm of these."""
+    """Write w and R; return the largest ‖R_k‖ times weights, and their norm."""
     largest, total = 0.0, 0.0
-    for k in range(block, last):
+    for k in range(slope.size):
         own = 0.0
         for i in range(starts[k], starts[k + 1]):
             w[i] = q[i]
@@ -290,114 +335,3 @@ def _measure(  # type: ignore[no-untyped-def]
         own = np.sqrt(own) * weights[k]
         largest, total = (max(largest, own) if own == own else np.inf), total + own * own
     return largest, np.sqrt(total)
-
-
-@compiled_part
-def _eliminate(A, b, n):  # type: ignore[no-untyped-def]
-    """Overwrite b with the solution of A x = b, by Gaussian elimination; return whether there is one."""
-    for j in range(n):
-        pivot = j
-        for i in range(j + 1, n):
-            if abs(A[i, j]) > abs(A[pivot, j]):
-                pivot = i
-        if not abs(A[pivot, j]) > 0.0:
-            return False
-        if pivot != j:
-            for c in range(j, n):
-                A[j, c], A[pivot, c] = A[pivot, c], A[j, c]
-            b[j], b[pivot] = b[pivot], b[j]
-        for i in range(j + 1, n):
-            if A[i, j] != 0.0:
-                share = A[i, j] / A[j, j]
-                for c in range(j + 1, n):
-                    A[i, c] -= share * A[j, c]
-                b[i] -= share * b[j]
-    for i in range(n - 1, -1, -1):
-        for c in range(i + 1, n):
-            b[i] -= A[i, c] * b[c]
-        b[i] /= A[i, i]
-    return True
-
-
-@compiled
-def solve_each(  # type: ignore[no-untyped-def]
-    item, end_item, ends, starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, scale,
-    weights, goal, rounds, most_steps, proximal, search, z, made
-):
-    """Solve small problems, item i of the blocks ends[i] … ends[i + 1] − 1: sweeps, then steps of Newton's method.
-
-    `rounds` are the sweeps before each run of Newton's method, of at most `most_steps` with a nonmonotone line search.
-    Sweeps go on from sweeps; each second run of Newton's method begins at a point moved at random, the same for each
-    item. `search` has the constants of Newton's method: memory, halvings, decrease, least proximal term, and how far a
-    start is moved. `made` gets how many of both an item took, and −1 for Newton's where the goal was not reached.
-    """
-    memory, halvings, decrease, least_proximal, away = search
-    m, most = diagonal.shape[1], 0
-    for number in range(item, end_item):
-        most = max(most, starts[ends[number + 1]] - starts[ends[number]])
-    b, x, y, before = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
-    by_z, by_w, J, step = np.empty((m, m)), np.empty((m, m)), np.empty((most, most)), np.empty(most)
-    w, R, start, sizes = np.empty(q.size), np.empty(q.size), np.empty(most), np.empty(memory)
-    swept = np.empty(most)
-    for number in range(item, end_item):
-        block, last = ends[number], ends[number + 1]
-        row, n = starts[block], starts[last] - starts[block]
-        made[number, 0] = made[number, 1] = 0
-        largest, size = _measure(
-            block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-        )
-        random = 1
-        for turn in range(rounds.size):
-            if largest <= goal:
-                break
-            if turn:
-                z[row:row + n] = swept[:n]
-            for _ in range(rounds[turn]):
-                _sweep(
-                    block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z,
-                    b, x, y, before,
-                )
-            made[number, 0] += rounds[turn]
-            swept[:n] = z[row:row + n]
-            if turn % 2:
-                spread = 2.0 * away * np.abs(swept[:n]).mean()
-                for i in range(row, row + n):
-                    random = (1103515245 * random + 12345) % 2147483648
-                    z[i] += spread * (random / 1073741824.0 - 1.0)
-            largest, size = _measure(
-                block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-            )
-            sizes[:] = size
-            for newton in range(most_steps):
-                if largest <= goal or not size < np.inf:
-                    break
-                epsilon = max(min(proximal, 0.1 * largest), least_proximal)
-                J[:n, :n] = 0.0
-                for k in range(block, last):
-                    _derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, y, by_z, by_w)
-                    first, width = starts[k], starts[k + 1] - starts[k]
-                    for i in range(width):
-                        at = first - row + i
-                        step[at] = -R[first + i]
-                        for j in range(width):
-                            for p in range(indptr[first + j], indptr[first + j + 1]):
-                                J[at, indices[p] - row] += by_w[i, j] * data[p]
-                            J[at, first - row + j] += by_z[i, j] + by_w[i, j] * epsilon * scale[k]
-                if not _eliminate(J, step, n):
-                    break
-                made[number, 1] += 1
-                start[:n] = z[row:row + n]
-                length, allowed = 1.0, sizes.max()
-                for _ in range(halvings):
-                    for i in range(n):
-                        z[row + i] = start[i] + length * step[i]
-                    largest, size = _measure(
-                        block, last, starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights,
-                        z, w, R,
-                    )
-                    if size <= (1.0 - decrease * length) * allowed:
-                        break
-                    length *= 0.5
-                sizes[newton % memory] = size
-        if not largest <= goal:
-            made[number, 1] = -1

@@ -20,14 +20,16 @@ from .central_path import CentralPath
 from .certificate import relative_residual, weighted
 from .data import Blocks
 
+SWEEPS_A_STEP = 10
 MEMORY = 5  # residuals that a step of Newton may rise to the largest of
 SHORTEST = 14  # halvings of a step
 DECREASE = 1e-4  # of the residual, times the length of the step
-PATIENCE = 60  # steps of Newton without a new best
-PROGRAMS, GAIN = 5, 0.9  # convex programs without a residual that is so much smaller than the best before
+PATIENCE = 60  # steps of Newton without a residual that is so much smaller than the best before
+GAIN = 0.9
+PROGRAMS = 5  # convex ones without
 NEAR, LAST_STEPS = 1e-5, 30  # the residual from where Newton's steps follow the central path, and how many do
 MOST_STEPS, NO_GAIN = 80, 12  # of the central path, and those without a new best
-LEAST_PROXIMAL = 1e-12
+PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d, in the systems of Newton's steps
 SPREAD = 0.3
 ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
 HARDER = 100.0  # times the proximal term where a system is singular
@@ -38,6 +40,11 @@ class ConeAlgorithm(Algorithm):
     """A method whose problem has blocks."""
 
     is_for_cones: ClassVar[bool] = True
+
+
+def _check_sweeps(method: Any) -> None:
+    if isinstance(method.sweeps, bool) or not isinstance(method.sweeps, int) or method.sweeps < 1:
+        raise InvalidOption(f"{method.name}: sweeps must be a whole number ≥ 1, got {method.sweeps!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,17 +67,16 @@ class NPGS(ConeAlgorithm):
     is_monotone = False
     is_watched = True
 
-    sweeps: int = 10
+    sweeps: int = SWEEPS_A_STEP
 
     def __post_init__(self) -> None:
-        if isinstance(self.sweeps, bool) or not isinstance(self.sweeps, int) or self.sweeps < 1:
-            raise InvalidOption(f"npgs: sweeps must be a whole number ≥ 1, got {self.sweeps!r}")
+        _check_sweeps(self)
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step every few sweeps."""
         from .kernels import sweep
 
-        z, M = z0, problem.rows.csr
+        z, M = z0, closed_matrix(problem)
         diagonal, steps = diagonal_blocks(problem)
         yield Step(z, residual=relative_residual(problem, z))
         while True:
@@ -100,7 +106,7 @@ class Newton(ConeAlgorithm):
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
     is_monotone = False
 
-    proximal: float = 1e-3
+    proximal: float = PROXIMAL
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -110,14 +116,12 @@ class Newton(ConeAlgorithm):
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a system; end where none gains any more."""
-        system, z = NewtonSystem(problem), z0
+        z = z0
         if self.seed:
             spread = SPREAD * float(np.abs(z).mean())
             z = problem.projected(z + spread * np.random.default_rng(self.seed).standard_normal(z.size))
-        w = problem.slack(z)
-        R = problem.residual(z, w)[0]
-        shares = weighted(problem, R)
-        size = float(np.linalg.norm(shares))
+        system = NewtonSystem(problem)
+        w, R, shares, size = system.measured(z)
         sizes, best, since = [size], size, 0
         yield Step(z, residual=float(shares.max(initial=0.0)))
         while since < PATIENCE and math.isfinite(size):
@@ -127,17 +131,14 @@ class Newton(ConeAlgorithm):
             length, allowed = 1.0, max(sizes[-MEMORY:])
             for _ in range(SHORTEST):
                 new = z + length * step
-                w = problem.slack(new)
-                R = problem.residual(new, w)[0]
-                shares = weighted(problem, R)
-                size = float(np.linalg.norm(shares))
+                w, R, shares, size = system.measured(new)
                 work += 1.0
                 if size <= (1.0 - DECREASE * length) * allowed:
                     break
                 length *= 0.5
             z = new
             sizes.append(size)
-            best, since = (size, 0) if size < best else (best, since + 1)
+            best, since = (size, 0) if size < GAIN * best else (best, since + 1)
             yield Step(z, residual=float(shares.max(initial=0.0)), work=work)
 
 
@@ -149,6 +150,13 @@ class NewtonSystem:
         m, k = int(problem.sizes.max(initial=1)), problem.slope.size
         self.by_z, self.by_w = np.empty((k, m, m)), np.empty((k, m, m))
         self.entries = np.empty(self.M.nnz)
+
+    def measured(self, z: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector, float]:
+        """Return w, R, ‖R_k‖ beside the references, and their Euclidean norm."""
+        w = self.problem.slack(z)
+        R = self.problem.residual(z, w)[0]
+        shares = weighted(self.problem, R)
+        return w, R, shares, float(np.linalg.norm(shares))
 
     def step(
         self, z: FloatVector, w: FloatVector, R: FloatVector, proximal: float

@@ -14,7 +14,7 @@ from ...auto import Single
 from ...core.algorithm import Algorithm
 from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector, checked_vector
+from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
@@ -24,8 +24,9 @@ from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.representation import in_words
 from ...core.settings import Settings, Status, checked_callback
+from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.judge import End, Judge
-from ...core.solving.result import Result, told_stages
+from ...core.solving.result import Result, StageRecord, told_stages
 from ...core.solving.run import Callback, Run
 from ...systems.factors import sizes_of_factor
 from ..contact import ContactMotion
@@ -33,14 +34,18 @@ from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .infeasibility import InfeasibilityCheck
-from .methods import METHODS, NPGS, ConeAlgorithm, FixedPoint, InteriorPoint, Newton
+from .methods import METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, InteriorPoint, Newton
+from .small import LARGEST, Found, solve_small
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
+STEP_OPERATIONS = 5e5  # that the calls of one of its steps take as long as
 BEFORE_THE_PATH = 40  # steps of Newton before an interior point, which costs about as much as so many
+MORE = 50  # sweeps a step
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
-STARTS, LAST_STARTS = (1, 2, 3, 4), tuple(range(5, 17))
+STARTS, LAST_STARTS = 3, 9  # of Newton's method, moved at random but for the first
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
+NEARBY = "from a point nearby"
 FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
 
@@ -92,8 +97,15 @@ def solve_cones(
     checked_callback(callback)
     clock = Clock(ALONE)
     start = _start(problem, z0)
+    was_tried = False
+    if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock):
+        found = solve_small([problem], settings, start=None if z0 is None else start)
+        if was_tried := not found.items.size:
+            start = problem.nearest_to_zero
+        elif (result := result_of(problem, found, 0, settings, clock.read())).iterations <= settings.max_iterations:
+            return result
     with np.errstate(), threads_for(settings.threads):
-        policy = _policy(problem, algorithm, settings, is_warm=z0 is not None)
+        policy = _policy(problem, algorithm, settings, is_warm=z0 is not None, was_tried=was_tried)
         judge = ConeJudge(problem, settings)
         run = Run(judge.scaling, policy, settings, callback, clock, judge)
         try:
@@ -101,6 +113,33 @@ def solve_cones(
         except KeyboardInterrupt:
             reason = End.INTERRUPTED
         return ConeResult.of(problem, run.judged(start, reason))
+
+
+def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock) -> bool:
+    """Return whether the problem is small, and nobody wants to see the steps or a measure that the loop lacks."""
+    is_plain = settings.is_unobserved and settings.max_iterations > 0 and not settings.absolute_tolerance
+    return 0 < problem.n <= LARGEST and is_plain and clock.read() < settings.max_seconds
+
+
+def result_of(
+    problem: Blocks, found: Found, k: int, settings: Settings, seconds: float
+) -> ConeResult:
+    """Return the result of a problem, the k-th of those that the compiled loop has solved, after these seconds."""
+    sweeps, newton = found.made[k]
+    stages = []
+    if sweeps or not newton:
+        rounds = sweeps // SWEEPS_A_STEP
+        stages.append(StageRecord("npgs", SWEEPS if sweeps else NOTHING_TO_DO, rounds, sweeps + rounds + 1.0))
+    if newton:
+        passes = problem.n**3 / (3.0 * max(problem.nonzeros, 1)) + 2.0
+        stages.append(StageRecord("newton", FOLLOWS, newton, newton * passes))
+    certificate = ConeCertificate.proved(problem, found.z[k], found.residual[k])
+    return ConeResult(
+        z=certificate.point, w=read_only(problem.slack(found.z[k])), status=Status.SOLVED, certificate=certificate,
+        tolerance=settings.tolerance, algorithm=f"auto: {', '.join(stage.name for stage in stages)}",
+        iterations=sum(stage.iterations for stage in stages), work=sum(stage.work for stage in stages),
+        seconds=seconds, setup_seconds=0.0, stages=tuple(stages), problem=problem,
+    )
 
 
 def _start(problem: Blocks, z0: ArrayLike | None) -> FloatVector:
@@ -112,7 +151,7 @@ def _start(problem: Blocks, z0: ArrayLike | None) -> FloatVector:
         raise InvalidOption(str(error)) from error
 
 
-def _policy(problem: Blocks, algorithm: Any, settings: Settings, *, is_warm: bool) -> Policy:
+def _policy(problem: Blocks, algorithm: Any, settings: Settings, **known: bool) -> Policy:
     if isinstance(algorithm, ConeAlgorithm):
         return Single(algorithm, prove_infeasibility=False)
     if isinstance(algorithm, Algorithm) or not isinstance(algorithm, str):
@@ -121,7 +160,7 @@ def _policy(problem: Blocks, algorithm: Any, settings: Settings, *, is_warm: boo
             f"lcp_plugin.problems.cones.methods, got {algorithm!r}"
         )
     if algorithm == "auto":
-        return ConeAuto(problem, is_warm=is_warm, prove_infeasibility=settings.prove_infeasibility)
+        return ConeAuto(problem, prove_infeasibility=settings.prove_infeasibility, **known)
     if algorithm not in METHODS:
         raise UnknownAlgorithm(
             f"no algorithm for cones is called {algorithm!r}{did_you_mean(algorithm, {'auto', *METHODS})}"
@@ -134,11 +173,11 @@ class ConeAuto(Policy):
 
     name = chosen = "auto"
 
-    def __init__(self, problem: Blocks, *, is_warm: bool, prove_infeasibility: bool) -> None:
+    def __init__(self, problem: Blocks, *, is_warm: bool, was_tried: bool, prove_infeasibility: bool) -> None:
         self._prove_infeasibility = prove_infeasibility
         self._problem = problem
-        self._newton_steps = float(BEFORE_THE_PATH) if problem.has_friction else np.inf
-        self._left = self._stages(is_warm)
+        self._newton_steps = BEFORE_THE_PATH if problem.has_friction else LONG
+        self._left = self._stages(is_warm=is_warm, was_tried=was_tried)
 
     def first(self, problem: Any) -> Choice:
         """Return the first stage."""
@@ -166,34 +205,29 @@ class ConeAuto(Policy):
         problem = self._problem
         closed = problem.block_of_row[stage.z != 0.0]
         rows = float(problem.sizes[np.unique(closed)].sum())
-        sparse = float(problem.sizes.max(initial=1)) ** 3 * sizes_of_factor(problem.block_norms.matrix)[1]
-        return NEWTON_STEPS * (min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros)
+        sparse = (problem.n / problem.slope.size) ** 3 * sizes_of_factor(problem.block_norms.matrix)[1]
+        return NEWTON_STEPS * (min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros + STEP_OPERATIONS)
 
-    def _stages(self, is_warm: bool) -> Iterator[Choice]:
+    def _stages(self, *, is_warm: bool, was_tried: bool) -> Iterator[Choice]:
+        """Yield what comes in turn; where the compiled loop `was_tried`, what it did not do."""
         middle = Choice(InteriorPoint(), "from the middle of the impulses that make the same motion Newton converges")
-        if is_warm:
+        if is_warm and not was_tried:
             yield Choice(Newton(), "a start that is given is near: Newton's steps from there come first")
             if self._problem.has_friction:
                 yield middle
-            yield Choice(NPGS(), SWEEPS, from_start=True)
-        else:
-            yield Choice(NPGS(), SWEEPS)
-        yield Choice(Newton(), FOLLOWS)
-        self._newton_steps = np.inf
-        if self._problem.has_friction and not is_warm:
+        if not was_tried:
+            yield Choice(NPGS(), SWEEPS, from_start=is_warm)
+            yield Choice(Newton(), FOLLOWS)
+        self._newton_steps = LONG
+        if self._problem.has_friction and (was_tried or not is_warm):
             yield middle
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
-        yield Choice(NPGS(sweeps=50), "another start for Newton, after more sweeps", from_start=True)
-        yield Choice(Newton(), "from there")
-        for seed in STARTS:
-            yield Choice(Newton(seed=seed), "from a point nearby")
-        yield Choice(FixedPoint(), "convex programs, friction's term held", from_start=True)
-        yield Choice(Newton(), "the last digits are Newton's")
-        yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still")
-        yield Choice(Newton(proximal=1e-5), "with less damping")
-        for seed in LAST_STARTS:
-            yield Choice(Newton(seed=seed), "from a point nearby")
+        if not was_tried:
+            yield Choice(NPGS(sweeps=MORE), "another start for Newton, after more sweeps", from_start=True)
+            yield from (Choice(Newton(seed=seed), NEARBY) for seed in range(STARTS))
+        yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still", from_start=True)
+        yield from (Choice(Newton(seed=seed), NEARBY) for seed in (0, *range(STARTS, LAST_STARTS)))
 
 
 class ConeJudge(Judge):

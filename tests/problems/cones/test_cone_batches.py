@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lcp_plugin import LCP, ConeProblem, FrictionalContact, Status, derivative, solve, solve_batch
-from lcp_plugin.problems.cones.batch import groups_of, solve_small
+from lcp_plugin.core.settings import Settings
+from lcp_plugin.problems.cones.small import solve_small
 
 
 def contacts(count: int, k: int = 4, seed: int = 0) -> list[FrictionalContact]:
@@ -80,18 +81,16 @@ def test_what_the_loop_leaves_open_is_solved_by_itself() -> None:
     np.testing.assert_allclose(batch[2].z, [1.0, -0.3, -0.4], atol=1e-8)
 
 
-def test_problems_in_mixed_units_are_not_put_together() -> None:
+def test_problems_in_mixed_units_are_left_open_by_the_loop() -> None:
     """Kernels know of no units; these are solved by themselves, and right."""
     scale = np.diag(np.repeat([1.0, 1e12], 3))
     odd = [FrictionalContact(scale @ one.W @ scale, scale @ one.b, one.friction) for one in contacts(3, k=2, seed=4)]
-    assert groups_of(odd) == []
+    assert solve_small(odd, Settings()).items.size == 0
     assert len(solve_batch(odd)) == 3
 
 
 def test_a_certificate_confirms_what_the_loop_says() -> None:
     """With a loop that is cut short nothing is called solved."""
-    from lcp_plugin.core.settings import Settings
-
     problems = contacts(10)
     assert solve_small(problems, Settings(), lambda work, count: None).items.size == 0
 

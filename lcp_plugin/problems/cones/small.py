@@ -1,0 +1,106 @@
+"""Small problems over cones, one or many, in one compiled loop: sweeps and Newton's steps, and what they prove.
+
+What the loop leaves open, or does not prove, goes the way of larger ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.certificates.criterion import within
+from ...core.checks import FloatVector
+from ...core.settings import Settings
+from .data import Blocks
+from .methods import DECREASE, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL, SHORTEST, SPREAD
+
+LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
+ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
+FIRST_ROUNDS = 3
+NEWTON_STEPS = 20
+CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER)
+CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
+
+
+class Found(NamedTuple):
+    """Points that are proved to be answers.
+
+    Attributes
+    ----------
+    items : array of int
+        Which of the problems they answer.
+    z : list of ndarray
+    made : list of pairs
+        Sweeps, and steps of Newton's method.
+    residual : list of float
+        Upper bounds of their relative residuals.
+    """
+
+    items: NDArray[np.int64]
+    z: list[FloatVector]
+    made: list[list[int]]
+    residual: list[float]
+
+
+def groups_of(problems: Sequence[object]) -> list[NDArray[np.int64]]:
+    """Return which problems may share a loop: small, and of the same blocks."""
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for k, problem in enumerate(problems):
+        if isinstance(problem, Blocks) and 0 < problem.n <= LARGEST:
+            alike.setdefault((problem.has_friction, problem.starts.tobytes()), []).append(k)
+    return [np.array(members) for members in alike.values()]
+
+
+def solve_small(
+    problems: Sequence[Blocks], settings: Settings,
+    in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None, *, start: FloatVector | None = None,
+) -> Found:
+    """Return the answers to problems of one group, as far as the loop finds and proves them.
+
+    Parameters
+    ----------
+    problems : sequence of Blocks
+    settings : Settings
+    in_chunks : callable, optional
+        Calls a function of (first, end) for all items, while there is time.
+    start : array, shape (n,), optional
+        A point in K near the answer, of one problem.
+    """
+    from .small_kernels import solve_each
+
+    count, first = len(problems), problems[0]
+    M, q, lower, upper, origins, slopes = (
+        _stacked([getter(problem) for problem in problems]) for getter in _ARRAYS
+    )
+    z = np.array(origins if start is None else start[np.newaxis])
+    rounds = ROUNDS if first.n <= ALL_ROUNDS_UP_TO else ROUNDS[:FIRST_ROUNDS]
+    rounds = rounds if start is None else np.concatenate([[0], rounds])
+    made, proved = np.empty((count, 2), np.int64), np.empty((count, 2))
+    made[:, 1] = -1
+
+    def solve_chunk(begin: int, end: int) -> None:
+        solve_each(
+            begin, end, first.starts, float(first.has_friction), slopes, lower, upper, M, q, origins,
+            CLOSER * settings.tolerance, rounds, NEWTON_STEPS, MEMORY, CONSTANTS, SPREAD, z, made, proved,
+        )
+
+    if in_chunks is None:
+        solve_chunk(0, count)
+    else:
+        in_chunks(solve_chunk, count)
+    items = np.flatnonzero((made[:, 1] >= 0) & within(proved[:, 0], proved[:, 1], settings.tolerance))
+    return Found(items, list(z[items]), made[items].tolist(), proved[items, 0].tolist())
+
+
+_ARRAYS: tuple[Callable[[Blocks], Any], ...] = (
+    lambda problem: problem.rows.M if isinstance(problem.rows.M, np.ndarray) else problem.rows.M.toarray(),
+    lambda problem: problem.q, lambda problem: problem.lower, lambda problem: problem.upper,
+    lambda problem: problem.nearest_to_zero, lambda problem: problem.slope,
+)
+
+
+def _stacked(arrays: list[Any]) -> Any:
+    return np.ascontiguousarray(arrays[0])[np.newaxis] if len(arrays) == 1 else np.stack(arrays)

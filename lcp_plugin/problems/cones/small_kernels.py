@@ -1,0 +1,290 @@
+"""One compiled loop over small dense problems: scales and references, sweeps, Newton's steps, and what these prove."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.kernels.compilation import compiled, compiled_part
+from ...core.kernels.floats import TINY, UNIT
+from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
+from ...methods.small.kernels.small_systems import eliminate, substitute
+from ...methods.small.kernels.workspace import CANDIDATE
+from .kernels import OUTWARD, block_bounds, block_derivative, measure, sweep_once
+
+SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale of an LCP
+
+
+@compiled_part
+def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
+    """Write M as CSR, its diagonal blocks, the norms of its blocks, 1/‖M_kk‖, and d; return whether M is in one unit.
+
+    The rows of a block have one pattern. On the diagonal of `norms` are the means of the blocks' diagonals, as in the
+    LCP of block norms.
+    """
+    filled, largest, least, shows_none = 0, 0.0, np.inf, True
+    norms[:], diagonal[:] = 0.0, 0.0
+    for k in range(scale.size):
+        first, end = starts[k], starts[k + 1]
+        mean = 0.0
+        for i in range(first, end):
+            indptr[i] = filled
+            mean += M[i, i] / (end - first)
+            for j in range(M.shape[1]):
+                is_stored = False
+                for row in range(first, end):
+                    is_stored = is_stored or M[row, j] != 0.0
+                if is_stored:
+                    indices[filled], data[filled] = j, M[i, j]
+                    filled += 1
+        row = abs(mean)
+        for other in range(scale.size):
+            most, total = 0.0, 0.0
+            for i in range(first, end):
+                for j in range(starts[other], starts[other + 1]):
+                    most, total = max(most, abs(M[i, j])), total + M[i, j] * M[i, j]
+            norms[k, other] = max(most, np.sqrt(total))
+            if other != k:
+                row = max(row, norms[k, other])
+        for i in range(first, end):
+            for j in range(first, end):
+                diagonal[k, i - first, j - first] = M[i, j]
+        steps[k] = 1.0 / norms[k, k] if norms[k, k] > 0.0 else 0.0
+        norms[k, k] = abs(mean)
+        scale[k] = mean if mean >= SMALLEST_SCALE * row and mean > 0.0 else row if row > 0.0 else 1.0
+        largest, least = max(largest, row), min(least, abs(mean))
+        shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= abs(mean)
+    indptr[M.shape[0]] = filled
+    return shows_none or largest * 2.0**-SPREAD <= least
+
+
+@compiled_part
+def _label(norms, labels):  # type: ignore[no-untyped-def]
+    """Give each block the number of the first block in its connected component."""
+    for k in range(labels.size):
+        labels[k] = k
+    has_changed = True
+    while has_changed:
+        has_changed = False
+        for k in range(labels.size):
+            for j in range(labels.size):
+                if norms[k, j] > 0.0 and labels[j] != labels[k]:
+                    labels[j] = labels[k] = min(labels[j], labels[k])
+                    has_changed = True
+
+
+@compiled_part
+def _product(indptr, indices, data, q, z, w, slip):  # type: ignore[no-untyped-def]
+    """Write w = M z + q, and how far rounding has taken it from that."""
+    for i in range(q.size):
+        w[i] = total = q[i]
+        total, count = abs(total), 0
+        for p in range(indptr[i], indptr[i + 1]):
+            if z[indices[p]] != 0.0:
+                term = data[p] * z[indices[p]]
+                w[i], total, count = w[i] + term, total + abs(term), count + 1
+        slip[i] = (count + 2.0) * UNIT * OUTWARD * total + count * TINY if count else 0.0
+
+
+@compiled_part
+def _references(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, z, w, slip, scale, labels, R, least, most, reference, weights
+):
+    """Write the lower bound of each block's reference ‖R_P(z°)‖, and 1 over the upper one; return whether it is known.
+
+    It is not where double precision does not tell whether z° answers a component.
+    """
+    for k in range(slope.size):
+        least[k], most[k] = block_bounds(k, starts, slope, friction, lower, upper, z, w, slip, scale, R)
+    for k in range(slope.size):
+        low, high = 0.0, 0.0
+        for j in range(slope.size):
+            if labels[j] == labels[k]:
+                low, high = max(low, least[j]), max(high, most[j])
+        if high > 0.0 and not 0.0 < low < np.inf:
+            return False
+        reference[k], weights[k] = low, 1.0 / high if high > 0.0 else 0.0
+    return True
+
+
+@compiled_part
+def _newton_step(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J, whole,
+    place, step
+):
+    """Write the step s of (R_z + R_w (M + ε D)) s = −R; return whether there is one.
+
+    Of open blocks, and of rows at bounds, s = −R; the system is that of the others, whose rows `place` numbers.
+    """
+    n = 0
+    for k in range(slope.size):
+        block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
+        is_free = False
+        for i in range(by_w.shape[1]):
+            is_free = is_free or by_w[k, 0, i] != 0.0
+        for i in range(starts[k], starts[k + 1]):
+            place[i] = n if is_free else -1
+            n += is_free
+    for k in range(slope.size):
+        first, width = starts[k], starts[k + 1] - starts[k]
+        for i in range(width):
+            row, step[first + i] = place[first + i], -R[first + i]
+            if row < 0:
+                continue
+            for j in range(n):
+                J[row, j] = 0.0
+            right = -R[first + i]
+            for j in range(width):
+                J[row, place[first + j]] += by_z[k, i, j] + by_w[k, i, j] * epsilon * scale[k]
+                if by_w[k, i, j] != 0.0:
+                    for p in range(indptr[first + j], indptr[first + j + 1]):
+                        column = indices[p]
+                        if place[column] >= 0:
+                            J[row, place[column]] += by_w[k, i, j] * data[p]
+                        else:
+                            right += by_w[k, i, j] * data[p] * R[column]
+            J[row, n] = right
+    if not eliminate(J, whole, place.size, n):
+        return False
+    substitute(J, n)
+    for i in range(place.size):
+        if place[i] >= 0:
+            step[i] = J[place[i], n]
+    return True
+
+
+@compiled_part
+def _proved(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, q, z, w, slip, scale, norms, reference, R, proved
+):
+    """Write bounds of the relative residual and of the term residual of z."""
+    proved[:] = 0.0
+    for k in range(slope.size):
+        most = block_bounds(k, starts, slope, friction, lower, upper, z, w, slip, scale, R)[1]
+        if most > 0.0:
+            terms, squares = 0.0, 0.0
+            for j in range(slope.size):
+                squares = 0.0
+                for i in range(starts[j], starts[j + 1]):
+                    squares += z[i] * z[i]
+                terms += norms[k, j] * np.sqrt(squares)
+            squares = 0.0
+            for i in range(starts[k], starts[k + 1]):
+                squares += q[i] * q[i]
+            wrong = OUTWARD * scale[k] * most / (terms + np.sqrt(squares))
+            proved[0] = max(proved[0], OUTWARD * most / reference[k])
+            proved[1] = max(proved[1], OUTWARD * wrong * wrong)
+
+
+@compiled_part
+def _newton(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, goal, most_steps,
+    constants, z, w, R, start, sizes, x, way, by_z, by_w, J, whole, place, step
+):
+    """Take Newton's steps, with a nonmonotone line search, to the goal; return the largest residual and how many."""
+    proximal, halvings, decrease, least_proximal, harder = constants
+    largest, size = measure(
+        starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+    )
+    sizes[:] = size
+    for made in range(most_steps):
+        if largest <= goal or not size < np.inf:
+            return largest, made
+        epsilon = max(min(proximal, 0.1 * largest), least_proximal)
+        while epsilon <= 1.0 and not _newton_step(
+            starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J,
+            whole, place, step,
+        ):
+            epsilon *= harder
+        if epsilon > 1.0:
+            return largest, made
+        for i in range(z.size):
+            start[i] = z[i]
+        length, allowed = 1.0, size
+        for earlier in sizes:
+            allowed = max(allowed, earlier)
+        for _ in range(halvings):
+            for i in range(z.size):
+                z[i] = start[i] + length * step[i]
+            largest, size = measure(
+                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+            )
+            if size <= (1.0 - decrease * length) * allowed:
+                break
+            length *= 0.5
+        sizes[made % sizes.size] = size
+    return largest, most_steps
+
+
+@compiled
+def solve_each(  # type: ignore[no-untyped-def]
+    item, end_item, starts, friction, slopes, lowers, uppers, matrices, offsets, origins, goal, rounds, most_steps,
+    memory, constants, away, points, made, proved
+):
+    """Solve problems of the same blocks: sweeps, then steps of Newton's method, from `points`, which get the answers.
+
+    `rounds` are the sweeps before each run of Newton's method, of at most `most_steps`. Sweeps go on from sweeps; each
+    second run of Newton's method begins at a point moved at random, by `away` times the mean of its |z_i|, the same for
+    each item. `constants` are those of Newton's method: proximal term, halvings, decrease, least proximal term, factor
+    where a system is singular.
+    `made` gets how many sweeps and Newton's steps an item took, and −1 for these where M shows several units or the
+    goal was not reached; `proved` bounds of the relative residual and of the term residual.
+    """
+    blocks, n, m = starts.size - 1, offsets.shape[1], 1
+    for k in range(blocks):
+        m = max(m, starts[k + 1] - starts[k])
+    indptr, indices, data = np.empty(n + 1, np.int64), np.empty(n * n, np.int64), np.empty(n * n)
+    diagonal, norms, labels = np.empty((blocks, m, m)), np.empty((blocks, blocks)), np.empty(blocks, np.int64)
+    steps, scale, reference, weights = np.empty(blocks), np.empty(blocks), np.empty(blocks), np.empty(blocks)
+    least, most, sizes = np.empty(blocks), np.empty(blocks), np.empty(memory)
+    b, x, y, before = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    by_z, by_w, step, place = np.empty((blocks, m, m)), np.empty((blocks, m, m)), np.empty(n), np.empty(n, np.int64)
+    w, R, slip, start, swept = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    J, whole = np.empty((n + 4, n + 1)), np.empty((CANDIDATE + 1, 2 * n + 2), np.int64)
+    for number in range(item, end_item):
+        made[number, 0], made[number, 1] = 0, -1
+        slope, lower, upper = slopes[number], lowers[number], uppers[number]
+        q, z, origin = offsets[number], points[number], origins[number]
+        if not _gather(matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale):
+            continue
+        _label(norms, labels)
+        _product(indptr, indices, data, q, origin, w, slip)
+        if not _references(
+            starts, slope, friction, lower, upper, origin, w, slip, scale, labels, R, least, most, reference, weights
+        ):
+            continue
+        for k in range(blocks):
+            if weights[k] == 0.0:
+                z[starts[k]:starts[k + 1]] = origin[starts[k]:starts[k + 1]]
+        largest = measure(
+            starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+        )[0]
+        random, swept[:], newton_steps = 1, z, 0
+        for turn in range(rounds.size):
+            if largest <= goal:
+                break
+            z[:] = swept
+            for _ in range(rounds[turn]):
+                sweep_once(
+                    starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, y, before
+                )
+            made[number, 0] += rounds[turn]
+            swept[:] = z
+            if turn % 2:
+                spread = 2.0 * away * np.abs(swept).mean()
+                for i in range(n):
+                    random = (1103515245 * random + 12345) % 2147483648
+                    z[i] += spread * (random / 1073741824.0 - 1.0)
+            largest, taken = _newton(
+                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, goal, most_steps,
+                constants, z, w, R, start, sizes, x, y, by_z, by_w, J, whole, place, step,
+            )
+            newton_steps += taken
+        if largest <= goal:
+            made[number, 1] = newton_steps
+            for k in range(blocks):
+                if weights[k] == 0.0:
+                    z[starts[k]:starts[k + 1]] = origin[starts[k]:starts[k + 1]]
+            _product(indptr, indices, data, q, z, w, slip)
+            _proved(
+                starts, slope, friction, lower, upper, q, z, w, slip, scale, norms, reference, R, proved[number]
+            )

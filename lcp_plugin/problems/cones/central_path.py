@@ -45,18 +45,18 @@ class CentralPath:
         """Impulses in the caller's cones, shape (n,)."""
         return self.problem.projected((self.x / self.scale).ravel())
 
+    @np.errstate(all="ignore")
     def step(self) -> float | None:
         """Take a step; return its work in products with M, and None where none is possible."""
         from .kernels import newton_rows
 
         x, y, scale, M = self.x, self.y, self.scale, self.M
-        with np.errstate(all="ignore"):
-            H, root = scaling(x, y)
-            slip = y[:, 1:] / np.maximum(np.linalg.norm(y[:, 1:], axis=1), np.finfo(float).tiny)[:, None]
-            G = self.identity.copy()
-            G[:, 0, 1:] -= self.slope[:, None] * slip
-            left = apply(G, scale * y).ravel() - M @ (x / scale).ravel() - self.problem.q
-            by_z = np.einsum("kia,ka,kab,kb->kib", G, scale, H, scale)
+        H, root = scaling(x, y)
+        slip = y[:, 1:] / np.maximum(np.linalg.norm(y[:, 1:], axis=1), np.finfo(float).tiny)[:, None]
+        G = self.identity.copy()
+        G[:, 0, 1:] -= self.slope[:, None] * slip
+        left = apply(G, scale * y).ravel() - M @ (x / scale).ravel() - self.problem.q
+        by_z = np.einsum("kia,ka,kab,kb->kib", G, scale, H, scale)
         if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
             return None
         newton_rows(self.problem.starts, by_z, self.identity, M.indptr, M.indices, M.data,

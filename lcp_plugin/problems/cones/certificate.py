@@ -46,6 +46,8 @@ class ConeCertificate(Certificate):
     """
 
     is_linearised: ClassVar[bool] = True  # its rows are not those of an LCP
+    cones: Blocks
+    point: FloatVector
 
     def __init__(self, cones: Blocks, point: FloatVector) -> None:
         self.__dict__.update(cones=cones, point=point)
@@ -63,12 +65,12 @@ class ConeCertificate(Certificate):
         return certificate
 
     @cached_property
-    def problem(self) -> LCP:  # type: ignore[override]
+    def problem(self) -> LCP:
         """The LCP of block norms."""
         return self.cones.block_norms
 
     @cached_property
-    def z(self) -> FloatVector:  # type: ignore[override]
+    def z(self) -> FloatVector:
         """Norms of z of each block, shape (k,)."""
         return read_only(self.cones.norms(self.point))
 

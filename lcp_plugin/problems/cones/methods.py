@@ -151,6 +151,7 @@ class NewtonSystem:
         self.by_z, self.by_w = np.empty((k, m, m)), np.empty((k, m, m))
         self.entries = np.empty(self.M.nnz)
 
+    @np.errstate(over="ignore")  # sweeps without an answer go far
     def measured(self, z: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector, float]:
         """Return w, R, ‖R_k‖ beside the references, and their Euclidean norm."""
         w = self.problem.slack(z)

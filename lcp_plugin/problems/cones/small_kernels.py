@@ -31,8 +31,8 @@ def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  #
             mean += M[i, i] / (end - first)
             for j in range(M.shape[1]):
                 is_stored = False
-                for row in range(first, end):
-                    is_stored = is_stored or M[row, j] != 0.0
+                for inner in range(first, end):
+                    is_stored = is_stored or M[inner, j] != 0.0
                 if is_stored:
                     indices[filled], data[filled] = j, M[i, j]
                     filled += 1
@@ -191,8 +191,8 @@ def _newton(  # type: ignore[no-untyped-def]
             return largest, made
         epsilon = max(min(proximal, 0.1 * largest), least_proximal)
         while epsilon <= 1.0 and not _newton_step(
-            starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J,
-            whole, place, step,
+            starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w,
+            J, whole, place, step,
         ):
             epsilon *= harder
         if epsilon > 1.0:

@@ -36,7 +36,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import connected_components
 
 from ..core.checks import canonical_csr, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidOption, InvalidProblem, ModelWarning
@@ -668,6 +667,8 @@ def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
     InvalidProblem
         Where it is not positive definite.
     """
+    from scipy.sparse.csgraph import connected_components  # what most problems do not need
+
     count, component = connected_components(mass, directed=False)
     order, sizes = np.argsort(component, kind="stable"), np.bincount(component, minlength=count)
     firsts = np.cumsum(sizes) - sizes

@@ -169,7 +169,11 @@ def _policy(problem: Blocks, algorithm: Any, settings: Settings, **known: bool) 
 
 
 class ConeAuto(Policy):
-    """Sweeps, as long as nothing gets there with less work; then Newton, and what has another basin than Newton's."""
+    """Sweeps, as long as nothing gets there with less work; then Newton, an interior point, and both from other points.
+
+    Of 76 piles, towers and walls of 6 to 938 contacts the first two solve 54, the interior point 13 of the others, more
+    sweeps and other points 4; small problems have had the first two in the compiled loop.
+    """
 
     name = chosen = "auto"
 

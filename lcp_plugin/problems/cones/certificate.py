@@ -147,7 +147,8 @@ class ConeCertificate(Certificate):
     @cached_property
     def dissipation(self) -> float:
         """−rᵀu of contacts: the work that friction takes, in J; zᵀw of others is its complementarity."""
-        return float(-(self.point @ self.velocity))
+        with np.errstate(all="ignore"):
+            return float(-(self.point @ self.velocity))
 
     def __str__(self) -> str:
         lines: list[tuple[str, Any]] = [

@@ -318,7 +318,8 @@ class ConeResult(Result):
             raise InvalidOption(f"motion is of a FrictionalContact, got {type(problem).__name__}; read z and w")
         r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
         still = STICKS * float(np.abs(problem.q).max(initial=0.0))
-        touches, speeds = r[:, 0] > 0.0, np.linalg.norm(u[:, 1:], axis=1)
+        with np.errstate(over="ignore", under="ignore"):
+            touches, speeds = r[:, 0] > 0.0, np.linalg.norm(u[:, 1:], axis=1)
         bodies, after = problem.bodies, None
         if bodies is not None and bodies.velocities is not None:
             after = bodies.velocities + bodies.by_impulse @ self.z
@@ -339,6 +340,7 @@ class ConeResult(Result):
             lines += self._contacts_in_words()
         return "\n".join(lines)
 
+    @np.errstate(over="ignore", under="ignore")
     def _contacts_in_words(self) -> list[str]:
         motion, problem = self.motion, self.problem
         slides = motion.touches & ~motion.sticks

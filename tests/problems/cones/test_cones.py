@@ -301,6 +301,15 @@ def test_a_result_tells_of_its_contacts() -> None:
     assert "leans 26.6°" in told
 
 
+@pytest.mark.parametrize("size", [1e-160, 1e160])
+def test_a_result_tells_of_impulses_of_any_size(size: float) -> None:
+    """What overflows or vanishes in a square is no warning."""
+    result = solve(FrictionalContact(np.eye(3) / size, [-1.0, 3.0, 4.0], 0.5))
+    assert result.require_solved()
+    assert "1 slide" in result.explain()
+    assert "z · w" in str(result.certificate)
+
+
 def test_from_contacts_states_pyramids_or_the_cone_itself() -> None:
     """With cone="exact" bodies, gaps and all become a FrictionalContact; pyramids of many edges come near to it."""
     data = (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]), 0.4, [1.0, 2.0, -3.0]

@@ -323,9 +323,9 @@ class InteriorPoint(ConeAlgorithm):
         """Yield the start, which the path does not take, then a step a factor, then Newton's steps from the best."""
         if not problem.has_friction:
             raise UnsuitableProblem('interior_point takes contacts with friction; try algorithm="fixed_point"')
-        path = CentralPath(problem, closed_matrix(problem))
         best, residual, since = z0, math.inf, 0
         yield Step(z0, residual=relative_residual(problem, z0))
+        path = CentralPath(problem, closed_matrix(problem))
         for _ in range(MOST_STEPS):
             work = path.step()
             if work is None or residual <= NEAR or since > NO_GAIN:

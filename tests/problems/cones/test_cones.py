@@ -301,6 +301,12 @@ def test_a_result_tells_of_its_contacts() -> None:
     assert "leans 26.6°" in told
 
 
+@pytest.mark.parametrize("name", ["auto", *METHODS])
+def test_no_contacts_at_all_are_solved(name: str) -> None:
+    """As a step in time has, before anything touches."""
+    assert solve(FrictionalContact(np.zeros((0, 0)), np.zeros((0, 3)), 0.5), name).is_solved
+
+
 @pytest.mark.parametrize("size", [1e-160, 1e160])
 def test_a_result_tells_of_impulses_of_any_size(size: float) -> None:
     """What overflows or vanishes in a square is no warning."""

@@ -390,6 +390,9 @@ def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:
     for computed in ("_criterion", "block_norms"):
         other.__dict__.pop(computed, None)
     other.rows = problem.rows.with_q(checked_vector(q, name, problem.n), lower=problem.lower, upper=problem.upper)
+    bodies = getattr(problem, "bodies", None)
+    if bodies is not None:
+        other.bodies = bodies._replace(velocities=None)  # q does not tell those of the bodies
     return other
 
 

@@ -100,10 +100,11 @@ def solve_cones(
     was_tried = False
     if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock):
         found = solve_small([problem], settings, start=None if z0 is None else start)
-        if was_tried := not found.items.size:
-            start = problem.nearest_to_zero
-        elif (result := result_of(problem, found, 0, settings, clock.read())).iterations <= settings.max_iterations:
-            return result
+        was_tried = not found.items.size
+        if not was_tried:
+            result = result_of(problem, found, 0, settings, clock.read())
+            if result.iterations <= settings.max_iterations:
+                return result
     with np.errstate(), threads_for(settings.threads):
         policy = _policy(problem, algorithm, settings, is_warm=z0 is not None, was_tried=was_tried)
         judge = ConeJudge(problem, settings)

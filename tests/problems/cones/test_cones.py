@@ -301,6 +301,25 @@ def test_a_result_tells_of_its_contacts() -> None:
     assert "leans 26.6°" in told
 
 
+def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:
+    """With another q nothing is said of how the bodies move, where the old velocities would be wrong."""
+    block = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]
+    problem = FrictionalContact(block, [1.0, 0.0, -1.0], 0.1)
+    assert solve(problem).motion.body_velocities is not None
+    other = solve(problem.with_q([4.0, 0.0, 0.0]))
+    assert other.motion.body_velocities is None
+    assert other.motion.separation == pytest.approx([4.0])
+
+
+def test_a_warm_start_is_not_thrown_away_where_the_loop_fails() -> None:
+    """A limit leaves a point that is no worse than the start that was given."""
+    problem, _, _ = planted_contacts(6, 3, 100.0, np.random.default_rng(1))
+    known = solve(problem)
+    assert known.is_solved
+    again = solve(problem, z0=known.z, tolerance=1e-15, max_iterations=2)
+    assert again.residual <= 1e-11
+
+
 @pytest.mark.parametrize("name", ["auto", *METHODS])
 def test_no_contacts_at_all_are_solved(name: str) -> None:
     """As a step in time has, before anything touches."""

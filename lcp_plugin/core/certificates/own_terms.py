@@ -15,13 +15,6 @@ neither in the caller's units nor in those of energy may a row be wrong, be it n
 
 In the caller's own units an LCP within the tolerance has no larger term residual: z° is nearer to 0 than z is, so that
 ‖r(z°)‖∞ ≤ U, and a row with |r_i| ≤ s² U meets it. There nothing has to be computed.
-
-Of a nonlinear F, M is F′(x) and q = F(x) − F′(x) x. Where F flattens as x runs away, d → 0 or is the noise of
-differences, and beside a pole d is anything. So there only rows that have to vanish, and nearly do, tell U, no larger
-than ‖x_P‖∞, and instead of the first condition
-
-- v_i ≤ s^(3/2) T_i, 1e-6 T_i at a tolerance of 1e-8, or
-- |x_j| ≤ s² U for all unknowns of the row, and |q_i| ≪ T_i: it vanishes near 0, as it does not beside a pole.
 """
 
 from __future__ import annotations
@@ -31,7 +24,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import FloatVector
-from ..matrix.matrix import largest_in_rows
 from ..matrix.scaling import energy_scale
 from .criterion import for_each_row, largest_of_components
 from .row_residuals import magnitude
@@ -39,20 +31,15 @@ from .row_residuals import magnitude
 if TYPE_CHECKING:
     from ..lcp import LCP
 
-VANISHING = 1e-3  # of its terms: more is no row that vanishes
 
-
-def term_residuals(problem: LCP, z: FloatVector, w: FloatVector, *, is_linear: bool = True) -> FloatVector:
+def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
     """Return how wrong each row is in its own terms, shape (own,): 0 where it is right.
 
     Parameters
     ----------
     problem : LCP
-        Of a nonlinear F its linearisation at z.
     z, w : array, shape (own,)
-        The point, and its slack, or F there.
-    is_linear : bool
-        Whether w is M z + q everywhere.
+        The point, and its slack.
 
     Examples
     --------
@@ -69,22 +56,13 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector, *, is_linear: b
         distance = np.where(is_above, z - problem.lower, problem.upper - z)  # to where this sign is right
         wrong = np.where(distance > 0.0, np.abs(w), 0.0)
         terms = magnitude(problem, problem.matrix.whole(z))
-        if is_linear:
-            if (energy := energy_scale(problem.matrix)) is not None:  # which knows of units beside the diagonal alone
-                scale = np.where(np.isnan(energy), scale, problem.diagonal)
-            unit = for_each_row(problem, largest_of_components(problem, terms / scale))
-            if energy is not None:
-                largest = largest_of_components(problem, np.nan_to_num(terms / energy))
-                unit = np.fmin(unit, for_each_row(problem, largest) * energy / scale)
-            own = (2.0 * wrong / (terms + np.sqrt(terms**2 + 4.0 * wrong * scale * unit))) ** 2
-        else:
-            tells = (distance > 0.0) & (wrong <= VANISHING * terms)
-            unit = largest_of_components(problem, np.where(tells, terms / scale, 0.0))
-            unit = for_each_row(problem, np.minimum(unit, largest_of_components(problem, np.abs(z))))
-            rows = problem.matrix.csr_rows
-            unknowns = largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(z)[rows.indices], 0.0))  # of each row
-            vanishes = np.abs(problem.q) <= VANISHING * (terms - np.abs(problem.q))
-            own = np.fmin((wrong / terms) ** (4.0 / 3.0), np.where(vanishes, unknowns / unit, np.inf))
+        if (energy := energy_scale(problem.matrix)) is not None:  # which knows of units beside the diagonal alone
+            scale = np.where(np.isnan(energy), scale, problem.diagonal)
+        unit = for_each_row(problem, largest_of_components(problem, terms / scale))
+        if energy is not None:
+            largest = largest_of_components(problem, np.nan_to_num(terms / energy))
+            unit = np.fmin(unit, for_each_row(problem, largest) * energy / scale)
+        own = (2.0 * wrong / (terms + np.sqrt(terms**2 + 4.0 * wrong * scale * unit))) ** 2
         stays_right = ~(np.abs(w) - problem.diagonal * distance < 0.0)  # as far as the diagonal entry tells
         of_bound = np.where(stays_right, np.fmin((distance / np.abs(z)) ** 2, distance / unit), np.inf)
         squares: FloatVector = np.fmin(own, of_bound)

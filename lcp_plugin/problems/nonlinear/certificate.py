@@ -14,7 +14,8 @@ and so none is taken for the reference. Where F(x°) is undefined or solves the 
 answer, but not of a run that does not go there.
 
 A reference in the unit of x says little where F flattens as x runs away. So every row is judged in its own terms as
-well (:mod:`lcp_plugin.core.certificates.own_terms`); the relative residual is the largest of all.
+well, T_i = |q_i| + Σ_j |m_ij x_j| with M = F′(x), q = F(x) − F′(x) x (:func:`term_residuals`); the relative residual is
+the largest of all.
 
 F(x) is taken as F returns it. What rounding does in there is estimated where progress stops: F is asked at a few points
 so near x that its curvature does not show, and what is left of F(x + δ) − F(x) − F′(x) δ is rounding.
@@ -30,19 +31,20 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components
-from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
-from ...core.certificates.row_residuals import largest_ratio, residual_ends_of, scaled_residual
+from ...core.certificates.row_residuals import largest_ratio, magnitude, residual_ends_of, scaled_residual
 from ...core.checks import FloatVector, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
+from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.structure import connected_components
 from .data import Linearisation, NonlinearProblem
 
 NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wrong by a half explains no residual
 ASKED = 4  # points
 NEARLY_THERE = 1e-4  # of the way from the start to x°
+VANISHING = 1e-3  # of its terms: more is no row that vanishes
 ROUNDED = 1.0 + 2.0**-40  # of sums of nonnegative terms: below it an affine F may not come
 
 
@@ -181,7 +183,7 @@ class NonlinearCertificate(Certificate):
     @cached_property
     def term_residuals(self) -> FloatVector:
         """How wrong each row is in its own terms, shape (n,)."""
-        return term_residuals(self.problem, self.z, self.value, is_linear=False)
+        return term_residuals(self.problem, self.z, self.value)
 
     @cached_property
     def relative_residual(self) -> float:
@@ -239,3 +241,36 @@ def _ends(problem: LCP, x: FloatVector, value: FloatVector, scale: FloatVector) 
     return residual_ends_of(nothing, x, problem, x, scale, q=np.ascontiguousarray(value))
 
 
+def term_residuals(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
+    """Return how wrong each row is in its own terms, shape (n,): the least s² to which it is right, 0 where it is.
+
+    Where F flattens as x runs away, d → 0 or is the noise of differences, and beside a pole d is anything. So only rows
+    that have to vanish, and nearly do, tell the size U = max T_i / d_i of the component, no larger than ‖x_P‖∞. With
+    v_i the part of F_i that has the wrong sign (|F_i| where x_i is off its bounds), row i is right to s if
+
+    - v_i ≤ s^(3/2) T_i, 1e-6 T_i at a tolerance of 1e-8, or
+    - |x_j| ≤ s² U for all unknowns of the row, and |q_i| ≪ T_i: it vanishes near 0, as it does not beside a pole, or
+    - x_i is no farther than s max(|x_i|, s U) from a bound where its sign is right, and the step there keeps that sign.
+
+    Parameters
+    ----------
+    problem : LCP
+        The linearisation at x.
+    x, value : array, shape (n,)
+        The point, and F there.
+    """
+    with np.errstate(all="ignore"):
+        distance = np.where(value > 0.0, x - problem.lower, problem.upper - x)  # to where this sign is right
+        wrong = np.where(distance > 0.0, np.abs(value), 0.0)
+        terms = magnitude(problem, x)
+        tells = (distance > 0.0) & (wrong <= VANISHING * terms)
+        unit = largest_of_components(problem, np.where(tells, terms / problem.residual_scale, 0.0))
+        unit = for_each_row(problem, np.minimum(unit, largest_of_components(problem, np.abs(x))))
+        rows = problem.matrix.csr_rows
+        unknowns = largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0))  # of each row
+        vanishes = np.abs(problem.q) <= VANISHING * (terms - np.abs(problem.q))
+        own = np.fmin((wrong / terms) ** (4.0 / 3.0), np.where(vanishes, unknowns / unit, np.inf))
+        stays_right = ~(np.abs(value) - problem.diagonal * distance < 0.0)  # as far as the diagonal entry tells
+        of_bound = np.where(stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf)
+        squares: FloatVector = np.fmin(own, of_bound)
+    return np.where(wrong == 0.0, 0.0, np.where(np.isfinite(squares), squares, np.inf))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,6 +15,8 @@ from ...core.errors import InvalidProblem, NotConverged
 from ...core.lcp import LCP
 
 FloatMatrix = NDArray[np.float64]
+DIGITS = 2.0**3  # times the smallest difference from a best payoff is a unit at most: none is lost beside it
+SMALLEST_UNIT = 2.0**-900  # of payoffs up to 1: costs do not overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +86,8 @@ class GameOrigin:
 def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
     """Return the complementarity problem whose solutions are the Nash equilibria of a two-player game.
 
-    With costs K = s − A > 0 and L = t − B > 0 in the place of payoffs: z = (x, y) ≥ 0, M = [[0, K], [Lᵀ, 0]], q = −1.
+    With costs K_ij = s_j − a_ij > 0 and L_ij = t_i − b_ij > 0 in the place of payoffs, in units that are powers of two:
+    z = (x, y) ≥ 0, M = [[0, K], [Lᵀ, 0]], q = −1. Of integers the costs are exact, and so are ties.
 
     Parameters
     ----------
@@ -127,8 +131,8 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
         raise InvalidProblem(f"A must have at least one row and one column, got shape {row_payoffs.shape}")
     column_payoffs = _dense(rectangular_matrix(B, "B", m, k))
     M = np.zeros((m + k, m + k))
-    M[:m, m:] = _costs(row_payoffs)
-    M[m:, :m] = _costs(column_payoffs).T
+    M[:m, m:] = _costs(row_payoffs, own=0)
+    M[m:, :m] = _costs(column_payoffs, own=1).T
     problem = LCP(M, np.full(m + k, -1.0))
     problem.origin = GameOrigin(row_payoffs, column_payoffs)
     return problem
@@ -144,10 +148,26 @@ def _payoffs_of(game: Any, B: Any) -> tuple[Any, Any]:
     return row, column.T
 
 
-def _costs(payoffs: FloatMatrix) -> FloatMatrix:
-    """Return positive costs that order the actions as the payoffs do, between 1 and 2 in a unit of their own."""
-    spread = float(np.ptp(payoffs))
-    return np.ones_like(payoffs) if spread == 0.0 else 1.0 + (payoffs.max() - payoffs) / spread
+def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
+    """Return positive costs, 1 at least: what each action misses beside the best answer, `own` the axis of actions.
+
+    What the other player's action adds to all of them decides nothing, so the best answer to each costs the same unit.
+    It is a power of two, small enough to keep the digits of every difference beside one huge payoff: of integers all
+    are exact.
+    """
+    payoffs = np.ldexp(payoffs, -int(np.frexp(np.abs(payoffs).max())[1]))  # differences do not overflow
+    missed = payoffs.max(axis=own, keepdims=True) - payoffs
+    if not missed.any():
+        return np.ones_like(payoffs)
+    least, most = (_power_of_two(float(size)) for size in (missed[missed > 0.0].min(), missed.max()))
+    unit = max(min(most, DIGITS * least), SMALLEST_UNIT)
+    costs: FloatMatrix = 1.0 + missed / unit
+    return costs
+
+
+def _power_of_two(size: float) -> float:
+    """Return the largest one that is no larger."""
+    return 2.0 ** (math.frexp(size)[1] - 1)
 
 
 def _dense(matrix: Any) -> FloatMatrix:

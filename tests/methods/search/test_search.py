@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns.games import game, missed, wrong_equilibria
 from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
@@ -71,6 +72,26 @@ def test_known_games_have_their_equilibria(name: str) -> None:
     for solution in solutions:
         assert solution.is_isolated
         assert problem.origin.recover(solution.z).regret < 1e-14
+
+
+def test_ties_of_integer_payoffs_are_kept() -> None:
+    """Rows 0 and a half of 1 and 2 tie for the column player: the equilibria are a segment, as in the game itself."""
+    problem = lcp_from_bimatrix_game([[7, 7], [13, 4], [3, 9]], [[1, 1], [0, 3], [3, 0]])
+    (face,) = all_solutions(problem)
+    ends = [problem.origin.recover(vertex) for vertex in face.vertices]
+    np.testing.assert_allclose([end.row_strategy for end in ends], [[0, 0.5, 0.5], [1, 0, 0]], rtol=1e-15)
+    np.testing.assert_allclose([end.column_strategy for end in ends], [[1 / 3, 2 / 3]] * 2, rtol=1e-15)
+
+
+@pytest.mark.parametrize("odd", [None, 1e19, -1e19, 1e10, 1e-9, 1e-17])
+def test_equilibria_are_those_of_the_payoffs(odd: float | None) -> None:
+    """All extreme equilibria, ties and one odd payoff included, agree with an enumeration of vertices in fractions."""
+    rng = np.random.default_rng(7)
+    for _ in range(12):
+        A, B = game(rng, odd)
+        assert not wrong_equilibria(A, B)
+        if odd is None:
+            assert not missed(A, B)
 
 
 def test_a_degenerate_game_reports_a_face() -> None:

@@ -1,0 +1,62 @@
+"""All extreme Nash equilibria of two-player games in fractions, by vertices and labels, independent of the library."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import combinations
+from typing import Any
+
+Strategy = tuple[Fraction, ...]
+
+
+def extreme_equilibria(A: Any, B: Any) -> set[tuple[Strategy, Strategy]]:
+    """Return all pairs (x, y) of vertices of the best-response polyhedra in which each action is unplayed or best.
+
+    References
+    ----------
+    O. L. Mangasarian, *Equilibrium points of bimatrix games*, J. SIAM 12 (1964), doi:10.1137/0112064.
+    """
+    A, B = ([[Fraction(value) for value in row] for row in payoffs] for payoffs in (A, B))
+    m, k = len(A), len(A[0])
+    of_row = _vertices([[B[i][j] for i in range(m)] for j in range(k)])  # the column player's payoffs for each x
+    of_column = _vertices(A)
+    found = set()
+    for x, unplayed_rows, best_columns in of_row:
+        for y, unplayed_columns, best_rows in of_column:
+            if len(unplayed_rows | best_rows) == m and len(unplayed_columns | best_columns) == k:
+                found.add((x, y))
+    return found
+
+
+def _vertices(payoffs: list[list[Fraction]]) -> list[tuple[Strategy, frozenset[int], frozenset[int]]]:
+    """Return the vertices of {(s, v): payoffs s ≤ v, s ≥ 0, Σ s = 1}: s, where s is 0, which payoffs are v."""
+    n = len(payoffs[0])
+    rows = [[*row, Fraction(-1)] for row in payoffs] + [[Fraction(int(i == j)) for j in range(n)] + [Fraction(0)]
+                                                        for i in range(n)]
+    found = {}
+    for tight in combinations(range(len(rows)), n):
+        system = [[*rows[i], Fraction(0)] for i in tight] + [[Fraction(1)] * n + [Fraction(0), Fraction(1)]]
+        point = _solution(system)
+        if point is None or min(point[:n]) < 0:
+            continue
+        gains = [sum((a * s for a, s in zip(row, point[:n], strict=True)), Fraction(0)) for row in payoffs]
+        if max(gains) == point[n]:
+            unplayed = frozenset(i for i in range(n) if point[i] == 0)
+            found[tuple(point[:n])] = unplayed, frozenset(j for j, gain in enumerate(gains) if gain == point[n])
+    return [(s, *labels) for s, labels in found.items()]
+
+
+def _solution(system: list[list[Fraction]]) -> Sequence[Fraction] | None:
+    """Return the only solution of n equations [row, right-hand side], or None."""
+    rows, n = [row[:] for row in system], len(system)
+    for k in range(n):
+        pivot = next((i for i in range(k, n) if rows[i][k]), None)
+        if pivot is None:
+            return None
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [value / rows[k][k] for value in rows[k]]
+        for i in range(n):
+            if i != k and rows[i][k]:
+                rows[i] = [a - rows[i][k] * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return [row[n] for row in rows]

@@ -157,3 +157,33 @@ def _exact_residuals(problem: Any, z: Any, scale: Any) -> list[Any]:
                 x = [axis, *(mu * axis * v / tangent for v in x[1:])]
         sizes.append(mp.norm([a - b for a, b in zip(at, x, strict=True)]))
     return sizes
+
+
+def cancelled_diagonals(rng: np.random.Generator) -> ConeProblem:
+    """Second-order cones over an M of one decimal that is not monotone, the diagonals of its blocks adding up to 0."""
+    rows, blocks = int(rng.integers(2, 4)), int(rng.integers(1, 4))
+    M = np.round(rng.uniform(-1.0, 1.0, (rows * blocks, rows * blocks)), 1)
+    for first in range(0, rows * blocks, rows):
+        end = first + rows
+        left = rng.choice([0.0, 2.0**-54, 2.0**-40, 1e-9, -1e-12, 1e-5])
+        M[end - 1, end - 1] += left - np.trace(M[first:end, first:end])
+    return ConeProblem(M, np.round(rng.uniform(-1.5, 1.5, rows * blocks), 1), [("second_order", rows)] * blocks)
+
+
+def violation(problem: Any, z: Any) -> float:
+    """How far z is outside K beside ‖z_k‖, w outside K* beside its terms, and z_k · w_k beside both, with 50 digits."""
+    mp.dps = 50
+    M, worst = problem.rows.csr.toarray(), mpf(0)
+    z, q = [mpf(float(value)) for value in z], [mpf(float(value)) for value in problem.q]
+    products = [[mpf(float(M[i, j])) * z[j] for j in range(problem.n)] for i in range(problem.n)]
+    for k, mu in enumerate(problem.slope):
+        own = slice(problem.starts[k], problem.starts[k + 1])
+        at, w = z[own], [a + sum(row) for a, row in zip(q[own], products[own], strict=True)]
+        if problem.has_friction:
+            w[0] += mpf(float(mu)) * mp.norm(w[1:])
+        terms = mp.norm([abs(a) + sum(map(abs, row)) for a, row in zip(q[own], products[own], strict=True)])
+        outside = [mp.norm(at[1:]) - mu * at[0], mu * mp.norm(w[1:]) - w[0]] if len(at) > 1 else [-at[0], -w[0]]
+        size = mp.norm(at)
+        for wrong, beside in zip([*outside, abs(mp.fdot(at, w))], (size, terms, size * terms), strict=True):
+            worst = max(worst, wrong / beside) if wrong > 0 and beside > 0 else worst
+    return float(worst)

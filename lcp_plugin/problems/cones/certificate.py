@@ -2,9 +2,10 @@
 
 The residual of a block is the natural map R_k(z) = z_k − P_K(z_k − ŵ_k / d_k), ŵ = w + μ‖w_T‖ e_N with friction, w
 without, and its size is ‖R_k‖₂. Scales d_k, scaling and components are those of the LCP of block norms
-(:attr:`~lcp_plugin.problems.cones.data.Blocks.block_norms`), d_k the mean of the block's diagonal: so SOLVED asks for
-‖R̂_k(z)‖ ≤ tolerance · ‖R̂_P(z°)‖ in every component P, z° the point of K nearest to 0, and for every block to be right
-in its own terms to √tolerance, by the functions that an LCP is judged by.
+(:attr:`~lcp_plugin.problems.cones.data.Blocks.block_norms`), d_k = ‖M_kk‖/√m of m rows, which nothing cancels: so
+SOLVED asks for z in K, ‖R̂_k(z)‖ ≤ tolerance · ‖R̂_P(z°)‖ in every component P, z° the point of K nearest to 0, and for
+every block to be right beside its own terms, ‖|q_k| + Σ |m_ij z_j|‖, to √tolerance, or negligible beside what acts
+(:func:`~lcp_plugin.problems.cones.kernels.own_terms`).
 
 Rounding is enclosed: with |w − w̃|_i ≤ ρ_i, projections being nonexpansive, ‖R_k‖ is off by no more than
 (1 + μ)‖ρ_k‖ / d_k, and what the projection itself rounds is at most 8 (m + 10) u (1 + μ)(‖z_k‖ + (1 + μ)‖w_k‖ / d_k), m
@@ -21,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components
-from ...core.certificates.own_terms import term_residuals
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import over, rounding_floor
 from ...core.checks import FloatVector, read_only
 from ...core.lcp import LCP
+from ...core.matrix.structure import connected_components
 from ...core.rounding import compensated_product
 from .data import Blocks
 
@@ -114,10 +115,15 @@ class ConeCertificate(Certificate):
 
     @cached_property
     def term_residuals(self) -> FloatVector:
-        """How wrong each block is in its own terms, shape (k,): d_k ‖R_k‖ is its wrong part."""
-        residual = self._ends(self.problem.residual_scale)[1]
-        with np.errstate(all="ignore"):
-            return term_residuals(self.problem, self.z, residual * self.problem.residual_scale)
+        """How wrong each block is beside its own terms, squared, shape (k,): 0 where its residual is 0."""
+        from .kernels import term_residuals
+
+        cones, several = self.cones, connected_components(self.problem.matrix)
+        M, wrong = cones.rows.csr, np.empty(cones.slope.size)
+        labels = np.zeros(wrong.size, np.int64) if several is None else several.labels
+        matrix = M.indptr, M.indices, M.data
+        term_residuals(*cones.arrays, *matrix, cones.q, cones.scale, labels, self.point, self.velocity, wrong)
+        return np.where(self._scaled_ends[1] == 0.0, 0.0, wrong)
 
     @cached_property
     def _worst(self) -> tuple[float, int]:

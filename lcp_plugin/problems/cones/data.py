@@ -126,8 +126,8 @@ class Blocks:
     def block_norms(self) -> LCP:
         """The problem of norms by which scaling, components and scales are those of an LCP, shape (k, k).
 
-        Its entries are the Frobenius norms of the blocks of M, on the diagonal the means of theirs, and it has no
-        bounds.
+        Its entries are the Frobenius norms of the blocks of M, on the diagonal over √m, m rows, so that it is d for
+        d I; a row that is no cone keeps its diagonal entry. It has no bounds.
         """
         with np.errstate(all="ignore"):
             sizes = np.minimum(self.norms(self.q), np.finfo(np.float64).max)
@@ -406,11 +406,12 @@ def _norms_of_blocks(problem: Blocks) -> Matrix:
         np.maximum.at(largest, where, np.abs(M.data))
         squares = np.bincount(where, weights=(M.data / largest[where]) ** 2, minlength=pairs.size)
         norms = np.minimum(largest * np.sqrt(squares), np.finfo(np.float64).max)
-        left = pairs // k != pairs % k
-        shares = problem.rows.diagonal / problem.sizes[of_row]
-        means = np.add.reduceat(shares, problem.starts[:-1]) if k else shares
-    rows, columns = (np.concatenate([side[left], np.arange(k)]) for side in (pairs // k, pairs % k))
-    return Matrix(sp.csr_array((np.concatenate([norms[left], means]), (rows, columns)), shape=(k, k)))
+    rows, columns = pairs // k, pairs % k
+    is_own = rows == columns
+    norms[is_own] /= np.sqrt(problem.sizes[rows[is_own]])
+    single = is_own & (problem.sizes[rows] == 1)
+    norms[single] = problem.rows.diagonal[problem.starts[rows[single]]]
+    return Matrix(sp.csr_array((norms, (rows, columns)), shape=(k, k)))
 
 
 def dimension_of(given: int | None, friction: FloatVector, rows: int) -> int:

@@ -18,6 +18,7 @@ OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: at the apex or a bound, in
 LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for one block
 TURN = 0.5  # radians a step of Newton turns at the most
 ACCURATE = 1e-14
+NEGLIGIBLE = 1e-12  # beside what acts: such terms do not count
 
 
 @compiled_part
@@ -77,6 +78,17 @@ def residuals(starts, slope, friction, lower, upper, z, w, scale, found, cases):
 
 
 @compiled_part
+def project(starts, slope, lower, upper, z):  # type: ignore[no-untyped-def]
+    """Overwrite z with the point of K nearest to it."""
+    for k in range(slope.size):
+        first = starts[k]
+        if starts[k + 1] - first == 1:
+            z[first] = min(max(z[first], lower[first]), upper[first])
+        else:
+            _project(z, first, starts[k + 1], slope[k])
+
+
+@compiled_part
 def block_bounds(  # type: ignore[no-untyped-def]
     k, starts, slope, friction, lower, upper, z, w, slip, scale, found
 ):
@@ -109,6 +121,63 @@ def bounds(starts, slope, friction, lower, upper, z, w, slip, scale, least, most
         least[k], most[k] = block_bounds(
             k, starts, slope, friction, lower, upper, z, w, slip, scale, found
         )
+
+
+@compiled_part
+def own_terms(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, near, slack, R, terms,
+    longest, most, wrong
+):
+    """Write into `wrong` how wrong each block is beside its own terms, squared: the guard of the criterion.
+
+    It is measured at `near`: z with the blocks on their bounds, apexes and boundaries where the slack w at z keeps
+    them there. There d ‖R_k‖ stands beside ‖|q_k| + Σ |m_ij z_j|‖, whose rows `terms` gets. A block does not count
+    whose terms are NEGLIGIBLE beside those of the blocks that act and beside d ‖z_P‖, P its component.
+    """
+    for k in range(slope.size):
+        first, end = starts[k], starts[k + 1]
+        case = _residual(k, starts, slope, friction, lower, upper, z, w, scale, R)
+        for i in range(first, end):
+            near[i] = z[i]
+            if case == OUT:
+                near[i] = z[i] - R[i]
+            elif case == ON:
+                near[i] += R[i] - w[i] / scale[k]
+        if case == ON:
+            near[first] -= friction * slope[k] * _tangent(w, first, end) / scale[k]
+            _project(near, first, end, slope[k])
+    for i in range(q.size):
+        slack[i], terms[i] = q[i], abs(q[i])
+        for p in range(indptr[i], indptr[i + 1]):
+            term = data[p] * near[indices[p]]
+            slack[i], terms[i] = slack[i] + term, terms[i] + abs(term)
+    longest[:], most[:] = 0.0, 0.0
+    for k in range(slope.size):
+        first, end, part = starts[k], starts[k + 1], labels[k]
+        case = _residual(k, starts, slope, friction, lower, upper, near, slack, scale, R)
+        wrong[k] = scale[k] * _tangent(R, first - 1, end)
+        longest[part] = max(longest[part], _tangent(near, first - 1, end))
+        if case != OUT or wrong[k] > 0.0:
+            most[part] = max(most[part], _tangent(terms, first - 1, end))
+    for k in range(slope.size):
+        own, part = _tangent(terms, starts[k] - 1, starts[k + 1]), labels[k]
+        counts = own > NEGLIGIBLE * scale[k] * longest[part] or own > NEGLIGIBLE * most[part]
+        if wrong[k] == 0.0 or not counts:
+            wrong[k] = 0.0
+        else:
+            wrong[k] = (wrong[k] / own) ** 2 if wrong[k] < np.inf and own < np.inf else np.inf
+
+
+@compiled
+def term_residuals(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, wrong
+):
+    """Write into `wrong` how wrong each block is beside its own terms, squared; see own_terms."""
+    n = q.size
+    own_terms(
+        starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, np.empty(n), np.empty(n),
+        np.empty(n), np.empty(n), np.empty(wrong.size), np.empty(wrong.size), wrong,
+    )
 
 
 @compiled_part

@@ -9,7 +9,7 @@ from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
 from ...methods.small.kernels.small_systems import eliminate, substitute
 from ...methods.small.kernels.workspace import CANDIDATE
-from .kernels import OUTWARD, block_bounds, block_derivative, measure, sweep_once
+from .kernels import OUTWARD, block_bounds, block_derivative, measure, own_terms, project, sweep_once
 
 SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale of an LCP
 
@@ -18,17 +18,14 @@ SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale o
 def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
     """Write M as CSR, its diagonal blocks, the norms of its blocks, 1/‖M_kk‖, and d; return whether M is in one unit.
 
-    The rows of a block have one pattern. On the diagonal of `norms` are the means of the blocks' diagonals, as in the
-    LCP of block norms.
+    The rows of a block have one pattern. `norms` are the entries of the LCP of block norms, but for signs.
     """
     filled, largest, least, shows_none = 0, 0.0, np.inf, True
     norms[:], diagonal[:] = 0.0, 0.0
     for k in range(scale.size):
         first, end = starts[k], starts[k + 1]
-        mean = 0.0
         for i in range(first, end):
             indptr[i] = filled
-            mean += M[i, i] / (end - first)
             for j in range(M.shape[1]):
                 is_stored = False
                 for inner in range(first, end):
@@ -36,23 +33,25 @@ def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  #
                 if is_stored:
                     indices[filled], data[filled] = j, M[i, j]
                     filled += 1
-        row = abs(mean)
+        row = 0.0
         for other in range(scale.size):
             most, total = 0.0, 0.0
             for i in range(first, end):
                 for j in range(starts[other], starts[other + 1]):
                     most, total = max(most, abs(M[i, j])), total + M[i, j] * M[i, j]
             norms[k, other] = max(most, np.sqrt(total))
-            if other != k:
-                row = max(row, norms[k, other])
+            if other == k:
+                steps[k] = 1.0 / norms[k, k] if norms[k, k] > 0.0 else 0.0
+                norms[k, k] /= np.sqrt(end - first)
+            row = max(row, norms[k, other])
         for i in range(first, end):
             for j in range(first, end):
                 diagonal[k, i - first, j - first] = M[i, j]
-        steps[k] = 1.0 / norms[k, k] if norms[k, k] > 0.0 else 0.0
-        norms[k, k] = abs(mean)
-        scale[k] = mean if mean >= SMALLEST_SCALE * row and mean > 0.0 else row if row > 0.0 else 1.0
-        largest, least = max(largest, row), min(least, abs(mean))
-        shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= abs(mean)
+        own = norms[k, k]
+        serves = own >= SMALLEST_SCALE * row and own > 0.0 and (end - first > 1 or M[first, first] > 0.0)
+        scale[k] = own if serves else row if row > 0.0 else 1.0
+        largest, least = max(largest, row), min(least, own)
+        shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= own
     indptr[M.shape[0]] = filled
     return shows_none or largest * 2.0**-SPREAD <= least
 
@@ -150,29 +149,6 @@ def _newton_step(  # type: ignore[no-untyped-def]
         if place[i] >= 0:
             step[i] = J[place[i], n]
     return True
-
-
-@compiled_part
-def _proved(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, q, z, w, slip, scale, norms, reference, R, proved
-):
-    """Write bounds of the relative residual and of the term residual of z."""
-    proved[:] = 0.0
-    for k in range(slope.size):
-        most = block_bounds(k, starts, slope, friction, lower, upper, z, w, slip, scale, R)[1]
-        if most > 0.0:
-            terms, squares = 0.0, 0.0
-            for j in range(slope.size):
-                squares = 0.0
-                for i in range(starts[j], starts[j + 1]):
-                    squares += z[i] * z[i]
-                terms += norms[k, j] * np.sqrt(squares)
-            squares = 0.0
-            for i in range(starts[k], starts[k + 1]):
-                squares += q[i] * q[i]
-            wrong = OUTWARD * scale[k] * most / (terms + np.sqrt(squares))
-            proved[0] = max(proved[0], OUTWARD * most / reference[k])
-            proved[1] = max(proved[1], OUTWARD * wrong * wrong)
 
 
 @compiled_part
@@ -284,7 +260,15 @@ def solve_each(  # type: ignore[no-untyped-def]
             for k in range(blocks):
                 if weights[k] == 0.0:
                     z[starts[k]:starts[k + 1]] = origin[starts[k]:starts[k + 1]]
+            project(starts, slope, lower, upper, z)
             _product(indptr, indices, data, q, z, w, slip)
-            _proved(
-                starts, slope, friction, lower, upper, q, z, w, slip, scale, norms, reference, R, proved[number]
+            own_terms(
+                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, start, step, R,
+                swept, least, most, weights,
             )
+            proved[number] = 0.0
+            for k in range(blocks):
+                most[k] = block_bounds(k, starts, slope, friction, lower, upper, z, w, slip, scale, R)[1]
+                if most[k] > 0.0:
+                    proved[number, 0] = max(proved[number, 0], OUTWARD * most[k] / reference[k])
+                    proved[number, 1] = max(proved[number, 1], weights[k])

@@ -278,8 +278,8 @@ class ConeJudge(Judge):
         return relative_residual(self.problem, self._held(z))
 
     def _held(self, z: FloatVector) -> FloatVector:
-        """Return z with z° in the components that z° answers."""
-        answered = criterion_of(self.problem).answered
+        """Return the point of K nearest to z, with z° in the components that z° answers."""
+        answered, z = criterion_of(self.problem).answered, self.problem.projected(z)
         return z if answered is None else np.where(answered, self.problem.nearest_to_zero, z)
 
 

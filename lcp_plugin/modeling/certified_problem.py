@@ -22,9 +22,20 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem, UnsupportedModel
-from ..problems.programs.certification import LOOSE, Certification, ProgramProofs, Proved, multiplier_beside_slack
+from ..core.matrix.matrix import largest_in_rows
+from ..problems.programs.certification import (
+    LOOSE,
+    Certification,
+    ProgramProofs,
+    Proved,
+    Violation,
+    multiplier_error,
+    size_of_objective,
+)
 from ..problems.programs.convexity import refuse_nonconvex
+from ..problems.programs.definitions import Substitution
 from ..problems.programs.dual_bounds import DENSE_UP_TO, least_squares_above
+from ..problems.programs.feasible_points import objective_bounds
 from ..problems.programs.program import QuadraticProgram
 from ._compat import leaf_value, name_of
 from .qp_solver import ProgramEntries, QPSolver, quadratic_program
@@ -36,7 +47,6 @@ CLAIMED = {
 }
 EVALUATED = 2.0**-44  # of the terms of an expression: more than rounding makes of its value
 BESIDE = 1e-9  # residuals of what cvxpy added beside the user's values
-ACTIVE = 1e-5  # of a row's unit: rows that cvxpy added and whose multipliers are free to be anything ≥ 0
 
 
 def certify_problem(problem: Any, tolerance: float) -> Certification:
@@ -102,21 +112,34 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
         found = np.nan_to_num(terms.violated(problem), nan=np.inf)
         missed = [(high and high - EVALUATED * terms.size(k), high) for k, high in enumerate(found.tolist(), 1)]
     missed += [(miss, miss) for miss in map(attribute_error, problem.variables())]
-    violation = (max((low for low, _ in missed), default=0.0), max((high for _, high in missed), default=0.0))
-    x = reduced.values(problem, proofs)
-    proved = Proved(
-        (value - rounding, value + rounding), violation, proofs.own_lower, proofs.upper(*([] if x is None else [x])),
-        tolerance, reduced.program.scaling.objective,
+    least, largest = (max(ends, default=0.0) for ends in zip(*missed, strict=True))
+    x, own, program = reduced.values(problem, proofs), proofs.own_solution, reduced.program
+    at = x if x is not None else np.zeros(program.n) if own is None else own.x
+    seen = Violation.of(program, at, tolerance)
+    violation = Violation(
+        least, largest, largest <= tolerance and (x is None or seen.is_met),
+        least > tolerance and (x is None or seen.is_missed),
     )
-    complaint = "" if x is None else _dual_error(problem, reduced, x, tolerance)
+    stated, compiled = (value - rounding, value + rounding), objective_bounds(program, at)
+    is_the_same = x is not None and compiled[0] <= stated[1] and stated[0] <= compiled[1]
+    proved = Proved(
+        compiled if is_the_same else stated, violation, proofs.own_lower, proofs.upper(*([] if x is None else [x])),
+        tolerance, _size(program, at),
+    )
     if x is None:  # nothing can be said of an x that the program does not show
-        own = proofs.own_solution
-        blind = np.zeros(reduced.program.n) if own is None else own.x
-        return replace(proved.certification(proofs, blind, complaint, np.zeros(0, np.intp)), distance=None)
-    said = proved.certification(proofs, x, complaint, reduced.columns)
+        return replace(proved.certification(proofs, at, "", np.zeros(0, np.intp)), distance=None)
+    said = proved.certification(proofs, x, _dual_error(problem, reduced, x, tolerance), reduced.columns)
     if said.distance is None:
         return said
     return replace(said, distance=math.nextafter(said.distance * math.sqrt(reduced.most_copies), math.inf))
+
+
+def _size(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
+    """Return the size of the objective's terms in the user's variables: cvxpy's t = A x − b is put in."""
+    put_in = Substitution.of(program)
+    return size_of_objective(program, x) if put_in is None else size_of_objective(
+        put_in.reduced, x[put_in.definitions.kept]
+    )
 
 
 def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance: float) -> str:
@@ -124,20 +147,15 @@ def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance
     duals = {constraint.id: constraint.dual_value for constraint in problem.constraints}
     if any(dual is None for dual in duals.values()):
         return ""
+    if (y := reduced.multipliers(duals, x, tolerance)) is not None:
+        wrong = multiplier_error(reduced.program, x, [y], tolerance)
+        return f"the dual values are wrong: {wrong}" if wrong else ""
     size = max((float(np.abs(dense_value(dual)).max(initial=0.0)) for dual in duals.values()), default=0.0)
-    y, scaling = reduced.multipliers(duals), reduced.program.scaling
-    if y is not None and y.size:
-        size = max(size, scaling.objective / float(scaling.coefficient[: y.size].max()))
     for constraint in problem.constraints:
         least = float(dense_value(duals[constraint.id]).min(initial=0.0))
         if isinstance(constraint, INEQUALITIES) and least < -LOOSE * tolerance * size:
             return f"the dual value {least:.3g} of {name_of(constraint)} has the wrong sign"
-    if y is None:
-        return ""
-    if idle := multiplier_beside_slack(reduced.program, x, np.nan_to_num(y), tolerance):
-        return idle
-    left = reduced.gradient_left(y, x, tolerance)
-    return f"the dual values leave {left:.3g} of the gradient" if left else ""
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,40 +219,30 @@ class ReducedProblem:
                 x[added] = best.x
         return x
 
-    def multipliers(self, duals: dict[int, Any]) -> FloatVector | None:
-        """Return these duals as multipliers of [G; A], NaN for rows that cvxpy added; None where one has no place."""
-        places = self.entries.duals
+    def multipliers(self, duals: dict[int, Any], x: FloatVector, tolerance: float) -> FloatVector | None:
+        """Return these duals as multipliers of [G; A], with those of rows that cvxpy added as they are best beside x.
+
+        None where a dual has no place, or where the rows are too many to look.
+        """
+        program, places = self.program, self.entries.duals
         if any(key not in places for key in duals):
             return None
-        unknowns = np.full(self.program.n + self.program.constraints.rows, np.nan)
+        unknowns = np.full(program.n + program.constraints.rows, np.nan)
         for key, dual in duals.items():
             places[key].put_into(unknowns, dual)
-        return unknowns[self.program.n :]
-
-    def gradient_left(self, y: FloatVector, x: FloatVector, tolerance: float) -> float:
-        """Return what is left of the gradient beside these multipliers and any of the rows that cvxpy added.
-
-        0 where it is no more than errors of multipliers may be, and where nothing can be said.
-        """
-        program, rows = self.program, self.program.constraints
-        is_added, y = np.isnan(y), np.nan_to_num(y)
-        matrix = rows.matrix[: rows.rows]
-        value = np.abs(matrix @ x - rows.limit[: rows.rows])
-        is_equality = rows.is_equality[: rows.rows]
-        added = np.flatnonzero(is_added & (is_equality | (value <= ACTIVE * rows.unit[: rows.rows])))
-        s = program.P @ x + program.c + matrix.T @ y
-        terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c), abs(matrix).T @ np.abs(y)]
+        y, rows = unknowns[program.n :], program.constraints
+        matrix, limit, is_equality = rows.matrix[: y.size], rows.limit[: y.size], rows.is_equality[: y.size]
+        near = LOOSE * tolerance * (largest_in_rows(matrix) * np.abs(x).max(initial=0.0) + np.abs(limit))
+        added = np.flatnonzero(np.isnan(y) & (is_equality | (np.abs(matrix @ x - limit) <= near)))
+        y = np.asarray(np.nan_to_num(y))
+        if added.size * x.size > DENSE_UP_TO:
+            return None
         if added.size:
-            if added.size * s.size > DENSE_UP_TO:
-                return 0.0
-            found = least_squares_above(
-                sp.csr_array(matrix[added].T), -s, np.where(is_equality[added], -np.inf, 0.0)
+            left = program.P @ x + program.c + matrix.T @ y
+            y[added] = least_squares_above(
+                sp.csr_array(matrix[added].T), -left, np.where(is_equality[added], -np.inf, 0.0)
             )
-            s = s + matrix[added].T @ found
-            terms.append(abs(matrix[added]).T @ np.abs(found))
-        unit = program.scaling.objective / program.scaling.unknown
-        excess = np.abs(s) - LOOSE * tolerance * (unit + np.max(terms, axis=0))
-        return float(np.abs(s[excess > 0.0]).max(initial=0.0))
+        return y
 
     def in_the_users_units(self, found: Certification, sense: float) -> Certification:
         """Return what was found with bounds of the user's optimal value, a largest one where he maximises."""

@@ -26,7 +26,7 @@ from lcp_plugin import Certification, QuadraticProgram, certify
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")
-TOLERANCE, LOOSE = 1e-6, 10  # x is disproved where it is farther than LOOSE · TOLERANCE max(1, ‖x‖∞) from all optima
+TOLERANCE, LOOSE = 1e-6, 10  # x is disproved where it is farther than LOOSE · TOLERANCE ‖x‖∞ from all optima
 ROUNDING = 1e-13  # gaps below that, beside 1 + |f|, are nobody's to be sharp about
 
 
@@ -93,10 +93,39 @@ def violation(program: QuadraticProgram, x: Any) -> Fraction:
     return worst
 
 
+def size(program: QuadraticProgram, x: Any) -> Fraction:
+    """Return Σ|c_j x_j| + |xᵀP x| without rounding."""
+    linear = [Fraction(c) * Fraction(a) for c, a in zip(program.c.tolist(), x.tolist(), strict=True)]
+    return sum(map(abs, linear), Fraction(0)) + 2 * abs(objective(program, x) - sum(linear, Fraction(0)))
+
+
+def is_met(program: QuadraticProgram, x: Any) -> bool:
+    """Return whether x violates each row by no more than its terms or a small step excuses, without rounding."""
+    rows, at, tolerance = program.constraints, [Fraction(value) for value in x.tolist()], Fraction(TOLERANCE)
+    step = tolerance * min(Fraction(1), max(map(abs, at), default=Fraction(0)))
+    bounds = list(zip(program.lower.tolist(), program.upper.tolist(), strict=True))
+    for row, limit, is_equality in zip(rows.matrix.toarray().tolist(), rows.limit, rows.is_equality, strict=True):
+        if not np.isfinite(limit):
+            continue
+        terms = [Fraction(e) * a for e, a in zip(row, at, strict=True)]
+        excess, mended = sum(terms, Fraction(0)) - Fraction(limit), Fraction(0)
+        if excess < 0 and not is_equality:
+            continue
+        for entry, a, ends in zip(row, at, bounds, strict=True):
+            end = ends[0] if (entry > 0) == (excess > 0) else ends[1]
+            room = max(abs(a - Fraction(end)) if (a > end) == (end == ends[0]) else Fraction(0), Fraction(0)) \
+                if np.isfinite(end) else step
+            mended += abs(Fraction(entry)) * min(room, step)
+        if abs(excess) > max(tolerance * max(abs(Fraction(limit)), *map(abs, terms)), mended):
+            return False
+    return True
+
+
 def faults(given: Case, x: Any, said: Certification) -> list[str]:
     """Return what is false in what was said about x; exact."""
     program, found = given.program, []
     value, missed, tolerance = objective(program, x), violation(program, x), Fraction(TOLERANCE)
+    is_optimal = is_met(program, x) and abs(value - given.value) <= tolerance * size(program, x)
     if said.lower is not None and Fraction(said.lower) > given.value:
         found.append("lower")
     if said.upper is not None and Fraction(said.upper) < given.value:
@@ -108,9 +137,7 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
     apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
     if said.distance is not None and (not given.is_definite or Fraction(said.distance) ** 2 < apart):
         found.append("distance")
-    size = Fraction(program.scaling.objective) + abs(value)
-    is_optimal = missed <= tolerance and abs(value - given.value) <= tolerance * size
-    far = LOOSE * tolerance * max(1, Fraction(float(np.abs(x).max(initial=0.0))))
+    far = LOOSE * tolerance * Fraction(float(np.abs(x).max(initial=0.0)))
     off = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)), default=0)
     is_near = off <= far or (missed <= 0 and value == given.value)  # "farther from every optimal one" is disproved
     if said.verdict == "disproved" and is_optimal and is_near:
@@ -155,9 +182,8 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
 
 def is_still_right(given: Case, x: Any) -> bool:
     """Whether x is within the promise although it was moved: where P is not definite there may be flat directions."""
-    value, promise = objective(given.program, x), Fraction(TOLERANCE)
-    size = Fraction(given.program.scaling.objective) + abs(value)
-    is_near = abs(value - given.value) <= promise * size and violation(given.program, x) <= promise
+    gap = abs(objective(given.program, x) - given.value)
+    is_near = gap <= Fraction(TOLERANCE) * size(given.program, x) and is_met(given.program, x)
     return is_near and (not given.is_definite or bool(np.abs(x - given.x).max() <= TOLERANCE))
 
 

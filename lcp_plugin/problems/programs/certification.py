@@ -20,8 +20,9 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, checked_vector, is_number
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.kind import kind_of, refusal
+from ...core.matrix.matrix import largest_in_rows
 from ...core.rounding import compensated_product, gamma
 from ...core.solving.answer import Answer
 from ...proofs.bounds.curvature import constrained_curvature
@@ -33,6 +34,7 @@ from .dual_bounds import DualBounds, implied_box
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
+from .reductions import FoldedRows
 from .sharp_distances import sharp_distance
 from .small_programs import solved_at_once
 from .solution import QPSolution
@@ -45,7 +47,8 @@ ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
-LOOSE = 10.0  # times the tolerance: errors of x beside its unit and ‖x‖∞, of multipliers beside their column's terms
+LOOSE = 10.0  # times the tolerance: errors of x beside ‖x‖∞, of multipliers beside their column's terms
+ACTS = 1e-2  # of the terms that act at x: what is small beside these is right in a column whose own terms are small
 
 
 @np.errstate(all="ignore")  # what overflows proves nothing
@@ -70,12 +73,13 @@ def certify(
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
         and of a result or a cvxpy problem what its status says.
     tolerance : float
-        "proved" means: no constraint is violated by more than this, |f(x) − lower| ≤ tolerance (u + |f(x)|), where u
-        and v are the units of objective and x that the notes define, and neither is x proved to be farther than
-        10 · tolerance max(v, ‖x‖∞) from every optimal one, nor are multipliers that came with it wrong by more than
-        10 · tolerance relative to the size of the terms in their conditions: sign, gradient, and 0 where x leaves
-        slack. Of "infeasible": that every x violates a constraint by more than this, so that no x can be proved to be
-        optimal.
+        "proved" means: x has the optimal value f*, |f(x) − f*| ≤ tolerance · (Σ|c_j x_j| + |xᵀP x|), and meets the
+        constraints: each c·x ≤ d or = d holds but for tolerance · max(|d|, largest |c_j x_j|), or where no x_j moves,
+        within its bounds, by more than tolerance · min(1, ‖x‖∞). Where all terms are 0 the comparison is exact. Neither
+        is x proved to be farther than 10 · tolerance · ‖x‖∞ from every optimal one, nor are multipliers that came with
+        it wrong by more than 10 · tolerance beside the terms of their conditions: sign, gradient, and 0 where x leaves
+        slack. Of "infeasible": that every x violates a constraint by more than this, in its own unit, so that no x can
+        be proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 
@@ -94,19 +98,19 @@ def certify(
 
     Notes
     -----
-    Disproved is: x that is proved to violate a constraint by more than the tolerance; a feasible point with an
-    objective lower by more than tolerance (u + |f|), or for ever; a lower bound above f(x) by as much; x that is proved
-    to be farther than 10 · tolerance max(v, ‖x‖∞) from every optimal one; "infeasible" beside a feasible point;
-    "unbounded" beside a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a
-    direction of descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives
-    bounds where the constraints bound x. Constraints that contradict by less than the tolerance may be
-    met to it: neither is such an x disproved nor "infeasible" proved. u is a power of two that most coefficients of the
-    objective are near, v is 1 where nothing shows another unit of x: no verdict depends on the unit of the objective.
+    Disproved is: x that is proved to violate a constraint by more than that; a feasible point whose objective is lower
+    by more, or falls for ever; a lower bound above f(x) by more; x that is proved to be farther than that from every
+    optimal one; "infeasible" beside a feasible point; "unbounded" beside a finite lower bound. "infeasible" and
+    "unbounded" are proved by a Farkas vector and by a direction of descent, checked in rational arithmetic. A P that is
+    positive semidefinite only to rounding gives bounds where the constraints bound x. Constraints that contradict by
+    less than the tolerance may be met to it: neither is such an x disproved nor "infeasible" proved. No limit that x
+    leaves slack, no cost of an x_j that is 0, and no unit of the objective changes a verdict.
 
     An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as
     have answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for
-    more. Where constraints are in small units, a tiny violation can lower the objective by any amount: unless a
-    feasible point shows that it does not, the bound by multipliers of our own has to agree with f(x).
+    more. Where x violates constraints, however little, that may lower the objective by any amount. Where a feasible
+    point is found, f* is bounded from both sides. Where none is, the bound by multipliers of our own has to agree with
+    f(x): f* is then that of constraints moved by no more than x violates them.
 
     Of a cvxpy problem the values, the objective and the constraints are yours, in double precision; bounds are those
     of the program that cvxpy makes of it.
@@ -274,7 +278,7 @@ class ProgramProofs:
         self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float, tolerance: float = ALMOST
     ) -> float:
         """Return the lower bound by some multipliers, repaired where they prove less than the value to a tolerance."""
-        enough = value - tolerance * (self.program.scaling.objective + abs(value))
+        enough = value - tolerance * size_of_objective(self.program, x)[0]
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
     def upper(self, *near: FloatVector, exactly: bool = True) -> list[FeasiblePoint]:
@@ -350,21 +354,79 @@ class ProgramProofs:
         self, x: FloatVector, given: list[FloatVector] | None, tolerance: float
     ) -> Certification:
         """Return what is proved about a point, and the multipliers that came with it."""
-        value = objective_bounds(self.program, x)
-        violation = _violation(self.program, x)
+        value, violation = objective_bounds(self.program, x), Violation.of(self.program, x, tolerance)
+        size = size_of_objective(self.program, x)
         lower, complaint = -math.inf, ""
         if given is not None:
             lower = self.lower(x, given[0], given[1], value[0], tolerance)
             complaint = multiplier_error(self.program, x, given, tolerance)
-        unit = self.program.scaling.objective
-        found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, unit)
+        found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, size)
         if self.is_small or not found.is_proved() or found.may_have_bought():
             lower = max(lower, self.own_lower)
-            points = found.points or self.upper(x, exactly=not violation[0] > tolerance)  # or it is disproved anyway
+            points = found.points or self.upper(x, exactly=not violation.is_missed)  # or it is disproved anyway
             found = replace(found, lower=lower, points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
-                complaint = complaint or f"its violation of {violation[1]:.2g} may buy more than the tolerance"
+                complaint = complaint or f"its violation of {violation.largest:.2g} may buy more than the tolerance"
         return found.certification(self, x, complaint)
+
+
+def size_of_objective(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
+    """Return doubles below and above Σ|c_j x_j| + |xᵀP x|; both are 0 where all terms are."""
+    linear = float(np.abs(program.c * x).sum())
+    below, above = (2.0 * value for value in objective_bounds(program, x, linear=0.0))
+    curved = max(below, -above, 0.0), max(-below, above)
+    return (linear + curved[0]) / OUTWARD, (linear + curved[1]) * OUTWARD
+
+
+@dataclass(frozen=True)
+class Violation:
+    """By how much an x violates the constraints.
+
+    Attributes
+    ----------
+    least, largest : float
+        Doubles below and above the largest violation of a constraint, in its own unit.
+    is_met, is_missed : bool
+        Whether it is proved that no constraint is violated by more than a tolerance allows, and that one is.
+    """
+
+    least: float
+    largest: float
+    is_met: bool
+    is_missed: bool
+
+    @classmethod
+    @np.errstate(all="ignore")  # what overflows is not met
+    def of(cls, program: QuadraticProgram, x: FloatVector, tolerance: float) -> Violation:
+        """Return that of x: beside the terms of each row, or what a step of each x_j within its bounds mends."""
+        rows = program.constraints
+        finite = rows.finite
+        matrix, limit, is_equality = rows.matrix[finite], rows.limit[finite], rows.is_equality[finite]
+        value, radius = compensated_product(matrix, x, -limit)
+        step = tolerance * min(1.0, float(np.abs(x).max(initial=0.0)))
+        below, above = step_within_bounds(program, x, step)
+        positive, negative = matrix.maximum(0.0), (-matrix).maximum(0.0)
+        falls, rises = positive @ below + negative @ above, positive @ above + negative @ below
+        mended = np.where(is_equality & (value < 0.0), rises, falls)
+        size = np.where(is_equality, np.abs(value), value)
+        allowed = np.maximum(tolerance * largest_terms(matrix, limit, x), mended)
+        least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
+        return cls(
+            float(least.max(initial=0.0)) / OUTWARD, float(largest.max(initial=0.0)),
+            bool((largest <= allowed).all()), bool((least > allowed * OUTWARD).any()),
+        )
+
+
+def step_within_bounds(program: QuadraticProgram, x: FloatVector, step: float) -> tuple[FloatVector, FloatVector]:
+    """Return how far each x_j may move down and up, no farther than a step and within bounds, rows of one x_j too."""
+    folded = FoldedRows.of(program).reduced
+    return np.clip(OUTWARD * (x - folded.lower), 0.0, step), np.clip(OUTWARD * (folded.upper - x), 0.0, step)
+
+
+def largest_terms(rows: Any, limit: FloatVector, x: FloatVector) -> FloatVector:
+    """Return the largest of |limit_i| and |rows_ij x_j| of each row; an infinite limit is none."""
+    terms = sp.csr_array((np.abs(rows.data * x[rows.indices]), rows.indices, rows.indptr), rows.shape)
+    return np.maximum(largest_in_rows(terms), np.where(np.isfinite(limit), np.abs(limit), 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,22 +437,21 @@ class Proved:
     ----------
     value : pair of float
         Doubles below and above f(x).
-    violation : pair of float
-        Likewise of the largest violation.
+    violation : Violation
     lower : float
         Of the optimal value; −∞ where there is none.
     points : list of FeasiblePoint
     tolerance : float
-    unit : float
-        Of the objective: errors of values are measured beside that and the value.
+    size : pair of float
+        Doubles below and above Σ|c_j x_j| + |xᵀP x|: errors of values are measured beside that.
     """
 
     value: tuple[float, float]
-    violation: tuple[float, float]
+    violation: Violation
     lower: float
     points: list[FeasiblePoint] = field(repr=False)
     tolerance: float
-    unit: float
+    size: tuple[float, float]
 
     @property
     def upper(self) -> float:
@@ -400,32 +461,29 @@ class Proved:
     @property
     def gap(self) -> float:
         """A bound of |f(x) − lower|."""
-        return math.nextafter(max(self.value[1] - self.lower, self.lower - self.value[0], 0.0), math.inf)
+        return max(float(sum_above(self.value[1], -self.lower)), float(sum_above(self.lower, -self.value[0])), 0.0)
 
     def disproof(self) -> str:
         """Return what disproves the answer, or nothing."""
-        below, above = self.value
-        allowed = self.tolerance * (self.unit + max(abs(below), abs(above))) * OUTWARD
-        if self.violation[0] > self.tolerance:
-            return f"a constraint is violated by {self.violation[0]:.3g}"
-        if self.upper < below - allowed:
+        (below, above), allowed = self.value, self.tolerance * self.size[1] * OUTWARD
+        if self.violation.is_missed:
+            return f"a constraint is violated by {self.violation.least:.3g}"
+        if float(sum_above(self.upper, allowed)) < below:
             return f"a feasible point has the objective {self.upper:.9g}, below {below:.9g}"
-        if self.lower > above + allowed:
+        if self.lower > float(sum_above(above, allowed)):
             return f"no feasible x is below {self.lower:.9g}, and this one has {above:.9g}"
         return ""
 
     def is_proved(self) -> bool:
         """Return whether the answer is optimal to the tolerance, by its value."""
-        size = self.unit + max(self.value[0], -self.value[1], 0.0)
-        return self.violation[1] <= self.tolerance and self.gap <= self.tolerance * size / OUTWARD
+        return self.violation.is_met and self.gap <= min(self.tolerance * self.size[0] / OUTWARD, LARGEST)
 
     def may_have_bought(self) -> bool:
         """Return whether no feasible point shows that the violation, however small, buys less than the tolerance.
 
         Then a bound by multipliers that came with x may be as far below the optimal value as f(x) is.
         """
-        allowed = self.tolerance * (self.unit + abs(self.value[0]))
-        return self.violation[1] > 0.0 and self.upper > self.value[1] + allowed
+        return self.violation.largest > 0.0 and self.upper > self.value[1] + self.tolerance * self.size[0]
 
     def certification(
         self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
@@ -434,7 +492,7 @@ class Proved:
         near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
         near = proofs.sharpened(near, x, self.points, self.lower, columns)
         disproof, is_proved = self.disproof() or self._no_minimum(proofs), self.is_proved()
-        size = float(np.maximum(proofs.program.scaling.unknown, np.abs(x)).max(initial=0.0))
+        size = float(np.abs(x).max(initial=0.0))
         disproof = disproof or self._error_of_x(size, far_in_columns, "x")
         verdict = "disproved" if disproof else "proved" if is_proved else "unproved"
         reason = disproof or self._reason(proofs.bounds.curvature.evidence, is_proved)
@@ -444,7 +502,7 @@ class Proved:
         if is_proved and verdict != "proved":
             reason += ", though the objective is proved to be optimal"
         return Certification(
-            verdict, "optimal", self.violation[1], _if_finite(self.lower), _if_finite(self.upper),
+            verdict, "optimal", self.violation.largest, _if_finite(self.lower), _if_finite(self.upper),
             _if_finite(self.gap), _if_finite(near), reason,
         )
 
@@ -465,8 +523,8 @@ class Proved:
                     f"multipliers prove by weak duality: {evidence}")
         if not math.isfinite(self.lower):
             return f"{NOTHING}: {evidence}, and no multipliers give a finite bound"
-        if self.violation[1] > self.tolerance:
-            return f"a constraint is violated by up to {self.violation[1]:.3g}"
+        if not self.violation.is_met:
+            return f"a constraint is violated by up to {self.violation.largest:.3g}"
         return f"the objective is only proved to be within {self.gap:.3g} of the optimum"
 
 
@@ -516,69 +574,46 @@ def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
     return (square - rounding - math.sqrt((square + rounding) * gap)) / length
 
 
-def _violation(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
-    """Return doubles below and above the largest violation of a constraint by x."""
-    rows = program.constraints
-    finite = rows.finite
-    with np.errstate(all="ignore"):
-        value, radius = compensated_product(rows.matrix[finite], x, -rows.limit[finite])
-        value = np.where(rows.is_equality[finite], np.abs(value), value)
-    return float((value - radius).max(initial=0.0)) / OUTWARD, float(rows.excess(x).max(initial=0.0))
-
-
 def _if_finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+@np.errstate(all="ignore")  # what overflows is wrong
 def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float) -> str:
-    """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing."""
-    names, (coefficient, unknown, objective, _, _) = ("inequality", "equality", "lower", "upper"), program.scaling
-    every = np.concatenate(given)
-    pulls = every * coefficient[: every.size]  # what each is, in the unit of the objective
-    is_wrong = ~program.constraints.is_equality[: every.size]
-    is_wrong &= pulls < -LOOSE * tolerance * (objective + float(np.abs(pulls).max(initial=0.0)))
-    if is_wrong.any():
-        ends = np.cumsum([0, *(part.size for part in given)])
-        worst = int(np.where(is_wrong, pulls, 0.0).argmin())
-        k = int(np.searchsorted(ends, worst, side="right")) - 1
-        return f"the multiplier {names[k]}[{worst - ends[k]}] = {every[worst]:.3g} has the wrong sign"
-    if idle := multiplier_beside_slack(program, x, every, tolerance):
-        return idle
-    inequality, equality = given[:2]
-    terms = [abs(sp.csr_array(program.P)) @ np.abs(x), np.abs(program.c)]
-    terms += [abs(sp.csr_array(rows)).T @ np.abs(y) for rows, y in ((program.G, inequality), (program.A, equality))]
-    s = program.P @ x + program.c + program.G.T @ inequality + program.A.T @ equality
-    allowed = LOOSE * tolerance * (objective / unknown + np.max(terms, axis=0))
-    if len(given) == len(names):
-        s, low, high = s - given[2] + given[3], 0.0 * s, 0.0 * s
-    else:  # a bound takes up what its sign allows, at the x that holds it
-        with np.errstate(invalid="ignore"):
-            reach = tolerance * (unknown + np.abs(x)) * LOOSE
-            low = np.where(x - program.lower <= reach, np.inf, 0.0)
-            high = np.where(program.upper - x <= reach, np.inf, 0.0)
-    wrong = np.maximum(np.maximum(s - low, -s - high), 0.0) - allowed
-    if wrong.max(initial=0.0) > 0.0:
-        j = int(wrong.argmax())
-        return f"the multipliers leave {abs(s[j]):.3g} of the gradient in component {j}"
-    return ""
+    """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing.
 
-
-def multiplier_beside_slack(program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float) -> str:
-    """Return which of the first multipliers is not 0 although x leaves slack at its inequality, or nothing.
-
-    Others may balance it in the gradient. Their product is a part of the gap, and beside f(x) and its own terms here.
+    The terms of column j are c_j, p_jk x_k and c_ij y_i; what is small beside ACTS times the largest of the first two
+    where x is off its bounds is right, too. A bound without a multiplier takes up what is left of the gradient.
     """
-    rows, k = program.constraints, y.size
-    matrix, limit = rows.matrix[:k], rows.limit[:k]
-    is_finite = np.isfinite(limit)
-    coefficient, objective = program.scaling.coefficient[:k], program.scaling.objective
-    slack = np.where(is_finite, np.maximum(limit - matrix @ x, 0.0), coefficient)  # y itself has to be 0 at no limit
-    terms = np.where(is_finite, np.maximum(np.abs(limit), abs(matrix) @ np.abs(x)), coefficient)
-    value = np.where(is_finite, abs(program.objective(x)), 0.0)
-    excess = np.abs(y * slack) - LOOSE * tolerance * (objective + np.maximum(value, np.abs(y) * terms))
-    excess[rows.is_equality[:k]] = 0.0
-    if excess.max(initial=0.0) > 0.0:
-        i = int(excess.argmax())
-        what = f"{slack[i]:.3g} of slack" if is_finite[i] else "no limit"
-        return f"a multiplier {y[i]:.3g} stands where there is {what}"
+    rows, names, y = program.constraints, ("inequality", "equality", "lower", "upper"), np.concatenate(given)
+    P, of_rows = sp.csr_array(program.P), sp.csr_array(rows.matrix.T)
+    if y.size < rows.limit.size:
+        left = program.P @ x + program.c + rows.matrix[: y.size].T @ y
+        sides = (np.where(np.isfinite(bound), np.maximum(sign * left, 0.0), 0.0)
+                 for sign, bound in ((1.0, program.lower), (-1.0, program.upper)))
+        y = np.concatenate([y, *sides])
+    base = largest_terms(P, program.c, x)
+    terms = np.maximum(base, largest_terms(of_rows, base, y))
+    acts = float(base[(program.lower < x) & (x < program.upper)].max(initial=0.0))
+    allowed = LOOSE * tolerance * np.maximum(terms, ACTS * acts)
+    is_finite = np.isfinite(rows.limit)
+    wrong = np.where(rows.is_equality, 0.0, np.where(is_finite, np.maximum(-y, 0.0), np.abs(y)))
+    pulls = np.abs(of_rows.data) * wrong[of_rows.indices] > np.repeat(allowed, np.diff(of_rows.indptr))
+    if pulls.any():
+        i = int(of_rows.indices[np.argmax(pulls)])
+        if not is_finite[i]:
+            return f"a multiplier {y[i]:.3g} stands where there is no limit"
+        ends = np.cumsum([0, *rows.sizes])
+        k = int(np.searchsorted(ends, i, side="right")) - 1
+        return f"the multiplier {names[k]}[{i - ends[k]}] = {y[i]:.3g} has the wrong sign"
+    slack = np.where(is_finite & ~rows.is_equality, np.maximum(rows.limit - rows.matrix @ x, 0.0), 0.0)
+    own = np.abs(y) * largest_terms(rows.matrix, rows.limit, x)
+    excess = np.abs(y * slack) - LOOSE * tolerance * np.maximum(size_of_objective(program, x)[0], own)
+    given_size, worst = sum(part.size for part in given), int(np.argmax(excess))
+    if excess.max(initial=0.0) > 0.0 and worst < given_size:
+        return f"a multiplier {y[worst]:.3g} stands where there is {slack[worst]:.3g} of slack"
+    s = program.P @ x + program.c + rows.matrix.T @ np.where(excess > 0.0, 0.0, y)
+    if (np.abs(s) > allowed).any():
+        j = int((np.abs(s) - allowed).argmax())
+        return f"the multipliers leave {abs(s[j]):.3g} of the gradient in component {j}"
     return ""

@@ -116,10 +116,10 @@ class DualBounds:
             blur = [product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))]
             missed = np.max(np.abs(_ends(*parts[1])), axis=0)[program.h.size :]
             blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
-            here = 0.5 * float(lower_end(twice, error)[0]) - _sum_above(np.concatenate(blur))
             loss = self._loss(*_ends(high, low, radius), *self._distances(x, x))
-            found = math.nextafter(here, -np.inf) - loss
-        return math.nextafter(found, -np.inf) if not math.isnan(found) else -np.inf
+            loss = float(sum_above(_sum_above(np.concatenate(blur)), loss))
+            found = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
+        return found if not math.isnan(found) else -np.inf
 
     def _distances(self, low: FloatVector, high: FloatVector) -> Box:
         """Return x̂ − l and u − x̂, rounded up, of x̂ between two vectors."""
@@ -225,8 +225,8 @@ class DualBounds:
         s = [a + b for a, b in zip(products(self._exact_stacked, [*x, *y]), c, strict=True)]
         with np.errstate(all="ignore"):
             loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
-            found = float(enclosures([here])[0][0]) - loss
-        return math.nextafter(found, -np.inf) if not math.isnan(found) else -np.inf
+            found = -float(sum_above(loss, -enclosures([here])[0][0]))
+        return found if not math.isnan(found) else -np.inf
 
     @cached_property
     def _open_sides(self) -> tuple[BoolVector, BoolVector]:
@@ -274,12 +274,18 @@ def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
     return -sum_above(-high, spread[1]), sum_above(high, spread[0])
 
 
+def half_above(value: float) -> float:
+    """Return a double ≥ value/2, and this where it is one."""
+    half = 0.5 * float(value)
+    return half if 2.0 * half == value else math.nextafter(half, math.inf)
+
+
 def _sum_above(values: FloatVector) -> float:
-    """Return a double above the sum of the values."""
+    """Return a double above the sum of the values, 0 where all are."""
     if not np.isfinite(values).all():
         return float(np.inf)
     try:
-        return math.nextafter(math.fsum(values), math.inf)
+        return math.nextafter(math.fsum(values), math.inf) if values.any() else 0.0
     except OverflowError:
         return math.inf
 

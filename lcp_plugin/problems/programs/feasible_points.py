@@ -18,18 +18,19 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
+from ...core.matrix.matrix import largest_in_rows
 from ...core.rounding import compensated_pair, compensated_product, gamma, upper_end
 from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import Vector, enclosures, products, rational
 from ...proofs.exact.upward import product_above, sum_above
-from .dual_bounds import SLACKS, least_squares
+from .dual_bounds import SLACKS, half_above, least_squares
 from .no_minimum import feasible_point, losses
 from .program import QuadraticProgram
 
-TIGHT = (0.0, 1e-9, 1e-6, -np.inf)  # of a row's unit: rows that are solved for as if they were equations; then none
+TIGHT = (0.0, 1e-9, 1e-6, -np.inf)  # of a row's size: rows that are solved for as if they were equations; then none
 EXACT_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200
 SMALL = 2000  # variables and rows of a program whose points are checked in fractions: a second
-NEAR = 1e-9  # of a row's unit: rows that a point is moved off
+NEAR = 1e-9  # of a row's size: rows that a point is moved off
 DENSE_UP_TO = 4_000_000  # entries of equations that are looked at at once
 MOST_BITS, TINY = 400, 1e-290  # of the unit of a row; more than what underflow takes from a sum
 OUTWARD = 1.0 + 2.0**-30  # more than what rounding takes from a sum of terms that are not negative
@@ -96,11 +97,11 @@ class FeasiblePoints:
         rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
         is_row = np.arange(rows.limit.size) < rows.rows
         with np.errstate(invalid="ignore"):
-            value = rows.matrix @ x - rows.limit
-        tight = np.flatnonzero(is_row & (rows.is_equality | (value > -NEAR * rows.unit)))
+            value, size = rows.matrix @ x - rows.limit, _sizes(self.program, x)
+        tight = np.flatnonzero(is_row & (rows.is_equality | (value >= -NEAR * size)))
         at_bound = (x <= self.program.lower) | (x >= self.program.upper)
         free = np.flatnonzero(~at_bound)
-        right = np.where(rows.is_equality, -value, np.minimum(-value - slack * rows.unit, 0.0))[tight]
+        right = np.where(rows.is_equality, -value, np.minimum(-value - slack * size, 0.0))[tight]
         moved = x.copy()
         moved[free] += least_squares(rows.matrix[tight][:, free], right)
         return np.clip(moved, self.program.lower, self.program.upper)
@@ -122,18 +123,19 @@ class FeasiblePoints:
             return None
         return FeasiblePoint(x, radius, objective_bounds(program, x, radius)[1])
 
+    @np.errstate(all="ignore")
     def _solved(self, x: FloatVector, tight: float) -> Vector | None:
         """Return a feasible point at which the rows that x nearly meets hold with equality, or one beside it."""
         program, rows = self.program, self.program.constraints
-        value = (rows.matrix @ x - rows.limit) / rows.unit
+        value, size = rows.matrix @ x - rows.limit, _sizes(program, x)
         is_row = np.arange(rows.limit.size) < rows.rows
         x = np.clip(x, program.lower, program.upper)
-        low, high = rows.split(rows.unit)[2:]
+        low, high = rows.split(size)[2:]
         near_bound = max(tight, 0.0)
         is_low = x - program.lower <= near_bound * low
         is_fixed = is_low | (program.upper - x <= near_bound * high)
         near = np.where(is_low, program.lower, np.where(is_fixed, program.upper, x))
-        system = np.flatnonzero(is_row & np.isfinite(rows.limit) & (rows.is_equality | (value >= -tight)))
+        system = np.flatnonzero(is_row & np.isfinite(rows.limit) & (rows.is_equality | (value >= -tight * size)))
         if system.size > EXACT_UP_TO:
             return None
         guess = rational(near)
@@ -164,6 +166,13 @@ class FeasiblePoints:
         share = min(Fraction(math.nextafter(float(share) * (1.0 + 2.0**-40), 2.0)), Fraction(1))
         moved = [a + share * (b - a) for a, b in zip(x, inside, strict=True)]
         return moved if not any(losses(rows, moved)) else None
+
+
+def _sizes(program: QuadraticProgram, x: FloatVector) -> FloatVector:
+    """Return how large the terms of each row may be near x: what is called near only steers the search for a point."""
+    rows = program.constraints
+    limit = np.where(np.isfinite(rows.limit), np.abs(rows.limit), 0.0)
+    return np.asarray(limit + largest_in_rows(rows.matrix) * np.abs(x).max(initial=0.0))
 
 
 @np.errstate(all="ignore")
@@ -208,19 +217,20 @@ def distance_of_equations(program: QuadraticProgram, x: FloatVector, excess: Flo
 
 
 def objective_bounds(
-    program: QuadraticProgram, x: FloatVector, radius: FloatVector | None = None
+    program: QuadraticProgram, x: FloatVector, radius: FloatVector | None = None, *, linear: float = 1.0
 ) -> tuple[float, float]:
-    """Return doubles below and above ½ xᵀP x + cᵀx, and above it for all points within the radius of x."""
+    """Return doubles below and above ½ xᵀP x + linear · cᵀx, and above it for all points within the radius of x."""
     with np.errstate(all="ignore"):
         high, low, blur = compensated_pair(sp.csr_array(program.P), x)
-        row = sp.csr_array(np.concatenate([x, x, 2.0 * program.c])[None, :])
+        row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
         twice, error = compensated_product(row, np.concatenate([high, low, x]))
         error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
-        lowest, highest = -0.5 * float(upper_end(-twice, error)[0]), 0.5 * float(upper_end(twice, error)[0])
+        lowest, highest = -half_above(upper_end(-twice, error)[0]), half_above(upper_end(twice, error)[0])
         if radius is not None and radius.any():
             # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
             slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)
             bent = 0.5 * (abs(sp.csr_array(program.P)) @ radius)
             spread = product_above(sum_above(slope, bent), radius).sum() * (1.0 + 2.0**-30)
             highest = float(sum_above(highest, spread))
-    return math.nextafter(lowest, -math.inf), math.nextafter(highest, math.inf)
+    return lowest, highest
+

@@ -140,12 +140,63 @@ def test_proofs_are_kept_with_a_program_and_left_out_of_pickles() -> None:
 def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
     """A violation within the tolerance that buys much more than the tolerance in the objective."""
     program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
-    said = certify(program, [1.0 + 9e-7], tolerance=1e-6)
-    assert said.verdict == "proved"  # relative to the objective's unit + |f|
-    steep = QuadraticProgram([[1e4, 0.0], [0.0, 1e4]], [-1e4, 1e4], G=[[1e-3, -1e-3]], h=[0.0])
-    said = certify(steep, [9e-4, 0.0], tolerance=1e-6)
+    assert certify(program, [1.0 + 9e-7], tolerance=1e-6).verdict == "proved"  # beside |c x| + xᵀP x
+    leaning = QuadraticProgram(None, [-1.0, 0.0], G=[[1.0, 1.0]], h=[1e6], A=[[0.0, 1.0]], b=[1e6])
+    said = certify(leaning, [0.5, 1e6], tolerance=1e-6)  # a violation of 5e-7 of the row's terms
     assert said.verdict == "disproved"
     assert "no feasible x is below" in said.reason
+
+
+TINY = float(np.cos(np.pi / 2))
+LEANING = QuadraticProgram(None, [-3, -4], G=[[1, TINY]], h=[1], lower=-10, upper=10)
+PUSHED = QuadraticProgram(np.eye(2), [1, 1], G=[[-1, TINY]], h=[-1])
+SLOPING = QuadraticProgram([[1, 0], [0, 0]], [0, 1], G=[[1e-5, 1]], h=[-1], lower=-10, upper=10)
+
+
+@pytest.mark.parametrize(("program", "wrong", "right", "optimum"), [
+    (LEANING, [0.0, 10.0], [1.0, 10.0], -43.0), (PUSHED, [1e6, 1e6], [1.0, -1.0], 1.0),
+    (SLOPING, [0.0, -6.5], [0.0, -10.0], -10.0),
+])
+def test_one_odd_coefficient_proves_no_point(program: QuadraticProgram, wrong: Any, right: Any, optimum: float) -> None:
+    """A coefficient of cos(π/2) or 1e-5 makes nothing small: only the optimum, known in closed form, is proved."""
+    assert certify(program, wrong).verdict == "disproved"
+    said = certify(program, right)
+    assert said.verdict == "proved"
+    assert said.lower == pytest.approx(optimum, rel=1e-12)
+    assert said.upper == pytest.approx(optimum, rel=1e-12)
+
+
+@pytest.mark.parametrize("number", [1e19, 1e15, 1e-9, 1e-17])
+@pytest.mark.parametrize("place", ["limit", "bound", "cost", "coefficient", "curvature"])
+def test_one_odd_number_changes_no_verdict(place: str, number: float) -> None:
+    """A limit, bound, cost, coefficient or curvature of any size that does not act: right is proved, wrong is not."""
+    P, G, h = np.diag([2.0, 2.0, 0.0]), np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]), np.array([2.0, 1e3])
+    c, upper = np.array([-2.0, -4.0, 1.0]), np.array([5.0, 5.0, 3.0])
+    if place == "limit":
+        h[1] = max(number, 1.0)
+    elif place == "bound":
+        upper[0] = 5.0 + number
+    elif place == "cost":
+        c[2] = number  # of an unknown at 0
+    elif place == "coefficient":
+        G[1] = [0.0, 0.0, -number]
+    else:
+        P[2, 2] = number
+    program = QuadraticProgram(P, c, G=G, h=h, lower=[-5.0, -5.0, 0.0], upper=upper)
+    assert certify(program, [0.5, 1.5, 0.0]).verdict == "proved"
+    for wrong in ([0.4, 1.4, 0.0], [1.0, 1.0, 0.0], [0.51, 1.5, 0.0], [0.5, 1.5, -1e-3]):
+        assert certify(program, wrong).verdict == "disproved"
+
+
+def test_where_all_terms_vanish_the_comparison_is_exact() -> None:
+    """At x = 0 the optimum is proved, with active rows and without; and 0 is not where another point is lower."""
+    for program in (
+        QuadraticProgram(np.eye(2), [0, 0]), QuadraticProgram(None, [1, 1e-17], lower=0),
+        QuadraticProgram(np.eye(2), [-0.3, -0.3], G=[[1, 1]], h=[0]),
+    ):
+        said = certify(program, [0.0, 0.0])
+        assert (said.verdict, said.gap) == ("proved", 0.0)
+    assert certify(QuadraticProgram(None, [1, -1e-17], lower=0, upper=1), [0.0, 0.0]).verdict == "disproved"
 
 
 def test_an_error_that_the_objective_does_not_see_is_not_proved() -> None:

@@ -1,0 +1,1069 @@
+"""Numbers that users write, in every kind of problem, judged from outside.
+
+    python tests/campaigns/outliers.py --kind program --count 20000 --seed 0
+    python tests/campaigns/outliers.py --kind all --count 500 --csv now.csv --beside before.csv
+
+Small problems of integers and one or two odd numbers: limits of 1e10 … 1e19, 1e20 and ∞ that stand for "none", cos(π/2)
+in place of a zero, a regularisation of 1e-9, ties, zeros, a far origin, two groups of other sizes. What the package
+says of itself is not asked:
+
+- an answer is right where its conditions hold to 1e-9 (programs) or 1e-7 of their own terms, those of LCPs in
+  fractions, or where it is near one that enumeration of all cases in fractions, Clarabel or HiGHS find, or that was
+  planted (monotone kinds);
+- refused: one exists, and the run ended without it, or raised;
+- false: called SOLVED and neither, INFEASIBLE, UNBOUNDED or NO_SOLUTION where one exists within the radius of the
+  proof, or "proved" of an x that is none; an exception that is no LCPError;
+- open: no judge knows.
+
+Prints these per kind, and the first false ones; exit code 1 where anything is false. ``--csv`` writes the outcomes,
+``--beside`` counts what is refused now and was right there (run that with another checkout's Python).
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import csv
+import itertools
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from exact import exact_rows, solve_fractions
+
+import lcp_plugin as lp
+
+Generator = np.random.Generator
+RIGHT, REFUSED, FALSE, OPEN = "right", "refused", "FALSE", "open"
+ODD = (1e10, 1e15, 1e19)
+NONE = (1e10, 1e15, 1e19, 1e20, np.inf)
+COSINE = float(np.cos(np.pi / 2))
+HOLDS, HOLDS_OF_PROGRAMS, NEAR = 1e-7, 1e-9, 1e-3
+SECONDS = 10.0
+ALGORITHMS = ("auto",) * 5 + ("lemke", "newton", "interior_point", "npsor", "psor")
+
+
+class Outcome(NamedTuple):
+    """What became of one problem, and in words."""
+
+    what: str
+    text: str = ""
+
+
+# --- Exact judges -----------------------------------------------------------------------------------------------------
+
+
+def exact(values: Any) -> list[Any]:
+    """Doubles as fractions; infinities stay."""
+    return [Fraction(value) if np.isfinite(value) else value for value in np.asarray(values, float).tolist()]
+
+
+def limits(values: Any) -> np.ndarray:
+    """Limits of 1e20 and beyond are none."""
+    values = np.asarray(values, float)
+    return np.where(abs(values) >= 1e20, np.copysign(np.inf, values), values)
+
+
+class ExactLCP:
+    """An LCP of doubles in fractions, with all solutions whose case is regular."""
+
+    def __init__(self, M: np.ndarray, q: np.ndarray, lower: Any = 0.0, upper: Any = np.inf) -> None:
+        self.n = len(q)
+        self.M, self.q = exact_rows(np.asarray(M, float)), exact(q)
+        self.lower, self.upper = (exact(limits(np.broadcast_to(bound, self.n))) for bound in (lower, upper))
+
+    def w(self, z: list[Fraction]) -> list[Fraction]:
+        return [sum((m * x for m, x in zip(row, z, strict=True)), q) for row, q in zip(self.M, self.q, strict=True)]
+
+    def wrong(self, z: np.ndarray, *, leaves_negligible: bool = False) -> float:
+        """The largest wrong part of w_i beside |q_i| + Σ|m_ij z_j|, and of z_i beside itself.
+
+        What is nearer to a bound than 1e-9 of what its w_i asks for is at it.
+        """
+        if not np.isfinite(z).all():
+            return np.inf
+        values, outside = exact(z), Fraction(0)
+        for i, value in enumerate(values):
+            inner = min(max(value, self.lower[i]), self.upper[i])
+            if inner != value:
+                outside = max(outside, abs(inner - value) / abs(value) if value else Fraction(1))
+                values[i] = inner
+        w = self.w(values)
+        for i, value in enumerate(values):
+            reach = 1e-9 * abs(w[i]) / max(max(map(abs, self.M[i])), Fraction(1, 10**300))
+            if w[i] > 0 and value - self.lower[i] <= reach:
+                values[i] = self.lower[i]
+            elif w[i] < 0 and self.upper[i] - value <= reach:
+                values[i] = self.upper[i]
+        sizes = [
+            abs(self.q[i]) + sum(abs(m * x) for m, x in zip(self.M[i], values, strict=True)) for i in range(self.n)
+        ]
+        largest = float(outside)
+        for i, slack in enumerate(self.w(values)):
+            is_low, is_high = values[i] <= self.lower[i], values[i] >= self.upper[i]
+            wrong = 0 if is_low and is_high else -slack if is_low else slack if is_high else abs(slack)
+            if wrong > 0 and not (leaves_negligible and self._is_negligible(i, values, sizes)):
+                largest = max(largest, float(wrong / sizes[i]))
+        return largest
+
+    def _is_negligible(self, i: int, z: list[Fraction], sizes: list[Fraction]) -> bool:
+        """Whether row i, which has no q_i, is noise beside other rows and the column of z_i, in its component."""
+        if self.q[i]:
+            return False
+        part = self.parts()
+        mine = [j for j in range(self.n) if part[j] == part[i]]
+        across = max(abs(self.M[j][i]) for j in mine)
+        largest = max(abs(z[j]) for j in mine)
+        return sizes[i] * 10**12 <= min(across * largest, max(sizes[j] for j in mine))
+
+    def solutions(self) -> Iterator[list[Fraction]]:
+        """Every solution of a regular case."""
+        sides = [
+            [side for side in (self.lower[i], None, self.upper[i]) if side is None or abs(side) < np.inf]
+            for i in range(self.n)
+        ]
+        for case in itertools.product(*sides):
+            free = [i for i, side in enumerate(case) if side is None]
+            z = [Fraction(0) if side is None else side for side in case]
+            if free:
+                w = self.w(z)
+                found = solve_fractions([[self.M[i][j] for j in free] for i in free], [-w[i] for i in free])
+                if found is None:
+                    continue
+                for i, value in zip(free, found, strict=True):
+                    z[i] = value
+            w = self.w(z)
+            if all(self._fits(case[i], z[i], w[i], i) for i in range(self.n)):
+                yield z
+
+    def _fits(self, side: Any, z: Fraction, w: Fraction, i: int) -> bool:
+        if side is None:
+            return self.lower[i] <= z <= self.upper[i]
+        return (side == self.lower[i] and w >= 0) or (side == self.upper[i] and w <= 0)
+
+    def parts(self) -> np.ndarray:
+        pattern = np.array([[entry != 0 for entry in row] for row in self.M])
+        return sp.csgraph.connected_components(sp.csr_array(pattern), directed=False)[1]
+
+    def is_near(self, z: np.ndarray) -> bool | None:
+        """Whether a solution is within .1 % in every component; None where no regular case has one."""
+        part, some = self.parts(), None
+        for solution in self.solutions():
+            some, right = False, np.array([float(value) for value in solution])
+            if all(
+                abs(z - right)[part == k].max() <= NEAR * abs(right)[part == k].max() for k in range(part.max() + 1)
+            ):
+                return True
+        return some
+
+
+def judged_lcp(problem: ExactLCP, status: Any, z: np.ndarray, radius: float, text: str) -> Outcome:
+    """The verdict on a status and a z."""
+    name = getattr(status, "name", str(status))
+    if name == "SOLVED":
+        wrong = problem.wrong(z)
+        if wrong <= HOLDS:
+            return Outcome(RIGHT)
+        near = problem.is_near(z)
+        if (near is None and wrong <= 1e-4) or problem.wrong(z, leaves_negligible=True) <= HOLDS:
+            return Outcome(RIGHT if near else OPEN)
+        return Outcome(RIGHT if near else FALSE, f"SOLVED {z.tolist()}, wrong by {wrong:.1e}: {text}")
+    solution = next(problem.solutions(), None)
+    if name in ("INFEASIBLE", "NO_SOLUTION"):
+        if solution is None or max(map(abs, solution)) > min(radius, 1e20):
+            return Outcome(RIGHT if solution is None else OPEN)
+        return Outcome(FALSE, f"{name}, but z = {[float(value) for value in solution]}: {text}")
+    return Outcome(OPEN if solution is None else REFUSED, f"{name}: {text}")
+
+
+class ExactProgram:
+    """Minimise ½xᵀPx + cᵀx, G x ≤ h, A x = b, bounds, convex, in fractions."""
+
+    def __init__(self, P: Any, c: Any, G: Any, h: Any, A: Any, b: Any, lower: Any, upper: Any) -> None:
+        n = len(c)
+        self.P = exact_rows(np.zeros((n, n)) if P is None else np.asarray(P, float)) if not isinstance(P, list) else P
+        self.c = exact(c) if not isinstance(c, list) else c
+        keep = limits(h) < np.inf
+        self.G, self.h = exact_rows(np.asarray(G)[keep]), exact(np.asarray(h)[keep])
+        self.A, self.b = exact_rows(np.asarray(A)), exact(b)
+        self.lower, self.upper = exact(limits(lower)), exact(limits(upper))
+
+    def count(self) -> int:
+        sides = [
+            1 + (abs(low) < np.inf) + (abs(high) < np.inf) for low, high in zip(self.lower, self.upper, strict=True)
+        ]
+        return int(np.prod(sides)) * 2 ** len(self.h)
+
+    def value(self, x: list[Fraction]) -> Fraction:
+        quadratic = sum(x[i] * self.P[i][j] * x[j] for i in range(len(x)) for j in range(len(x)))
+        return quadratic / 2 + _dot(self.c, x)
+
+    def optimum(self) -> list[Fraction] | None:
+        """An optimal x of a regular case; None where there is none."""
+        n = len(self.c)
+        sides = [
+            [side for side in (None, low, high) if side is None or abs(side) < np.inf]
+            for low, high in zip(self.lower, self.upper, strict=True)
+        ]
+        for case in itertools.product(*sides, *[(False, True)] * len(self.h)):
+            bounds, active = case[:n], [i for i, on in enumerate(case[n:]) if on]
+            free = [j for j in range(n) if bounds[j] is None]
+            rows = [self.G[i] for i in active] + self.A
+            right = [self.h[i] for i in active] + self.b
+            if len(rows) > len(free):
+                continue
+            fixed = [Fraction(0) if side is None else side for side in bounds]
+            matrix = [[self.P[i][j] for j in free] + [row[i] for row in rows] for i in free]
+            matrix += [[row[j] for j in free] + [Fraction(0)] * len(rows) for row in rows]
+            vector = [-self.c[i] - _dot(self.P[i], fixed) for i in free]
+            vector += [limit - _dot(row, fixed) for row, limit in zip(rows, right, strict=True)]
+            found = solve_fractions(matrix, vector) if vector else []
+            if found is None:
+                continue
+            x = list(fixed)
+            for j, value in zip(free, found, strict=False):
+                x[j] = value
+            y = found[len(free) :]
+            if any(value < 0 for value in y[: len(active)]) or not self._is_feasible(x):
+                continue
+            slope = [
+                self.c[j] + _dot(self.P[j], x) + sum(value * row[j] for value, row in zip(y, rows, strict=True))
+                for j in range(n)
+            ]
+            if all(
+                bounds[j] is None or self.lower[j] == self.upper[j]
+                or (slope[j] >= 0 if bounds[j] == self.lower[j] else slope[j] <= 0)
+                for j in range(n)
+            ):  # fmt: skip
+                return x
+        return None
+
+    def _is_feasible(self, x: list[Fraction]) -> bool:
+        rows = all(_dot(row, x) <= limit for row, limit in zip(self.G, self.h, strict=True))
+        return rows and all(low <= value <= high for low, value, high in zip(self.lower, x, self.upper, strict=True))
+
+
+def _dot(row: list[Fraction], x: list[Fraction]) -> Fraction:
+    return sum((entry * value for entry, value in zip(row, x, strict=True)), Fraction(0))
+
+
+# --- Numbers ------------------------------------------------------------------------------------------------------
+
+
+def integers(rng: Generator, *shape: int, largest: int = 3) -> np.ndarray:
+    return rng.integers(-largest, largest + 1, shape).astype(float)
+
+
+def some(rng: Generator, values: Any, shape: Any, share: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
+    """Where an odd number stands, and which."""
+    return rng.random(shape) < share, np.asarray(rng.choice(values, shape), float)
+
+
+def matrix(rng: Generator, n: int) -> tuple[np.ndarray, str]:
+    """A square matrix of integers, of several kinds."""
+    kind = rng.choice(["any", "definite", "semidefinite", "dominant", "saddle"])
+    A = integers(rng, n, n)
+    if kind == "definite":
+        A = A @ A.T + np.eye(n)
+    elif kind == "semidefinite":
+        A = A[:, : max(1, n - 1)] @ A[:, : max(1, n - 1)].T
+    elif kind == "dominant":
+        np.fill_diagonal(A, abs(A).sum(axis=1) + 1)
+    elif kind == "saddle":
+        k = n // 2
+        A = np.block([[np.eye(n - k), -A[: n - k, :k]], [A[: n - k, :k].T, np.zeros((k, k))]])
+    return A, str(kind)
+
+
+def odd_lcp(rng: Generator, largest: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]:
+    """M, q, lower, upper of an LCP with odd numbers, and which."""
+    n = int(rng.integers(1, largest + 1))
+    M, kind = matrix(rng, n)
+    q, lower, upper = integers(rng, n), np.zeros(n), np.full(n, np.inf)
+    words = [kind]
+    for _ in range(int(rng.integers(1, 3))):
+        word = str(rng.choice([
+            "diagonal", "q", "entry", "row", "column", "noise", "upper", "free", "origin", "groups", "tower", "ridge",
+        ]))  # fmt: skip
+        words.append(word)
+        i, j = rng.integers(0, len(q), 2)
+        if word == "diagonal":
+            here, small = some(rng, (1e-6, 1e-9, 1e-12), len(q), 0.5)
+            M[np.diag_indices(len(q))] = np.where(here, small, M.diagonal())
+        elif word == "q":
+            q[i] = rng.choice([-1, 1]) * rng.choice(ODD)
+        elif word == "entry":
+            M[i, j] = rng.choice([-1, 1]) * rng.choice((*ODD, 1e-9)) if i != j else M[i, j]
+        elif word == "row":
+            scale = rng.choice((1e-9, 1e6, 1e10))
+            M[i] *= scale
+            q[i] *= scale
+        elif word == "column":
+            M[:, i] *= rng.choice((1e-9, 1e6, 1e10))
+        elif word == "noise":
+            M = np.where((M == 0) & (rng.random(M.shape) < 0.5), rng.choice([-1, 1], M.shape) * COSINE, M)
+        elif word == "upper":
+            here, far = some(rng, (*NONE, 1.0, 2.0), len(q), 0.6)
+            upper = np.where(here, far, upper)
+        elif word == "free":
+            here, far = some(rng, (*NONE, 1.0), len(q), 0.6)
+            lower = np.where(here, -far, lower)
+        elif word == "origin":
+            q = q - M @ np.full(len(q), 1e6)
+            lower = lower + 1e6 * (rng.random() < 0.5)
+            upper = np.maximum(upper, lower)
+        elif word == "groups" and len(q) <= 3:
+            N, other = matrix(rng, 2)
+            words.append(other)
+            scale = rng.choice((1e-7, 1e-3, 1e7))
+            M = sp.block_diag([M, N]).toarray()
+            q = np.append(q, scale * integers(rng, 2))
+            lower, upper = np.append(lower, [0.0, 0.0]), np.append(upper, [np.inf, np.inf])
+        elif word == "tower":
+            mass = rng.choice((1.0, 1e4, 1e8), len(q))
+            J = np.eye(len(q)) - np.eye(len(q), k=-1)
+            M, q = J @ np.diag(1 / mass) @ J.T, np.where(np.arange(len(q)) == 0, -0.04905, 0.0)
+        elif word == "ridge":
+            M = M + 1e-9 * np.eye(len(q))
+    return M, q, lower, upper, " ".join(words)
+
+
+def odd_program(rng: Generator, *, linear: bool) -> tuple[list[Any], str]:
+    """P, c, G, h, A, b, lower, upper of a convex program with odd numbers, and which."""
+    is_small = rng.random() < 0.6
+    n, m = (int(rng.integers(1, top)) for top in ((4, 4) if is_small else (16, 20)))
+    p = int(rng.integers(0, max(1, n // 2) + 1)) * (rng.random() < 0.4)
+    real = not is_small and rng.random() < 0.5
+    draw = (lambda *shape: rng.standard_normal(shape)) if real else (lambda *shape: integers(rng, *shape))
+    x0 = draw(n)
+    G, A, c = draw(m, n), draw(p, n), draw(n)
+    G = G * (rng.random(G.shape) < rng.choice([0.4, 1.0]))
+    h, b = G @ x0 + (rng.integers(0, 3, m) if not real else rng.random(m) * (rng.random(m) < 0.5)), A @ x0
+    L = draw(n, max(1, n - int(rng.integers(0, 2))))
+    P = None if linear else L @ L.T if rng.random() < 0.5 else np.diag(rng.integers(0, 3, n).astype(float))
+    lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
+    bounded = str(rng.choice(["none", "box", "positive"], p=[0.1, 0.6, 0.3] if linear else [0.5, 0.3, 0.2]))
+    if bounded == "box":
+        lower, upper = x0 - 5, x0 + 5
+    elif bounded == "positive":
+        lower = np.minimum(x0, 0.0)
+    words = [bounded]
+    for _ in range(int(rng.integers(1, 3))):
+        word = str(rng.choice([
+            "far rows", "far bounds", "noise", "powers", "costs", "origin", "ridge", "groups", "row", "column", "zeros",
+            "ties",
+        ]))  # fmt: skip
+        words.append(word)
+        i = int(rng.integers(0, n))
+        if word == "far rows":
+            k = int(rng.integers(1, 3))
+            G, h = np.vstack([G, draw(k, n)]), np.append(h, rng.choice(NONE, k))
+        elif word == "far bounds":
+            here, far = some(rng, NONE, n, 0.5)
+            upper = np.where(here, far, upper)
+            here, far = some(rng, NONE, n, 0.3)
+            lower = np.where(here & (upper > -far), -far, lower)
+        elif word == "noise":
+            hit = rng.random(G.shape) < 0.3
+            size = rng.choice((COSINE, 1e-12, 1e-9, 1e-5), G.shape) * rng.choice([-1, 1], G.shape)
+            G = np.where(hit, size, G)
+            h = np.where(hit.any(axis=1), np.where(abs(h) < 1e9, np.round(G @ x0) + 1, h), h)
+        elif word == "powers":
+            G[:m] = -(rng.random(m)[:, None] ** np.arange(n)[None])
+            h[:m] = G[:m] @ x0 + (rng.random(m) < 0.5)
+        elif word == "costs":
+            c = c * np.where(rng.random(n) < 0.3, rng.choice((1e-9, 1e5, 1e9), n), 1)
+        elif word == "origin":
+            far = np.where(rng.random(n) < 0.5, 1e6, 0.0)
+            h, b, lower, upper = h + G @ far, b + A @ far, lower + far, upper + far
+        elif word == "ridge":
+            P = None if linear else (np.zeros((n, n)) if P is None else P) + 1e-9 * np.eye(n)
+        elif word == "row" and len(h):
+            k, scale = int(rng.integers(0, len(h))), rng.choice((1e-9, 1e6))
+            G[k] *= scale
+            h[k] *= scale
+        elif word == "column":
+            scale = rng.choice((1e-6, 1e6))
+            G[:, i] *= scale
+            A[:, i] *= scale
+            c[i] *= scale
+            lower[i], upper[i] = lower[i] / scale, upper[i] / scale
+            if P is not None:
+                P = P * np.where(np.arange(n) == i, scale, 1) * np.where(np.arange(n) == i, scale, 1)[:, None]
+        elif word == "zeros":
+            c = c * (rng.random(n) < 0.3)
+            if len(h):
+                G[int(rng.integers(0, len(h)))] = 0.0
+                h = np.where((abs(G).sum(axis=1) == 0) & (h < 0), 0.0, h)
+        elif word == "ties" and m:
+            G, h = np.vstack([G, 2 * G[:1]]), np.append(h, 2 * h[0])
+        elif word == "groups" and n <= 4:
+            scale, k = rng.choice((1e-7, 1e7)), 2
+            extra = integers(rng, k)
+            G = sp.block_diag([G, integers(rng, 1, k)]).toarray()
+            h, c = np.append(h, scale), np.append(c, extra)
+            A = np.hstack([A, np.zeros((p, k))])
+            lower, upper = np.append(lower, [-scale] * k), np.append(upper, [scale] * k)
+            P = None if P is None else sp.block_diag([P, np.eye(k)]).toarray()
+            n, x0 = n + k, np.append(x0, [0.0, 0.0])
+    lower, upper = np.minimum(lower, upper), np.maximum(lower, upper)
+    return [P, c, G, h, A, b, lower, upper], " ".join(words)
+
+
+# --- Programs -----------------------------------------------------------------------------------------------------
+
+
+def without_far(data: list[Any]) -> list[Any]:
+    """The program without its limits beyond 1e9."""
+    P, c, G, h, A, b, lower, upper = data
+    keep = abs(h) < 1e9
+    return [P, c, G[keep], h[keep], A, b, np.where(lower < -1e9, -np.inf, lower), np.where(upper > 1e9, np.inf, upper)]
+
+
+def by_others(data: list[Any]) -> np.ndarray | None:
+    """The answer of HiGHS or Clarabel to the program without its far limits, where that keeps them."""
+    import clarabel
+    from scipy.optimize import linprog
+
+    P, c, G, h, A, b, lower, upper = without_far(data)
+    if P is None:
+        found = linprog(
+            c, A_ub=G if len(h) else None, b_ub=h if len(h) else None, A_eq=A if len(b) else None,
+            b_eq=b if len(b) else None, bounds=np.column_stack([lower, upper]),
+        )  # fmt: skip
+        x = found.x if found.status == 0 else None
+    else:
+        rows, right, eye = [G], [h], np.eye(len(c))
+        for sign, limit in ((1, upper), (-1, lower)):
+            known = np.isfinite(limit)
+            rows.append(sign * eye[known])
+            right.append(sign * limit[known])
+        C, d = np.vstack(rows), np.concatenate(right)
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
+        cones = [clarabel.ZeroConeT(len(b))] * bool(len(b)) + [clarabel.NonnegativeConeT(len(d))] * bool(len(d))
+        matrix, vector = sp.csc_matrix(np.vstack([A, C])), np.concatenate([b, d])
+        found = clarabel.DefaultSolver(sp.csc_matrix(np.triu(P)), c, matrix, vector, cones, settings).solve()
+        x = np.array(found.x) if str(found.status) == "Solved" else None
+    return x if x is not None and violation(data, x) <= 1e-8 else None
+
+
+def violation(data: list[Any], x: np.ndarray) -> float:
+    """The largest violation beside a row's own terms, or 1e-6 of its largest coefficient times the largest unknown."""
+    _, _, G, h, A, b, lower, upper = data
+    largest, worst = abs(x).max(initial=0.0), 0.0
+    lower, upper = limits(lower), limits(upper)
+    for rows, right, wrong in ((G, limits(h), G @ x - limits(h)), (A, b, abs(A @ x - b))):
+        if len(right):
+            own = np.maximum(abs(rows * x).max(axis=1), np.where(np.isfinite(right), abs(right), 0))
+            size = np.maximum(own, 1e-6 * abs(rows).max(axis=1) * largest)
+            worst = max(worst, float(np.where(wrong > 0, wrong / np.maximum(size, 1e-300), 0).max()))
+    outside = np.maximum(lower - x, x - upper)
+    return max(worst, float(np.where(outside > 0, outside / np.maximum(abs(x), 1e-6 * largest), 0).max(initial=0)))
+
+
+def conditions(data: list[Any], x: np.ndarray, duals: dict[str, np.ndarray]) -> float:
+    """The largest violation of any condition of optimality beside its own terms."""
+    P, c, G, h, A, b, lower, upper = data
+    y, e, below, above = (duals[name] for name in ("inequality", "equality", "lower", "upper"))
+    Q = np.zeros((len(c), len(c))) if P is None else P
+    lower, upper, h = limits(lower), limits(upper), limits(h)
+
+    def ratio(wrong: np.ndarray, size: np.ndarray) -> float:
+        return float(np.where(wrong > 0, wrong / np.maximum(size, 1e-300), 0).max(initial=0))
+
+    def own(rows: np.ndarray, by: np.ndarray) -> np.ndarray:
+        return abs(rows * by).max(axis=1, initial=0)
+
+    slope = Q @ x + c + G.T @ y + A.T @ e - below + above
+    terms = np.maximum.reduce([abs(c), own(Q, x), own(G.T, y), own(A.T, e), below, above])
+    gap = abs(y * np.where(np.isfinite(h), h - G @ x, 0)).sum()
+    for limit, dual in ((lower, below), (upper, above)):
+        gap += abs(dual * np.where(np.isfinite(limit), x - limit, 0)).sum()
+        if (dual[~np.isfinite(limit)] != 0).any():
+            return np.inf
+    rounding = 1e-14 * (abs(y) @ (abs(G) @ abs(x) + np.where(np.isfinite(h), abs(h), 0)))
+    size = abs(c * x).sum() + abs(x @ Q @ x)
+    return max(
+        ratio(G @ x - h, np.maximum(own(G, x), np.where(np.isfinite(h), abs(h), 0))),
+        ratio(abs(A @ x - b), np.maximum(own(A, x), abs(b))), ratio(abs(slope), terms),
+        ratio(lower - x, abs(x)), ratio(x - upper, abs(x)), ratio(-y, abs(y) * 0),
+        (gap - rounding) / size if gap > rounding else 0.0,
+    )  # fmt: skip
+
+
+def value_of(data: list[Any], x: np.ndarray) -> tuple[float, float]:
+    """The objective and the sum of the sizes of its terms."""
+    P, c = data[:2]
+    curved = 0.0 if P is None else x @ P @ x
+    return float(c @ x + curved / 2), float(abs(c * x).sum() + abs(curved))
+
+
+def best_of(data: list[Any]) -> tuple[float, float] | str | None:
+    """The optimal value and its size; "none" where enumeration finds none; None where nobody knows."""
+    program = ExactProgram(*data)
+    if program.count() <= 600:
+        x = program.optimum()
+        return "none" if x is None else value_of(data, np.array([float(value) for value in x]))
+    x = by_others(data)
+    return None if x is None else value_of(data, x)
+
+
+def judged_program(data: list[Any], status: str, x: np.ndarray, duals: Any, radius: float, text: str) -> Outcome:
+    """The verdict on a status, an x and its multipliers."""
+    if status == "SOLVED":
+        if not np.isfinite(x).all():
+            return Outcome(FALSE, f"SOLVED {x}: {text}")
+        x = np.where(abs(x) <= 1e-15 * abs(x).max(), 0.0, x)  # rounding of a zero has no size to be beside
+        if conditions(data, x, duals) <= HOLDS_OF_PROGRAMS:
+            return Outcome(RIGHT)
+        best, violated, (value, size) = best_of(data), violation(data, x), value_of(data, x)
+        if violated > 1e-5:
+            return Outcome(FALSE, f"SOLVED {x.tolist()} violates by {violated:.1e}: {text}")
+        if best is None:
+            return Outcome(OPEN)
+        if best == "none":
+            return Outcome(OPEN, f"SOLVED {x.tolist()} where no case has an optimum: {text}")
+        is_off = abs(value - best[0]) > 1e-4 * (abs(best[0]) + max(size, best[1]))
+        return Outcome(FALSE if is_off else RIGHT, f"SOLVED {x.tolist()}: {value:.9g}, right {best[0]:.9g}: {text}")
+    best = best_of(data)
+    if best is None or best == "none":
+        return Outcome(RIGHT if best == "none" and status in ("INFEASIBLE", "UNBOUNDED") else OPEN)
+    if status in ("INFEASIBLE", "UNBOUNDED"):
+        return Outcome(FALSE, f"{status}, right {best[0]:.9g}, radius {radius:.1e}: {text}")
+    return Outcome(REFUSED, f"{status}: {text}")
+
+
+def shown(data: list[Any], words: str) -> str:
+    names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
+    parts = [
+        f"{name}={np.asarray(value).tolist()}" for name, value in zip(names, data, strict=True) if value is not None
+    ]
+    return f"{words}: {', '.join(parts)}"[:1500]
+
+
+def program_case(rng: Generator, *, linear: bool = False) -> Outcome:
+    data, words = odd_program(rng, linear=linear)
+    P, c, G, h, A, b, lower, upper = data
+    program = lp.QuadraticProgram(P, c, G, h, A, b, lower=lower, upper=upper)
+    result = lp.solve(program, max_seconds=SECONDS)
+    text = shown(data, words)
+    radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
+    outcome = judged_program(data, result.status.name, result.x, result.duals, radius, text)
+    if outcome.what == RIGHT and result.status.name == "SOLVED" and rng.random() < 0.1:
+        size = np.maximum(abs(result.x), abs(result.x).max())
+        x = result.x + rng.choice([0.01, 0.1, 0.5]) * size * rng.standard_normal(len(c))
+        (value, terms), right = value_of(data, x), value_of(data, result.x)[0]
+        is_wrong = abs(value - right) > 1e-3 * (abs(right) + terms) or violation(data, x) > 1e-3
+        if is_wrong and lp.certify(program, x, max_seconds=SECONDS).verdict == "proved":
+            return Outcome(FALSE, f"proved {x.tolist()}: {value:.9g}, right {right:.9g}: {text}")
+    return outcome
+
+
+def linear_case(rng: Generator) -> Outcome:
+    return program_case(rng, linear=True)
+
+
+# --- Complementarity ----------------------------------------------------------------------------------------------
+
+
+def lcp_text(M: Any, q: Any, lower: Any, upper: Any, words: str) -> str:
+    return f"{words}: LCP({M.tolist()}, {q.tolist()}, lower={lower.tolist()}, upper={upper.tolist()})"
+
+
+def lcp_case(rng: Generator) -> Outcome:
+    M, q, lower, upper, words = odd_lcp(rng)
+    name = str(rng.choice(ALGORITHMS))
+    text = f"{name}, {lcp_text(M, q, lower, upper, words)}"
+    result = lp.solve(lp.LCP(M, q, lower=lower, upper=upper), name, max_seconds=SECONDS)
+    radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
+    return judged_lcp(ExactLCP(M, q, lower, upper), result.status, result.z, radius, text)
+
+
+def batch_case(rng: Generator) -> Outcome:
+    """One of several problems at once: of one M, stacked, or a list with programs."""
+    M, q, lower, upper, words = odd_lcp(rng, 4)
+    qs = np.array([q, integers(rng, len(q)), np.where(rng.random(len(q)) < 0.5, q, 0.0)])
+    way = str(rng.choice(["one matrix", "stacked", "list", "programs"]))
+    if way == "programs":
+        data, words = odd_program(rng, linear=False)
+        P, c, G, h, A, b, low, high = data
+        found = lp.solve_batch(lp.QuadraticProgramBatch(P, np.array([c, 2 * c]), G, h, A, b, low, high))
+        duals = {name: getattr(found, name)[0] for name in ("inequality", "equality", "lower", "upper")}
+        return judged_program(data, found.status[0].name, found.x[0], duals, np.inf, f"batch, {shown(data, words)}")
+    if way == "list":
+        found = lp.solve_batch([lp.LCP(M, one, lower=lower, upper=upper) for one in qs])
+    else:
+        found = lp.solve_batch(M if way == "one matrix" else np.array([M] * 3), qs, lower=lower, upper=upper)
+    k = int(rng.integers(0, 3))
+    text = f"{way}, item {k} of {qs.tolist()}, {lcp_text(M, qs[k], lower, upper, words)}"
+    proof = found[k].proof if found.status[k].name in ("INFEASIBLE", "NO_SOLUTION") else None
+    radius = float(getattr(proof, "radius", np.inf) or np.inf)
+    return judged_lcp(ExactLCP(M, qs[k], lower, upper), found.status[k], found.z[k], radius, text)
+
+
+def march_case(rng: Generator) -> Outcome:
+    """Some step of three, each from the answer of the one before."""
+    M, q, lower, upper, words = odd_lcp(rng, 4)
+    B = rng.choice([-1.0, 0.0, 0.5, 1.0])
+    forcing = np.array([q, integers(rng, len(q)), q])
+    z0 = np.minimum(np.maximum(integers(rng, len(q)), limits(lower)), limits(upper))
+    done = lp.march(lp.LCP(M, q, lower=lower, upper=upper), forcing, B, z0=z0, max_seconds=SECONDS)
+    last = z0
+    for step, result in enumerate(done):
+        now = forcing[step] + B * last
+        text = f"step {step} after {last.tolist()}, {lcp_text(M, now, lower, upper, words)}"
+        radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
+        outcome = judged_lcp(ExactLCP(M, now, lower, upper), result.status, result.z, radius, text)
+        if outcome.what != RIGHT or result.status.name != "SOLVED":
+            return outcome
+        last = result.z
+    return Outcome(RIGHT)
+
+
+def derivative_case(rng: Generator) -> Outcome:
+    """The derivative by q of the only solution, where no z_i and w_i vanish together."""
+    M, q, lower, upper, words = odd_lcp(rng, 4)
+    result = lp.solve(lp.LCP(M, q, lower=lower, upper=upper), max_seconds=SECONDS)
+    problem, dq = ExactLCP(M, q, lower, upper), integers(rng, len(q))
+    if result.status.name != "SOLVED":
+        return Outcome(OPEN)
+    solutions = list(itertools.islice(problem.solutions(), 2))
+    if len(solutions) != 1 or problem.is_near(result.z) is not True:
+        return Outcome(OPEN)
+    z, w = solutions[0], problem.w(solutions[0])
+    free = [i for i in range(problem.n) if problem.lower[i] < z[i] < problem.upper[i]]
+    if any(w[i] == 0 for i in range(problem.n) if i not in free):
+        return Outcome(OPEN)
+    right = np.zeros(problem.n)
+    if free:
+        solved = solve_fractions([[problem.M[i][j] for j in free] for i in free], [-Fraction(dq[i]) for i in free])
+        if solved is None:
+            return Outcome(OPEN)
+        right[free] = [float(value) for value in solved]
+    found = lp.derivative(result)
+    text = f"dq = {dq.tolist()}, z = {result.z.tolist()}, {lcp_text(M, q, lower, upper, words)}"
+    if len(found.degenerate):
+        return Outcome(REFUSED, f"degenerate {found.degenerate}: {text}")
+    dz, part = found.jvp(dq=dq), problem.parts()
+    is_near = all(abs(dz - right)[part == k].max() <= NEAR * abs(right)[part == k].max() for k in range(part.max() + 1))
+    return Outcome(RIGHT if is_near else FALSE, f"{dz.tolist()}, right {right.tolist()}: {text}")
+
+
+def game_case(rng: Generator) -> Outcome:
+    """An equilibrium of a game: what its players lose against the best reply, in fractions."""
+    m, k = rng.integers(1, 5, 2)
+    A, B = (rng.integers(0, rng.choice([2, 7, 100]), (m, k)).astype(float) for _ in range(2))
+    words = str(rng.choice(["plain", "far", "one", "small", "offset"]))
+    if words == "far":
+        A *= rng.choice((1e-9, 1e10, 1e19))
+    elif words == "one":
+        A[rng.integers(0, m), rng.integers(0, k)] = rng.choice([-1, 1]) * rng.choice(ODD)
+    elif words == "small":
+        A += rng.choice([0.0, 1e-9], A.shape)
+    elif words == "offset":
+        B += rng.choice(ODD[:1])
+    problem = lp.LCP.from_game(A, B)
+    name = str(rng.choice(["auto", "lemke"]))
+    text = f"{name}, {words}: from_game({A.tolist()}, {B.tolist()})"
+    result = lp.solve(problem, name, max_seconds=SECONDS)
+    if result.status.name != "SOLVED":
+        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+    found = problem.origin.recover(result)
+    x, y = exact(found.row_strategy), exact(found.column_strategy)
+    worst = 0.0
+    for payoffs, own, other in ((exact_rows(A), x, y), (exact_rows(B.T), y, x)):
+        values = [_dot(row, other) for row in payoffs]
+        best = max(range(len(values)), key=values.__getitem__)
+        loss = values[best] * sum(own) - _dot(values, own)
+        played = {best, *(i for i, share in enumerate(own) if share > 0)}
+        size = max(sum(abs(a * s) for a, s in zip(payoffs[i], other, strict=True)) for i in played)
+        worst = max(worst, float(loss / size) if size else 0.0, abs(float(sum(own)) - 1), -float(min(own)))
+    return Outcome(RIGHT if worst <= 1e-6 else FALSE, f"loses {worst:.1e} of its payoff: {text}")
+
+
+def equilibrium_case(rng: Generator) -> Outcome:
+    """The least cᵀz over the solutions of an LCP: the best vertex of all its cases in fractions."""
+    n = int(rng.integers(1, 4))
+    M, q, lower, upper, words = odd_lcp(rng, n)
+    n, c = len(q), integers(rng, len(q))
+    if not n <= 3:
+        return Outcome(OPEN)
+    c = c * np.where(rng.random(n) < 0.2, rng.choice((1e-9, 1e9), n), 1)
+    lower, upper = np.zeros(n), limits(upper)
+    everything = np.hstack([M, -np.eye(n)])
+    program = lp.QuadraticProgram(
+        None, np.append(c, np.zeros(n)), A=everything, b=-q, lower=np.append(lower, np.full(n, -np.inf)),
+        upper=np.append(upper, np.full(n, np.inf)),
+    )  # fmt: skip
+    problem = lp.EquilibriumProgram(program, list(range(n)), list(range(n, 2 * n)))
+    result = lp.solve(problem, max_seconds=SECONDS)
+    text = f"min {c.tolist()} z over {lcp_text(M, q, lower, upper, words)}"
+    values = []
+    for case in itertools.product((-1, 0, 1), repeat=n):
+        rows, right, equal, of, low, high = [], [], [], [], lower.copy(), upper.copy()
+        if any(side == 1 and np.isinf(upper[i]) for i, side in enumerate(case)):
+            continue
+        for i, side in enumerate(case):
+            if side == 0:
+                equal.append(M[i])
+                of.append(-q[i])
+            else:
+                low[i] = high[i] = lower[i] if side < 0 else upper[i]
+                rows.append(side * M[i])
+                right.append(-side * q[i])
+        of_case = ExactProgram(
+            None, c, np.reshape(rows, (-1, n)), right, np.reshape(equal, (-1, n)), of, low, high
+        )  # fmt: skip
+        x = of_case.optimum()
+        if x is not None:
+            values.append(np.array([float(value) for value in x]))
+    if not values:
+        if result.has_no_solution or result.status.name != "SOLVED":
+            return Outcome(OPEN)
+        wrong = ExactLCP(M, q, lower, upper).wrong(result.x[:n], leaves_negligible=True)
+        return Outcome(OPEN if wrong <= 1e-6 else FALSE, f"SOLVED {result.x[:n].tolist()}: {text}")
+    best = min(values, key=lambda z: float(c @ z))
+    if result.status.name == "SOLVED":
+        z = result.x[:n]
+        wrong = ExactLCP(M, q, lower, upper).wrong(z)
+        size = abs(c * z).sum() + abs(c * best).sum()
+        is_off = float(c @ z - c @ best) > 1e-4 * size
+        if ExactLCP(M, q, lower, upper).wrong(z, leaves_negligible=True) <= 1e-6 < wrong:
+            return Outcome(OPEN)
+        if wrong > 1e-6 and not ExactLCP(M, q, lower, upper).is_near(z):
+            return Outcome(FALSE, f"SOLVED {z.tolist()}, wrong by {wrong:.1e}: {text}")
+        return Outcome(FALSE if is_off else RIGHT, f"SOLVED {z.tolist()}, better {best.tolist()}: {text}")
+    if result.has_no_solution and result.status.name != "UNBOUNDED":
+        radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
+        what = FALSE if abs(best).max() <= min(radius, 1e20) else OPEN
+        return Outcome(what, f"{result.status.name}, but {best.tolist()}: {text}")
+    return Outcome(REFUSED if result.status.name != "UNBOUNDED" else OPEN, f"{result.status.name}: {text}")
+
+
+# --- Least squares, cones, contacts, nonlinear ----------------------------------------------------------------------
+
+
+def least_squares_case(rng: Generator) -> Outcome:
+    """The cost of each group of columns beside that of the exact minimiser."""
+    n, m = int(rng.integers(1, 5)), int(rng.integers(1, 7))
+    A, b = integers(rng, m, n), integers(rng, m)
+    lower, upper, ridge, words = np.zeros(n), np.full(n, np.inf), 0.0, []
+    for _ in range(int(rng.integers(1, 3))):
+        word = str(rng.choice(["b", "entry", "row", "column", "noise", "upper", "free", "origin", "ridge", "unit"]))
+        words.append(word)
+        i, j = int(rng.integers(0, m)), int(rng.integers(0, n))
+        if word == "b":
+            b[i] = rng.choice(ODD)
+        elif word == "entry":
+            A[i, j] = rng.choice((*ODD, 1e-9))
+        elif word == "row":
+            scale = rng.choice((1e-9, 1e6))
+            A[i], b[i] = A[i] * scale, b[i] * scale
+        elif word == "column":
+            A[:, j] *= rng.choice((1e-9, 1e6))
+        elif word == "noise":
+            A = np.where(A == 0, COSINE, A)
+        elif word == "upper":
+            here, far = some(rng, (*NONE, 1.0), n, 0.6)
+            upper = np.where(here, far, upper)
+        elif word == "free":
+            here, far = some(rng, NONE, n, 0.6)
+            lower = np.where(here, -far, lower)
+        elif word == "origin":
+            b = b + A @ np.full(n, 1e6)
+        elif word == "ridge":
+            ridge = 1e-9
+        elif word == "unit":
+            scale = 10.0 ** rng.choice([-162, -120, 100, 140])
+            A, b = A * scale, b * scale
+    result = lp.bounded_least_squares(A, b, lower, upper, ridge=ridge, max_seconds=SECONDS)
+    text = f"{words}, ridge {ridge}: {A.tolist()}, {b.tolist()}, lower={lower.tolist()}, upper={upper.tolist()}"
+    rows, right = exact_rows(A), exact(b)
+    P = [
+        [sum(row[i] * row[j] for row in rows) + (Fraction(ridge) if i == j else 0) for j in range(n)] for i in range(n)
+    ]
+    c = [-sum(row[j] * value for row, value in zip(rows, right, strict=True)) for j in range(n)]
+    program = ExactProgram(P, c, np.zeros((0, n)), [], np.zeros((0, n)), [], lower, upper)
+    best = program.optimum()
+    if best is None:
+        return Outcome(FALSE if result.has_no_solution else OPEN, f"{result.status.name}: {text}")
+    if result.status.name != "SOLVED":
+        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+    if not np.isfinite(result.x).all():
+        return Outcome(FALSE, f"SOLVED {result.x}: {text}")
+    x = exact(result.x)
+    if not program._is_feasible(x):
+        return Outcome(FALSE, f"SOLVED {result.x.tolist()}, outside: {text}")
+    part = sp.csgraph.connected_components(
+        sp.csr_array(np.array([[p != 0 for p in row] for row in P])), directed=False
+    )[1]
+    for k in range(part.max() + 1):
+        mine = [j for j in range(n) if part[j] == k]
+        touched = [i for i in range(m) if any(rows[i][j] for j in mine)]
+
+        def cost(of: list[Fraction], touched: list[int] = touched, mine: list[int] = mine) -> Fraction:
+            return sum((_dot(rows[i], of) - right[i]) ** 2 for i in touched) + Fraction(ridge) * sum(
+                of[j] ** 2 for j in mine
+            )
+
+        size = cost([Fraction(0)] * n)
+        above = cost(x) - cost(best)
+        if above > Fraction(1, 10**6) * cost(best) + Fraction(1, 10**15) * size:
+            distance = max(abs(x[j] - best[j]) for j in mine)
+            if distance > Fraction(1, 1000) * max(abs(best[j]) for j in mine):
+                return Outcome(FALSE, f"SOLVED {result.x.tolist()}, right {[float(v) for v in best]}: {text}")
+    return Outcome(RIGHT)
+
+
+def _in_cone(z: np.ndarray, slope: float) -> float:
+    """How far z is outside of ‖z_T‖ ≤ slope z_0."""
+    return float(max(np.linalg.norm(z[1:]) - slope * z[0], -z[0]))
+
+
+def cone_case(rng: Generator) -> Outcome:
+    """A strongly monotone problem with a planted answer; the conditions of each block beside its own terms."""
+    sizes = [int(rng.choice([1, 2, 3])) for _ in range(int(rng.integers(1, 4)))]
+    n, ends = sum(sizes), np.cumsum([0, *sizes])
+    L, K = integers(rng, n, n), integers(rng, n, n)
+    M = L @ L.T + rng.choice([1.0, 1e-3]) * np.eye(n) + (K - K.T) * (rng.random() < 0.5)
+    word = str(rng.choice(["plain", "ridge", "blocks", "noise", "rounded", "diagonal"]))
+    if word == "ridge":
+        M = L[:, :1] @ L[:, :1].T + 1e-9 * np.eye(n)
+    elif word == "blocks":
+        scale = np.repeat(rng.choice((1.0, 1e-6, 1e4), len(sizes)), sizes)
+        M = scale[:, None] * M * scale
+    elif word == "noise":
+        M = np.where(M == 0, COSINE, M)
+    elif word == "rounded":
+        M = (K - K.T) / 10 + 2.0**-54 * np.eye(n)
+    elif word == "diagonal":
+        M = K - K.T + np.diag(rng.choice((1e-9, 1e-6, 1.0), n))
+    z, w = np.zeros(n), np.zeros(n)
+    for a, b in itertools.pairwise(ends):
+        direction = rng.standard_normal(b - a - 1)
+        direction /= max(np.linalg.norm(direction), 1e-9)
+        state = rng.integers(0, 4)
+        first, second = np.append(1.0, direction), np.append(1.0, -direction)
+        if b - a == 1:
+            z[a], w[a] = (rng.integers(1, 4), 0) if state % 2 else (0, rng.integers(1, 4))
+        elif state == 0:
+            z[a] = 2.0
+        elif state == 1:
+            w[a] = 2.0
+        else:
+            z[a:b], w[a:b] = first * (state == 2 or rng.random() < 0.7), second * (state == 3 or rng.random() < 0.7)
+    z *= rng.choice([1.0, 1e6, 1e-6])
+    w *= rng.choice([1.0, 1e6, 1e-6])
+    q = w - M @ z
+    cones = [("nonnegative", size) if size == 1 else ("second_order", size) for size in sizes]
+    result = lp.solve(lp.ConeProblem(M, q, cones), max_seconds=SECONDS)
+    text = f"{word}: ConeProblem({M.tolist()}, {q.tolist()}, {cones}), planted {z.tolist()}"
+    if result.status.name != "SOLVED":
+        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+    x, wrong = result.z, 0.0
+    v, terms = M @ x + q, abs(M) @ abs(x) + abs(q)
+    noise = 1e-12 * max(terms.max(), 1e-300), 1e-12 * abs(x).max()
+    is_negligible = True
+    for a, b in itertools.pairwise(ends):
+        size = float(np.linalg.norm(terms[a:b]))
+        own = float(np.linalg.norm(x[a:b]))
+        own_wrong = max(
+            _in_cone(v[a:b], 1.0) / size, abs(x[a:b] @ v[a:b]) / max(own * size, 1e-300),
+            _in_cone(x[a:b], 1.0) / max(own, 1e-300) if own else 0.0,
+        )  # fmt: skip
+        is_negligible &= own_wrong <= HOLDS or size <= noise[0] or own <= noise[1]
+        wrong = max(wrong, own_wrong)
+    if wrong <= HOLDS or abs(x - z).max() <= NEAR * abs(z).max():
+        return Outcome(RIGHT)
+    return Outcome(OPEN if is_negligible else FALSE, f"SOLVED {x.tolist()}, wrong by {wrong:.1e}: {text}")
+
+
+def contact_case(rng: Generator) -> Outcome:
+    """One or two groups of contacts, or a tower: the laws of friction in each, or the planted impulses."""
+    d, groups, qs, planted = int(rng.integers(2, 4)), [], [], []
+    word = str(rng.choice(["one", "groups", "tower", "masses"]))
+    mu = []
+    for group in range(1 + (word == "groups")):
+        k = int(rng.integers(1, 4))
+        friction = rng.choice([0.0, 0.3, 0.5], k)
+        scale = 1.0 if group == 0 else float(rng.choice((1e-7, 1e-3, 1e7)))
+        if word == "tower":
+            mass = rng.choice((1.0, 1e4, 1e6, 1e8), k)
+            J = np.eye(k) - np.eye(k, k=-1)
+            W = np.kron(J @ np.diag(1 / mass) @ J.T, np.eye(d))
+            q = np.zeros(d * k)
+            q[0] = -0.04905
+            r = np.zeros(d * k)
+            r[::d] = 0.04905 * np.cumsum(mass[::-1])[::-1]
+        else:
+            size = d * k + 1
+            J = integers(rng, d * k, size)
+            mass = rng.choice((1.0, 1e4, 1e8) if word == "masses" else (1.0, 2.0), size)
+            W = J @ np.diag(1 / mass) @ J.T + np.eye(d * k) * 0.1
+            r, u = np.zeros(d * k), np.zeros(d * k)
+            for i in range(k):
+                state, direction = rng.integers(0, 3), rng.standard_normal(d - 1)
+                direction /= np.linalg.norm(direction)
+                at = slice(d * i + 1, d * i + d)
+                if state == 0:
+                    u[d * i], u[at] = 1.0, direction
+                else:
+                    r[d * i] = 1.0
+                    r[at] = friction[i] * direction * (1.0 if state == 2 else 0.5)
+                    u[at] = -direction * 2.0 * (state == 2)
+            r, q = scale * r, scale * (u - W @ r)
+        groups.append(W)
+        qs.append(q)
+        planted.append(r)
+        mu.append(friction)
+    W, q, r, friction = sp.block_diag(groups, format="csr"), *map(np.concatenate, (qs, planted, mu))
+    result = lp.solve(lp.FrictionalContact(W, q, friction, dimension=d), max_seconds=SECONDS)
+    text = f"{word}: W={W.toarray().tolist()}, b={q.tolist()}, mu={friction.tolist()}, planted {r.tolist()}"
+    if result.status.name != "SOLVED":
+        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+    found, at = result.x, 0
+    for block, offset in zip(groups, qs, strict=True):
+        own, right = found[at : at + len(offset)], r[at : at + len(offset)]
+        slopes = friction[at // d : (at + len(offset)) // d]
+        at += len(offset)
+        u, terms = block @ own + offset, abs(block) @ abs(own) + abs(offset)
+        wrong, largest = 0.0, abs(own).max()
+        for i, slope in enumerate(slopes):
+            part = slice(d * i, d * i + d)
+            impulse, velocity, size = own[part], u[part].copy(), float(np.linalg.norm(terms[part]))
+            velocity[0] += slope * np.linalg.norm(velocity[1:])
+            length = max(float(np.linalg.norm(impulse)), 1e-6 * largest)
+            power = abs(impulse @ velocity) / (length * size) if largest and size else 0.0
+            outside = _in_cone(impulse, slope) / length if largest else 0.0
+            wrong = max(wrong, -u[d * i] / size if size else 0.0, power, outside)
+        is_tower = word == "tower"
+        if not (wrong <= 1e-6 and not is_tower) and not abs(own - right)[::d].max() <= NEAR * abs(right).max():
+            return Outcome(FALSE, f"SOLVED {own.tolist()}, laws broken by {wrong:.1e}: {text}")
+    return Outcome(RIGHT)
+
+
+def nonlinear_case(rng: Generator) -> Outcome:
+    """A monotone F with a planted solution: M positive definite and increasing functions of each unknown."""
+    n = int(rng.integers(1, 5))
+    L = integers(rng, n, n)
+    M = L @ L.T + np.eye(n)
+    word = str(rng.choice(["plain", "ridge", "upper", "far", "row", "groups", "noise"]))
+    scale, upper = np.ones(n), np.full(n, np.inf)
+    if word == "ridge":
+        M = M - np.eye(n) + 1e-9 * np.eye(n)
+    elif word == "upper":
+        upper = np.where(rng.random(n) < 0.5, rng.choice(NONE, n), upper)
+    elif word == "row":
+        scale = rng.choice((1.0, 1e-9, 1e6), n)
+    elif word == "groups":
+        M = np.diag(rng.choice((1e-7, 1.0, 1e7), n))
+    elif word == "noise":
+        M = np.where(M == 0, COSINE, M)
+    kinds = rng.integers(0, 3, n)
+
+    def curve(x: np.ndarray) -> np.ndarray:
+        with np.errstate(over="ignore"):
+            return np.choose(kinds, [0.0 * x, x**3, np.exp(np.minimum(x, 300.0))])
+
+    def slope(x: np.ndarray) -> np.ndarray:
+        with np.errstate(over="ignore"):
+            return np.choose(kinds, [0.0 * x, 3 * x**2, np.exp(np.minimum(x, 300.0))])
+
+    planted = np.where(rng.random(n) < 0.5, rng.integers(1, 4, n), 0).astype(float)
+    w = np.where(planted > 0, 0.0, rng.integers(1, 4, n))
+    q = w - M @ planted - curve(planted)
+
+    def F(x: np.ndarray) -> np.ndarray:
+        return scale * (M @ x + curve(x) + q)
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return scale[:, None] * (M + np.diag(slope(x)))
+
+    x0 = np.full(n, 100.0 if word == "far" else 0.0)
+    problem = lp.NonlinearProblem(F, jacobian if rng.random() < 0.5 else None, upper=upper)
+    result = lp.solve(problem, x0=x0, max_seconds=SECONDS)
+    text = f"{word}: M={M.tolist()}, q={q.tolist()}, scale={scale.tolist()}, {kinds}, planted {planted.tolist()}"
+    if result.status.name != "SOLVED":
+        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+    x = result.x
+    v = F(x)
+    terms = scale * (abs(M) @ abs(x) + abs(curve(x)) + abs(q))
+    wrong = float((np.where(x <= 1e-12, np.maximum(-v, 0), abs(v)) / terms).max())
+    if wrong <= HOLDS or abs(x - planted).max() <= NEAR * max(abs(planted).max(), 1.0):
+        return Outcome(RIGHT)
+    return Outcome(FALSE, f"SOLVED {x.tolist()}, wrong by {wrong:.1e}: {text}")
+
+
+KINDS: dict[str, Callable[[Generator], Outcome]] = {
+    "lcp": lcp_case, "program": program_case, "linear": linear_case, "least_squares": least_squares_case,
+    "cones": cone_case, "contacts": contact_case, "nonlinear": nonlinear_case, "equilibrium": equilibrium_case,
+    "game": game_case, "batch": batch_case, "march": march_case, "derivative": derivative_case,
+}  # fmt: skip
+
+
+def run(kind: str, seed: int, k: int) -> Outcome:
+    """Problem k of a kind."""
+    rng = np.random.default_rng((seed, list(KINDS).index(kind), k))
+    try:
+        return KINDS[kind](rng)
+    except lp.LCPError as error:
+        return Outcome(REFUSED, f"{type(error).__name__}: {error}")
+    except Exception as error:  # a campaign counts what a caller would see
+        return Outcome(FALSE, f"{type(error).__name__}: {error}")
+
+
+def main() -> int:
+    """Run the campaign."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kind", choices=[*KINDS, "all"], default="all")
+    parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=int, help="problem k alone, told in full")
+    parser.add_argument("--show", type=int, default=3, help="so many false ones of a kind are told")
+    parser.add_argument("--refused", action="store_true", help="tell refused ones, too")
+    parser.add_argument("--csv", type=Path)
+    parser.add_argument("--beside", type=Path, help="the CSV of another run")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    np.seterr(all="ignore")
+    before = {}
+    if given.beside:
+        with given.beside.open(encoding="utf-8") as file:
+            before = {(row[0], row[1], row[2]): row[3] for row in csv.reader(file)}
+    found, false = [], 0
+    for kind in KINDS if given.kind == "all" else [given.kind]:
+        began, counts, told, lost, gained = time.perf_counter(), collections.Counter[str](), 0, [], 0
+        for k in range(given.count) if given.only is None else [given.only]:
+            outcome = run(kind, given.seed, k)
+            counts[outcome.what] += 1
+            found.append((kind, given.seed, k, outcome.what))
+            old = before.get((kind, str(given.seed), str(k)))
+            if old == RIGHT and outcome.what == REFUSED:
+                lost.append(k)
+            gained += old in (REFUSED, FALSE) and outcome.what == RIGHT
+            is_shown = outcome.what == FALSE or (given.refused and outcome.what == REFUSED) or given.only is not None
+            if is_shown and (told < given.show or given.only is not None):
+                told += 1
+                print(f"  --kind {kind} --seed {given.seed} --only {k}: {outcome.what}: {outcome.text}", flush=True)
+        false += counts[FALSE]
+        words = ", ".join(f"{counts[what]} {what}" for what in (RIGHT, REFUSED, FALSE, OPEN))
+        beside = f"; beside: {len(lost)} right ones refused now {lost[:9]}, {gained} gained" if before else ""
+        print(f"{kind:14s} {words}{beside}, {time.perf_counter() - began:.0f} s", flush=True)
+    if given.csv:
+        with given.csv.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows(found)
+    return 1 if false else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

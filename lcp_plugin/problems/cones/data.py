@@ -157,6 +157,13 @@ class Blocks:
         """Return the point of K nearest to z, shape (n,)."""
         return z - self.residual(z, np.zeros(self.n))[0]
 
+    def part(self, blocks: NDArray[np.bool_]) -> Blocks:
+        """Return the problem of some blocks alone, shape (k,): whole components, which no other block meets."""
+        rows = blocks[self.block_of_row]
+        own = LCP(self.rows.csr[rows][:, rows], self.q[rows], lower=self.lower[rows], upper=self.upper[rows])
+        starts = np.concatenate([[0], np.cumsum(self.sizes[blocks])])
+        return Blocks(own, starts, self.slope[blocks], has_friction=self.has_friction)
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to a ``.npz`` file, which ``load_problem(path)`` and ``lcp-plugin solve`` read.
 

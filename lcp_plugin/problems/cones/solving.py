@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...auto import Single
 from ...core.algorithm import Algorithm
-from ...core.certificates.criterion import CommonScaling
+from ...core.certificates.criterion import CommonScaling, within
 from ...core.certificates.residuals import Certificate
+from ...core.certificates.row_residuals import over
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.kind import Kind
+from ...core.matrix.structure import Components, connected_components
 from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.representation import in_words
@@ -33,7 +35,7 @@ from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
-from .infeasibility import InfeasibilityCheck
+from .infeasibility import InfeasibilityCheck, NoImpulse
 from .methods import METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, InteriorPoint, Newton
 from .small import LARGEST, Found, solve_small
 
@@ -41,9 +43,14 @@ TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
 STEP_OPERATIONS = 5e5  # that the calls of one of its steps take as long as
 BEFORE_THE_PATH = 40  # steps of Newton before an interior point, which costs about as much as so many
+SHARED = 10  # steps of sweeps that components share, before each gets its own run
 MORE = 50  # sweeps a step
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
 STARTS, LAST_STARTS = 3, 17  # of Newton's method, moved at random but for the first
+WORST = (
+    Status.SOLVED, Status.PRECISION_LIMIT, Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS, Status.MAX_SECONDS,
+    Status.INFEASIBLE, Status.INTERRUPTED,
+)  # the last of these that a component has is that of all
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
 NEARBY = "from a point nearby"
 FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
@@ -96,10 +103,22 @@ def solve_cones(
     )
     checked_callback(callback)
     clock = Clock(ALONE)
-    start = _start(problem, z0)
+    result = _solved(problem, algorithm, settings, callback, clock, None if z0 is None else _start(problem, z0))
+    is_cut_short = result.status is Status.MAX_ITERATIONS and result.iterations < settings.max_iterations
+    is_open = is_cut_short or result.status in (Status.STALLED, Status.PRECISION_LIMIT, Status.DIVERGED)
+    several = connected_components(problem.block_norms.matrix) if is_open else None
+    return result if several is None else _solved_apart(result, several, algorithm, settings, clock, z0)
+
+
+def _solved(
+    problem: Blocks, algorithm: str | Algorithm, settings: Settings, callback: Callback | None, clock: Clock,
+    z0: FloatVector | None,
+) -> ConeResult:
+    """Return the answer where all components share a run; by auto sweeps only, where there are several."""
+    start = problem.nearest_to_zero if z0 is None else z0
     was_tried = False
     if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock):
-        found = solve_small([problem], settings, start=None if z0 is None else start)
+        found = solve_small([problem], settings, start=z0)
         was_tried = not found.items.size
         if not was_tried:
             result = result_of(problem, found, 0, settings, clock.read())
@@ -107,6 +126,8 @@ def solve_cones(
                 return result
     with np.errstate(), threads_for(settings.threads):
         policy = _policy(problem, algorithm, settings, is_warm=z0 is not None, was_tried=was_tried)
+        if algorithm == "auto" and connected_components(problem.block_norms.matrix) is not None:
+            settings = _within(settings, settings.max_seconds, min(settings.max_iterations, SHARED))
         judge = ConeJudge(problem, settings)
         run = Run(judge.scaling, policy, settings, callback, clock, judge)
         try:
@@ -114,6 +135,66 @@ def solve_cones(
         except KeyboardInterrupt:
             reason = End.INTERRUPTED
         return ConeResult.of(problem, run.judged(start, reason))
+
+
+def _solved_apart(
+    together: ConeResult, several: Components, algorithm: str | Algorithm, settings: Settings, clock: Clock,
+    z0: ArrayLike | None,
+) -> ConeResult:
+    """Return the answer with each component solved alone that the common run has left open."""
+    problem, z = together.problem, together.z.copy()
+    statuses, proofs, advice = [Status.SOLVED], [], together._advice
+    stages, iterations, work = list(together.stages), 0, together.work
+    for blocks in _open_components(together.certificate, several, settings.tolerance):
+        left = settings.max_seconds - clock.read()
+        if not left > 0.0:
+            statuses.append(Status.MAX_SECONDS)
+            break
+        part, rows = problem.part(blocks), blocks[problem.block_of_row]
+        steps = settings.max_iterations - together.iterations
+        plain = _within(settings, left, steps, record=False, verbose=False)
+        found = _solved(part, algorithm, plain, None, Clock(ALONE), None if z0 is None else _start(problem, z0)[rows])
+        z[rows], share = found.z, part.nonzeros / max(problem.nonzeros, 1)
+        stages += [stage._replace(work=stage.work * share) for stage in found.stages]
+        iterations, work = max(iterations, found.iterations), work + found.work * share
+        if found.infeasibility is not None:
+            y = np.zeros(problem.n)
+            y[rows] = found.infeasibility.y
+            proofs.append(NoImpulse(problem, y))
+        statuses.append(found.status)
+        advice = found._advice if found.status is max(statuses, key=WORST.index) else advice
+    certificate = ConeCertificate.at(problem, z)
+    names = ", ".join(dict.fromkeys(stage.name for stage in stages))
+    return replace(
+        together, z=certificate.point, w=certificate.velocity, certificate=certificate, stages=_merged(stages),
+        status=max(statuses, key=WORST.index), infeasibility=next(iter(proofs), None), _advice=advice, work=work,
+        iterations=together.iterations + iterations, seconds=clock.read(),
+        algorithm=f"auto: {names}" if algorithm == "auto" else together.algorithm,
+    )
+
+
+def _within(settings: Settings, seconds: float, iterations: int, **others: bool) -> Settings:
+    """Return the settings with other limits."""
+    limit = None if seconds == np.inf else seconds
+    return replace(settings, max_seconds=limit, max_iterations=iterations, **others)
+
+
+def _open_components(certificate: Certificate, several: Components, tolerance: float) -> Iterator[NDArray[np.bool_]]:
+    """Yield the blocks of each component that is not SOLVED, as an array of bool, shape (k,)."""
+    relative = over(*certificate.residuals_of_components)
+    for label in np.flatnonzero(~within(relative, several.largest(certificate.term_residuals), tolerance)):
+        yield several.labels == label
+
+
+def _merged(stages: Sequence[StageRecord]) -> tuple[StageRecord, ...]:
+    """Return the stages with those of one name and reason as one."""
+    merged: dict[tuple[str, str], StageRecord] = {}
+    for stage in stages:
+        known = merged.get(key := stage[:2])
+        merged[key] = stage if known is None else known._replace(
+            iterations=known.iterations + stage.iterations, work=known.work + stage.work
+        )
+    return tuple(merged.values())
 
 
 def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock) -> bool:
@@ -182,7 +263,9 @@ class ConeAuto(Policy):
         self._prove_infeasibility = prove_infeasibility
         self._problem = problem
         self._newton_steps = BEFORE_THE_PATH if problem.has_friction else LONG
-        self._left = self._stages(is_warm=is_warm, was_tried=was_tried)
+        is_connected = connected_components(problem.block_norms.matrix) is None
+        shared = iter([Choice(NPGS(), SWEEPS)])  # what is left open, each component gets a run of its own for
+        self._left = self._stages(is_warm=is_warm, was_tried=was_tried) if is_connected else shared
 
     def first(self, problem: Any) -> Choice:
         """Return the first stage."""

@@ -18,6 +18,7 @@ from cone_families import (
     violation,
     wall,
 )
+from published_problems import errors_of_contact
 
 from lcp_plugin import (
     LCP,
@@ -418,3 +419,37 @@ def test_solved_means_solved_where_diagonals_cancel() -> None:
         solved += result.is_solved
         assert not result.is_solved or violation(problem, result.z) <= 1e-6, seed
     assert solved >= 15
+
+
+def together(*problems: FrictionalContact) -> FrictionalContact:
+    """Groups of contacts that do not touch one another, as one problem."""
+    W = sp.block_diag([problem.rows.csr for problem in problems], format="csr")
+    b, mu = (np.concatenate([getattr(one, name) for one in problems]) for name in ("b", "friction"))
+    return FrictionalContact(W, b, mu)
+
+
+@pytest.mark.parametrize("seeds", [(0, 2), (4, 6), (7, 8), (11, 13), (14, 15)])
+def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
+    """Velocities 1 : 1e-7 in one problem, 70 contacts each, SOLVED alone: so are both."""
+    rngs = [np.random.default_rng(seed) for seed in seeds]
+    groups = [planted_contacts(70, int(rng.integers(3, 15)), 1e3, rng)[0] for rng in rngs]
+    groups[1] = groups[1].with_q(1e-7 * groups[1].b)
+    result = solve(together(*groups))
+    assert result.is_solved
+    for problem, r in zip(groups, np.split(result.z, [groups[0].n]), strict=True):
+        data = {"M": problem.rows.csr, "q": problem.b, "mu": problem.friction}
+        assert errors_of_contact(data, r) <= 1e-6
+
+
+def test_one_group_without_an_answer_makes_all_infeasible() -> None:
+    """Beside contacts that have an answer, one that nothing opens: INFEASIBLE by a proof for the whole problem."""
+    good = planted_contacts(5, 4, 1e3, np.random.default_rng(0))[0]
+    problem = together(good, FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5))
+    result = solve(problem)
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.problem is problem
+    assert result.proof.verify()
+    limited = solve(problem, max_iterations=20)
+    assert limited.status is Status.MAX_ITERATIONS
+    assert limited.iterations <= 20
+    assert violation(good, limited.z[:good.n]) <= 1e-6

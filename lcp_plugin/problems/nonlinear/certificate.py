@@ -45,6 +45,7 @@ NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wro
 ASKED = 4  # points
 NEARLY_THERE = 1e-4  # of the way from the start to x°
 VANISHING = 1e-3  # of its terms: more is no row that vanishes
+FAINT = 1e-2  # of the terms of every row: what an unknown adds, where rows that are right tell little of it
 ROUNDED = 1.0 + 2.0**-40  # of sums of nonnegative terms: below it an affine F may not come
 
 
@@ -182,8 +183,22 @@ class NonlinearCertificate(Certificate):
 
     @cached_property
     def term_residuals(self) -> FloatVector:
-        """How wrong each row is in its own terms, shape (n,)."""
-        return term_residuals(self.problem, self.z, self.value)
+        """How wrong each row is in its own terms, shape (n,); beside an unknown that they hardly show, in what it adds.
+
+        A multiplier that runs away as its column flattens is such an unknown, and so is one that is negligible: without
+        that one the rows are right as well, F taken there.
+        """
+        own, shares = term_residuals(self.problem, self.z, self.value), shares_of_unknowns(self.problem, self.z, self.value)
+        is_faint = shares < FAINT
+        if not is_faint.any() or not own.any():
+            return own
+        smallest = for_each_row(self.problem, -largest_of_components(self.problem, -shares))
+        strict = term_residuals(self.problem, self.z, self.value, smallest)
+        without = Linearisation(self.nonlinear, np.where(is_faint, self.reference.x, self.z))
+        if not without.is_defined:
+            return strict
+        there = largest_of_components(self.problem, term_residuals(without.lcp, without.x, without.value))
+        return np.fmin(strict, np.fmax(own, for_each_row(self.problem, there)))
 
     @cached_property
     def relative_residual(self) -> float:
@@ -241,14 +256,14 @@ def _ends(problem: LCP, x: FloatVector, value: FloatVector, scale: FloatVector) 
     return residual_ends_of(nothing, x, problem, x, scale, q=np.ascontiguousarray(value))
 
 
-def term_residuals(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
+def term_residuals(problem: LCP, x: FloatVector, value: FloatVector, share: FloatVector | float = 1.0) -> FloatVector:
     """Return how wrong each row is in its own terms, shape (n,): the least s² to which it is right, 0 where it is.
 
     Where F flattens as x runs away, d → 0 or is the noise of differences, and beside a pole d is anything. So only rows
     that have to vanish, and nearly do, tell the size U = max T_i / d_i of the component, no larger than ‖x_P‖∞. With
     v_i the part of F_i that has the wrong sign (|F_i| where x_i is off its bounds), row i is right to s if
 
-    - v_i ≤ s^(3/2) T_i, 1e-6 T_i at a tolerance of 1e-8, or
+    - v_i ≤ s^(3/2) T_i, 1e-6 T_i at a tolerance of 1e-8, and v_i ≤ s share_i T_i, or
     - |x_j| ≤ s² U for all unknowns of the row, and |q_i| ≪ T_i: it vanishes near 0, as it does not beside a pole, or
     - x_i is no farther than s max(|x_i|, s U) from a bound where its sign is right, and the step there keeps that sign.
 
@@ -258,6 +273,8 @@ def term_residuals(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVec
         The linearisation at x.
     x, value : array, shape (n,)
         The point, and F there.
+    share : float or array, shape (n,)
+        What an unknown that must be told adds to the terms.
     """
     with np.errstate(all="ignore"):
         distance = np.where(value > 0.0, x - problem.lower, problem.upper - x)  # to where this sign is right
@@ -269,8 +286,32 @@ def term_residuals(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVec
         rows = problem.matrix.csr_rows
         unknowns = largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0))  # of each row
         vanishes = np.abs(problem.q) <= VANISHING * (terms - np.abs(problem.q))
-        own = np.fmin((wrong / terms) ** (4.0 / 3.0), np.where(vanishes, unknowns / unit, np.inf))
+        own = np.fmax((wrong / terms) ** (4.0 / 3.0), np.fmin((wrong / (share * terms)) ** 2, 1.0))
+        own = np.fmin(own, np.where(vanishes, unknowns / unit, np.inf))
         stays_right = ~(np.abs(value) - problem.diagonal * distance < 0.0)  # as far as the diagonal entry tells
         of_bound = np.where(stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf)
         squares: FloatVector = np.fmin(own, of_bound)
     return np.where(wrong == 0.0, 0.0, np.where(np.isfinite(squares), squares, np.inf))
+
+
+def shares_of_unknowns(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
+    """Return the largest |m_ij x_j| / T_i over the rows that have to vanish, shape (n,); ∞ at a bound.
+
+    At a bound is x_i also where it is nearer to it than F_i asks for.
+
+    Parameters
+    ----------
+    problem : LCP
+        The linearisation at x.
+    x, value : array, shape (n,)
+        The point, and F there.
+    """
+    rows = problem.matrix.csr_rows
+    with np.errstate(all="ignore"):
+        distance = np.where(value > 0.0, x - problem.lower, problem.upper - x)
+        is_between = (problem.lower < x) & (x < problem.upper) & ~(problem.residual_scale * distance < np.abs(value))
+        terms = np.where(is_between, magnitude(problem, x), np.inf)
+        parts = np.abs(rows.data * x[rows.indices]) / np.repeat(terms, np.diff(rows.indptr))
+    shares = np.zeros(x.size)
+    np.maximum.at(shares, rows.indices, np.nan_to_num(parts))
+    return np.where(is_between, shares, np.inf)

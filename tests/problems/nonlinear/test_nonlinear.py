@@ -27,7 +27,7 @@ from lcp_plugin.core.errors import (
     UnsuitableProblem,
 )
 from lcp_plugin.problems.nonlinear import josephy_newton
-from lcp_plugin.problems.nonlinear.certificate import term_residuals
+from lcp_plugin.problems.nonlinear.certificate import shares_of_unknowns, term_residuals
 from lcp_plugin.problems.nonlinear.differences import Differences
 from lcp_plugin.problems.nonlinear.krawczyk import krawczyk_bound
 
@@ -363,6 +363,36 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
     at = NonlinearProblem(F, jacobian, lower=[-INF, 0.0]).linearised([7e11, 0.0])
     x = np.array([7e11, 0.0])
     assert term_residuals(at, x, F(x))[0] > 0.1
+
+
+@pytest.mark.parametrize("has_jacobian", [False, True])
+@pytest.mark.parametrize("x0", [
+    [0, 0, 0], [2, 0, 0], *(pytest.param(x0, marks=pytest.mark.full) for x0 in (
+        [1, 1, 1], [0.5, 0.5, 0.5], [0, 0, 1], [1, 0, 1], [3, 1, 2])),
+])
+def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobian: bool) -> None:
+    """min (x₀−2)² + x₁² on x₁ ≤ (1−x₀)³, x ≥ 0, ends in a cusp without multipliers: at x₂ = 1e13 no row is told."""
+    def F(z: np.ndarray) -> np.ndarray:
+        return np.array([2 * (z[0] - 2) + 3 * z[2] * (1 - z[0]) ** 2, 2 * z[1] + z[2], (1 - z[0]) ** 3 - z[1]])
+
+    def jacobian(z: np.ndarray) -> np.ndarray:
+        flat = 3 * (1 - z[0]) ** 2
+        return np.array([[2 - 6 * z[2] * (1 - z[0]), 0, flat], [0, 2, 1], [-flat, -1, 0]])
+
+    result = solve_nonlinear(NonlinearProblem(F, jacobian if has_jacobian else None), x0)
+    assert result.status is Status.STALLED
+    for e in (1e-7, 1e-9, 1e-12):  # its rows hold to any tolerance, farther out
+        x = np.array([1 - e, 0.0, 2 * (1 + e) / (3 * e**2)])
+        at = NonlinearProblem(F, jacobian).linearised(x)
+        assert shares_of_unknowns(at, x, F(x))[2] < 1e-5
+        assert not solve_nonlinear(NonlinearProblem(F, jacobian), x, max_iterations=0).is_solved
+
+
+def test_a_negligible_unknown_needs_not_be_told() -> None:
+    """1e-13 beside 1, where 0 is as right: nobody has to know it to four digits."""
+    problem = NonlinearProblem(lambda x: np.array([x[0] ** 2 - 1 + x[1], x[0] - 1 + 1e-9 * x[1]]))
+    result = solve_nonlinear(problem, [1.0 + 1e-10, 1e-13], max_iterations=0)
+    assert result.is_solved
 
 
 def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:

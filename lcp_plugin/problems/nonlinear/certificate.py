@@ -188,12 +188,12 @@ class NonlinearCertificate(Certificate):
         A multiplier that runs away as its column flattens is such an unknown, and so is one that is negligible: without
         that one the rows are right as well, F taken there.
         """
-        own, shares = term_residuals(self.problem, self.z, self.value), shares_of_unknowns(self.problem, self.z, self.value)
+        at = self.problem, self.z, self.value
+        own, shares = term_residuals(*at), shares_of_unknowns(*at)
         is_faint = shares < FAINT
         if not is_faint.any() or not own.any():
             return own
-        smallest = for_each_row(self.problem, -largest_of_components(self.problem, -shares))
-        strict = term_residuals(self.problem, self.z, self.value, smallest)
+        strict = term_residuals(*at, for_each_row(self.problem, -largest_of_components(self.problem, -shares)))
         without = Linearisation(self.nonlinear, np.where(is_faint, self.reference.x, self.z))
         if not without.is_defined:
             return strict

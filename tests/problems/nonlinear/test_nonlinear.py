@@ -371,7 +371,7 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
         [1, 1, 1], [0.5, 0.5, 0.5], [0, 0, 1], [1, 0, 1], [3, 1, 2])),
 ])
 def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobian: bool) -> None:
-    """min (x₀−2)² + x₁² on x₁ ≤ (1−x₀)³, x ≥ 0, ends in a cusp without multipliers: at x₂ = 1e13 no row is told."""
+    """The minimum of (x₀−2)² + x₁² on x₁ ≤ (1−x₀)³, x ≥ 0, is a cusp without multipliers: at x₂ = 1e13 no row is told."""
     def F(z: np.ndarray) -> np.ndarray:
         return np.array([2 * (z[0] - 2) + 3 * z[2] * (1 - z[0]) ** 2, 2 * z[1] + z[2], (1 - z[0]) ** 3 - z[1]])
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     FloatVector,
+    assembled,
     check_kind,
     check_order,
     checked_bound,
@@ -34,6 +35,8 @@ PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's colu
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
+NONE = 1e20 * (1.0 - 1e-12)  # bounds of this size say "no bound" in files and in other solvers
+FAR = 200  # exponent of a largest number whose squares, and products with l1, may leave the range of doubles
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
 
@@ -48,7 +51,7 @@ class BoundedLeastSquares:
         Real, finite. An array of float64 and a canonical CSR array are used without a copy.
     b : array, shape (m,)
     lower, upper : scalar or array, shape (n,)
-        0 and ∞ by default.
+        0 and ∞ by default; 1e20 and beyond means none.
     weights : array, shape (m,), or None
         ≥ 0; None means 1.
     ridge : float
@@ -93,7 +96,10 @@ class BoundedLeastSquares:
             if m == n or np.shape(b) != (n,):
                 raise
             raise InvalidProblem(f"{error}, and A has {m} rows and {n} columns; did you mean A.T?") from error
-        self.lower, self.upper = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
+        self.lower, self.upper = (
+            read_only(np.where(np.abs(bound) >= NONE, np.copysign(np.inf, bound), bound))
+            for bound in (checked_bound(lower, "lower", n), checked_bound(upper, "upper", n))
+        )
         check_order(self.lower, self.upper)
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
         if self.weights is not None and (self.weights < 0.0).any():
@@ -108,6 +114,44 @@ class BoundedLeastSquares:
         kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
         penalty = ", l1" if self.l1.any() else ""
         return f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind}{penalty})"
+
+    @cached_property
+    def far_units(self) -> tuple[int, int] | None:
+        """The exponents of powers of two that bring the largest number of √weights A, and of √weights b, near 1.
+
+        None where squares of these are in range as they are, or where a number would leave it.
+        """
+        if not self.has_entries or 0 in self.shape:
+            return None
+        largest = [
+            max(part.max(initial=0.0), -part.min(initial=0.0))
+            for part in (self.A.data if self.is_sparse else self.A, self.b, self.root_weights)
+        ]
+        of_A, of_b, of_weights = (-int(np.frexp(size)[1]) for size in largest)
+        of_A, of_b = of_A + of_weights, (of_b if largest[1] else of_A) + of_weights
+        if max(abs(of_A), abs(of_b)) <= FAR:
+            return None
+        with np.errstate(over="ignore", under="ignore"):
+            is_exact = all(
+                np.array_equal(np.ldexp(np.ldexp(part, exponent), -exponent), part)
+                for part, exponent in self._powers(of_A, of_b)
+            )
+        return (of_A, of_b) if is_exact else None
+
+    def _powers(self, of_A: int, of_b: int) -> list[tuple[Any, int]]:
+        """Return A or its entries, b, the bounds, ridge and l1 with the exponents that :meth:`in_units` gives each."""
+        of_x = of_b - of_A
+        return [
+            (self.A.data if self.is_sparse else self.A, of_A), (self.b, of_b), (self.lower, of_x), (self.upper, of_x),
+            (self.ridge, 2 * of_A), (self.l1, of_A + of_b),
+        ]
+
+    def in_units(self, of_A: int, of_b: int) -> BoundedLeastSquares:
+        """Return the same problem of 2^of_A A and 2^of_b b, in x times 2^(of_b − of_A)."""
+        A, b, lower, upper, ridge, l1 = (np.ldexp(part, exponent) for part, exponent in self._powers(of_A, of_b))
+        if self.is_sparse:
+            A = assembled(A, self.A.indices, self.A.indptr, self.shape)
+        return BoundedLeastSquares(A, b, lower, upper, weights=self.weights, ridge=float(ridge), l1=l1)
 
     @property
     def is_cheap_to_copy(self) -> bool:

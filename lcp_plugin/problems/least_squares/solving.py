@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -107,6 +108,13 @@ def solve_least_squares(
     clock = Clock(ALONE)
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
+    if (units := problem.far_units) is not None:
+        near = problem.in_units(*units)
+        inside = solve_least_squares(
+            near, x0=None if start is None else np.ldexp(start, units[1] - units[0]), tolerance=tolerance,
+            max_iterations=max_iterations, max_seconds=max_seconds,
+        )
+        return inside.in_the_callers_units(problem, units)
     is_hard = problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL
     if is_hard:
         result = _solved_at_once(problem, settings, clock)
@@ -186,10 +194,12 @@ class LeastSquaresResult(Answer):
     is_proved: bool
     problem: BoundedLeastSquares = field(repr=False)
     _dual: FloatVector = field(repr=False)
+    _inside: tuple[LeastSquaresResult, int] | None = field(repr=False, default=None)
 
     __setstate__ = restored
 
     @cached_property
+    @np.errstate(over="ignore", under="ignore")
     def gap(self) -> float:
         """An upper bound of cost − min cost for the data as they are, rounding of x included; computed at a first look.
 
@@ -199,7 +209,19 @@ class LeastSquaresResult(Answer):
         """
         from .run import gap_of
 
+        if self._inside is not None:
+            inside, exponent = self._inside
+            return math.nextafter(float(np.ldexp(inside.gap, exponent)), math.inf)
         return gap_of(self.problem, self.x, self._dual, self.nit)
+
+    @np.errstate(over="ignore", under="ignore")  # squares leave the range: that is why it was solved in others
+    def in_the_callers_units(self, problem: BoundedLeastSquares, units: tuple[int, int]) -> LeastSquaresResult:
+        """Return the same answer to a problem of which this one is `problem.in_units(*units)`."""
+        x = np.clip(np.ldexp(self.x, units[0] - units[1]), problem.lower, problem.upper)
+        return replace(
+            self, x=read_only(x), cost=float(np.ldexp(self.cost, -2 * units[1])), problem=problem,
+            fun=read_only(np.ldexp(self.fun, -units[1])), _inside=(self, -2 * units[1]),
+        )
 
     @property
     def objective(self) -> float:
@@ -219,7 +241,7 @@ class LeastSquaresResult(Answer):
     @property
     def advice(self) -> str:
         """What the status means, in a sentence."""
-        if not np.isfinite(self.cost):
+        if not np.isfinite(self.fun).all():
             return "A x is not finite: let the operator's products be finite doubles"
         remark = "" if self.is_proved else OF_OPERATORS.get(self.status, "")
         return ADVICE.get(self.status, self.status.value) + remark

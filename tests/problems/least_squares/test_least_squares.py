@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns import attack_programs as attacks
 from campaigns import least_squares as campaign
 from campaigns.least_squares import Case, Exact, complaint
 from hypothesis import given
@@ -636,3 +637,62 @@ def test_the_result_shows_what_matters() -> None:
     copy = pickle.loads(pickle.dumps(result))
     assert np.array_equal(copy.x, result.x)
     assert copy.gap == result.gap
+
+
+# --- Numbers far from the others -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("of_A", [1e-300, 1e-162, 1e-100, 1e150, 1e300])
+@pytest.mark.parametrize("of_b", [1e-162, 1.0, 1e162])
+def test_the_answer_does_not_depend_on_the_range_of_squares(of_A: float, of_b: float) -> None:
+    """Scaled by numbers whose squares leave the range of doubles, A and b, dense and sparse, give the same answer."""
+    if not 1e-300 <= of_b / of_A <= 1e300:
+        return
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        A, b = rng.normal(size=(6, 3)), rng.normal(size=6)
+        right = nnls(A, b)[0]
+        for matrix in (A * of_A, sp.csr_array(A * of_A)):
+            found = bounded_least_squares(matrix, b * of_b)
+            assert found.status is Status.SOLVED
+            np.testing.assert_allclose(found.x * (of_A / of_b), right, atol=1e-13)
+            np.testing.assert_allclose(found.fun, (A @ right - b) * of_b, rtol=1e-12, atol=1e-12 * of_b)
+            assert found.gap >= 0.0
+
+
+def test_a_penalty_and_a_ridge_in_any_range() -> None:
+    """The lasso and the elastic net in units of 1e-170 and 1e170: the answer in unit 1, to rounding."""
+    rng = np.random.default_rng(3)
+    A, b = rng.normal(size=(8, 4)), rng.normal(size=8)
+    right = bounded_least_squares(A, b, -np.inf, ridge=0.5, l1=0.7).x
+    for exponent in (-560, 500):
+        s = 2.0**exponent
+        with np.errstate(under="ignore", over="ignore"):
+            ridge, l1 = 0.5 * s * s, 0.7 * s * s
+        if 0.0 < ridge < np.inf:  # else nobody can state it
+            found = bounded_least_squares(A * s, b * s, -np.inf, ridge=ridge, l1=l1)
+            np.testing.assert_allclose(found.x, right, atol=1e-13)
+
+
+@pytest.mark.parametrize("far", [1e20, 1e25, 9.999999999999999e19])
+def test_a_bound_of_1e20_is_none(far: float) -> None:
+    """Bounds of ±1e20 and beyond are none: the answer is that without them, by scipy."""
+    rng = np.random.default_rng(1)
+    A, b = rng.normal(size=(5, 3)), rng.normal(size=5)
+    found = bounded_least_squares(A, b, lower=-far, upper=far)
+    assert np.isinf(found.problem.lower).all()
+    assert found.status is Status.SOLVED
+    np.testing.assert_allclose(found.x, np.linalg.lstsq(A, b, rcond=None)[0], atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", attacks.LEAST_SQUARES)
+def test_one_odd_number_leaves_the_least_cost(kind: str) -> None:
+    """Entries, rows, weights, ridges, penalties, bounds of 1e-17 … 1e19: what is SOLVED has the exact least cost."""
+    rng = np.random.default_rng([69, attacks.LEAST_SQUARES.index(kind)])
+    solved = 0
+    for _ in range(25):
+        case = attacks.least_squares(kind, rng)
+        found = bounded_least_squares(**case)
+        solved += found.status is Status.SOLVED
+        assert found.status is not Status.SOLVED or attacks.excess(case, found.x) <= attacks.MOST
+    assert solved >= 24

@@ -1,0 +1,277 @@
+"""Hill climbing against the judges of programs and of least squares: large errors with small measures.
+
+Run as ``python tests/campaigns/attack_programs.py --certify 2000 --least-squares 2000 --seed 0``. Problems are small,
+with the odd numbers that users write in some places; optima are those of all active sets, in fractions. A point falls
+where it is called proved, or SOLVED, and its objective is off by more than 1 %. Exit code 1 if one does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin import QuadraticProgram, certify
+from lcp_plugin.problems.least_squares.certificate import Optimality
+from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
+from lcp_plugin.problems.least_squares.enclosures import Enclosures
+
+ODD = (1e-17, float(np.cos(np.pi / 2)), 1e-9, 1e-5, 1e10, 1e15, 1e19)
+MOST = 1e-2  # of the objective's terms: an error that is one
+STEPS = 25
+ZERO = Fraction(0)
+LEAST_SQUARES = ("entry", "row", "weights", "ridge", "l1", "bound", "b", "column")
+
+
+def fractions(values: Any) -> list[Any]:
+    """Return numbers, or rows of numbers, as fractions."""
+    return [fractions(value) if np.ndim(value) else Fraction(float(value)) for value in values]
+
+
+def product(rows: Any, x: Any) -> list[Fraction]:
+    """Return rows · x."""
+    return [sum((a * v for a, v in zip(row, x, strict=True) if a), ZERO) for row in rows]
+
+
+def solved(rows: list[list[Fraction]], right: list[Fraction]) -> list[Fraction] | None:
+    """Return the solution of a square system, None where it is singular."""
+    n = len(right)
+    table = [[*row, value] for row, value in zip(rows, right, strict=True)]
+    for k in range(n):
+        pivot = next((i for i in range(k, n) if table[i][k]), None)
+        if pivot is None:
+            return None
+        table[k], table[pivot] = table[pivot], table[k]
+        for i in range(n):
+            if i != k and table[i][k]:
+                share = table[i][k] / table[k][k]
+                table[i] = [a - share * b for a, b in zip(table[i], table[k], strict=True)]
+    return [table[i][n] / table[i][i] for i in range(n)]
+
+
+# --- Programs ------------------------------------------------------------------------------------------------------
+
+
+def program(rng: np.random.Generator) -> QuadraticProgram:
+    """Return a bounded convex program with odd numbers in some places."""
+    n, m = int(rng.integers(1, 4)), int(rng.integers(0, 4))
+    F = rng.integers(-2, 3, (n, int(rng.integers(0, n + 1)))).astype(float)
+    G = rng.integers(-3, 4, (m, n)).astype(float)
+    c, lower, upper = rng.integers(-4, 5, n).astype(float), np.full(n, -10.0), np.full(n, 10.0)
+    h = G @ rng.integers(-2, 3, n) + rng.integers(0, 3, m)
+    P = F @ F.T
+    for place in rng.choice(("G", "h", "c", "lower", "upper", "P", "none"), int(rng.integers(1, 3))):
+        odd, j = float(rng.choice(ODD) * rng.choice([-1.0, 1.0])), int(rng.integers(n))
+        if place == "G" and m:
+            G[int(rng.integers(m)), j] = odd
+        elif place == "h" and m:
+            h[int(rng.integers(m))] = abs(odd)
+        elif place == "c":
+            c[j] = odd
+        elif place == "lower":
+            lower[j] = -abs(odd)
+        elif place == "upper":
+            upper[j] = abs(odd)
+        elif place == "P" and not P[j].any():
+            P[j, j] = abs(odd)
+    return QuadraticProgram(P, c, G, h, lower=lower, upper=upper)
+
+
+def value(P: Any, c: Any, x: Any) -> tuple[Fraction, Fraction]:
+    """Return ½ xᵀP x + cᵀx, and Σ|c_j x_j| + |xᵀP x|."""
+    linear = [a * b for a, b in zip(c, x, strict=True)]
+    curved = sum((a * b for a, b in zip(product(P, x), x, strict=True)), ZERO)
+    return curved / 2 + sum(linear, ZERO), abs(curved) + sum(map(abs, linear), ZERO)
+
+
+def hessian(given: QuadraticProgram) -> Any:
+    """Return P in fractions."""
+    return fractions(given.P.toarray() if sp.issparse(given.P) else given.P)
+
+
+def candidates(given: QuadraticProgram) -> Iterator[list[Fraction]]:
+    """Yield the feasible stationary points of all active sets that have one each: the optimum is one of them."""
+    P, c, n = hessian(given), fractions(given.c), given.n
+    rows = given.constraints
+    finite = rows.finite
+    C, d = fractions(rows.matrix[finite].toarray()), fractions(rows.limit[finite])
+    for k in range(n + 1):
+        for active in itertools.combinations(range(len(d)), k):
+            system = [[*row, *(C[i][j] for i in active)] for j, row in enumerate(P)]
+            system += [[*C[i], *[ZERO] * k] for i in active]
+            found = solved(system, [*(-v for v in c), *(d[i] for i in active)])
+            if found is not None and all(a <= b for a, b in zip(product(C, found[:n]), d, strict=True)):
+                yield found[:n]
+
+
+def off(given: QuadraticProgram, x: Any, best: tuple[Fraction, Fraction]) -> float:
+    """Return |f(x) − f*| beside the terms of the optimum, or of x where these vanish."""
+    P = hessian(given)
+    here, size = value(P, fractions(given.c), fractions(x))
+    return float(abs(here - best[0]) / (best[1] or size or Fraction(1)))
+
+
+def attack_certify(rng: np.random.Generator, count: int) -> list[str]:
+    """Return the points that fall: proved, and off by more than 1 %."""
+    fallen = []
+    for _ in range(count):
+        given = program(rng)
+        P, c = hessian(given), fractions(given.c)
+        points = list(candidates(given))
+        if not points:
+            continue
+        best = min((value(P, c, x) for x in points), key=lambda pair: pair[0])
+        starts = [np.array([float(v) for v in x]) for x in points]
+        x = starts[int(rng.integers(len(starts)))]
+        least, worst = np.inf, None
+        for step in range(STEPS):
+            at = x if step == 0 else climbed(rng, x, step)
+            if off(given, at, best) <= MOST:
+                continue
+            said = certify(given, at)
+            terms = float(value(P, c, fractions(at))[1])
+            measure = np.inf if said.gap is None else max(said.gap / max(terms, 1e-300), said.violation or 0.0)
+            if said.verdict == "proved":
+                worst = f"{at.tolist()} of {given!r}: {said}"
+                break
+            if measure < least:
+                least, x = measure, at
+        fallen += [worst] if worst else []
+    return fallen
+
+
+def climbed(rng: np.random.Generator, x: Any, step: int) -> Any:
+    """Return a point beside x, or one with an entry of another size."""
+    moved = x.copy()
+    j = int(rng.integers(x.size))
+    if rng.random() < 0.3:
+        moved[j] = rng.choice([0.0, 1e3, 1e6, 1e10, 1e-9, 1.0]) * rng.choice([-1.0, 1.0])
+    else:
+        moved += 2.0 ** -rng.integers(0, 12) * rng.normal(size=x.size) * (np.abs(x) + (step % 2))
+    return moved
+
+
+# --- Least squares -------------------------------------------------------------------------------------------------
+
+
+def least_squares(kind: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Return a small problem with one odd number of a kind, as `bounded_least_squares` takes it."""
+    n, m, odd = int(rng.integers(1, 4)), int(rng.integers(1, 6)), float(rng.choice(ODD))
+    A, b = rng.integers(-3, 4, (m, n)).astype(float), rng.integers(-3, 4, m).astype(float)
+    if rng.random() < 0.5:
+        A, b = rng.normal(size=(m, n)), rng.normal(size=m)
+    lower, upper = np.where(rng.random(n) < 0.5, 0.0, -np.inf), np.where(rng.random(n) < 0.3, 1.0, np.inf)
+    weights, ridge, l1 = np.ones(m), 0.0, np.zeros(n)
+    i, j = int(rng.integers(m)), int(rng.integers(n))
+    if kind == "entry":
+        A[i, j] = odd
+    elif kind == "row":
+        A[i], b[i] = A[i] * odd, b[i] * odd
+    elif kind == "column":
+        A[:, j] *= odd
+    elif kind == "weights":
+        weights[i] = odd
+    elif kind == "ridge":
+        ridge = odd
+    elif kind == "l1":
+        l1[j] = odd
+    elif kind == "b":
+        b[i] = odd
+    else:
+        upper, lower = np.where(rng.random(n) < 0.5, odd, upper), np.where(rng.random(n) < 0.3, -odd, lower)
+    return {"A": A, "b": b, "lower": lower, "upper": upper, "weights": weights, "ridge": ridge, "l1": l1}
+
+
+def cost(case: dict[str, Any], x: list[Fraction]) -> Fraction:
+    """Return the cost without rounding."""
+    rest = [v - b for v, b in zip(product(fractions(case["A"]), x), fractions(case["b"]), strict=True)]
+    squares = sum((w * r * r for w, r in zip(fractions(case["weights"]), rest, strict=True)), ZERO)
+    curved = squares + Fraction(case["ridge"]) * sum((v * v for v in x), ZERO)
+    return curved / 2 + sum((a * abs(v) for a, v in zip(fractions(case["l1"]), x, strict=True)), ZERO)
+
+
+def least_cost(case: dict[str, Any]) -> Fraction:
+    """Return the least cost: that of the best of all states, each column free on a side of 0, at a bound or at 0."""
+    A, b, w = fractions(case["A"]), fractions(case["b"]), fractions(case["weights"])
+    n, ridge, l1 = len(A[0]), Fraction(case["ridge"]), fractions(case["l1"])
+    gram = [
+        [sum((v * r[i] * r[j] for r, v in zip(A, w, strict=True)), ridge * (i == j)) for j in range(n)]
+        for i in range(n)
+    ]
+    pull = [sum((v * r[i] * e for r, v, e in zip(A, w, b, strict=True)), ZERO) for i in range(n)]
+    states, best = [], None
+    for j in range(n):
+        ends = {float(end) for end in (case["lower"][j], case["upper"][j]) if abs(end) < 1e20}
+        at = ends | ({0.0} if case["lower"][j] <= 0.0 <= case["upper"][j] else set())
+        slants = (1, -1) if l1[j] else (1,)
+        states.append([(True, Fraction(sign)) for sign in slants] + [(False, Fraction(v)) for v in at])
+    for state in itertools.product(*states):
+        free = [j for j in range(n) if state[j][0]]
+        x = [ZERO if is_free else v for is_free, v in state]
+        right = [pull[i] - product([gram[i]], x)[0] - state[i][1] * l1[i] for i in free]
+        found = solved([[gram[i][j] for j in free] for i in free], right)
+        if found is None:
+            continue
+        for j, v in zip(free, found, strict=True):
+            x[j] = v
+        if all(low <= v <= high for low, v, high in zip(case["lower"], x, case["upper"], strict=True)):
+            here = cost(case, x)
+            best = here if best is None else min(best, here)
+    assert best is not None
+    return best
+
+
+def excess(case: dict[str, Any], x: Any, least: Fraction | None = None) -> float:
+    """Return by how much x costs more than the least, beside that and what 1e-13 of each row's terms costs."""
+    least = least_cost(case) if least is None else least
+    terms = np.abs(case["A"]) @ np.abs(x) + np.abs(case["b"])
+    rounding = Fraction(float((case["weights"] * np.square(1e-13 * terms)).sum()))
+    here = cost(case, fractions(x))
+    return float((here - least) / (least + rounding)) if here > least else 0.0
+
+
+def attack_least_squares(rng: np.random.Generator, count: int) -> list[str]:
+    """Return the points that fall: SOLVED, and costing more than 1 % above the least."""
+    fallen = []
+    for k in range(count):
+        case = least_squares(LEAST_SQUARES[k % len(LEAST_SQUARES)], rng)
+        problem, least = BoundedLeastSquares(**case), least_cost(case)
+        enclosures = Enclosures(problem)
+        x, lowest = np.clip(rng.normal(size=problem.shape[1]), problem.lower, problem.upper), np.inf
+        for step in range(4 * STEPS):
+            at = np.clip(climbed(rng, x, step), problem.lower, problem.upper)
+            with np.errstate(all="ignore"):
+                judged = Optimality.of(enclosures, at, tolerance=1e-8)
+            if judged.value < lowest and excess(case, at, least) > MOST:
+                x, lowest = at, judged.value
+        if lowest <= 1e-8:
+            fallen.append(f"{x.tolist()} of {case}: {lowest}, off by {excess(case, x, least)}")
+    return fallen
+
+
+def main() -> int:
+    """Attack both and print what falls."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--certify", type=int, default=100)
+    parser.add_argument("--least-squares", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    rng, count = np.random.default_rng(arguments.seed), 0
+    for name, attack, cases in (
+        ("certify", attack_certify, arguments.certify),
+        ("least squares", attack_least_squares, arguments.least_squares),
+    ):
+        fallen = attack(rng, cases)
+        count += len(fallen)
+        print(*fallen, f"{name}: {len(fallen)} of {cases} fall", sep="\n")
+    return int(count > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -15,6 +15,7 @@ BoolVector = NDArray[np.bool_]
 
 DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000
+INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # files may hold 9.999999999999999e19
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
@@ -308,6 +309,12 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
         where = int(np.argmax(is_nan))
         raise InvalidProblem(f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound")
     return read_only(np.full(n, array))
+
+
+def checked_limit(values: Any, name: str, n: int) -> FloatVector:
+    """Return a bound that callers state, where ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
+    bound = checked_bound(values, name, n)
+    return read_only(np.where(np.abs(bound) >= INFINITE_LIMIT, np.copysign(np.inf, bound), bound))
 
 
 def check_order(lower: FloatVector, upper: FloatVector) -> None:

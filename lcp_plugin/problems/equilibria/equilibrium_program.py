@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, check_order, checked_bound, checked_vector, rectangular_matrix
+from ...core.checks import FloatVector, check_order, checked_limit, checked_vector, rectangular_matrix
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kind import Kind
 from ..programs.convexity import refuse_nonconvex
@@ -69,8 +69,8 @@ class EquilibriumProgram:
         Of each pair the variables z = x_first and w = x_second: w ≥ 0 where z is at its lower bound, w ≤ 0 where it is
         at its upper bound, w = 0 between them; where it has none, w = 0.
     lower, upper : scalar or array, shape (k,), optional
-        The bounds of z that pairs speak of; by default those of the program. Where you give others, those of
-        the program still hold, as ordinary constraints.
+        The bounds of z that pairs speak of, ±1e20 and beyond for none; by default those of the program. Where you give
+        others, those of the program still hold, as ordinary constraints.
     offset : float
         A constant in the objective.
     integers : array of int, optional
@@ -122,7 +122,7 @@ class EquilibriumProgram:
             object.__setattr__(self, name, given.astype(np.int64))
         for name in ("lower", "upper"):
             own = getattr(self.program, name)[self.first]
-            given = own if getattr(self, name) is None else checked_bound(getattr(self, name), name, own.size)
+            given = own if getattr(self, name) is None else checked_limit(getattr(self, name), name, own.size)
             object.__setattr__(self, name, given)
         check_order(self.lower, self.upper)
 

@@ -198,7 +198,8 @@ class NonlinearCertificate(Certificate):
         if not without.is_defined:
             return strict
         there = largest_of_components(self.problem, term_residuals(without.lcp, without.x, without.value))
-        return np.fmin(strict, np.fmax(own, for_each_row(self.problem, there)))
+        told: FloatVector = np.fmin(strict, np.fmax(own, for_each_row(self.problem, there)))
+        return told
 
     @cached_property
     def relative_residual(self) -> float:

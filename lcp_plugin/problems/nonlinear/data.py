@@ -14,7 +14,7 @@ from ...core.checks import (
     BoolVector,
     FloatVector,
     check_order,
-    checked_bound,
+    checked_limit,
     checked_vector,
     read_only,
     real_array,
@@ -60,7 +60,7 @@ class NonlinearProblem:
         differences on `pattern`, columns that share no row together; they leave about half of the digits, and take
         every x_i for a number of size 1 at least: choose its unit so, or give a jacobian.
     lower, upper : scalar or array, shape (n,)
-        Bounds of x in its unit; −∞ and ∞ are allowed, lower ≤ upper.
+        Bounds of x in its unit, lower ≤ upper; ±1e20 and beyond means none, as ±∞ does.
     pattern : sparse array, shape (n, n), optional
         Where the derivative may be other than 0: its stored entries, whatever their values. Only without `jacobian`;
         without both every entry is taken, up to n = 1000.
@@ -105,8 +105,8 @@ class NonlinearProblem:
             self._set_bounds(self.n)
 
     def _set_bounds(self, n: int) -> None:
-        self.lower: FloatVector = checked_bound(self._bounds[0], "lower", n)
-        self.upper: FloatVector = checked_bound(self._bounds[1], "upper", n)
+        self.lower: FloatVector = checked_limit(self._bounds[0], "lower", n)
+        self.upper: FloatVector = checked_limit(self._bounds[1], "upper", n)
         check_order(self.lower, self.upper)
         self._differences: Differences | None = None
 

@@ -15,6 +15,7 @@ from ...core.checks import (
     assembled,
     check_order,
     checked_bound,
+    checked_limit,
     checked_vector,
     read_only,
     rectangular_matrix,
@@ -34,7 +35,6 @@ from .scaling import ProgramScaling, Rescaled
 
 SYMMETRIC_TO = 1e-12
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
-INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # the convention of file formats, which may hold 9.999999999999999e19
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -142,7 +142,7 @@ class QuadraticProgram:
         rows = as_csr(rectangular_matrix(A, "A", None, n))
         m = rows.shape[0]
         low, high = (
-            _with_infinities(checked_bound(limit, name, m))
+            checked_limit(limit, name, m)
             for limit, name in ((lower_rows, "lower_rows"), (upper_rows, "upper_rows"))
         )
         check_order(low, high)
@@ -159,7 +159,7 @@ class QuadraticProgram:
             for first, last in ((0, sides), (sides, order.size))
         )
         bounds = [
-            read_only(_with_infinities(checked_bound(bound, name, n)))
+            checked_limit(bound, name, n)
             for bound, name in ((lower, "lower"), (upper, "upper"))
         ]
         check_order(*bounds)
@@ -393,11 +393,6 @@ class QuadraticProgram:
         return {name: value for name, value in self.__dict__.items() if name in data}
 
     __setstate__ = restored
-
-
-def _with_infinities(limit: FloatVector) -> FloatVector:
-    """Return the limit with ±1e20 and beyond read as ±∞."""
-    return np.where(np.abs(limit) >= INFINITE_LIMIT, np.copysign(np.inf, limit), limit)
 
 
 def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:

@@ -371,7 +371,7 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
         [1, 1, 1], [0.5, 0.5, 0.5], [0, 0, 1], [1, 0, 1], [3, 1, 2])),
 ])
 def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobian: bool) -> None:
-    """The minimum of (x₀−2)² + x₁² on x₁ ≤ (1−x₀)³, x ≥ 0, is a cusp without multipliers: at x₂ = 1e13 no row is told."""
+    """The minimum of (x₀−2)² + x₁² on x₁ ≤ (1−x₀)³, x ≥ 0, is a cusp: its multiplier runs away."""
     def F(z: np.ndarray) -> np.ndarray:
         return np.array([2 * (z[0] - 2) + 3 * z[2] * (1 - z[0]) ** 2, 2 * z[1] + z[2], (1 - z[0]) ** 3 - z[1]])
 
@@ -393,6 +393,17 @@ def test_a_negligible_unknown_needs_not_be_told() -> None:
     problem = NonlinearProblem(lambda x: np.array([x[0] ** 2 - 1 + x[1], x[0] - 1 + 1e-9 * x[1]]))
     result = solve_nonlinear(problem, [1.0 + 1e-10, 1e-13], max_iterations=0)
     assert result.is_solved
+
+
+@pytest.mark.parametrize("none", [1e20, 9.999999999999999e19, 1e300])
+def test_a_bound_of_1e20_is_none(none: float) -> None:
+    """Between −1e20 and 1e20 an equation and a bounded row have the answer that they have between infinities."""
+    problem = NonlinearProblem(lambda x: x**3 - np.array([8.0, -1.0]), lower=[-none, 0.0], upper=none)
+    assert problem.lower.tolist() == [-INF, 0.0]
+    assert problem.upper.tolist() == [INF, INF]
+    result = solve_nonlinear(problem, [1.0, 1.0])
+    assert result.is_solved
+    np.testing.assert_allclose(result.z, [2.0, 0.0], rtol=1e-7, atol=1e-12)
 
 
 def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:

@@ -73,6 +73,8 @@ class FusedSolve:
         Within the bounds; the caller's own from now on.
     residual : float
         The relative one, enclosed by :mod:`lcp_plugin.core.kernels.enclosures`: as the certificate has it.
+    term_residual : float
+        How wrong the worst row is beside its own terms.
     work : float
         In passes over M, summed step by step.
     parts : tuple of (label, iterations, work)
@@ -81,6 +83,7 @@ class FusedSolve:
 
     z: FloatVector
     residual: float
+    term_residual: float
     work: float
     parts: tuple[tuple[str, int, float], ...]
 

@@ -55,11 +55,11 @@ class Exact:
 
     @staticmethod
     def scale(row: list[Fraction], diagonal: Fraction) -> Fraction:
-        """The diagonal where it is at least 1e-10 of the row's largest entry, else that entry; 1 for an empty row."""
+        """The diagonal where it is at least 2⁻²⁰ of the row's largest entry, else that entry; 1 for an empty row."""
         largest = max(map(abs, row))
         if largest == 0:
             return Fraction(1)
-        return diagonal if diagonal >= largest / 10**10 and diagonal > 0 else largest
+        return diagonal if diagonal >= largest / 2**20 and diagonal > 0 else largest
 
     def residual(self, scale: list[Fraction]) -> list[Fraction]:
         """Row by row, z − mid(lower, upper, z − w/scale)."""
@@ -219,14 +219,14 @@ def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> N
         ([0.0, -5.0], 5.0),
         ([-3.0, 1.0], 3.0),
         ([0.0, 0.0], 1.0),
-        ([1.0, 2e9], 1.0),
-        ([1.0, 2e10], 2e10),
+        ([1.0, 2.0**20], 1.0),
+        ([1.0, 2.0**21], 2.0**21),
         ([1e-300, 0.0], 1e-300),
     ],
 )
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_residual_scale_is_the_diagonal_unless_it_is_negligible(row: list[float], expected: float, build: type) -> None:
-    """d_i is m_ii where that is at least 1e-10 of the row, else the row's largest entry, 1 for an empty row."""
+    """d_i is m_ii where that is at least 2⁻²⁰ of the row, else the row's largest entry, 1 for an empty row."""
     assert LCP(build([row, [0.0, 1.0]]), [0.0, 0.0]).residual_scale[0] == expected
 
 

@@ -339,16 +339,16 @@ def test_one_unknown(entry: float, scale: float, kept: type) -> None:
 # --- what is derived -------------------------------------------------------------------------------------------
 
 UNITS = st.sampled_from([1.0, 1e200, 1e-200, 1e-314])
-FACTORS = st.sampled_from([0.0, 0.0, 1.0, -1.0, 3.0, -0.5, 1e-9, 1e-10, -1e-10, 1e-11, 1e-150])
+FACTORS = st.sampled_from([0.0, 0.0, 1.0, -1.0, 3.0, -0.5, 1e-5, 2e-6, -1e-6, 1e-7, 1e-150])
 
 
 def scale_by_hand(M: np.ndarray) -> list[float]:
-    """The rule in rational numbers: m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else that maximum, 1 for an empty row."""
+    """The rule in rational numbers: m_ii where m_ii ≥ 2⁻²⁰ max_j |m_ij|, else that maximum, 1 for an empty row."""
     scale = []
     for i in range(len(M)):
         entries = [Fraction(float(entry)) for entry in M[i]]
         largest = max(abs(entry) for entry in entries)
-        threshold = Fraction(1e-10) * largest
+        threshold = Fraction(1, 2**20) * largest
         assume(not largest or abs(entries[i] / threshold - 1) > Fraction(1, 10**12))  # there rounding decides
         d = entries[i] if entries[i] >= threshold else largest
         scale.append(float(d) if largest else 1.0)
@@ -378,11 +378,11 @@ def test_residual_scale_by_cases() -> None:
     """One row for each branch of the rule, in one matrix."""
     M = np.zeros((6, 6))
     M[0, 0], M[0, 1] = 2.0, -7.0  # an ordinary diagonal
-    M[1, 1], M[1, 0] = 1e-11, -3.0  # a negligible diagonal
+    M[1, 1], M[1, 0] = 1e-7, -3.0  # a negligible diagonal
     M[2, 0], M[2, 5] = 1.0, -4.0  # a missing diagonal
     M[3, 3], M[3, 4] = -5.0, 2.0  # a negative diagonal
-    M[5, 5], M[5, 0] = 2e-10, 1.0  # small, but not negligible; row 4 is empty
-    expected = [2.0, 3.0, 4.0, 5.0, 1.0, 2e-10]
+    M[5, 5], M[5, 0] = 2e-6, 1.0  # small, but not negligible; row 4 is empty
+    expected = [2.0, 3.0, 4.0, 5.0, 1.0, 2e-6]
     assert LCP(M, np.zeros(6)).residual_scale.tolist() == expected
     assert LCP(sp.csc_array(M), np.zeros(6)).residual_scale.tolist() == expected
 

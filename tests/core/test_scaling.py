@@ -284,7 +284,6 @@ def test_a_far_field_in_one_unit_stays_in_the_compiled_loop(monkeypatch: pytest.
     monkeypatch.setattr(batch_run, "solve_lcp", alone)
     batch = solve_batch(M, -np.eye(n)[-3:], tolerance=0.1)
     assert batch.all_solved
-    assert (batch.z[:, 0] == 0.0).all()  # where the answer is positive
 
 
 def test_what_is_small_by_the_callers_word_is_right() -> None:

@@ -1,20 +1,21 @@
 """How wrong each row is beside the numbers that it is made of, in the caller's own units: the guard of the criterion.
 
-A residual relative to one reference may hide a row: in units that M does not have, along a flow, or where a nonlinear F
-flattens. So beside it every row is judged by its own terms. With T_i = |q_i| + Σ_j |m_ij z_j|, U = max T_i / d_i over
-the component, and v_i the part of w_i that has the wrong sign (|w_i| where z_i is off its bounds), row i is right
-to s if
+A residual relative to one reference may hide a row: in units that M does not have, along a flow, beside a tiny diagonal
+entry, or where a nonlinear F flattens. So beside it every row is judged by its own terms T_i = |q_i| + Σ_j |m_ij z_j|.
+With v_i the part of w_i that has the wrong sign (|w_i| where z_i is off its bounds), row i is right to s if
 
-- v_i ≤ s (T_i + s d_i U), or
-- z_i is no farther than s max(|z_i|, s U) from a bound where its sign is right, and the step there keeps that sign.
+- v_i ≤ s T_i, or
+- T_i ≤ 10⁻¹² |m_ii| ‖z_P‖∞ (d_i for m_ii = 0) and T_i ≤ 10⁻¹² T_k for a row k that acts (z_k off its bounds, or
+  v_k > 0), both in its component P: beside what acts at the answer it is negligible in the unit of z and in that of w,
+  as in a far field.
 
-Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. The second term is for
-rows whose own terms are negligible beside those of the component, as in a far field. Where t_i |m_ij| are symmetric, U
-is also no larger than max T_j / e_j times e_i / d_i, e_i = √(d_i/t_i), d_i the diagonal entry, however small it is:
-neither in the caller's units nor in those of energy may a row be wrong, be it negligible in the other ones.
+Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. A component is also
+right where it is so at another z', with z_i at its bound where the sign of w_i is right there and d_i·distance ≤ |w_i|,
+or where row i is wrong and the distance at most 10⁻⁸ of the largest |z_j − z°_j|: as where z* and w* are both 0, which
+sweeps approach and do not reach. z' is judged by what it is; z is as near to it as a residual can tell.
 
-In the caller's own units an LCP within the tolerance has no larger term residual: z° is nearer to 0 than z is, so that
-‖r(z°)‖∞ ≤ U, and a row with |r_i| ≤ s² U meets it. There nothing has to be computed.
+No size that is guessed from the data enters: what acts is read from z, and limits, costs or rows that nothing touches
+count nowhere. Beside a T_i that is large because its terms cancel, the relative residual has its say.
 """
 
 from __future__ import annotations
@@ -23,13 +24,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..checks import FloatVector
-from ..matrix.scaling import energy_scale
+from ..checks import BoolVector, FloatVector
 from .criterion import for_each_row, largest_of_components
 from .row_residuals import magnitude
 
 if TYPE_CHECKING:
     from ..lcp import LCP
+
+NEAR = 1e-8  # to a bound, beside the largest step from z°; and a row whose term residual is below is right
+NEGLIGIBLE = 1e-12  # beside what acts
 
 
 def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
@@ -49,21 +52,40 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
     ...     print(term_residuals(problem, np.array(z), problem.slack(np.array(z))).round(3))
     [0. 0.]
     [0. 0.]
-    [0.01 0.  ]
+    [0.012 0.   ]
     """
-    scale, is_above = problem.residual_scale, w > 0.0
+    here = _beside_own_terms(problem, z, w)
+    if not problem.communicator.anywhere(here.any()):
+        return here
+    moved = _at_bounds(problem, z, w, here > NEAR)
+    there = _beside_own_terms(problem, moved, problem.slack(moved))
+    is_better = largest_of_components(problem, there) < largest_of_components(problem, here)
+    return np.where(for_each_row(problem, is_better), there, here)
+
+
+def _at_bounds(problem: LCP, z: FloatVector, w: FloatVector, is_wrong: BoolVector) -> FloatVector:
+    """Return z', shape (own,): a row that is right beside its own terms goes no way that w does not ask for."""
     with np.errstate(all="ignore"):
-        distance = np.where(is_above, z - problem.lower, problem.upper - z)  # to where this sign is right
-        wrong = np.where(distance > 0.0, np.abs(w), 0.0)
+        moves = largest_of_components(problem, np.abs(z - problem.nearest_to_zero))
+        step, near = w / problem.residual_scale, np.where(is_wrong, NEAR * for_each_row(problem, moves), 0.0)
+        above, below = z - problem.lower, problem.upper - z
+        to_lower = (above <= np.maximum(step, near)) & (above <= below)
+        to_upper = below <= np.maximum(-step, near)
+    return np.where(to_lower, problem.lower, np.where(to_upper, problem.upper, z))
+
+
+def _beside_own_terms(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
+    """Return (v_i / T_i)² of each row, 0 where it is negligible and ∞ where it is no number, shape (own,)."""
+    is_low, is_high = z <= problem.lower, z >= problem.upper
+    wrong = np.where(is_low, np.where(is_high, 0.0, -w), np.where(is_high, w, np.abs(w)))
+    is_wrong = ~(wrong <= 0.0)
+    if not problem.communicator.anywhere(is_wrong.any()):
+        return np.zeros(z.size)
+    with np.errstate(all="ignore"):
         terms = magnitude(problem, problem.matrix.whole(z))
-        if (energy := energy_scale(problem.matrix)) is not None:  # which knows of units beside the diagonal alone
-            scale = np.where(np.isnan(energy), scale, problem.diagonal)
-        unit = for_each_row(problem, largest_of_components(problem, terms / scale))
-        if energy is not None:
-            largest = largest_of_components(problem, np.nan_to_num(terms / energy))
-            unit = np.fmin(unit, for_each_row(problem, largest) * energy / scale)
-        own = (2.0 * wrong / (terms + np.sqrt(terms**2 + 4.0 * wrong * scale * unit))) ** 2
-        stays_right = ~(np.abs(w) - problem.diagonal * distance < 0.0)  # as far as the diagonal entry tells
-        of_bound = np.where(stays_right, np.fmin((distance / np.abs(z)) ** 2, distance / unit), np.inf)
-        squares: FloatVector = np.fmin(own, of_bound)
-    return np.where(wrong == 0.0, 0.0, np.where(np.isfinite(squares), squares, np.inf))
+        acts = np.where(is_wrong | ~(is_low | is_high), terms, 0.0)
+        of_z, of_w = (for_each_row(problem, largest_of_components(problem, side)) for side in (np.abs(z), acts))
+        unit = np.where(problem.diagonal != 0.0, np.abs(problem.diagonal), problem.residual_scale)
+        counts = (terms > NEGLIGIBLE * unit * of_z) | (terms > NEGLIGIBLE * of_w)
+        squares = np.where(is_wrong & counts, (wrong / terms) ** 2, 0.0)
+    return np.where(np.isfinite(squares), squares, np.inf)

@@ -42,9 +42,9 @@ if TYPE_CHECKING:
     from ..settings import Settings
 
 MEASURED = (
-    "w", "worst_index", "relative_residual", "natural_residual", "euclidean_residual", "backward_error",
-    "bound_violation", "slack_violation", "complementarity", "relative_complementarity", "scale_spread",
-    "is_at_rounding_level", "is_limited_by_rounding",
+    "w", "worst_index", "relative_residual", "term_residuals", "term_residual", "natural_residual",
+    "euclidean_residual", "backward_error", "bound_violation", "slack_violation", "complementarity",
+    "relative_complementarity", "scale_spread", "is_at_rounding_level", "is_limited_by_rounding",
 )
 GAINED = 1e-2  # of the reference
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem that a program was made into, too
@@ -72,8 +72,7 @@ class Certificate:
         r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the scaling
         that M needs (:mod:`lcp_plugin.core.certificates.criterion`).
     term_residual : float
-        How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`); 0 where M needs
-        no scaling, as it is no larger than the relative residual there.
+        How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`).
     components : int
         How many components there are.
     natural_residual : float
@@ -130,13 +129,15 @@ class Certificate:
         return certificate
 
     @classmethod
-    def enclosed(cls, problem: LCP, z: FloatVector, relative_residual: float) -> Certificate:
-        """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed in the same way.
+    def enclosed(
+        cls, problem: LCP, z: FloatVector, relative_residual: float, term_residual: float
+    ) -> Certificate:
+        """Return the certificate of a z, shape (n,), whose residuals a kernel has measured in the same way.
 
         Of a problem whose matrix needs no scaling: kernels know of none.
         """
         certificate = cls(problem, read_only(z))
-        certificate.__dict__.update(relative_residual=relative_residual, _scaling=None)
+        certificate.__dict__.update(relative_residual=relative_residual, term_residual=term_residual, _scaling=None)
         return certificate
 
     def _measure_at_once(self) -> None:
@@ -203,24 +204,21 @@ class Certificate:
             return np.nan
         return communicator.largest(largest_ratio(*self.residuals_of_components))
 
-    @property
+    @cached_property
     def term_residual(self) -> float:
-        """How wrong the worst row is in its own terms; 0 where the relative residual says as much."""
-        is_known = self._scaling is None and not self.is_linearised
-        return 0.0 if is_known else float(self.term_residuals.max(initial=0.0))
+        """How wrong the worst row is in its own terms."""
+        return self._largest(self.term_residuals)
 
     @cached_property
     def term_residuals(self) -> FloatVector:
-        """How wrong each row is in its own terms, shape (n,); 0 where M needs no scaling (see that module)."""
-        if self._scaling is None:
-            return np.zeros(self.z.size)
+        """How wrong each row is in its own terms, shape (n,)."""
         return term_residuals(self.problem, self.z, self.w)
 
     def term_above(self, small: float) -> float:
         """Return the term residual without the rows whose own residual is at most `small`, in the unit of z."""
-        if not small or (self._scaling is None and not self.is_linearised):
+        if not small:
             return self.term_residual
-        return float(self.term_residuals.max(initial=0.0, where=self._scaled_ends[1] > small))
+        return self._largest(np.where(self._scaled_ends[1] > small, self.term_residuals, 0.0))
 
     def meets(self, settings: Settings, answered: BoolVector | None = None) -> bool:
         """Return whether z is SOLVED as settings ask for it; the `answered` rows, shape (own,), do not count."""
@@ -447,7 +445,7 @@ class Certificate:
             ("slack violation", self.slack_violation, ""),
             ("complementarity", self.complementarity, self.large_product),
             ("backward error", self.backward_error, ""),
-            *([("term residual", self.term_residual, "")] if self._scaling is not None else []),
+            ("term residual", self.term_residual, ""),
         ]
         return "\n".join(f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines)
 

@@ -23,6 +23,14 @@ def residual_of_row(step, z, lower, upper):  # type: ignore[no-untyped-def]
     return above if above < step else step
 
 
+@compiled_into_others
+def wrong_part(w, z, lower, upper):  # type: ignore[no-untyped-def]
+    """Return the part of w that has the wrong sign, |w| off bounds; not positive where w is right."""
+    if z <= lower:
+        return 0.0 if z >= upper else -w
+    return w if z >= upper else abs(w)
+
+
 @compiled
 def unmirrored(begin, last, indices, data, tolerance, first_row, end_row):  # type: ignore[no-untyped-def]
     """Return how many more entries stand right of the diagonal than left of it; −n² where one lacks its mirror.

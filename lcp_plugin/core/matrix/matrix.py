@@ -182,7 +182,7 @@ class Matrix:
     def residual_scale(self) -> FloatVector:
         """D of the scaled residual, shape (own,): the diagonal where it is not negligible, else the row's largest.
 
-        d_i = m_ii where m_ii ≥ 1e-10 max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
+        d_i = m_ii where m_ii ≥ 2⁻²⁰ max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
         return read_only(residual_scale_of(self.rows, self.diagonal, self.largest))
 

@@ -119,26 +119,6 @@ def scaling_of(matrix: Matrix) -> Scaling | None:
     return _scaling(matrix, labels, row, column)
 
 
-@fact
-def energy_scale(matrix: Matrix) -> FloatVector | None:
-    """Return √(d_i/t_i), shape (n,), where the rows t_i |m_ij| are symmetric: NaN elsewhere, None without any.
-
-    In units of one energy for all unknowns r_i / √(d_i/t_i) is what a row is wrong by, whatever they are measured in.
-
-    Examples
-    --------
-    >>> energy_scale(Matrix(np.array([[8.0, -8.0], [-1.0, 2.0]]))).round(3).tolist()
-    [2.828, 0.5]
-    """
-    M, several = matrix.csr, connected_components(matrix)
-    ratio, is_symmetric = _symmetrising(M, np.zeros(matrix.n, np.int64) if several is None else several.labels)
-    is_symmetric &= matrix.diagonal > 0.0
-    if not is_symmetric.any():
-        return None
-    with np.errstate(all="ignore"):
-        return read_only(np.where(is_symmetric, np.sqrt(matrix.diagonal) * np.exp2(-0.5 * ratio), np.nan))
-
-
 def are_well_scaled(matrices: Any) -> BoolVector:
     """Return which dense matrices, shape (k, n, n), need no scaling as a whole: shape (k,)."""
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))

@@ -87,7 +87,7 @@ def fused(
     if found is None:
         return None
     if scaling.is_connected and scaling.is_identity:  # the kernel has enclosed the residual of the whole
-        certificate = Certificate.enclosed(scaling.stated, found.z, found.residual)
+        certificate = Certificate.enclosed(scaling.stated, found.z, found.residual, found.term_residual)
     else:
         certificate = Certificate.of(scaling.stated, scaling.outward(found.z))
     is_solved = certificate.ends_a_run(settings)

@@ -159,7 +159,7 @@ class Banded(Algorithm):
         from .kernels import run_all
 
         band, M = self._bands(problem), problem.csr
-        rounds, ends = np.empty((k, 2), np.int64), np.empty((k, 2))
+        rounds, ends = np.empty((k, 2), np.int64), np.empty((k, 3))
         arrays = [M.indptr[:0], M.indices[:0], M.data[:0]]
         if propagator is not None:
             index = M.indptr.dtype
@@ -172,10 +172,11 @@ class Banded(Algorithm):
         costs = _costs(band, problem)
         Z.flags.writeable = False  # they are judged
         found: list[FusedSolve | None] = []
-        for z, (largest, least), (direct, blocks) in zip(Z, ends.tolist(), rounds.tolist(), strict=True):
+        for z, (largest, least, terms), (direct, blocks) in zip(Z, ends.tolist(), rounds.tolist(), strict=True):
             residual, work = ratio_upwards(largest, least), _work(costs, direct, blocks)
             part = self.name, direct + blocks, work
-            found.append(FusedSolve(z, residual, work, (part,)) if within(residual, 0.0, tolerance) else None)
+            is_solved = within(residual, terms, tolerance)
+            found.append(FusedSolve(z, residual, terms, work, (part,)) if is_solved else None)
         return found
 
     def fused_marches(
@@ -218,7 +219,8 @@ class Banded(Algorithm):
         def solve_of(march: int, step: int, z: FloatVector) -> FusedSolve:
             count, (largest, least) = int(rounds[step, march]), ends[step, march].tolist()
             work = _work(_costs(band, problem), count, 0)
-            return FusedSolve(z, ratio_upwards(largest, least), work, ((self.name, count, work),))
+            part = self.name, count, work
+            return FusedSolve(z, ratio_upwards(largest, least), 0.0, work, (part,))  # rows are right to rounding
 
         before, last = (states[k % 3].T[:m] for k in (steps - 1, steps))
         return FusedMarches(steps, answers, before, last, solve_of)

@@ -9,7 +9,8 @@ import numpy as np
 
 from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
 from ...core.kernels.enclosures import residual_ends
-from ...core.kernels.rows import residual_of_row
+from ...core.kernels.floats import SURELY_RIGHT
+from ...core.kernels.rows import residual_of_row, wrong_part
 from .march_kernels import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
@@ -204,6 +205,22 @@ def _advanced(  # type: ignore[no-untyped-def]
     return now, goes_on and not (is_refined and memory[IS_SETTLED] == 1)
 
 
+@compiled_part
+def _beside_terms(indptr, indices, data, q, lower, upper, z, w):  # type: ignore[no-untyped-def]
+    """Return an upper bound of the term residual of z, as `core.certificates.own_terms` has it: no z_i is moved."""
+    largest = 0.0
+    for i in range(z.size):
+        wrong = wrong_part(w[i], z[i], lower[i], upper[i])
+        if wrong <= SURELY_RIGHT * abs(q[i]):
+            continue
+        terms = abs(q[i])
+        for k in range(indptr[i], indptr[i + 1]):
+            terms += abs(data[k] * z[indices[k]])
+        ratio = wrong / terms
+        largest = largest if ratio <= largest else ratio
+    return largest * largest
+
+
 @compiled_in_place
 def _workspace_for_contacts(n):  # type: ignore[no-untyped-def]
     """Return what `_choose` works in."""
@@ -269,8 +286,9 @@ def run_all(  # type: ignore[no-untyped-def]
         Of each row, and how often half of the wrong rows change before the end.
     rounds : array of int, shape (k, 2)
         How many there were on the direct way and on the other.
-    ends : array, shape (k, 2)
-        An upper bound of ‖r(z)‖∞, ∞ where that is beyond the tolerance, and a lower one of ‖r(z°)‖∞.
+    ends : array, shape (k, 3)
+        An upper bound of ‖r(z)‖∞, ∞ where that is beyond the tolerance, a lower one of ‖r(z°)‖∞, and an upper one of
+        the term residual of z.
     """
     n = Q.shape[1]
     vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
@@ -278,7 +296,7 @@ def run_all(  # type: ignore[no-untyped-def]
     workspace = _workspace_for_contacts(n)
     for k in range(Q.shape[0]):
         rounds[k, 0] = rounds[k, 1] = 0
-        ends[k, 0] = ends[k, 1] = np.inf
+        ends[k, 0] = ends[k, 1] = ends[k, 2] = np.inf
     for k in range(Q.shape[0]):
         q, z, direct, blocks = Q[k], Z[k], 0, 0
         if propagator_indptr.size > 0 and k > 0:
@@ -299,6 +317,7 @@ def run_all(  # type: ignore[no-untyped-def]
         if least > 0.0 and residual / most <= tolerance:
             residual_ends(indptr, indices, data, 0, z, q, z, lower, upper, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = _largest(largest), least
+            ends[k, 2] = _beside_terms(indptr, indices, data, q, lower, upper, z, vectors[0])
         rounds[k, 0], rounds[k, 1] = direct, blocks
-        if propagator_indptr.size > 0 and not ends[k, 0] / ends[k, 1] < tolerance:
+        if propagator_indptr.size > 0 and not (ends[k, 0] / ends[k, 1] < tolerance and ends[k, 2] <= tolerance):
             return

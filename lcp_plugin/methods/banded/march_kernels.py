@@ -268,7 +268,7 @@ def march_all(  # type: ignore[no-untyped-def]
             _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, workspace[0], rows)
             _largest_reference(*of_rows)
             is_within = _are_small(most, least, tolerance, ends[k])
-        if not is_within:
+        if not is_within or wrong.any():  # where sides agree, elimination leaves each row right in its own terms
             return k
         if kept[k] >= 0:
             for i in range(n):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL
 from ...core.kernels.rows import residual_of_row
 
 AT_LOWER, AT_ZERO, AT_UPPER = 0, 1, 2  # the choices of a row
@@ -18,7 +19,6 @@ ROW, PARENT, CHOICE, IS_CLOSED = 0, 1, 2, 3  # columns of the tree
 FOUND, EXCLUDED, GAVE_UP = 0, 1, 2
 
 FEASIBLE = 1e-10  # a bound missed by less, beside the largest w at the start
-OWN_FROM = 1e-10  # of the largest entry: a diagonal entry that scales its row, as in `LCP.residual_scale`
 SMALLEST_PIVOT = 1e-10  # rows of M have a largest entry of 1
 RENEWED_AFTER = 64  # pivots
 MARGIN_GIVEN = 0.0625  # of a contradiction, for signs that survive rounding
@@ -59,7 +59,7 @@ def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-d
             largest = max(largest, abs(M[i, j]))
         if largest > 0.0:
             unit[i] = 1.0 / largest
-            scale[i] = M[i, i] if M[i, i] >= OWN_FROM * largest else largest
+            scale[i] = M[i, i] if M[i, i] >= NEGLIGIBLE_DIAGONAL * largest else largest
         basic[i], other[i] = n + i, i
         for j in range(n):
             origin[i, j] = table[i, j] = unit[i] * M[i, j]

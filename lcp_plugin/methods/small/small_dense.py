@@ -206,6 +206,8 @@ class Answers:
     z : array, shape (count, n)
     residual : array, shape (count,)
         The relative one of z, enclosed; ∞ where that would be beyond the tolerance.
+    terms : array, shape (count,)
+        The term residual beside it.
     made, work : arrays, shapes (count, 3) and (count, 4)
         Steps of each phase; passes over M of each phase and of all.
     has_converged : array of bool, shape (count,)
@@ -215,18 +217,18 @@ class Answers:
     """
 
     def __init__(self, count: int, n: int) -> None:
-        self.z, self.residual = np.empty((count, n)), np.empty(count)
+        self.z, (self.residual, self.terms) = np.empty((count, n)), np.empty((2, count))
         self.made, self.work = np.zeros((count, 3), np.int64), np.empty((count, 4))
         self.has_converged, self.needs_path = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
 
     @property
     def arrays(self) -> tuple[Any, ...]:
         """All of them, in the order in which the kernel takes them."""
-        return self.z, self.residual, self.made, self.work, self.needs_path
+        return self.z, self.residual, self.terms, self.made, self.work, self.needs_path
 
     def judge(self, first: int, end: int, tolerance: float) -> None:
         """Judge the problems first ≤ k < end, each of one component in its own units."""
-        self.has_converged[first:end] = within(self.residual[first:end], 0.0, tolerance)
+        self.has_converged[first:end] = within(self.residual[first:end], self.terms[first:end], tolerance)
 
     def solve_fused(self, k: int) -> FusedSolve | None:
         """Return the answer of problem k, None where there is none."""
@@ -234,7 +236,7 @@ class Answers:
             return None
         phases = zip(PARTS, self.made[k].tolist(), self.work[k].tolist(), strict=False)
         parts = tuple((label, count, spent) for label, count, spent in phases if spent > 0.0)
-        return FusedSolve(self.z[k], self.residual[k].item(), self.work[k, 3].item(), parts)
+        return FusedSolve(self.z[k], self.residual[k].item(), self.terms[k].item(), self.work[k, 3].item(), parts)
 
 
 def as_batch(array: Any) -> Any:

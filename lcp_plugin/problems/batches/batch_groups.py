@@ -110,8 +110,8 @@ def answers_in_common_scaling(group: Group, phases: Phases, settings: Settings) 
     largest, least = certificate.residuals_of_components
     for k in np.flatnonzero(answers.has_converged).tolist():
         answers.residual[k] = largest_ratio(largest[ends[k]:ends[k + 1]], least[ends[k]:ends[k + 1]])
-    term_residuals = certificate.term_residuals.reshape(count, n).max(axis=1)
-    answers.has_converged &= within(answers.residual, term_residuals, settings.tolerance)
+    answers.terms[:] = certificate.term_residuals.reshape(count, n).max(axis=1)
+    answers.has_converged &= within(answers.residual, answers.terms, settings.tolerance)
     return answers
 
 

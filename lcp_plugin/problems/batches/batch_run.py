@@ -238,7 +238,7 @@ class BatchRun(BatchLoop):
             return found if is_begun or found.is_solved else replace(found, status=self.status[k])
         answer = self.compiled[which].solve_fused(at)
         assert answer is not None
-        certificate = Certificate.enclosed(self.items.problem(k), answer.z, answer.residual)
+        certificate = Certificate.enclosed(self.items.problem(k), answer.z, answer.residual, answer.term_residual)
         share = self.seconds / self.items.count
         return fused_result(certificate, self.policy, self.first, answer, self.settings, share)
 

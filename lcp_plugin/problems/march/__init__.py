@@ -369,7 +369,7 @@ def _fused(
     seconds = clock.read() / len(found)
 
     def result_of(q: FloatVector, one: FusedSolve) -> Result:
-        certificate = Certificate.enclosed(problem.with_q(q), one.z, one.residual)
+        certificate = Certificate.enclosed(problem.with_q(q), one.z, one.residual, one.term_residual)
         return fused_result(certificate, policy, first, one, settings, seconds)
 
     for q, one in zip(Q, found, strict=True):

@@ -23,7 +23,7 @@ def count_contacts(M, real, whole):  # type: ignore[no-untyped-def]
 
 @partial(interpreted_while_small, longest=PATH_UP_TO)
 def solve_all_contacts(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, starts, tolerance, first, end, real, whole, matrix, z, residual, made, work, needs_path,
+    M, q, lower, upper, starts, tolerance, first, end, real, whole, matrix, z, residual, terms, made, work, needs_path,
 ):
     """Solve those problems first ≤ item < end of a batch that are of contacts; return how many are left.
 
@@ -33,7 +33,7 @@ def solve_all_contacts(  # type: ignore[no-untyped-def]
     n, left = M.shape[1], 0
     for item in range(first, end):
         k = item if M.shape[0] > 1 else 0
-        residual[item], needs_path[item] = np.inf, False
+        residual[item], terms[item], needs_path[item] = np.inf, np.inf, False
         for phase in range(3):
             made[item, phase], work[item, phase] = 0, 0.0
         work[item, TOTAL] = 0.0
@@ -54,18 +54,20 @@ def solve_all_contacts(  # type: ignore[no-untyped-def]
             is_cold &= real[FOUND, i] == 0.0
         if tolerance >= 0.0:
             size = moved(M, k, real, FOUND, False)
-            residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
+            residual[item], terms[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
         work[item, ROUND] = n * n / nonzeros
-        if not residual[item] <= tolerance:
+        is_solved = residual[item] <= tolerance and terms[item] <= tolerance
+        if not is_solved:
             condense(M, k, real, whole, matrix, unknowns, contacts)
             work[item, ROUND] += solve_contacts(real, whole, matrix, n, unknowns, not is_cold) / nonzeros
             made[item, ROUND] = 1
             size = moved(M, k, real, FOUND, False)
-            residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
-        if made[item, ROUND] > 0 and tolerance >= 0.0 and not residual[item] <= tolerance:
+            residual[item], terms[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
+            is_solved = residual[item] <= tolerance and terms[item] <= tolerance
+        if made[item, ROUND] > 0 and tolerance >= 0.0 and not is_solved:
             work[item, ROUND] -= n * n / nonzeros  # who goes on counts the start
         work[item, TOTAL] = work[item, ROUND]
-        left -= residual[item] <= tolerance
+        left -= is_solved
         for i in range(n):
             z[item, i] = real[Z, i]
     return left

@@ -24,8 +24,8 @@ from ....core.kernels.compilation import (
     interpreted_while_small,
 )
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
-from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL
-from ....core.kernels.rows import residual_of_row
+from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL, SURELY_RIGHT
+from ....core.kernels.rows import residual_of_row, wrong_part
 from ....core.tuning import PIVOTED_AT_ONCE_UP_TO
 from .small_systems import solve_free
 from .tableau import follow_path
@@ -259,33 +259,55 @@ def is_kept_dense(nonzeros, n):  # type: ignore[no-untyped-def]
     return nonzeros > DENSE_ABOVE_DENSITY * n * n
 
 
+@compiled_part
+def beside_terms(M, k, real):  # type: ignore[no-untyped-def]
+    """Return an upper bound of the term residual of Z, as `core.certificates.own_terms` has it: no z_i is moved."""
+    n, largest = M.shape[1], 0.0
+    for i in range(n):
+        wrong = wrong_part(real[W, i], real[Z, i], real[LOWER, i], real[UPPER, i])
+        if wrong <= 0.0:
+            continue
+        terms = abs(real[Q, i]) + abs(M[k, i, i] * real[Z, i])
+        if not wrong <= SURELY_RIGHT * terms:
+            terms = abs(real[Q, i])
+            for j in range(n):
+                terms += abs(M[k, i, j] * real[Z, j])
+        ratio = wrong / terms
+        largest = largest if ratio <= largest else ratio
+    return largest * largest
+
+
 @compiled_into_others
 def enclosed(M, k, real, size, least, most, is_dense, tolerance):  # type: ignore[no-untyped-def]
-    """Return an upper bound of the relative residual of Z, ∞ where `size` is no such hope; `size` without tolerance."""
+    """Return upper bounds of the relative and of the term residual of Z, ∞ where `size` is no such hope.
+
+    `size` and 0 without tolerance.
+    """
     if tolerance < 0.0:
-        return size
+        return size, 0.0
     if not size / most <= tolerance:
-        return np.inf
+        return np.inf, np.inf
     _, largest = ends(M, k, real, False, is_dense)
-    return _ratio_upwards(largest, least)
+    return _ratio_upwards(largest, least), beside_terms(M, k, real)
 
 
 @interpreted_while_small
 def run_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end, steps,
-    real, whole, matrix, z, residual, made, work, needs_path,
+    real, whole, matrix, z, residual, terms, made, work, needs_path,
 ):
     """Solve the problems first ≤ item < end of a batch; an array with one row in front stands for all of them.
 
-    Written are z, shape (B, n), `residual` (B,), the relative one, enclosed, or ∞; `made` (B, 3): steps of each phase,
-    `work` (B, 4): passes of each phase and of all; and `needs_path` (B,) where pivots are to follow; their number is
-    returned. Where one problem is watched, `steps` says how far a call goes, a tolerance below 0 that nothing is
-    enclosed, and `residual` is the absolute one. No column of `starts` stands for z°.
+    Written are z, shape (B, n), `residual` (B,), the relative one, enclosed, or ∞, and `terms` (B,), the term residual
+    beside it; `made` (B, 3): steps of each phase, `work` (B, 4): passes of each phase and of all; and `needs_path` (B,)
+    where pivots are to follow; their number is returned. Where one problem is watched, `steps` says how far a call
+    goes, a tolerance below 0 that nothing is enclosed, and `residual` is the absolute one. No column of `starts` stands
+    for z°.
     """
     n, is_enclosed, paths = M.shape[1], tolerance >= 0.0, 0
     for item in range(first, end):
         k, least, most, is_dense, count = item if M.shape[0] > 1 else 0, 1.0, 1.0, True, -1
-        residual[item], needs_path[item] = np.inf, False
+        residual[item], terms[item], needs_path[item] = np.inf, np.inf, False
         for phase in range(3):
             made[item, phase], work[item, phase] = 0, 0.0
         work[item, TOTAL] = 0.0
@@ -303,7 +325,7 @@ def run_all(  # type: ignore[no-untyped-def]
             after = _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n)
             work[item, after] = work[item, TOTAL] = n * n / nonzeros
             if is_usual and most == 0.0:
-                residual[item] = 0.0
+                residual[item], terms[item] = 0.0, 0.0
             is_usual &= not is_enclosed or (least > 0.0 and USUAL[0] < most < USUAL[1])
             if is_usual:
                 whole[STATE, PHASE] = BEGINNING
@@ -323,8 +345,8 @@ def run_all(  # type: ignore[no-untyped-def]
                 work[item, phase] += touched / whole[STATE, NONZEROS]
                 work[item, TOTAL] += touched / whole[STATE, NONZEROS]
             count += 1
-            residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
-            if residual[item] <= tolerance:
+            residual[item], terms[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
+            if residual[item] <= tolerance and terms[item] <= tolerance:
                 break
         for i in range(n):
             z[item, i] = real[Z, i]
@@ -333,7 +355,7 @@ def run_all(  # type: ignore[no-untyped-def]
 
 @partial(interpreted_while_small, longest=PATH_UP_TO)
 def follow_all(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, tolerance, first, end, real, whole, matrix, z, residual, made, work, needs_path
+    M, q, lower, upper, tolerance, first, end, real, whole, matrix, z, residual, terms, made, work, needs_path
 ):
     """Follow Lemke's path to its end where `needs_path` says so; all the rest as in `run_all`, to which it adds."""
     n = M.shape[1]
@@ -358,6 +380,6 @@ def follow_all(  # type: ignore[no-untyped-def]
         passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
         work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes
         is_dense = is_kept_dense(nonzeros, n)
-        residual[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
+        residual[item], terms[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
         for i in range(n):
             z[item, i] = real[Z, i]

@@ -1,0 +1,91 @@
+"""Rows beside their own terms: what a residual relative to one reference hides is not SOLVED, and what is right is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from campaigns import tiny_diagonals
+
+from lcp_plugin import LCP, Certificate, Status, solve, solve_batch
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.core.errors import UnsuitableMatrix
+from lcp_plugin.core.settings import Settings
+
+STACKED = [[1e-8, -1e-8, 0.0], [-1e-8, 1.0 + 1e-8, -1.0], [0.0, -1.0, 1.0 + 1e-8]]
+FAR_ROWS = [[0.1, 0.0, 0.0, 1.0], [0.0, 0.1, 0.0, 1e8], [0.0, 0.0, 0.1, 1e16], [-1.0, -1.0, -1.0, 0.0]]
+HIDDEN = {
+    "a tiny diagonal entry": ([[1.0, -2.0], [3.0, 1e-9]], [-3.0, -1.0], [3.0, 0.0], [1.672, 0.0]),
+    "heavy on light": (STACKED, [-0.04905, 0.0, 0.0], [9.81e6, 4.905e6, 4.905e6], [4.905e6, 0.0, 0.0]),
+    "rows that do not act": (FAR_ROWS, [-50.0, -50.0, -50.0, 1.0], [1.0, 0.0, 0.0, 49.9], [2.0, 0.0, 0.0, 49.8]),
+}
+
+
+@pytest.mark.filterwarnings("ignore::lcp_plugin.core.errors.ConvergenceWarning")
+@pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
+@pytest.mark.parametrize("kind", HIDDEN)
+def test_solved_is_the_solution(kind: str, algorithm: str) -> None:
+    """From wherever a run begins: SOLVED is right to 1e-5, and auto solves it; a false z is refused."""
+    M, q, right, false = HIDDEN[kind]
+    problem = LCP(M, q)
+    assert not Certificate.of(problem, false).meets(Settings())
+    for z0 in (None, false):
+        try:
+            result = solve(problem, algorithm, z0=z0, max_iterations=2000)
+        except UnsuitableMatrix:
+            continue
+        assert result.is_solved or algorithm != "auto"
+        if result.is_solved:
+            assert result.z == pytest.approx(right, rel=1e-5, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", HIDDEN)
+def test_a_batch_is_judged_alike(kind: str) -> None:
+    """What a compiled loop takes is judged by rows, too, whatever the start."""
+    M, q, right, false = HIDDEN[kind]
+    batch = solve_batch(np.array([M, M]), np.array([q, q]), z0=np.array([np.zeros(len(q)), false]))
+    assert batch.all_solved
+    for z in batch.z:
+        assert z == pytest.approx(right, rel=1e-5, abs=1e-3)
+
+
+def test_no_row_below_its_sign_is_solved() -> None:
+    """w_2 = −z_1 − 1 < 0 for every z: infeasible, however far z_2 would bring the residual down."""
+    problem = LCP([[1e-9, 1.0], [-1.0, 0.0]], [-1.0, -1.0])
+    assert not Certificate.of(problem, [0.0, 1.1e16]).meets(Settings())
+    assert solve(problem).status is Status.INFEASIBLE
+
+
+def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
+    """Where m_ii is small beside its row, w_i measures it: 1e-16 is no distance of 1e-4."""
+    for tiny in 10.0 ** -np.arange(6.0, 14.0):
+        problem = LCP([[1.0, -2.0], [3.0, tiny]], [-3.0, -8.0])
+        right = np.array([(3.0 * tiny + 16.0), 8.0 - 9.0]) / (tiny + 6.0)
+        assert right[1] < 0.0  # so that z = (3, 0) is the solution
+        assert Certificate.of(problem, [np.nextafter(3.0, 4.0), 0.0]).meets(Settings())
+        beside = LCP([[1.0, -2.0], [3.0, tiny]], [-1.0, -5.0])
+        z_2 = 2.0 / (tiny + 6.0)
+        assert Certificate.of(beside, [1.0 + 2.0 * z_2, np.nextafter(z_2, 1.0)]).meets(Settings())
+
+
+def test_what_fell_under_attack_is_refused() -> None:
+    """Points that earlier forms of the rule passed: a row that was not moved to its bound; one excused at 1e-8."""
+    for M, q, false in (
+        ([[1e-9, -1.0], [1.0, 1e-9]], [-1e-9, 0.0], [6.0, 5e-9]),
+        ([[2e-6, 1.0], [-1.0, 1e-11]], [-1.0, -2e-11], [2e-12, 1.0]),
+    ):
+        assert not Certificate.of(LCP(M, q), false).meets(Settings())
+
+
+def test_integers_with_tiny_diagonals_by_all_cases() -> None:
+    """A slice of the campaign: no SOLVED is false, planted ones included."""
+    assert tiny_diagonals.main(["--cases", "300", "--seed", "3"]) == 0
+
+
+def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:
+    """z* = w* = 0: what is left of z in such a row is as large as its terms, and no wrong row."""
+    M = 4.0 * np.eye(60) - np.eye(60, k=1) - np.eye(60, k=-1)
+    z = np.where(np.arange(60) < 20, 1.0, 0.0)
+    result = solve(LCP(M, np.where(np.arange(60) == 20, 1.0, 0.0) - M @ z), "npgs")
+    assert result.is_solved
+    assert result.z == pytest.approx(z, abs=1e-7)
+    assert result.iterations <= 60

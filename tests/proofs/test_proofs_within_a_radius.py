@@ -67,6 +67,18 @@ def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status
         assert "up to" in result.explain()
 
 
+@pytest.mark.parametrize(("c", "b"), [([0.0, 0.0, 0.0], CONTRADICTORY), ([1.0, 1.0, 1.0], MET)])
+def test_the_advice_names_the_radius(c: list[float], b: list[float]) -> None:
+    """INFEASIBLE and UNBOUNDED within a radius say so, with its first digit rounded down; of all x they say nothing."""
+    result = solve(QuadraticProgram(None, c, A=DECIMAL, b=b))
+    assert result.has_no_solution
+    digits = f"{result.proof.radius:.15e}"
+    assert f"; of all x up to {digits[0]}e{digits[-3:]}: a larger one is not excluded" in result.advice
+    plain = solve(QuadraticProgram(None, [1.0], A=[[1.0], [1.0]], b=[1.0, 2.0]))
+    assert plain.proof.radius == np.inf
+    assert "up to" not in plain.advice
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
 def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:

@@ -80,6 +80,13 @@ class Answer:
         """What the status means for this run, in a sentence."""
         return self.status.value
 
+    def _of_which(self, what: str) -> list[str]:
+        """Return of which points a proof speaks that there is no answer, where it is not of all."""
+        from ...proofs.no_solution.linear_constraints import within
+
+        words = within(getattr(self.proof, "radius", math.inf), what) if self.has_no_solution else ""
+        return [f"{words[2:]}: a larger one is not excluded"] if words else []
+
     def reached(self) -> str:
         """Return what was reached beside what was asked for."""
         raise NotImplementedError

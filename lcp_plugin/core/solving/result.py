@@ -177,7 +177,7 @@ class Result(Answer):
         """What the status means for this run, in a sentence."""
         advice = self._advice.get(self.status, self.status.value)
         if self.is_solved or self.has_no_solution:
-            return "; ".join([advice, *(self._sign() if self.has_no_solution else [])])
+            return "; ".join([advice, *self._of_which("z"), *(self._sign() if self.has_no_solution else [])])
         remarks = [stage.remark for stage in self.stages if stage.remark]
         return "; ".join([*self._small_contradiction(), advice, *remarks, *self._sign()])
 

@@ -186,7 +186,7 @@ class QuadraticProgramResult(Answer):
     @property
     def advice(self) -> str:
         """What the status means for this program, in a sentence."""
-        return ADVICE.get(self.status, self.status.value)
+        return "; ".join([ADVICE.get(self.status, self.status.value), *self._of_which("x")])
 
     def _numbers(self) -> dict[str, float]:
         names = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")

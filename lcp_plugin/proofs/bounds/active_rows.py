@@ -134,11 +134,12 @@ def _judged(
     """Return what each row does by z and w, where z may be as far from the solution as `left` says."""
     scale = problem.residual_scale
     floor = rounding_floor(problem, magnitude(problem, problem.matrix.whole(z)), scale)
-    near, slight = floor, floor
+    beside_largest = np.minimum(scale / problem.matrix.row_largest, 1.0)  # by a tiny diagonal entry no row moves z_i
+    near, slight = floor * beside_largest, floor
     if left is not None:
         size = abs(problem.matrix.array)
         floor = _with_neighbours(size, floor, scale)
-        near, slight = floor + left, floor + size @ left / scale
+        near, slight = floor * beside_largest + left, floor + size @ left / scale
     is_fixed = problem.lower == problem.upper
     step = w / scale
     is_small = (np.minimum(above, below) <= ROUNDING * near) & (np.abs(step) <= ROUNDING * slight)

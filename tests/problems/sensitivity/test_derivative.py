@@ -605,3 +605,24 @@ def test_a_block_in_uneven_units_is_factorised_at_once() -> None:
     for transposed in (False, True):
         x = system.solve(unit * right, transposed=transposed)
         np.testing.assert_allclose(unit * x, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("diagonal", [1e-6, 1e-9, 1e-12])
+def test_a_tiny_diagonal_entry_makes_no_row_degenerate(diagonal: float) -> None:
+    """z₀ = 1e-9 is told by row 1 alone: it is free, whatever rounding is beside m₀₀, and moves as row 1 says."""
+    M, z = np.array([[diagonal, 1.0], [-1.0, 1.0]]), np.array([1e-9, 1.0])
+    found = derivative(solve(LCP(M, -M @ z)))
+    assert found.degenerate.size == 0
+    np.testing.assert_allclose(found.jvp(dq=[0, 1]), -np.linalg.solve(M, [0, 1]), rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("q", [-1e19, 1e19, -1e-17, 1e-9])
+@pytest.mark.parametrize("coupling", [0.0, 1e-9, -1.0])
+def test_a_row_of_another_size_hides_no_kink(q: float, coupling: float) -> None:
+    """Rows 0 and 1, a kink and a free one, move as without row 2, whose q is of another size."""
+    M, z, w = np.array([[3.0, 1.0], [-1.0, 4.0]]), np.array([0.0, 2.0]), np.zeros(2)
+    whole = np.block([[M, np.zeros((2, 1))], [np.array([[0.0, coupling, 1.0]])]])
+    found = derivative(solve(LCP(whole, [*(w - M @ z), q])))
+    assert found.degenerate.tolist() == [0]
+    np.testing.assert_allclose(found.jvp(dq=[1, 0, 0])[:2], [0, 0], atol=1e-15)
+    np.testing.assert_allclose(found.jvp(dq=[-1, 0, 0])[:2], [4 / 13, 1 / 13], rtol=1e-12)

@@ -187,3 +187,18 @@ def violation(problem: Any, z: Any) -> float:
         for wrong, beside in zip([*outside, abs(mp.fdot(at, w))], (size, terms, size * terms), strict=True):
             worst = max(worst, wrong / beside) if wrong > 0 and beside > 0 else worst
     return float(worst)
+
+
+def tower(masses: Any, corners: Any) -> tuple[FrictionalContact, Any]:
+    """Boxes on one another in the plane for 10 ms of gravity, contacts at these corners; and what each face carries."""
+    masses, pull = np.asarray(masses, float), 0.0981
+    rows = np.zeros((len(masses), len(corners), 2, 3 * len(masses)))
+    for i in range(len(masses)):
+        for c, x in enumerate(corners):
+            rows[i, c, :, 3 * i:3 * i + 3] = [0.0, 1.0, x], [1.0, 0.0, 0.5]
+            if i:
+                rows[i, c, :, 3 * i - 3:3 * i] = [0.0, -1.0, -x], [-1.0, 0.0, 0.5]
+    rows = rows.reshape(-1, 2, 3 * len(masses))
+    inertia = np.diag(np.ravel([[mass, mass, mass / 6.0] for mass in masses]))
+    problem = FrictionalContact((inertia, rows[:, 0], rows[:, 1:]), np.tile([0.0, -pull, 0.0], len(masses)), 0.5)
+    return problem, pull * np.cumsum(masses[::-1])[::-1]

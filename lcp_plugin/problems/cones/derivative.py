@@ -21,7 +21,7 @@ from ...core.matrix.matrix import Matrix
 from ...systems.free_systems import FreeSystem
 from .certificate import weighted
 from .data import Blocks
-from .methods import NewtonSystem
+from .methods import LEAST_PROXIMAL, NewtonSystem
 
 REFINEMENTS = 5  # steps of Newton towards the answer before it is differentiated
 BY_HAND = "; of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du"
@@ -58,7 +58,7 @@ class ConeDerivative:
         problem = self.problem
         R = problem.residual(z, problem.slack(z))[0]
         for _ in range(REFINEMENTS):
-            _, step = self._system.step(z, problem.slack(z), R, 0.0)
+            _, step = self._system.step(z, problem.slack(z), R, LEAST_PROXIMAL)
             if step is None:
                 break
             new = problem.residual(z + step, problem.slack(z + step))[0]

@@ -66,7 +66,9 @@ def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # 
         found[first] -= slope[k] * _tangent(w, first, end) / scale[k]
     case = _project(found, first, end, slope[k])
     for i in range(first, end):
-        found[i] = z[i] - found[i]
+        found[i] = w[i] / scale[k] if case == WITHIN else z[i] - found[i]
+    if case == WITHIN and friction:
+        found[first] += slope[k] * _tangent(w, first, end) / scale[k]
     return case
 
 
@@ -100,11 +102,12 @@ def block_bounds(  # type: ignore[no-untyped-def]
     size, mu = end - first, slope[k]
     if size == 1:
         return row_ends(w[first], slip[first], scale[k], z[first], lower[first], upper[first])
-    _residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
+    case = _residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
     here, own = _tangent(z, first - 1, end), _tangent(found, first - 1, end)
     wide = _tangent(slip, first - 1, end)
     stretch = 1.0 + mu if friction else 1.0
-    terms = here + stretch * (_tangent(w, first - 1, end) + wide) / scale[k]
+    is_inner = case == WITHIN and own < 0.5 * (mu * z[first] - _tangent(z, first, end)) / (1.0 + mu)
+    terms = (0.0 if is_inner else here) + stretch * (_tangent(w, first - 1, end) + wide) / scale[k]
     off = OUTWARD * (stretch * wide / scale[k] + 8.0 * (size + 10.0) * UNIT * (1.0 + mu) * terms) + 4.0 * TINY
     if not (own < np.inf and off < np.inf):
         return 0.0, np.inf

@@ -32,6 +32,7 @@ MOST_STEPS, NO_GAIN = 80, 12  # of the central path, and those without a new bes
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d, in the systems of Newton's steps
 SPREAD = 0.3
 ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
+EXACT = 2.0**-46  # the relative residual that a last linear system hardly makes smaller
 HARDER = 100.0  # times the proximal term where a system is singular
 
 
@@ -125,7 +126,8 @@ class Newton(ConeAlgorithm):
         sizes, best, since = [size], size, 0
         yield Step(z, residual=float(shares.max(initial=0.0)))
         while since < PATIENCE and math.isfinite(size):
-            work, step = system.step(z, w, R, min(self.proximal, 0.1 * float(shares.max(initial=0.0))))
+            proximal = min(self.proximal, 0.1 * float(shares.max(initial=0.0)))
+            work, step = system.step(z, w, R, max(proximal, LEAST_PROXIMAL))
             if step is None:
                 return
             length, allowed = 1.0, max(sizes[-MEMORY:])
@@ -163,7 +165,7 @@ class NewtonSystem:
         self, z: FloatVector, w: FloatVector, R: FloatVector, proximal: float
     ) -> tuple[float, FloatVector | None]:
         """Return the work in products with M, and the step; None where every system is singular."""
-        problem, work, epsilon = self.problem, 1.0, max(proximal, LEAST_PROXIMAL)
+        problem, work, epsilon = self.problem, 1.0, proximal
         while epsilon <= 1.0:
             J, rows = self.rows(z, w, epsilon)
             if not factor_fits(J):
@@ -180,7 +182,7 @@ class NewtonSystem:
                 if left <= ACCURATE * float(np.abs(right).max(initial=0.0)):
                     held[rows] = found
                     return work, held
-            epsilon *= HARDER
+            epsilon = max(HARDER * epsilon, LEAST_PROXIMAL)
         return work, None
 
     def rows(self, z: FloatVector, w: FloatVector, proximal: float) -> tuple[Any, Any]:

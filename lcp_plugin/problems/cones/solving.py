@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -36,7 +36,7 @@ from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .infeasibility import InfeasibilityCheck, NoImpulse
-from .methods import METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, InteriorPoint, Newton
+from .methods import EXACT, METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, InteriorPoint, Newton, NewtonSystem
 from .small import LARGEST, Found, solve_small
 
 TRIAL = 2  # steps of npgs before its rate is believed
@@ -130,6 +130,7 @@ def _solved(
             settings = _within(settings, settings.max_seconds, min(settings.max_iterations, SHARED))
         judge = ConeJudge(problem, settings)
         run = Run(judge.scaling, policy, settings, callback, clock, judge)
+        judge.products = lambda: run.state.work
         try:
             reason = run.drive(start, policy.first(problem))  # type: ignore[arg-type]
         except KeyboardInterrupt:
@@ -250,6 +251,13 @@ def _policy(problem: Blocks, algorithm: Any, settings: Settings, **known: bool) 
     return Single(METHODS[algorithm](), prove_infeasibility=False)
 
 
+def newton_operations(problem: Blocks, z: FloatVector) -> float:
+    """Return about how many multiplications a step of Newton takes at z, the blocks at rest left out."""
+    rows = float(problem.sizes[np.unique(problem.block_of_row[z != 0.0])].sum())
+    sparse = (problem.n / problem.slope.size) ** 3 * sizes_of_factor(problem.block_norms.matrix)[1]
+    return float(min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros)
+
+
 class ConeAuto(Policy):
     """Sweeps, as long as nothing gets there with less work; then Newton, an interior point, and both from other points.
 
@@ -290,11 +298,7 @@ class ConeAuto(Policy):
         """Return about how many multiplications an answer by Newton takes, the blocks at rest left out."""
         if stage.z is None:
             return np.inf
-        problem = self._problem
-        closed = problem.block_of_row[stage.z != 0.0]
-        rows = float(problem.sizes[np.unique(closed)].sum())
-        sparse = (problem.n / problem.slope.size) ** 3 * sizes_of_factor(problem.block_norms.matrix)[1]
-        return NEWTON_STEPS * (min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros + STEP_OPERATIONS)
+        return NEWTON_STEPS * (newton_operations(self._problem, stage.z) + STEP_OPERATIONS)
 
     def _stages(self, *, is_warm: bool, was_tried: bool) -> Iterator[Choice]:
         """Yield what comes in turn; where the compiled loop `was_tried`, what it did not do."""
@@ -345,6 +349,7 @@ class ConeJudge(Judge):
         self.asked, self.settings = problem, settings
         self.reference = 1.0  # residuals are relative to those of the components already
         self.proof = self._certificate = None
+        self.products: Callable[[], float] = lambda: 0.0  # products with M that the run has taken
         if problem.has_friction:
             self.words = self.words_of_contacts
 
@@ -359,6 +364,18 @@ class ConeJudge(Judge):
     def measure(self, z: FloatVector) -> float:
         """Return the relative residual of z."""
         return relative_residual(self.problem, self._held(z))
+
+    def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
+        """Return the certificate of the answer, or of what the linear system of its cases makes of it."""
+        found: Any = self.certificate_of(z)
+        is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT, End.STEP_LIMIT, End.NO_SOLUTION)
+        if is_cut_short or found.relative_residual <= EXACT:
+            return found  # type: ignore[no-any-return]
+        problem, z = self.problem, found.point
+        if newton_operations(problem, z) > self.products() * problem.nonzeros:
+            return found  # type: ignore[no-any-return]
+        step = NewtonSystem(problem).step(z, found.velocity, problem.residual(z, found.velocity)[0], 0.0)[1]
+        return found if step is None else self._better_of(found, self.certificate_of(z + step))
 
     def _held(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, with z° in the components that z° answers."""

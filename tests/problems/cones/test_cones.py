@@ -15,6 +15,7 @@ from cone_families import (
     exact_relative_residual,
     planted_cones,
     planted_contacts,
+    tower,
     violation,
     wall,
 )
@@ -453,3 +454,17 @@ def test_one_group_without_an_answer_makes_all_infeasible() -> None:
     assert limited.status is Status.MAX_ITERATIONS
     assert limited.iterations <= 20
     assert violation(good, limited.z[:good.n]) <= 1e-6
+
+
+@pytest.mark.parametrize("corners", [(0.0,), (-0.5, 0.5)])
+@pytest.mark.parametrize("light", [2, 5, 10])
+@pytest.mark.parametrize("heavy", [1e6, 1e8])
+@pytest.mark.parametrize("has_foot", [True, False])
+def test_heavy_stands_on_light(heavy: float, light: int, corners: tuple[float, ...], has_foot: bool) -> None:
+    """A heavy box on light ones, on another heavy one or on the ground: each face carries the weight above it."""
+    problem, weights = tower([heavy] * has_foot + [1.0] * light + [heavy], corners)
+    result = solve(problem)
+    carried = result.motion.normal.reshape(len(weights), -1).sum(axis=1)
+    np.testing.assert_allclose(carried, weights, rtol=1e-5)
+    assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT)
+    assert result.is_solved or heavy == 1e8

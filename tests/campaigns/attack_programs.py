@@ -231,9 +231,9 @@ def excess(case: dict[str, Any], x: Any, least: Fraction | None = None) -> float
     """Return by how much x costs more than the least, beside that and what 1e-13 of each row's terms costs."""
     least = least_cost(case) if least is None else least
     terms = np.abs(case["A"]) @ np.abs(x) + np.abs(case["b"])
-    rounding = Fraction(float((case["weights"] * np.square(1e-13 * terms)).sum()))
-    here = cost(case, fractions(x))
-    return float((here - least) / (least + rounding)) if here > least else 0.0
+    unit = least + Fraction(float((case["weights"] * np.square(1e-13 * terms)).sum()))
+    more = cost(case, fractions(x)) - least
+    return 0.0 if more <= 0 else np.inf if more > unit * 10**300 else float(more / unit)
 
 
 def attack_least_squares(rng: np.random.Generator, count: int) -> list[str]:

@@ -19,7 +19,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import EPSILON, LARGEST
+from ...core.matrix.matrix import largest_in_rows
 from ...core.settings import Status
 from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import ZERO, Vector, common_denominator, products, rational, rounded_down, short
@@ -29,14 +30,14 @@ from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction, ex
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
 from .criterion import PROGRAM_TOLERANCE, SURE, constraint_tolerance
-from .program_matrices import as_csr
+from .program_matrices import as_csr, or_one
 from .reductions import FoldedRows
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 MET = 1e-8  # what is left of a row, in units of the data, that rounding alone keeps from being met
-LARGEST = 5000  # variables and rows of a program that is worth the linear programs
+LARGEST_SOUGHT = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 1_000_000
 MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
 LARGEST_DENSE = 1500
@@ -67,7 +68,7 @@ class QPInfeasibility:
 
     def verify(self) -> bool:
         """Return whether the multipliers are a proof; exact."""
-        return self._found.holds(self.program.primal_size)
+        return self._found.holds(size_of_limits(self.program, list(self._found.y)))
 
     @cached_property
     def _found(self) -> Contradiction:
@@ -149,8 +150,14 @@ class QPUnboundedness:
     @property
     def _sizes(self) -> tuple[float, int, float]:
         """The size of multipliers, how many unknowns come before them, and that of x where P hardly resists d."""
-        program = self.program
-        return program.dual_size, program.n, program.size_along if self.is_free_motion else program.dual_size
+        program, moved = self.program, [j for j, d in enumerate(self.direction) if d]
+        column = or_one(np.maximum(largest_in_rows(program.P), program.matrices.columns_of_rows))
+        of_dual = 1.0 + float((np.abs(program.c) / column)[moved].max(initial=0.0))
+        if not program.matrices.entries[0]:
+            return of_dual, program.n, of_dual
+        of_x = size_of_limits(program)
+        of_costs = float((np.abs(program.c) / or_one(largest_in_rows(program.P)))[moved].max(initial=0.0))
+        return max(of_dual, of_x), program.n, max(of_costs, of_x - 1.0) if self.is_free_motion else max(of_dual, of_x)
 
     @cached_property
     def is_free_motion(self) -> bool:
@@ -216,50 +223,24 @@ class QPUnboundedness:
         return self._found.miss(self.program.dual_unit) if is_fall else 0.0
 
     @cached_property
-    def row_margin(self) -> float:
-        """A lower bound of the row residual of every x and multipliers; 0 where terms along the direction may cancel.
+    def cost_margin(self) -> float:
+        """The least relative change of all costs that stops the descent, −cᵀd / Σ|c_j d_j|, in any units.
 
-        In units u of unknowns and a of rows, f the smallest cost, component j of the gradient is left with at most
-        s (f/u_j + its largest term), no multiplier y_k is below −s f/a_k. With T_k = Σ_j |c_kj d_j| of constraint k,
-        which loses at least T_k/κ along the direction d, and P d = 0 without terms, |cᵀd| ≤
-        s (Σ_j |d_j| (f/u_j + |c_j|) + 2 f Σ_k T_k/a_k) where s ≤ 1/κ: a component of a small unit needs no other.
+        Where it is exact, or along a free motion: what a structure is not held against is a matter of its load, however
+        stiff it is. Else 0.
         """
-        found, rows = self._found, self.program.constraints
-        if not self.is_exact or found.left or as_csr(self.program.P)[list(found.y)].count_nonzero():
+        found = self._found
+        if not (self.verify() and found.plain > 0 and found.is_wide(*self._sizes)):
             return 0.0
-        costs, (coefficients, unknown, _, least_cost, _) = np.abs(self.program.c).tolist(), self.program.scaling
-        of_gradient = (least_cost / unknown).tolist()
-        size = sum((abs(d) * (Fraction(of_gradient[j]) + Fraction(costs[j])) for j, d in found.y.items()), ZERO)
-        data = rows.limit.tolist(), rows.is_equality.tolist(), (least_cost / coefficients).tolist()
-        least = Fraction(1)
-        for row, limit, is_equality, of_multiplier in zip(rows.exactly, *data, strict=True):
-            terms = [value * found.y[j] for j, value in row.items() if j in found.y]
-            if not terms:
-                continue
-            total = sum(map(abs, terms), ZERO)
-            if is_equality or limit < np.inf:
-                least = ZERO if is_equality else min(least, abs(sum(terms, ZERO)) / total)
-            size += 2 * total * Fraction(of_multiplier)
-        return rounded_down(min(found.plain / size, least))
+        if not (self.is_exact or self.is_free_motion):
+            return 0.0
+        whole, denominator = common_denominator([abs(d) for d in found.y.values()])
+        return rounded_down(found.size * denominator / exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist()))
 
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance; where it is exact, at a thousandth of it."""
         least = (SURE if self.is_exact else 1.0) * tolerance
-        margin = max(self.margin, self.row_margin, self.cost_margin)
-        return margin > least and self.violation <= constraint_tolerance(tolerance)
-
-    @cached_property
-    def cost_margin(self) -> float:
-        """The least relative change of all costs that stops the descent, where it is along a free motion; else 0.
-
-        What a structure is not held against is a matter of its load, however stiff it is: |cᵀd| / 2 Σ|c_j d_j|.
-        """
-        found = self._found
-        if not (self.is_free_motion and self.verify() and found.plain > 0 and found.is_wide(*self._sizes)):
-            return 0.0
-        whole, denominator = common_denominator([abs(d) for d in found.y.values()])
-        size = exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist()) / denominator
-        return rounded_down(found.plain / 2 / size)
+        return max(self.margin, self.cost_margin) > least and self.violation <= constraint_tolerance(tolerance)
 
     @cached_property
     def _is_rounding(self) -> bool:
@@ -275,6 +256,15 @@ class QPUnboundedness:
         if self.is_free_motion:
             along += f", as nothing holds {moved_unknowns(self.direction)}: P maps it to 0, and no constraint ends it"
         return f"unbounded: the objective falls without end along {along} ({how})"
+
+
+def size_of_limits(program: QuadraticProgram, rows: Sequence[int] | None = None) -> float:
+    """Return 1 + the largest limit of some constraints ÷ the largest coefficient of its row: a size of x."""
+    constraints = program.constraints
+    some = constraints.finite if rows is None else np.array(rows, dtype=np.intp)
+    with np.errstate(over="ignore"):
+        found = 1.0 + float((np.abs(constraints.limit) / program.matrices.row_sizes)[some].max(initial=0.0))
+    return min(found, LARGEST)
 
 
 def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
@@ -344,7 +334,7 @@ def _by_programs(
 ) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that linear programs find."""
     entries = sum(program.matrices.entries)
-    if program.n + program.constraints.rows > LARGEST or entries > MOST_NONZEROS:
+    if program.n + program.constraints.rows > LARGEST_SOUGHT or entries > MOST_NONZEROS:
         return None
     exactly = exactly or entries <= MANY_NONZEROS
     contradiction = None if is_met else prove_infeasible(program, exactly=exactly)
@@ -421,7 +411,7 @@ def _points(program: QuadraticProgram) -> tuple[Vector, ...]:
     x = np.clip(0.0, program.lower, program.upper)
     if not (program.constraints.excess(x) > 0.0).any():
         return (rational(x),)
-    return points_inside(program) if program.n + program.constraints.rows <= LARGEST else ()
+    return points_inside(program) if program.n + program.constraints.rows <= LARGEST_SOUGHT else ()
 
 
 def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnboundedness | None:

@@ -23,6 +23,7 @@ from lcp_plugin import (
     Status,
     UnsupportedModel,
     box,
+    certify,
     complements,
     solve,
     solve_many,
@@ -749,34 +750,20 @@ def test_an_unbounded_direction_needs_a_feasible_point() -> None:
     assert isinstance(proof_of_no_minimum(program), QPInfeasibility)
 
 
-@pytest.mark.parametrize("cost", [1e5, 1e6, 1e8])
-def test_a_component_of_a_small_unit_falls_for_ever(cost: float) -> None:
-    """Of −cost x₁ − x₂ with x₁ ≤ 1: the 1 was nothing beside 1e6, and is a tenth of its own terms whatever y is."""
-    program = QuadraticProgram(np.zeros((2, 2)), [-cost, -1.0], lower=[0.0, 0.0], upper=[1.0, np.inf])
-    assert solve_program(program).status is Status.UNBOUNDED
-    proof = program.accepted_proof()
-    assert isinstance(proof, QPUnboundedness)
-    least = proof.row_margin
-    assert least > 0.1
-    for size in 10.0 ** np.arange(-3, 12):
-        for x, (y, z) in ((1.0, (0.0, 0.0)), (size, (size, size)), (size, (0.0, size)), (size, (size, 1.0))):
-            solution = QPSolution(program, [1.0, x], np.empty(0), np.empty(0), [0.0, y], [cost, z])
-            assert solution.row_residual >= least
-
-
-def test_terms_that_may_cancel_prove_nothing_of_a_row() -> None:
-    """x₁ = x₂ in two rows whose multipliers 1e7 hide the cost 1 in any row's own terms: no row proves so.
-
-    The program is, beside the cost of 1e8, as the proof is exact.
-    """
-    G = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0]]
-    program = QuadraticProgram(np.zeros((3, 3)), [-1.0, 0.0, -1e8], G, [0.0, 0.0], upper=[np.inf, np.inf, 1.0])
-    proof = QPUnboundedness(program, (Fraction(0),) * 3, (Fraction(1), Fraction(1), Fraction(0)))
-    assert proof.verify()
-    assert (proof.row_margin, proof.excludes(1e-6)) == (0.0, True)
-    assert proof.margin < 1e-6
-    hidden = QPSolution(program, [0.0, 0.0, 1.0], [1e7, 1e7], np.empty(0), np.zeros(3), [0.0, 0.0, 1e8])
-    assert hidden.row_residual < 1e-6
+@pytest.mark.parametrize(("program", "along"), [
+    (QuadraticProgram(None, [-1e8, -1.0], lower=0.0, upper=[1.0, np.inf]), (0, 1)),
+    (QuadraticProgram(None, [1.0, 1e-10], A=[[1.0, 0.0]], b=[1.0]), (0, -1)),
+    (QuadraticProgram(None, [-1.0, 0.0, -1e8], [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0]], [0.0, 0.0],
+                      upper=[np.inf, np.inf, 1.0]), (1, 1, 0)),
+], ids=["beside a large cost", "a small cost", "rows that cancel"])
+def test_an_exact_descent_counts_beside_its_own_costs(program: QuadraticProgram, along: Any) -> None:
+    """However small a cost is beside the others: what falls for ever along it alone is unbounded, exactly."""
+    point = np.zeros(program.n) if not program.b.size else np.array([1.0, 0.0])
+    proof = QPUnboundedness(program, tuple(map(Fraction, point)), tuple(map(Fraction, along)))
+    assert proof.is_exact
+    assert (proof.cost_margin, proof.excludes(1e-6)) == (1.0, True)
+    assert certify(program, point).verdict == "disproved"
+    assert certify(program, claim="unbounded").verdict == ("proved" if program.n == 2 else "unproved")  # is not found
 
 
 def test_recover_tells_the_status() -> None:

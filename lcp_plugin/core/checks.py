@@ -313,8 +313,18 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 def checked_limit(values: Any, name: str, n: int) -> FloatVector:
     """Return a bound that callers state, where ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
-    bound = checked_bound(values, name, n)
-    return read_only(np.where(np.abs(bound) >= INFINITE_LIMIT, np.copysign(np.inf, bound), bound))
+    return read_only(as_stated(checked_bound(values, name, n)))
+
+
+def as_stated(limits: NDArray[Any]) -> FloatVector:
+    """Return a copy of the limits, with ±∞ where ±1e20 and beyond says that there is none."""
+    return np.where(np.abs(limits) >= INFINITE_LIMIT, np.copysign(np.inf, limits), limits)
+
+
+def checked_right_side(values: Any, name: str, length: int | None) -> FloatVector:
+    """Return the right-hand side of rows ≤ it, where 1e20 and beyond stands for ∞: the row says nothing."""
+    right = checked_vector(values, name, length, allow_plus_infinity=True)
+    return read_only(np.where(right >= INFINITE_LIMIT, np.inf, right))
 
 
 def check_order(lower: FloatVector, upper: FloatVector) -> None:

@@ -17,7 +17,7 @@ from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector, checked_vector
+from ..core.checks import FloatVector, checked_right_side, checked_vector
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solution import QPSolution
@@ -212,7 +212,7 @@ def quadratic_program(data: Any) -> QuadraticProgram:
     P, F, A = (data[key] for key in MATRIX_KEYS)
     if matrices is not None and P is matrices.P and F is matrices.G and A is matrices.A:
         free, (c, b) = np.full(n, np.inf), (checked_vector(data[key], key, None) for key in (settings.Q, settings.B))
-        h = checked_vector(data[settings.G], settings.G, None, allow_plus_infinity=True)
+        h = checked_right_side(data[settings.G], settings.G, None)
         return QuadraticProgram.with_matrices(matrices, c, h, b, -free, free)
     P, F, A = (
         sp.csr_array((rows, n)) if matrix is None else matrix

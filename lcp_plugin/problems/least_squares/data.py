@@ -17,6 +17,7 @@ from ...core.checks import (
     check_kind,
     check_order,
     checked_bound,
+    checked_limit,
     checked_vector,
     is_number,
     read_only,
@@ -35,7 +36,6 @@ PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's colu
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
-NONE = 1e20 * (1.0 - 1e-12)  # bounds of this size say "no bound" in files and in other solvers
 FAR = 200  # exponent of a largest number whose squares, and products with l1, may leave the range of doubles
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
@@ -96,10 +96,7 @@ class BoundedLeastSquares:
             if m == n or np.shape(b) != (n,):
                 raise
             raise InvalidProblem(f"{error}, and A has {m} rows and {n} columns; did you mean A.T?") from error
-        self.lower, self.upper = (
-            read_only(np.where(np.abs(bound) >= NONE, np.copysign(np.inf, bound), bound))
-            for bound in (checked_bound(lower, "lower", n), checked_bound(upper, "upper", n))
-        )
+        self.lower, self.upper = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)
         check_order(self.lower, self.upper)
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
         if self.weights is not None and (self.weights < 0.0).any():

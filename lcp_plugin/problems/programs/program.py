@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar
@@ -14,8 +15,8 @@ from ...core.checks import (
     FloatVector,
     assembled,
     check_order,
-    checked_bound,
     checked_limit,
+    checked_right_side,
     checked_vector,
     read_only,
     rectangular_matrix,
@@ -50,10 +51,10 @@ class QuadraticProgram:
     c : array, shape (n,)
         Real, finite.
     G, h : array or sparse array, shape (m, n), and array, shape (m,), optional
-        An h of ∞ says nothing about its row.
+        An h of 1e20 and beyond says nothing about its row, as ∞ does.
     A, b : array or sparse array, shape (p, n), and array, shape (p,), optional
     lower, upper : scalar or array, shape (n,)
-        In the unit of x; none by default.
+        In the unit of x; none by default. ±1e20 and beyond means none, as ±∞ does.
 
     Attributes
     ----------
@@ -104,9 +105,9 @@ class QuadraticProgram:
         if P is None or (np.isscalar(P) and P == 0):
             P, asymmetry = sp.csr_array((n, n)), 0.0
         P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
-        rows, limits = _checked_rows(G, h, "G", "h", n, allow_plus_infinity=True)
-        equations, right = _checked_rows(A, b, "A", "b", n, allow_plus_infinity=False)
-        below, above = checked_bound(lower, "lower", n), checked_bound(upper, "upper", n)
+        rows, limits = _checked_rows(G, h, "G", "h", n, checked_right_side)
+        equations, right = _checked_rows(A, b, "A", "b", n, checked_vector)
+        below, above = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)
         check_order(below, above)
         made = self.with_matrices(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
         self.__dict__.update(made.__dict__, asymmetry=asymmetry)
@@ -342,13 +343,13 @@ class QuadraticProgram:
         """
         n = self.n
         below, above = (
-            kept if given is None else checked_bound(given, name, n)
+            kept if given is None else checked_limit(given, name, n)
             for given, kept, name in ((lower, self.lower, "lower"), (upper, self.upper, "upper"))
         )
         check_order(below, above)
         made = self.with_matrices(
             self.matrices, self.c if c is None else checked_vector(c, "c", n),
-            self.h if h is None else checked_vector(h, "h", self.h.size, allow_plus_infinity=True),
+            self.h if h is None else checked_right_side(h, "h", self.h.size),
             self.b if b is None else checked_vector(b, "b", self.b.size), below, above,
         )
         made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges)
@@ -406,14 +407,14 @@ def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
 
 
 def _checked_rows(
-    matrix: Any, right: ArrayLike | None, name: str, right_name: str, n: int, *, allow_plus_infinity: bool
+    matrix: Any, right: ArrayLike | None, name: str, right_name: str, n: int, check: Callable[[Any, str, int], Any]
 ) -> tuple[Any, FloatVector]:
     """Return the checked matrix and right-hand side; none of either is no rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
         return no_rows(n), read_only(np.zeros(0))
     checked = rectangular_matrix(matrix, name, None, n)
-    return checked, checked_vector(right, right_name, checked.shape[0], allow_plus_infinity=allow_plus_infinity)
+    return checked, check(right, right_name, checked.shape[0])
 
 
 def symmetric(P: Any) -> tuple[Any, float]:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector, read_only, real_array
+from ...core.checks import INFINITE_LIMIT, BoolVector, as_stated, read_only, real_array
 from ...core.errors import InvalidProblem
 from ..many.data import length_of_all, rows_of_a_batch
 from .convexity import refuse_nonconvex
@@ -27,6 +27,7 @@ class QuadraticProgramBatch:
         Where all three are the same for all they may be sparse. Rounding errors in the symmetry of P are averaged away.
     c, h, b : arrays, shapes (B, n), (B, m) and (B, p), or without B
     lower, upper : scalar or array, shape (n,) or (B, n)
+        ±1e20 and beyond means none, and an h of 1e20 no row, as ±∞ does.
 
     Raises
     ------
@@ -58,6 +59,9 @@ class QuadraticProgramBatch:
         right: dict[str, Any] = {"c": (c, n), "h": ([] if h is None else h, m), "b": ([] if b is None else b, p)}
         right |= {"lower": (lower, n), "upper": (upper, n)}
         self.vectors = {name: rows_of_a_batch(values, name, size) for name, (values, size) in right.items()}
+        h_rows = self.vectors["h"]
+        self.vectors |= {name: as_stated(self.vectors[name]) for name in ("lower", "upper")}
+        h_rows[h_rows >= INFINITE_LIMIT] = np.inf
         stacks = {name: values for name, values in matrices.items() if values.ndim == 3}
         stacks |= {name: rows for name, rows in self.vectors.items() if np.ndim(right[name][0]) == 2}
         self.count = length_of_all({name: len(rows) for name, rows in stacks.items()})

@@ -280,15 +280,16 @@ class _Pair:
     def _error(self, side: Certificate) -> float:
         """Return ‖D^½ r‖ with rounding: what r is measured to be, and may be."""
         problem = side.problem
-        floor = rounding_floor(problem, magnitude(problem, side.z), problem.residual_scale)
-        residual = np.abs(scaled_residual(problem, side.z, side.w)) + floor
+        scale = np.square(self.formulation.scaled.weight)
+        floor = rounding_floor(problem, magnitude(problem, side.z), scale)
+        residual = np.abs(scaled_residual(problem, side.z, side.w, scale)) + floor
         return float(np.linalg.norm(residual * self._weight))
 
     @property
     def is_close(self) -> bool:
-        """True where z differs by less than 1e-6 of its size, or of the unit."""
+        """True where z differs by less than 1e-6 of its size."""
         size = max(float(np.linalg.norm(side.z * self._weight)) for side in (self.ours, self.theirs))
-        return self._step <= CLEARLY_DIFFERENT * max(size, 1.0)
+        return self._step <= CLEARLY_DIFFERENT * size
 
     @property
     def only_z_differs(self) -> bool:

@@ -82,7 +82,7 @@ class Equilibrated:
     @classmethod
     def of(cls, problem: LCP) -> Equilibrated:
         """Return the problem with rows and columns divided by √d_i, in the unit of its own residual."""
-        weight = np.sqrt(problem.residual_scale)
+        weight = np.sqrt(np.where(problem.diagonal > 0.0, problem.diagonal, problem.residual_scale))
         if sp.issparse(problem.M):
             inverse = sp.diags_array(1.0 / weight)
             A = (inverse @ problem.csr @ inverse).tocsr()
@@ -102,19 +102,19 @@ class Equilibrated:
 def _unit(problem: LCP, weight: FloatVector) -> float:
     """Return the size of D^½ r(z°), else of the data, else 1."""
     z = problem.nearest_to_zero
-    residual = scaled_residual(problem, z, problem.slack(z))
+    residual = scaled_residual(problem, z, problem.slack(z), weight * weight)
     sizes = (float(np.max(np.abs(v), initial=0.0)) for v in (weight * residual, problem.q / weight, weight * z))
     return next((size for size in sizes if 0.0 < size < np.inf), 1.0)
 
 
 def accuracy(certificate: Certificate) -> float:
-    """Return the relative residual; where z° is the answer, the residual relative to the size of the data."""
-    problem = certificate.problem
-    if reference_residual(problem) > 0.0:
-        return certificate.relative_residual
-    sizes = (problem.nearest_to_zero, problem.q / problem.residual_scale)
-    size = max(float(np.max(np.abs(values), initial=0.0)) for values in sizes)
-    return certificate.scaled_residual / (size or 1.0)
+    """Return the relative residual, or the square of the term residual where that is larger, as SOLVED compares them.
+
+    Where z° is the answer nothing is relative to it: the term residual alone.
+    """
+    if reference_residual(certificate.problem) > 0.0:
+        return max(certificate.relative_residual, certificate.term_residual**2)
+    return certificate.term_residual
 
 
 # --- Is there a convex program? -----------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from fresh_process import printed_by
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, Status, gallery, solve
 from lcp_plugin.evidence import cross_check, qp_reference
 from lcp_plugin.evidence.cross_check import CrossCheck, cross_validate, story
-from lcp_plugin.evidence.qp_reference import GAP, PLAIN, SOLVERS, Equilibrated, Formulation
+from lcp_plugin.evidence.qp_reference import GAP, PLAIN, SOLVERS, Equilibrated, Formulation, accuracy
 
 COUNT = 500 if os.environ.get("LCP_PLUGIN_LONG") == "1" else 60
 BATCHES = 10
@@ -245,7 +245,7 @@ def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """If our measure of a residual were blind, the distance to the reference would still betray a wrong answer."""
     problem = gallery.parse("obstacle_2d:size=8").problem
     wrong = altered(solve(problem, tolerance=1e-9), 20, 1e-3)
-    monkeypatch.setattr(cross_check, "scaled_residual", lambda problem, z, w: np.zeros_like(z))
+    monkeypatch.setattr(cross_check, "scaled_residual", lambda problem, z, w, scale: np.zeros_like(z))
     monkeypatch.setattr(cross_check, "accuracy", lambda certificate: 1e-12)
     monkeypatch.setattr(cross_check, "_keeps_claim", lambda result, certificate: True)
     check = cross_validate(problem, wrong)
@@ -346,6 +346,13 @@ def test_second_opinion_comes_from_another_family() -> None:
         assert check.reason.endswith("says the same")
     wrong = altered(solve(problem, tolerance=1e-9), 3, 100.0)
     assert cross_validate(problem, wrong).verdict == "mismatch"
+
+
+def test_a_large_offset_that_does_not_act_makes_no_answer_accurate() -> None:
+    """Beside an offset of 1e19 whose row is slack, an answer that is wrong in another row stays inaccurate."""
+    problem = LCP(np.diag([1.0, 1.0]), [0.0, 1e19])
+    for z, is_right in (([0.0, 0.0], True), ([1e3, 0.0], False)):
+        assert (accuracy(Certificate.of(problem, z)) <= 1e-7) == is_right
 
 
 def test_two_solutions_are_no_mismatch() -> None:

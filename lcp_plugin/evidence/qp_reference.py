@@ -110,11 +110,14 @@ def _unit(problem: LCP, weight: FloatVector) -> float:
 def accuracy(certificate: Certificate) -> float:
     """Return the relative residual, or the square of the term residual where that is larger, as SOLVED compares them.
 
-    Where z° is the answer nothing is relative to it: the term residual alone.
+    Where z° is the answer nothing is relative to it: each r_i beside the larger of |z_i| and |w_i|/d_i.
     """
-    if reference_residual(certificate.problem) > 0.0:
+    problem, z, w = certificate.problem, certificate.z, certificate.w
+    if reference_residual(problem) > 0.0:
         return max(certificate.relative_residual, certificate.term_residual**2)
-    return certificate.term_residual
+    residual = np.abs(scaled_residual(problem, z, w))
+    beside = np.maximum(np.abs(z), np.abs(w) / problem.residual_scale)
+    return float(np.divide(residual, beside, out=np.zeros(z.size), where=residual > 0.0).max(initial=0.0))
 
 
 # --- Is there a convex program? -----------------------------------------------------------------------------

@@ -16,7 +16,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, checked_vector, is_number, read_only, real_array, rectangular_matrix
+from ...core.checks import (
+    FloatVector,
+    checked_limit,
+    checked_vector,
+    is_number,
+    read_only,
+    real_array,
+    rectangular_matrix,
+)
 from ...core.deadline import Lock
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.kind import Kind
@@ -207,7 +215,7 @@ class ConeProblem(Blocks):
     q : array, shape (n,)
     cones : sequence
         The blocks of z in order: ``("free", rows)``, ``("nonnegative", rows)``, ``("box", lower, upper)`` with numbers
-        or vectors, ``("second_order", rows)`` for {‖z_T‖₂ ≤ z_0}, z_T the other rows.
+        or vectors, ±1e20 and beyond for none, ``("second_order", rows)`` for {‖z_T‖₂ ≤ z_0}, z_T the other rows.
 
     Raises
     ------
@@ -468,6 +476,7 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
             except ValueError as error:
                 raise InvalidProblem(f"lower and upper of cones[{number}] have different lengths: {error}") from error
             rows = low.size
+            low, high = checked_limit(low, "lower", rows), checked_limit(high, "upper", rows)
         else:
             rows = cone[1]
             if not is_number(rows) or rows != int(rows) or rows < 0:

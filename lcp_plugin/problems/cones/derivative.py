@@ -2,11 +2,14 @@
 
 R_z dz + R_w (M dz + dM z + dq) + R_μ dμ = 0, with the generalised derivatives that Newton's steps use. Where M leaves
 the blocks that press undetermined (several impulses make one motion), dz is the least of several, and of velocities
-that all of them share the derivative is that of all.
+that all of them share the derivative is that of all. Where a block is on the edge of two cases, dz is one-sided: the
+elements are those of the piece into which dz and dw lead.
 """
 
 from __future__ import annotations
 
+import math
+from copy import copy
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -26,6 +29,8 @@ from .methods import LEAST_PROXIMAL, NewtonSystem
 REFINEMENTS = 5  # steps of Newton towards the answer before it is differentiated
 BY_HAND = "; of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du"
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
+ROUNDING = 1e-12  # of a block's terms: z and w/d that are smaller are both 0
+PIECES, EXACT = 20, 1e-12  # most that are tried for a direction, and the change of dz that tells that one is right
 
 
 class ConeGradient(NamedTuple):
@@ -52,7 +57,12 @@ class ConeDerivative:
         self.problem, self._system = problem, NewtonSystem(problem)
         self.z = self._refined(np.array(z))
         self.w = problem.slack(self.z)
-        self._J, self.free = self._system.rows(self.z, self.w, 0.0)
+        self._take_element_at(self.z, self.w)
+
+    def _take_element_at(self, z: FloatVector, w: FloatVector) -> None:
+        """Take the generalised derivative at z and w, the answer or a point nearby."""
+        self._point = z, w
+        self._J, self.free = self._system.rows(z, w, 0.0)
 
     def _refined(self, z: FloatVector) -> FloatVector:
         problem = self.problem
@@ -79,8 +89,7 @@ class ConeDerivative:
     @cached_property
     def degenerate(self) -> NDArray[np.intp]:
         """The blocks on the edge of two cases, as far as rounding tells: there the derivative is one of several."""
-        problem = self.problem
-        shift = ON_THE_EDGE * problem.norms(np.abs(self.z) + np.abs(self.w) / problem.scale[problem.block_of_row])
+        problem, shift = self.problem, ON_THE_EDGE * self._sizes
         cases = problem.residual(self.z, self.w)[1]
         differs = np.zeros(cases.size, np.bool_)
         for sign in (-1.0, 1.0):
@@ -89,11 +98,35 @@ class ConeDerivative:
             differs |= problem.residual(moved, self.w)[1] != cases
         return np.flatnonzero(differs)
 
+    @cached_property
+    def _sizes(self) -> FloatVector:
+        """The size of z and w/d of each block, shape (k,); where both are rounding of its terms, that of these."""
+        problem, M = self.problem, self.problem.rows.csr
+        sizes = problem.norms(np.abs(self.z) + np.abs(self.w) / problem.scale[problem.block_of_row])
+        terms = problem.norms(abs(M) @ np.abs(self.z) + np.abs(problem.q)) / problem.scale
+        terms[terms == 0.0] = 1.0  # nothing acts: any size will do
+        return np.where(sizes <= ROUNDING * terms, ROUNDING / ON_THE_EDGE * terms, sizes)
+
+    def _towards(self, dz: FloatVector, dw: FloatVector) -> ConeDerivative:
+        """Return the derivative of the piece that begins in this direction from the blocks on the edge of two cases."""
+        problem, d = self.problem, self.problem.scale
+        length = problem.norms(np.abs(dz) + np.abs(dw) / d[problem.block_of_row])
+        t = np.zeros(length.size)
+        moved = self.degenerate[length[self.degenerate] > 0.0]
+        t[moved] = ON_THE_EDGE * self._sizes[moved] / length[moved]
+        piece = copy(self)
+        for known in ("_block", "_holds", "_by_friction"):
+            piece.__dict__.pop(known, None)
+        piece._system = NewtonSystem(problem)
+        t = t[problem.block_of_row]
+        piece._take_element_at(self.z + t * dz, self.w + t * dw)
+        return piece
+
     def jvp(
         self, *, dq: ArrayLike | None = None, dM: Any = None, dfriction: ArrayLike | None = None,
         dlower: ArrayLike | None = None, dupper: ArrayLike | None = None, **named: Any,
     ) -> FloatVector:
-        """Return the change dz, shape (n,), that changes of the data make.
+        """Return the change dz, shape (n,), that changes of the data make; one-sided where blocks are degenerate.
 
         Parameters
         ----------
@@ -110,8 +143,22 @@ class ConeDerivative:
         InvalidOption
             For any other name: of a mass matrix give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities dq = J du.
         """
-        problem, n = self.problem, self.problem.n
         changes_by_name(None, named, ("dq", "dM", "dfriction", "dlower", "dupper"), BY_HAND)
+        changes = dq, dM, dfriction, dlower, dupper
+        dz = self._change(*changes)
+        for _ in range(PIECES if self.degenerate.size else 0):
+            of_bound = np.zeros(dz.size)
+            for change, is_there in ((dlower, self.z <= self.problem.lower), (dupper, self.z >= self.problem.upper)):
+                if change is not None:
+                    of_bound[is_there] = np.asarray(change)[is_there]
+            last, dz = dz, self._towards(dz - of_bound, self.dw(dz, dq=dq, dM=dM))._change(*changes)
+            if np.abs(dz - last).max(initial=0.0) <= EXACT * np.abs(dz).max(initial=0.0):
+                break
+        return dz
+
+    def _change(self, dq: Any, dM: Any, dfriction: Any, dlower: Any, dupper: Any) -> FloatVector:
+        """Return dz by the element that was taken."""
+        problem, n = self.problem, self.problem.n
         right = np.zeros(n)
         for change, holds in ((dlower, self._holds[0]), (dupper, self._holds[1])):
             if change is not None:
@@ -153,7 +200,8 @@ class ConeDerivative:
     def _holds(self) -> tuple[Any, Any]:
         """Which rows are at their lower bound, and which at the upper one."""
         problem, at_bound = self.problem, ~self._is_free & (self.problem.sizes == 1)[self.problem.block_of_row]
-        is_lower = (self.z <= problem.lower) & ((self.z < problem.upper) | (self.w > 0.0))
+        z, w = self._point
+        is_lower = (z <= problem.lower) & ((z < problem.upper) | (w > 0.0))
         return at_bound & is_lower, at_bound & ~is_lower
 
     @property
@@ -168,16 +216,17 @@ class ConeDerivative:
         problem, found = self.problem, np.zeros(self.problem.n)
         if not problem.has_friction:
             return found
-        x = self.z - self.w / problem.scale[problem.block_of_row]
-        for k in np.flatnonzero(problem.residual(self.z, self.w)[1] == 2):
+        z, w = self._point
+        x = z - w / problem.scale[problem.block_of_row]
+        for k in np.flatnonzero(problem.residual(z, w)[1] == 2):
             own, mu = slice(problem.starts[k], problem.starts[k + 1]), problem.slope[k]
-            slip = float(np.linalg.norm(self.w[own][1:]))
-            normal, tangent = x[own][0] - mu * slip / problem.scale[k], float(np.linalg.norm(x[own][1:]))
+            slip, tangent = math.hypot(*w[own][1:]), math.hypot(*x[own][1:])
+            normal = x[own][0] - mu * slip / problem.scale[k]
             radius = (normal + mu * tangent) / (1.0 + mu * mu)
             change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
             found[own] = slip * self._system.by_w[k, :problem.sizes[k], 0]
             found[own.start] -= change
-            found[own.start + 1:own.stop] -= (radius + mu * change) * x[own][1:] / tangent
+            found[own.start + 1:own.stop] -= (radius + mu * change) * (x[own][1:] / tangent)
         return found
 
     def _solved(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:

@@ -203,6 +203,9 @@ def block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, w
     tangent = _tangent(x, 0, size)
     if mu * tangent <= -x[0] and not tangent <= mu * x[0]:
         return
+    if mu == 0.0:  # a half-line: tangents are held at 0
+        by_z[0, 0], by_w[0, 0] = 0.0, 1.0 / scale[k]
+        return
     if tangent <= mu * x[0]:
         for i in range(size):
             by_z[i, i], by_w[i, i] = 0.0, 1.0 / scale[k]

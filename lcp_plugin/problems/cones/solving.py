@@ -420,7 +420,7 @@ class ConeResult(Result):
         r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
         still = STICKS * float(np.abs(problem.q).max(initial=0.0))
         with np.errstate(over="ignore", under="ignore"):
-            touches, speeds = r[:, 0] > 0.0, np.linalg.norm(u[:, 1:], axis=1)
+            touches, speeds = r[:, 0] > 0.0, np.hypot.reduce(np.abs(u[:, 1:]), axis=1)
         bodies, after = problem.bodies, None
         if bodies is not None and bodies.velocities is not None:
             after = bodies.velocities + bodies.by_impulse @ self.z
@@ -451,7 +451,7 @@ class ConeResult(Result):
             f"{self.certificate.dissipation + 0.0:.3g} J"  # type: ignore[attr-defined]
         ]
         if motion.touches.any():
-            pulls = np.linalg.norm(motion.tangential, axis=1)[motion.touches]
+            pulls = np.hypot.reduce(np.abs(motion.tangential), axis=1)[motion.touches]
             angle = np.degrees(np.arctan2(pulls, motion.normal[motion.touches])).max()
             lines.append(f"the steepest impulse leans {angle:.3g}° from its normal")
         asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0

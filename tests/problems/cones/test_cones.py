@@ -468,3 +468,59 @@ def test_heavy_stands_on_light(heavy: float, light: int, corners: tuple[float, .
     np.testing.assert_allclose(carried, weights, rtol=1e-5)
     assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT)
     assert result.is_solved or heavy == 1e8
+
+
+def test_a_row_on_the_edge_has_one_sided_derivatives() -> None:
+    """With z = w = 0 in a half-line it is degenerate, and as that of the LCP towards either side."""
+    found = derivative(solve(ConeProblem([[2, 1], [1, 2]], [-1, -2], [("nonnegative", 2)])))
+    assert found.degenerate.tolist() == [0]
+    np.testing.assert_allclose(found.jvp(dq=[-1.0, 0.0]), [2.0 / 3.0, -1.0 / 3.0], rtol=1e-12)
+    np.testing.assert_array_equal(found.jvp(dq=[1.0, 0.0]), [0.0, 0.0])
+
+
+EDGES: dict[str, Any] = {  # μ, z, w; without μ a second-order cone
+    "the apex": (None, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+    "the boundary, at rest": (None, [1.0, 0.6, -0.8], [0.0, 0.0, 0.0]),
+    "the apex, and w on the boundary": (None, [0.0, 0.0, 0.0], [1.25, 0.75, 1.0]),
+    "a contact that grazes": (0.5, [0.0, 0.0, 0.0], [0.0, 0.3, 0.4]),
+    "a contact about to close": (0.5, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+    "a contact about to slide": (0.5, [1.0, 0.3, -0.4], [0.0, 0.0, 0.0]),
+    "no friction, grazing": (0.0, [0.0, 0.0, 0.0], [0.0, 0.3, 0.4]),
+    "no friction, at rest": (0.0, [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_derivatives_on_an_edge_are_one_sided_differences(name: str) -> None:
+    """Towards any side dz is what a small step there makes; the block is named, but where nothing begins."""
+    mu, z, w = EDGES[name]
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        A, dq, step = rng.standard_normal((3, 3)), rng.standard_normal(3), 1e-7
+        M = 0.3 * A @ A.T + np.eye(3)
+        q = np.array(w) - M @ z
+
+        def answer(of_q: Any, M: Any = M) -> Any:
+            cone = ConeProblem(M, of_q, [("second_order", 3)]) if mu is None else FrictionalContact(M, of_q, mu)
+            return solve(cone, tolerance=1e-13)
+
+        found, moved = derivative(answer(q)), answer(q + step * dq).z
+        np.testing.assert_allclose(found.jvp(dq=dq), (moved - z) / step, atol=1e-5)
+        assert found.degenerate.tolist() == ([] if name == "no friction, at rest" else [0])
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-170, 1e170])
+def test_a_sliding_contact_of_any_size_has_a_derivative(unit: float) -> None:
+    """Squares may leave the range of doubles: 1e±170 times the velocities makes 1e±170 times the derivative."""
+    result = solve(FrictionalContact(np.eye(3), unit * np.array([-1.0, 3.0, 4.0]), 0.5))
+    assert not result.motion.sticks[0]
+    np.testing.assert_allclose(derivative(result).jvp(dfriction=0.1) / unit, [0.0, -0.06, -0.08], atol=1e-15)
+
+
+def test_a_limit_of_1e20_is_none() -> None:
+    """A box that ends at 1e20 or beyond is the half-line."""
+    M, q = [[2.0, 1.0], [1.0, 2.0]], [3.0, -4.0]
+    problem = ConeProblem(M, q, [("box", [-1e20, -1e300], [0.0, 1e20])])
+    assert problem.lower.tolist() == [-np.inf, -np.inf]
+    assert problem.upper.tolist() == [0.0, np.inf]
+    np.testing.assert_allclose(solve(problem).z, [-10.0 / 3.0, 11.0 / 3.0], rtol=1e-9)

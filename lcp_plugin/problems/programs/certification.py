@@ -363,6 +363,8 @@ class ProgramProofs:
         found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, size)
         if self.is_small or not found.is_proved() or found.may_have_bought():
             lower = max(lower, self.own_lower)
+            if lower < value[0] and size[1] == 0.0 and (own := self.own_solution) is not None:  # nothing else will do
+                lower = max(lower, self.lower(x, own.inequality, own.equality, value[0]))
             points = found.points or self.upper(x, exactly=not violation.is_missed)  # or it is disproved anyway
             found = replace(found, lower=lower, points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():

@@ -91,6 +91,8 @@ class DualBounds:
             if found >= enough or is_over():
                 break
             found = max(found, self._exact_value(point))
+        if found < enough and not is_over():  # at an x of no terms what rounding leaves of s_j²/μ_j is too much, too
+            found = max(found, self._exact_value(given, is_fixed=True))
         return found
 
     def admitted(self, x: FloatVector, y: FloatVector) -> DualPoint:
@@ -168,16 +170,20 @@ class DualBounds:
         m = self.program.h.size
         return np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]])
 
-    def _exact_value(self, at: DualPoint) -> float:
-        """Return the bound of a point beside this one whose s is exactly zero where it has to be; −∞ for none."""
+    def _exact_value(self, at: DualPoint, *, is_fixed: bool = False) -> float:
+        """Return the bound of a point beside this one whose s is exactly zero where it has to be; −∞ for none.
+
+        Of a fixed x̂ also where there is curvature: then multipliers alone move.
+        """
         needs_rise, needs_fall = self._open_sides
         v = np.concatenate(at)
         s = self._stacked @ v + self.program.c
         rounding = SLACKS[0] * (abs(self._stacked) @ np.abs(v) + np.abs(self.program.c))
-        zero = np.flatnonzero((needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding)))
+        is_zero = (needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding))
+        zero = np.flatnonzero(is_zero | ((np.abs(s) <= rounding) if is_fixed else False))
         rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
         target = [-Fraction(self.program.c[j]) for j in zero.tolist()]
-        guess, movable = rational(v), self._is_movable(at)
+        guess, movable = rational(v), self._is_movable(at) & (np.arange(v.size) >= n * is_fixed)
         lots = independent_rows([{j: entry for j, entry in row.items() if movable[j]} for row in rows])
         if max(map(len, lots), default=0) > EXACT_UP_TO:
             return -np.inf

@@ -696,3 +696,8 @@ def test_one_odd_number_leaves_the_least_cost(kind: str) -> None:
         solved += found.status is Status.SOLVED
         assert found.status is not Status.SOLVED or attacks.excess(case, found.x) <= attacks.MOST
     assert solved >= 24
+
+
+def test_climbing_solves_nothing_wrong() -> None:
+    """Points that a climber leads to where the gap measures little: none that costs 1 % too much is SOLVED."""
+    assert attacks.attack_least_squares(np.random.default_rng(69), 40) == []

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import FloatVector, check_order, checked_limit, checked_vector, rectangular_matrix
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kind import Kind
+from ...core.matrix.matrix import largest_in_rows
 from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
 from ..programs.reductions import FoldedRows
@@ -261,8 +262,7 @@ class EquilibriumProgram:
 
     def excess(self, x: FloatVector) -> float:
         """Return how far x is from a solution: of rows beside their own terms, of pairs and integers as they are."""
-        rows = self.program.constraints
-        found = [rows.excess(x) / rows.unit, self.violations(x), np.abs(x - np.rint(x))[self.integers]]
+        found = [self.excess_of_rows(x), self.violations(x), np.abs(x - np.rint(x))[self.integers]]
         if self.smooth is not None:
             value, slopes = self.smooth.map.value(x), abs(self.smooth.map.jacobian(x))
             ends = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in (self.smooth.lower, self.smooth.upper)]
@@ -271,6 +271,14 @@ class EquilibriumProgram:
             found += [missed / np.where(terms > 0.0, terms, 1.0), np.where(np.isfinite(value), 0.0, np.inf)]
         worst = max(float(one.max(initial=0.0)) for one in found)
         return math.inf if math.isnan(worst) else worst
+
+    def excess_of_rows(self, x: FloatVector) -> FloatVector:
+        """Return by how much x misses each row beside its own terms, d_i and c_ij x_j."""
+        rows = self.program.constraints
+        own, missed = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))), rows.excess(x)
+        terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), own)
+        excess: FloatVector = np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)
+        return excess
 
     def __repr__(self) -> str:
         return f"EquilibriumProgram(n={self.program.n}, {self.pairs} pair{'' if self.pairs == 1 else 's'})"

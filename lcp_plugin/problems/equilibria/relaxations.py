@@ -34,6 +34,7 @@ from ..programs.solving import solve_program
 from .equilibrium_program import Cases, EquilibriumProgram, case_counts
 
 TOLERANCE = 1e-9
+TINY = 1e-13  # of ‖x‖∞
 FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
 MOST_STEPS = 100  # of interior points, where there may be no solution
@@ -134,11 +135,21 @@ class Relaxations:
             return node
         if solution is None:
             solution = self._within_a_box(program)
-        node.point = np.clip(solution.x, program.lower, program.upper)
-        if solution.program is program:  # otherwise it falls without end, or nothing is known
+        node.point = self._rounded(np.clip(solution.x, program.lower, program.upper), program)
+        misses = self.problem.excess_of_rows(node.point)
+        if solution.program is program and (misses <= FEASIBLE).all():  # or it falls without end, or nothing is known
             node.value = self.problem.objective(node.point)
             node.dual = solution.x, np.concatenate([solution.inequality, solution.equality])
         return node
+
+    def _rounded(self, x: FloatVector, program: QuadraticProgram) -> FloatVector:
+        """Return x, with 0 for what is rounding beside ‖x‖∞ where the rows are met more closely so."""
+        is_tiny = np.abs(x) <= TINY * np.abs(x).max(initial=0.0)
+        other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
+        if np.array_equal(other, x):
+            return x
+        misses, misses_less = (self.problem.excess_of_rows(one).max(initial=0.0) for one in (x, other))
+        return other if misses_less < misses else x
 
     def bound(self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""

@@ -131,3 +131,13 @@ def test_bounds_from_a_monotone_lower_level_keep_every_solution() -> None:
     upper[2] *= 0.5
     moved = replace(result.searched, program=result.searched.program.with_vectors(upper=upper))
     assert not replace(result, searched=moved).verify()
+
+
+def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
+    """Row 0, w = −2 z₀ − 2 z₁ − 3 ≥ 0, excludes every z ≥ 0; 6e-17 in row 1 made w = −3 pass for 0."""
+    M, q = [[-2.0, -2.0], [6.123233995736766e-17, -2.0]], [-3.0, 1e10]
+    problem = EquilibriumProgram.of_rows(QuadraticProgram(None, [2.0, -1.0], lower=0.0), [0, 1], M, q)
+    assert problem.excess_of_rows(np.array([0.0, 0.0, 0.0, 1e10])).max() > 0.1
+    result = solve(problem, max_seconds=20)
+    assert not result.is_solved
+    assert result.x is None

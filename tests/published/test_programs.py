@@ -1,0 +1,125 @@
+"""Convex programs of Maros and Mészáros: value and violations by every way in, beside what was published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import qpsolvers
+import scipy.sparse as sp
+from published_problems import FOLDER, PROGRAMS, PublishedProgram, needs_files
+
+from lcp_plugin import (
+    QPSolver,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    load_problem,
+    register_with_qpsolvers,
+    solve,
+    solve_batch,
+)
+
+register_with_qpsolvers()
+pytestmark = needs_files
+TOLERANCE, LARGEST_IN_A_BATCH = 1e-6, 3000
+SMALL = [name for name, n in PROGRAMS.items() if n <= LARGEST_IN_A_BATCH]
+Answer = tuple[np.ndarray, float]
+
+
+def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
+    """The rows that are no bounds, as G x ≤ h and A x = b, and the bounds."""
+    rows, low, high, lower, upper = of.split()
+    is_equation = low == high
+    above, below = np.isfinite(high) & ~is_equation, np.isfinite(low) & ~is_equation
+    G, h = sp.csc_matrix(sp.vstack([rows[above], -rows[below]])), np.concatenate([high[above], -low[below]])
+    return G, h, sp.csc_matrix(rows[is_equation]), high[is_equation], lower, upper
+
+
+def as_a_file(of: PublishedProgram, name: str) -> Answer:
+    result = solve(load_problem(str(FOLDER / f"qp_{name}.npz")))
+    return result.x, result.objective + of.r
+
+
+def as_rows(of: PublishedProgram, name: str) -> Answer:
+    result = solve(QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u))
+    return result.x, result.objective + of.r
+
+
+def as_arrays(of: PublishedProgram, name: str) -> Answer:
+    """No limit is written as ±1e20."""
+    *rows, lower, upper = one_sided(of)
+    result = solve(QuadraticProgram(of.P, of.q, *rows, np.maximum(lower, -1e20), np.minimum(upper, 1e20)))
+    return result.x, result.objective + of.r
+
+
+def in_qpsolvers(of: PublishedProgram, name: str) -> Answer:
+    G, h, A, b, lower, upper = one_sided(of)
+    rows = (G, h) if h.size else (None, None), (A, b) if b.size else (None, None)
+    problem = qpsolvers.Problem(sp.csc_matrix(of.P), of.q, *rows[0], *rows[1], lower, upper)
+    found = qpsolvers.solve_problem(problem, "lcp_plugin")
+    return found.x, found.obj + of.r
+
+
+def in_cvxpy(of: PublishedProgram, name: str, are_rows: bool = False) -> Answer:
+    """No limit is written as ±1e20."""
+    G, h, A, b, lower, upper = one_sided(of)
+    limits = [np.maximum(lower, -1e20), np.minimum(upper, 1e20)]
+    x = cp.Variable(of.q.size, bounds=None if are_rows else limits)
+    rows = [G @ x <= h] * bool(h.size) + [A @ x == b] * bool(b.size) + [limits[0] <= x, x <= limits[1]] * are_rows
+    objective = 0.5 * cp.quad_form(x, cp.psd_wrap(of.P)) + of.q @ x + of.r
+    problem = cp.Problem(cp.Minimize(objective), rows)
+    problem.solve(solver=QPSolver())
+    return x.value, float(problem.value)
+
+
+def in_cvxpy_by_rows(of: PublishedProgram, name: str) -> Answer:
+    return in_cvxpy(of, name, are_rows=True)
+
+
+def in_a_batch(of: PublishedProgram, name: str) -> Answer:
+    """Beside itself at twice the objective."""
+    G, h, A, b, lower, upper = one_sided(of)
+    found = solve_batch([QuadraticProgram(scale * of.P, scale * of.q, G, h, A, b, lower, upper) for scale in (1, 2)])
+    assert abs(found[1].objective / 2 - found[0].objective) <= TOLERANCE * abs(of.value)
+    return found[0].x, found[0].objective + of.r
+
+
+def in_a_stack(of: PublishedProgram, name: str) -> Answer:
+    """Beside itself."""
+    G, h, A, b, lower, upper = one_sided(of)
+    found = solve_batch(QuadraticProgramBatch(of.P, np.array([of.q, of.q]), G, h, A, b, lower, upper))
+    return found.x[1], float(found.objective[1]) + of.r
+
+
+WAYS: list[Callable[[PublishedProgram, str], Answer]] = [
+    as_a_file, as_rows, as_arrays, in_qpsolvers, in_cvxpy, in_cvxpy_by_rows,
+]  # fmt: skip
+
+
+def agrees(of: PublishedProgram, x: np.ndarray, value: float) -> None:
+    """Check value and violations of an answer, and the value that was told."""
+    error, violated = of.errors(x)
+    assert error <= TOLERANCE, f"the value is off by {error:.1e}"
+    assert violated <= TOLERANCE, f"a row is violated by {violated:.1e} of its terms"
+    assert abs(value - of.value) <= TOLERANCE * abs(of.value), "the value that is told is not that of x"
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_value_and_violations_are_those_published(name: str, way: Callable[[PublishedProgram, str], Answer]) -> None:
+    """From arrays, a file, qpsolvers and cvxpy, with infinite limits and with 1e20 for none."""
+    of = PublishedProgram.read(name)
+    agrees(of, *way(of, name))
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
+@pytest.mark.parametrize("name", SMALL)
+def test_batches_give_what_is_published(name: str, way: Callable[[PublishedProgram, str], Answer]) -> None:
+    """A list of programs, and stacked data."""
+    of = PublishedProgram.read(name)
+    agrees(of, *way(of, name))

@@ -36,6 +36,7 @@ PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's colu
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
+MOST = 2048  # beyond any exponent
 FAR = 200  # exponent of a largest number whose squares, and products with l1, may leave the range of doubles
 ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
 
@@ -120,12 +121,14 @@ class BoundedLeastSquares:
         """
         if not self.has_entries or 0 in self.shape:
             return None
-        largest = [
-            max(part.max(initial=0.0), -part.min(initial=0.0))
-            for part in (self.A.data if self.is_sparse else self.A, self.b, self.root_weights)
-        ]
-        of_A, of_b, of_weights = (-int(np.frexp(size)[1]) for size in largest)
-        of_A, of_b = of_A + of_weights, (of_b if largest[1] else of_A) + of_weights
+        of_A, of_b, of_weights, of_x = (
+            int(np.frexp(max(part.max(initial=0.0), -part.min(initial=0.0)))[1]) if part.any() else -MOST
+            for part in (self.A.data if self.is_sparse else self.A, self.b, self.root_weights, self.nearest_to_zero)
+        )
+        if min(of_A, of_weights) == -MOST:
+            return None
+        of_b = max(of_b, of_A + of_x) if max(of_b, of_x) > -MOST else of_A
+        of_A, of_b = -of_A - of_weights, -of_b - of_weights
         if max(abs(of_A), abs(of_b)) <= FAR:
             return None
         with np.errstate(over="ignore", under="ignore"):
@@ -148,7 +151,9 @@ class BoundedLeastSquares:
         A, b, lower, upper, ridge, l1 = (np.ldexp(part, exponent) for part, exponent in self._powers(of_A, of_b))
         if self.is_sparse:
             A = assembled(A, self.A.indices, self.A.indptr, self.shape)
-        return BoundedLeastSquares(A, b, lower, upper, weights=self.weights, ridge=float(ridge), l1=l1)
+        made = BoundedLeastSquares(A, b, -np.inf, np.inf, weights=self.weights, ridge=float(ridge), l1=l1)
+        made.lower, made.upper = read_only(lower), read_only(upper)  # 1e20 in these units is a bound
+        return made
 
     @property
     def is_cheap_to_copy(self) -> bool:

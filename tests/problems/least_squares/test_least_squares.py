@@ -701,3 +701,11 @@ def test_one_odd_number_leaves_the_least_cost(kind: str) -> None:
 def test_climbing_solves_nothing_wrong() -> None:
     """Points that a climber leads to where the gap measures little: none that costs 1 % too much is SOLVED."""
     assert attacks.attack_least_squares(np.random.default_rng(69), 40) == []
+
+
+@pytest.mark.parametrize("small", [1e-200, 1e-100, 1e-300])
+def test_a_bound_that_acts_is_one_beside_a_tiny_right_hand_side(small: float) -> None:
+    """Beside b of 1e-200 lower bounds of 1 hold x there: they are none in no unit."""
+    found = bounded_least_squares([[1.0, 0.0], [1.0, 2.0]], [small, small], lower=[1.0, -INF])
+    assert found.status is Status.SOLVED
+    np.testing.assert_allclose(found.x, [1.0, -0.5], rtol=1e-14)

@@ -177,7 +177,7 @@ class SolverAnswer:
         if self.status not in (settings.OPTIMAL, settings.OPTIMAL_INACCURATE):
             return None  # none or, where a limit came first, the best so far, of which nobody claims anything
         solution, rows = self.solution, self.solution.program.constraints
-        errors = (self.goal, solution.residual, solution.row_residual)
+        errors = (self.goal, solution.error)
         limit = SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors)))
         left = np.where(np.isfinite(rows.limit), rows.matrix @ solution.x - rows.limit, 0.0)
         left = SAME * np.where(rows.is_equality, np.abs(left), np.maximum(left, 0.0))

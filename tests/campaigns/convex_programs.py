@@ -437,7 +437,7 @@ def judged(family: str, program: QuadraticProgram, value: float, seconds: float 
             words.append(
                 f"{('QP', 'LCP')[way]} {kind}: {status}, {result.status.name}, objective {answer.objective:.8g}"
                 f" of {value:.8g}, residuals {answer.primal_residual:.0e} {answer.dual_residual:.0e}"
-                f" {answer.complementarity:.0e} row {answer.row_residual:.0e}, {result.iterations} steps,"
+                f" gap {answer.duality_gap:.0e}, {result.iterations} steps,"
                 f" {[stage.name for stage in result.stages]}, {tally.seconds[way][-1]:.2f} s"
             )
     return tally, "; ".join(words)

@@ -128,7 +128,7 @@ def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str
         if case.value is not None and not abs(result.objective - size * case.value) <= CLOSE * terms:
             bad.append(f"objective {result.objective / size:.9g} for {case.value:.9g}")
         solution = result.solution
-        if max(solution.residual, solution.row_residual) > SURE:
+        if solution.error > SURE:
             proof = program.proof_of_no_minimum
             bad += ["SOLVED, and an exact proof against it"] * (proof is not None and proof.is_exact)
     elif result.proof is not None and not result.proof.verify():

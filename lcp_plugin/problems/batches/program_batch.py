@@ -1,4 +1,4 @@
-"""The run of a batch of quadratic programs: a compiled loop over small ones, one by one what that leaves open."""
+"""The run of a batch of quadratic programs: an engine called for each small one, one judge of all in arrays."""
 
 from __future__ import annotations
 
@@ -8,15 +8,20 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.kernels.floats import EPSILON
 from ...core.settings import Status
-from ..programs.criterion import PROGRAM_TOLERANCE, Errors, program_goal
+from ...engines import engine_class
+from ...engines.engine import beside_bounds
+from ..programs.criterion import Terms, measured, program_goal
 from ..programs.program_matrices import may_be_small
-from ..programs.scaling import scaling_of_stacks
-from ..programs.small_programs import ACTIVE_SET, MOST_STEPS, SmallAnswers, SmallPrograms
 from ..programs.solution import QPSolution
 from ..programs.solving import QuadraticProgramResult, solve_program
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_run import BatchAnswers, BatchLoop
+
+ENGINE = "daqp"
+ROUNDING = 4.0 * EPSILON  # of eigenvalues, beside the largest, an unknown
+TOGETHER = 2**22  # entries that are judged at once
 
 
 class ProgramBatchRun(BatchLoop):
@@ -35,66 +40,81 @@ class ProgramBatchRun(BatchLoop):
         super().__init__(len(programs), algorithm, wishes, {}, threads=threads, limit=limit)
         programs.refuse_nonconvex()
         self.programs, count, (m, p, n, _) = programs, len(programs), programs.sizes
-        self.answers = SmallAnswers.empty(count, n, m + p)
-        self.at_bounds = np.full((2, count, n), np.nan)
+        self.x, self.y = np.full((count, n), np.nan), np.full((count, m + p), np.nan)
+        self.at_bounds, self.steps = np.full((2, count, n), np.nan), np.zeros(count, np.int64)
         self.results: dict[int, QuadraticProgramResult] = {}
 
     def run(self) -> ProgramBatchResult:
         """Solve all, and gather what was found."""
         self._solve_all()
-        left, shape = self.is_open, self.answers.x.shape
+        left, shape = self.is_open, self.x.shape
         self._forget(left)
         lower, upper = (np.broadcast_to(self.programs.vectors[name], shape) for name in ("lower", "upper"))
-        self.answers.x[left] = np.clip(0.0, lower[left], upper[left])
+        self.x[left] = np.clip(0.0, lower[left], upper[left])
         self.status[left] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
         self.seconds = self.clock.read()
         return ProgramBatchResult(self)
 
     def _solve_compiled(self) -> None:
         m, p, n, _ = self.programs.sizes
-        is_small, may_run = may_be_small(n, m + p, n * (n + m + p)), self.settings.max_iterations >= MOST_STEPS
-        if self.algorithm != "auto" or not (may_run and is_small):
+        if self.algorithm != "auto" or not may_be_small(n, m + p, n * (n + m + p)):
             return
-        P, c, C, d, is_equality, lower, upper = self.programs.arrays
-        objective, leaves_unknowns = scaling_of_stacks(P, c, C, d, is_equality, lower, upper)
-        small, answers = SmallPrograms(P, c, C, d, is_equality, lower, upper, objective), self.answers
-        tolerance, contradicts = min(self.settings.tolerance, PROGRAM_TOLERANCE), np.zeros(len(self.status), np.bool_)
+        data, engine = self.programs.arrays, engine_class(ENGINE)()
+        at_once = max(TOGETHER // max(n * (n + m + p), 1), 1)
+        may = self.programs.may_be_stated & _are_semidefinite(data[0])
 
         def solve_chunk(first: int, end: int) -> None:
-            small.solve(tolerance, first, end, answers, contradicts)
+            for begin in range(first, end, at_once):
+                if self.has_time:
+                    self._answer_together(data, engine, may, slice(begin, min(begin + at_once, end)))
 
-        try:
-            self._in_chunks(solve_chunk, len(self.status))
-        finally:
-            is_optimal = Errors(*answers.measures[:, :5].T).meet(program_goal(self.settings.tolerance))
-            is_solved = answers.has_converged & is_optimal & self.programs.may_be_stated & leaves_unknowns
-            self.is_open, self.status[is_solved] = ~is_solved, Status.SOLVED
-            self.residual[is_solved] = answers.measures[is_solved, :4].max(axis=1)
-            self.at_bounds[:] = np.maximum(answers.reduced, 0.0), np.maximum(-answers.reduced, 0.0)
+        self._in_chunks(solve_chunk, len(self.status))
+
+    def _answer_together(self, data: tuple[Any, ...], engine: Any, may: Any, items: slice) -> None:
+        """Ask the engine for each of these programs, and judge what it says of all."""
+        P, c, C, d, is_equality, lower, upper = (
+            one[items] if len(one) > 1 and k != 4 else one for k, one in enumerate(data)
+        )
+        n, wanted = c.shape[1], np.flatnonzero(may[items])
+        x, signed, steps = self.x[items], np.full((len(c), n + d.shape[1]), np.nan), self.steps[items]
+        points = engine.points(P, c, C, d, is_equality, lower, upper, wanted.tolist())
+        for k, (at, multipliers, _, count) in zip(wanted.tolist(), points, strict=True):
+            x[k], signed[k], steps[k] = at, multipliers, count
+        y = np.where(is_equality, signed[:, n:], np.maximum(signed[:, n:], 0.0))
+        of_bounds = beside_bounds(signed[:, :n], lower, upper)
+        self.x[items], self.y[items], self.at_bounds[:, items] = np.clip(x, lower, upper), y, of_bounds
+        with np.errstate(all="ignore"):
+            errors = measured(
+                Terms.of_dense(P, C, self.x[items], y), c, d, is_equality, lower, upper, self.x[items], y, *of_bounds
+            )
+            is_solved = np.isfinite(x).all(axis=1) & errors.meet(program_goal(self.settings.tolerance))
+        self.is_open[items] = ~is_solved
+        self.status[np.flatnonzero(is_solved) + items.start] = Status.SOLVED
+        self.residual[items] = np.where(is_solved, errors.largest, np.nan)
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         self._forget(k)
         result = self.results[k] = solve_program(self.programs[k], self.algorithm, **wishes)
         found = result.solution
-        self.answers.x[k], self.answers.steps[k] = found.x, result.iterations
-        self.answers.y[k] = np.concatenate([found.inequality, found.equality])
+        self.x[k], self.steps[k] = found.x, result.iterations
+        self.y[k] = np.concatenate([found.inequality, found.equality])
         self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), found.error
         self.status[k], self.is_open[k] = result.status, False
         self.is_interrupted |= result.status is Status.INTERRUPTED
 
     def _forget(self, items: Any) -> None:
         """Leave no numbers of what the loop has not solved."""
-        for table in (self.answers.x, self.answers.y, *self.at_bounds):
+        for table in (self.x, self.y, *self.at_bounds):
             table[items] = np.nan
 
     def result_of(self, k: int) -> QuadraticProgramResult:
         """Return the result of program k, which has no error."""
         if k not in self.results:
             goal, share = program_goal(self.settings.tolerance), self.clock.read() / max(len(self.status), 1)
-            multipliers = np.concatenate([self.answers.y[k], *self.at_bounds[:, k]])
-            solution = QPSolution.of_rows(self.programs[k], self.answers.x[k], multipliers)
+            multipliers = np.concatenate([self.y[k], *self.at_bounds[:, k]])
+            solution = QPSolution.of_rows(self.programs[k], self.x[k], multipliers)
             self.results[k] = QuadraticProgramResult(
-                self.status[k], solution, goal, f"auto: {ACTIVE_SET}", int(self.answers.steps[k]), share,
+                self.status[k], solution, goal, f"auto: {ENGINE}", int(self.steps[k]), share,
                 self.settings.tolerance,
             )
         return self.results[k]
@@ -117,7 +137,7 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
     status : array of Status, shape (B,)
         As of a :class:`~lcp_plugin.QuadraticProgramResult`. None where the data are no convex program.
     residual : array, shape (B,)
-        An upper bound of the largest residual of a QPSolution, `row_residual` included; NaN where nothing was found.
+        An upper bound of the largest measure of a QPSolution; NaN where nothing was found.
     iterations : array of int, shape (B,)
     seconds : float
         Seconds of the whole batch, compilation excluded.
@@ -133,10 +153,10 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
     ITEM = "program"
 
     def __init__(self, run: ProgramBatchRun) -> None:
-        answers, m = run.answers, run.programs.sizes[0]
-        super().__init__(run, run.result_of, answers.x, answers.y, answers.steps, run.at_bounds)
-        self.x, self.residual, self.iterations, self.programs = answers.x, run.residual, answers.steps, run.programs
-        self.inequality, self.equality = run.answers.y[:, :m], run.answers.y[:, m:]
+        m = run.programs.sizes[0]
+        super().__init__(run, run.result_of, run.x, run.y, run.steps, run.at_bounds)
+        self.x, self.residual, self.iterations, self.programs = run.x, run.residual, run.steps, run.programs
+        self.inequality, self.equality = run.y[:, :m], run.y[:, m:]
         self.lower, self.upper = run.at_bounds
 
     @cached_property
@@ -145,3 +165,12 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
         P, x = self.programs.P, self.x
         Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
         return ((0.5 * Px + self.programs.vectors["c"]) * x).sum(axis=1)
+
+
+def _are_semidefinite(P: Any) -> Any:
+    """Return which P are positive semidefinite up to rounding, shape (B or 1,); the others are looked at one by one."""
+    if not P.any():
+        return np.ones(len(P), np.bool_)
+    is_finite = np.isfinite(P).all(axis=(1, 2))
+    values = np.linalg.eigvalsh(np.where(is_finite[:, np.newaxis, np.newaxis], P, 0.0))
+    return is_finite & (values[:, 0] >= -ROUNDING * P.shape[1] * np.abs(values[:, -1]))

@@ -26,9 +26,9 @@ from ...core.deadline import is_over
 from ...core.settings import Status
 from ...proofs.bounds.curvature import Curvature, constrained_curvature
 from ..programs.dual_bounds import DualBounds, implied_box
+from ..programs.engine_calls import solved_at_once
 from ..programs.no_minimum import QPInfeasibility, prove_infeasible
 from ..programs.program import QuadraticProgram
-from ..programs.small_programs import solved_at_once
 from ..programs.solution import QPSolution
 from ..programs.solving import solve_program
 from .equilibrium_program import Cases, EquilibriumProgram, case_counts

@@ -6,7 +6,7 @@
 |---|---|
 | `program`, `program_matrices`, `constraints`, `scaling`, `convexity` | the data, and what they alone say |
 | `reductions`, `definitions` | smaller programs, step by step, and the way back |
-| `small_programs`, `interior_points`, `kernels` | the two ways to an answer without a run |
+| `engine_calls` | the way to an answer without a run: engines of others, polished and judged |
 | `conversion`, `least_multipliers` | the complementarity problem of a program, and the answer that its z is |
 | `criterion`, `solution` | what is optimal, and by how much an answer misses it |
 | `no_minimum` | proofs that a program is infeasible or unbounded |

@@ -31,12 +31,12 @@ from ...proofs.exact.rational import enclosures
 from ...proofs.exact.upward import quotient_above, sum_above
 from .convexity import refuse_nonconvex
 from .dual_bounds import DualBounds, implied_box
+from .engine_calls import solved_at_once
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
 from .reductions import FoldedRows
 from .sharp_distances import sharp_distance
-from .small_programs import solved_at_once
 from .solution import QPSolution
 from .solving import QuadraticProgramResult, program_runs
 

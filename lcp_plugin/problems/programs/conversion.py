@@ -141,7 +141,7 @@ def lcp_from_lp(
     >>> solution = problem.origin.recover([1.0, 2.0, 1.0])
     >>> solution.objective, solution.inequality, solution.upper
     (-5.0, array([1.]), array([0., 1.]))
-    >>> solution.is_optimal(tolerance=0.0)
+    >>> solution.is_optimal(tolerance=1e-12)
     True
     """
     n = checked_vector(c, "c", None).size
@@ -429,11 +429,10 @@ def _is_better_left(
 ) -> BoolVector:
     """Return where a reduced cost is a smaller error as a dual residual than as a multiplier of a bound not reached.
 
-    As a residual it is relative to its terms; as a multiplier, times the distance from the bound, to those of that row.
+    As a residual it is relative to its terms; as a multiplier, times the distance from the bound, to the objective's.
     """
     size, bound = np.abs(reduced_cost), np.where(reduced_cost > 0.0, program.lower, program.upper)
-    with np.errstate(invalid="ignore", over="ignore"):  # an infinite bound has no multiplier anyway
-        unknown, objective = program.scaling.unknown, program.scaling.objective
-        as_multiplier = size * np.abs(x - bound) / (objective + size * np.maximum(np.abs(x), np.abs(bound)))
-        as_residual = size / np.minimum(objective / unknown + terms, program.dual_unit)
-        return (program.lower < x) & (x < program.upper) & (as_residual < as_multiplier)
+    with np.errstate(all="ignore"):  # an infinite bound has no multiplier anyway
+        objective = np.abs(program.c * x).sum() + 1.5 * np.abs((x * (program.P @ x)).sum())
+        as_multiplier, as_residual = size * np.abs(x - bound) / objective, size / terms
+        return np.asarray((program.lower < x) & (x < program.upper) & (as_residual < as_multiplier))

@@ -1,12 +1,35 @@
-"""The criterion of a quadratic program: how large the errors of its conditions are, and which are called optimal."""
+"""The criterion of a quadratic program: how wrong a point and its multipliers are beside what acts at them.
+
+Of min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds, at x with multipliers y of rows and of bounds, rounding
+included:
+
+- **primal**: by how much a row is violated beside its own terms, max(|d_i|, max_j |c_ij x_j|), or beside
+  ω max_j |c_ij u_j| · max_k |x_k / u_k| where that is larger; a bound beside |x_j|.
+- **dual**: what is left of component j of P x + c + Cᵀy beside its own terms, max(|c_j|, |p_jk x_k|, |c_ij y_i|, its
+  bounds' multipliers), or beside ω times the largest |b_k u_k| / u_j of unknowns off their bounds, b_k the largest
+  of |c_k| and |p_kl x_l|, where that is larger; a multiplier of a wrong sign beside the same without ω, divided by the
+  largest coefficient of its row.
+- **gap**: Σ |y_i (d_i − c_i x)| over rows and bounds + Σ |x_j left_j|, beside Σ |c_j x_j| + |xᵀP x|.
+
+Of units u of the unknowns there are two, the caller's and fitted ones: the smaller size counts.
+
+x is SOLVED where no measure exceeds the goal. Each size is one of the answer, or of its row at the answer: a limit that
+nobody reaches, a cost or a coefficient excuses nothing elsewhere. Unknowns that stand in no condition are no size of x,
+and multipliers, which may be huge and cancel, are no size of the gradient's other components. Where all terms are 0
+there is no size: an error is 0 or ∞. A row without coefficients is a number that others have computed from terms which
+nobody sees here: it stands beside 1.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import FloatVector
+from ...core.kernels.floats import EPSILON
+from ...core.matrix.matrix import largest_in_rows
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -14,60 +37,192 @@ if TYPE_CHECKING:
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
 SHARE = 0.1  # of a larger tolerance
-SURE = 1e-3  # of what is called optimal: no exact proof of unboundedness beats an answer whose gradient is within that
+SURE = 1e-3  # of what is called optimal: no exact proof that there is no minimum beats an answer within that
 STRICT = 1e3  # times a tolerance below 1e-9: what is asked of a program's own residuals
-OBJECTIVE = 1e-6  # what the duality gap may be at any smaller tolerance: rounding of large terms stays in it
+ACTS = 1e-6  # ω
+NO_EXCUSE = 1e-9  # measures beside own terms that need no other size
 
 
 class Errors(NamedTuple):
-    """The largest error of each kind of condition, rounding included; NaN where a number is not finite."""
+    """The three measures, rounding included; ∞ where a number is not finite. Of a batch, arrays of shape (B,)."""
 
-    primal: float
-    dual: float
-    complementarity: float
-    rows: float
-    gap: float
+    primal: Any
+    dual: Any
+    gap: Any
 
     def meet(self, goal: float) -> Any:
-        """Return whether all are small: constraints, then multipliers, products and rows, then the gap.
-
-        The criterion, of everybody who calls a program optimal; of arrays of errors, an entry each.
-        """
-        is_small = self.primal <= constraint_tolerance(goal)
-        for error in self[:4]:
-            is_small = is_small & (error <= goal)
-        return is_small & (self.gap <= max(OBJECTIVE, goal))
+        """Return whether all are small: the criterion, of everybody who calls a program optimal."""
+        return (self.primal <= constraint_tolerance(goal)) & (self.dual <= goal) & (self.gap <= goal)
 
     def are_sure(self, goal: float) -> bool:
-        """Return whether they meet the goal, and no exact proof of unboundedness may beat them."""
-        return bool(self.meet(goal)) and max(self.dual, self.rows) <= SURE * goal
+        """Return whether they meet the goal so well that no exact proof of the contrary may beat them."""
+        return bool(self.largest <= SURE * goal)
+
+    @property
+    def largest(self) -> Any:
+        """The largest of the three."""
+        return np.maximum(np.maximum(self.primal, self.dual), self.gap)
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
-        """Return the errors of x and of the multipliers of all constraints, in units of the program's data."""
-        is_equality = program.constraints.is_equality
-        signed = np.where(is_equality, multipliers, np.maximum(multipliers, 0.0))
-        wrong = float((signed - multipliers).max(initial=0.0))
-        errors = _measured(program, x, multipliers)
-        if wrong <= 0.0:
-            return errors
-        coefficient, unknown, objective, _, _ = program.scaling
-        excess = float(((signed - multipliers) * coefficient).max(initial=0.0))
-        dual = _measured(program, x, signed).dual + excess / (objective + np.abs(program.c * unknown).max(initial=0.0))
-        return errors._replace(dual=float(dual))
+        """Return the errors of x and of the multipliers of all constraints."""
+        matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
+        limits = np.concatenate([program.h, program.b])
+        vectors = program.c, limits, matrices.is_equality[: m + p], program.lower, program.upper
+        split = multipliers[: m + p], multipliers[m + p : m + p + n], multipliers[m + p + n :]
+        with np.errstate(all="ignore"):
+            if matrices.has_sparse_rows or sp.issparse(program.P):
+                terms = Terms.of_sparse(program.P, matrices.rows, x, split[0])
+            else:
+                terms = Terms.of_dense(program.P, matrices.dense_rows, x, split[0])
+            found = measured(terms, *vectors, x, *split)
+            if not found.largest <= NO_EXCUSE:
+                acting = Acting.of(program, terms, x, split)
+                found = measured(terms, *vectors, x, *split, acting)
+        return cls(*map(float, found))
 
 
-def _measured(program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
-    from .kernels.program_residuals import program_residuals  # numba, which not every run needs
+class Terms(NamedTuple):
+    """What rows and columns are made of at a point, shapes (…, rows) and (…, n).
 
-    matrices, rows = program.matrices, program.constraints
-    worst, columns = np.zeros(7), np.zeros((4, program.n))
-    program_residuals(
-        *matrices.rows_of_hessian, *matrices.rows_of_constraints, program.h.size,
-        program.c, rows.limit, rows.unit, rows.coefficient, program.dual_unit, np.array(program.scaling[2:4]), x,
-        multipliers, columns, worst,
-    )
-    return Errors(*worst[: len(Errors._fields)].tolist())
+    Attributes
+    ----------
+    value, size, largest : array
+        Of each row: Σ c_ij x_j, Σ |c_ij x_j|, the largest |c_ij x_j|.
+    pull, pull_size, pull_largest : array
+        Of each column: Σ c_ij y_i, Σ |c_ij y_i|, the largest |c_ij y_i|.
+    product, product_size, product_largest : array
+        Of each row of P: Σ p_jk x_k, Σ |p_jk x_k|, the largest |p_jk x_k|.
+    summands : int
+        The most that any of these has.
+    """
+
+    value: Any
+    size: Any
+    largest: Any
+    pull: Any
+    pull_size: Any
+    pull_largest: Any
+    product: Any
+    product_size: Any
+    product_largest: Any
+    summands: int
+
+    @classmethod
+    def of_dense(cls, P: Any, C: Any, x: FloatVector, y: FloatVector) -> Terms:
+        """Return those of ndarrays, or of stacks of them: shapes (…, n, n), (…, rows, n), (…, n) and (…, rows)."""
+        of_rows, of_columns, of_P = C * x[..., np.newaxis, :], C * y[..., np.newaxis], P * x[..., np.newaxis, :]
+        sizes = [np.abs(one) for one in (of_rows, of_columns, of_P)]
+        return cls(
+            of_rows.sum(-1), sizes[0].sum(-1), sizes[0].max(-1, initial=0.0),
+            of_columns.sum(-2), sizes[1].sum(-2), sizes[1].max(-2, initial=0.0),
+            of_P.sum(-1), sizes[2].sum(-1), sizes[2].max(-1, initial=0.0), max(C.shape[-2:]),
+        )
+
+    @classmethod
+    def of_sparse(cls, P: Any, C: sp.csr_array, x: FloatVector, y: FloatVector) -> Terms:
+        """Return those of CSR arrays, or of an ndarray P."""
+        transposed = sp.csr_array(C.T)
+        of_rows, of_columns = _times(C, x), _times(transposed, y)
+        if sp.issparse(P):
+            of_P = _sums(_times(P, x))
+        else:
+            products = P * x
+            of_P = products.sum(axis=1), np.abs(products).sum(axis=1), np.abs(products).max(axis=1)
+        return cls(
+            *_sums(of_rows), *_sums(of_columns), *of_P,
+            int(max(np.diff(C.indptr).max(initial=0), np.diff(transposed.indptr).max(initial=0), x.size)),
+        )
+
+
+class Acting(NamedTuple):
+    """What acts at a point, in each row's unit, in each column's, and in that of each row's and bound's multiplier."""
+
+    row: Any
+    column: Any
+    of_row: Any
+
+    @classmethod
+    def of(cls, program: QuadraticProgram, terms: Terms, x: FloatVector, multipliers: Any) -> Acting:
+        """Return the smaller sizes of those in the caller's units and in fitted ones."""
+        base = np.maximum(np.abs(program.c), terms.product_largest)
+        says = np.maximum(base, terms.pull_largest) + np.abs(multipliers[1]) + np.abs(multipliers[2]) > 0.0
+        is_free = (x > program.lower) & (x < program.upper)
+        sizes = []
+        for unit in (np.ones(x.size), program.fitted_units):
+            matrix: Any = program.matrices.rows if program.matrices.has_sparse_rows else program.matrices.dense_rows
+            if sp.issparse(matrix):
+                coefficient = largest_in_rows(matrix, np.abs(matrix.data) * unit[matrix.indices])
+            else:
+                coefficient = (np.abs(matrix) * unit).max(axis=1, initial=0.0)
+            reach = (np.abs(x) / unit)[says].max(initial=0.0)
+            pull = (base * unit)[is_free].max(initial=0.0)
+            of_rows = np.where(coefficient > 0.0, coefficient * reach, 1.0 / ACTS)
+            sizes.append((of_rows, pull / unit, pull / coefficient))
+        return cls(*(np.fmin(one, other) for one, other in zip(*sizes, strict=True)))
+
+
+def _times(A: sp.csr_array, x: FloatVector) -> sp.csr_array:
+    return sp.csr_array((A.data * x[A.indices], A.indices, A.indptr), shape=A.shape)
+
+
+def _sums(A: sp.csr_array) -> tuple[FloatVector, FloatVector, FloatVector]:
+    one = np.ones(A.shape[1])
+    return A @ one, abs(A) @ one, largest_in_rows(A)
+
+
+def measured(
+    terms: Terms, c: FloatVector, d: FloatVector, is_equality: Any, lower: FloatVector, upper: FloatVector,
+    x: FloatVector, y: FloatVector, of_lower: FloatVector, of_upper: FloatVector, acting: Acting | None = None,
+) -> Errors:
+    """Return the three measures of one program, or, by arrays with one axis more, of a batch.
+
+    Parameters
+    ----------
+    terms : Terms
+        At x and y.
+    c, d, is_equality, lower, upper
+        Shapes (…, n), (…, rows), (rows,), (…, n), (…, n).
+    x, y, of_lower, of_upper
+        The point and its multipliers, those of inequalities and of bounds ≥ 0 where they are right.
+    acting : Acting, optional
+        Without it rows and columns are measured beside their own terms alone.
+    """
+    acts = Acting(0.0, 0.0, 0.0) if acting is None else acting
+    known, rounding = np.isfinite(d), 2.0 * (terms.summands + 4) * EPSILON
+    right, below, above = np.where(known, d, 0.0), np.isfinite(lower), np.isfinite(upper)
+    residual = np.where(known, terms.value - right, 0.0)
+    margin = rounding * (terms.size + np.abs(right))
+    excess = np.where(is_equality, np.abs(residual), residual)
+    over = np.where(known, np.maximum(excess + margin, 0.0), 0.0)
+
+    base = np.maximum(np.abs(c), terms.product_largest)
+    own = np.maximum(np.maximum(base, terms.pull_largest), np.maximum(np.abs(of_lower), np.abs(of_upper)))
+    size = np.maximum(np.maximum(terms.largest, np.abs(right)), ACTS * acts.row)
+    outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
+    primal = np.maximum(_beside(over, size), _beside(outside, np.abs(x)))
+
+    left = np.abs(terms.product + c + terms.pull - of_lower + of_upper)
+    blur = rounding * (terms.product_size + np.abs(c) + terms.pull_size + np.abs(of_lower) + np.abs(of_upper))
+    dual = _beside(left + blur, np.maximum(own, ACTS * acts.column))
+    wrong = np.where(is_equality | known & (y > 0.0), 0.0, np.where(known, -y, np.abs(y)))
+    dual = np.maximum(dual, _beside(wrong, acts.of_row))
+    for has, of_bound in ((below, of_lower), (above, of_upper)):
+        wrong = np.where(has, np.maximum(-of_bound, 0.0), np.abs(of_bound))
+        dual = np.maximum(dual, _beside(wrong, acts.column))
+
+    gap = (np.abs(y) * np.maximum(np.abs(residual) - margin, 0.0)).sum(-1)
+    gap = gap + (np.maximum(left - blur, 0.0) * np.abs(x)).sum(-1)
+    for has, of_bound, bound in ((below, of_lower, lower), (above, of_upper, upper)):
+        gap = gap + np.where(has & (of_bound != 0.0), np.abs(of_bound * (x - np.where(has, bound, 0.0))), 0.0).sum(-1)
+    objective = np.abs(c * x).sum(-1) + 1.5 * np.abs((x * terms.product).sum(-1))
+    return Errors(primal, dual, _beside(gap[..., np.newaxis], objective[..., np.newaxis]))
+
+
+def _beside(wrong: Any, size: Any) -> Any:
+    """Return the largest quotient along the last axis, 0 / 0 = 0; ∞ where one is no number."""
+    quotient = np.where(wrong == 0.0, 0.0, wrong / size).max(-1, initial=0.0)
+    return np.where(np.isnan(quotient), np.inf, quotient)
 
 
 def program_goal(tolerance: float) -> float:

@@ -26,15 +26,17 @@ from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.scaling import fitted_columns
 from ...core.representation import REPR_UP_TO, bounds_repr, matrix_repr
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints, dual_unit
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
-from .program_matrices import ProgramMatrices, as_csr, no_rows, or_one
+from .program_matrices import ProgramMatrices, as_csr, no_rows, or_one, vertically
 from .scaling import ProgramScaling, Rescaled
 
 SYMMETRIC_TO = 1e-12
+LARGEST_EXPONENT = 300  # of two, of a fitted unit
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
 
 
@@ -268,6 +270,18 @@ class QuadraticProgram:
     def rescaled(self) -> Rescaled | None:
         """The scaled program, where its numbers are far from 1."""
         return Rescaled.of(self)
+
+    @cached_property
+    def fitted_units(self) -> FloatVector:
+        """Units of x, powers of two, that make entries of [C d] and of [P c] of like sizes (Curtis, Reid), shape (n,).
+
+        A guess: a criterion may be stricter by it, never looser.
+        """
+        matrix = vertically(self.matrices.rows, as_csr(self.P))
+        column = np.concatenate([self.h, self.b, self.c])
+        column = np.where(np.isfinite(column), column, 0.0)
+        exponents = fitted_columns(sp.csr_array(sp.hstack([matrix, column[:, np.newaxis]], format="csr")))
+        return np.asarray(np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_EXPONENT, LARGEST_EXPONENT)))
 
     @cached_property
     def dual_unit(self) -> FloatVector:

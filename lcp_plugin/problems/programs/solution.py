@@ -10,23 +10,22 @@ import numpy as np
 
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
-from .criterion import Errors
+from .criterion import SURE, Errors
 
 if TYPE_CHECKING:
     from .no_minimum import QPInfeasibility, QPUnboundedness
     from .program import QuadraticProgram
 
-MEANINGS = {  # in units of the data, but the last
-    "primal_residual": "by how much x violates a constraint",
-    "dual_residual": "what is left of the gradient of the Lagrangian",
-    "complementarity": "largest product of a multiplier and the slack at its limit",
-    "row_residual": "worst of all these, relative to the terms of its own row",
+MEANINGS = {  # each beside what acts there
+    "primal_residual": "by how much x violates a constraint, beside its terms",
+    "dual_residual": "what is left of the gradient of the Lagrangian, beside its terms",
+    "duality_gap": "what all errors together may change the objective by, beside its terms",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
-    """A point x and multipliers of a quadratic program, with the three residuals that judge them.
+    """A point x and multipliers of a quadratic program, with the three measures that judge them.
 
     The multipliers have the signs of cvxpy's ``dual_value``: at a solution
 
@@ -47,11 +46,7 @@ class QPSolution:
 
     Notes
     -----
-    The primal and the dual residual are in units of the data (``unit`` and ``dual_unit`` in
-    :mod:`lcp_plugin.problems.programs.constraints`), never relative to x: what is optimal in them cannot be disproved.
-    Complementarity is relative to the size of the objective + its largest term. ``row_residual`` compares each row with
-    its own terms only: a coefficient of 1e7 in one row, or a limit of 1e9 that nobody reaches, excuses nothing in
-    another.
+    What the three residuals are relative to: :mod:`lcp_plugin.problems.programs.criterion`.
 
     Raises
     ------
@@ -93,25 +88,18 @@ class QPSolution:
     @cached_property
     def objective(self) -> float:
         """½ xᵀP x + cᵀx."""
-        return self.program.objective(self.x)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.program.objective(self.x)
 
     @property
     def primal_residual(self) -> float:
-        """By how much x violates G x ≤ h, A x = b and its bounds, rounding included; each row in units of the data."""
-        return self._errors.primal
+        """By how much x violates a row or a bound beside that row's own terms."""
+        return float(self._errors.primal)
 
     @property
     def dual_residual(self) -> float:
-        """What is left of P x + c + Gᵀ inequality + Aᵀ equality − lower + upper, or a multiplier's wrong sign.
-
-        Each component in units of the data; multipliers of a wrong sign count as 0 in the sum.
-        """
-        return self._errors.dual
-
-    @property
-    def complementarity(self) -> float:
-        """The largest product of a multiplier and the distance from its limit."""
-        return self._errors.complementarity
+        """What is left of a component of the Lagrangian's gradient beside its terms, or a multiplier's wrong sign."""
+        return float(self._errors.dual)
 
     @cached_property
     def multipliers(self) -> FloatVector:
@@ -119,19 +107,9 @@ class QPSolution:
         return np.concatenate([self.inequality, self.equality, self.lower, self.upper])
 
     @property
-    def residual(self) -> float:
-        """The largest of the primal residual, the dual residual and complementarity."""
-        return float(np.max(self._errors[:3]))
-
-    @property
     def error(self) -> float:
-        """The larger one of `residual` and `row_residual`; ∞ where one of them is not finite."""
-        return float(np.nan_to_num(np.max(self._errors[:4]), nan=np.inf))
-
-    @property
-    def row_residual(self) -> float:
-        """The largest error of any condition, each relative to its own row's largest term and unit."""
-        return self._errors.rows
+        """The largest of the primal residual, the dual residual and the duality gap."""
+        return float(self._errors.largest)
 
     @property
     def row_multipliers(self) -> FloatVector:
@@ -187,6 +165,10 @@ class QPSolution:
         """
         return self._errors.are_sure(tolerance) or (self.is_stationary(tolerance) and self.program.falls_nowhere)
 
+    def holds_surely(self, tolerance: float = 1e-6) -> bool:
+        """Return whether x holds all constraints so well that no proof of a contradiction may beat it."""
+        return bool(self._errors.primal <= SURE * tolerance)
+
     @property
     def duality_gap(self) -> float:
         """By how much the errors of all conditions together may change the objective, beside its size.
@@ -195,7 +177,7 @@ class QPSolution:
         out along a direction in which the objective hardly changes each error is small beside its own terms, and not
         all of them beside the objective.
         """
-        return self._errors.gap
+        return float(self._errors.gap)
 
     @cached_property
     def _errors(self) -> Errors:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, NamedTuple
@@ -16,7 +15,7 @@ from ...auto import asked_of_solve, solve_lcp
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, restored
 from ...core.communicator import ALONE
-from ...core.deadline import Clock, OutOfTimeError, is_over, seconds_left, time_limit
+from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import (
     InvalidOption,
     InvalidProblem,
@@ -27,10 +26,11 @@ from ...core.errors import (
     UnsupportedModel,
 )
 from ...core.kind import Kind
-from ...core.settings import Status, checked_callback
+from ...core.settings import OF_SOLVE, Status, checked_callback
 from ...core.solving.answer import Answer
 from ...core.solving.result import Result, Sample, StageRecord, told_stages
 from ...core.solving.run_log import say
+from ...engines import ENGINES, Engine, Hint, engine_class
 from ...methods.interior.interior_point import InteriorPoint
 from ...methods.interior.suited_matrix import suited
 from ...methods.search.stages import FeasibilityCheck
@@ -38,14 +38,12 @@ from ...systems.null_space import null_space_by_rows
 from .conversion import QPOrigin, attempts
 from .convexity import LARGEST_CHECKED, refuse_nonconvex
 from .criterion import program_goal
-from .interior_points import Begun, solved_again, solved_by_interior_points
+from .engine_calls import EngineRun, engines_for, run_again, run_engine
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers, prove_unheld
 from .program import QuadraticProgram
 from .program_matrices import may_be_small
 from .reductions import Purpose
-from .scaling import Rescaled
-from .small_programs import ACTIVE_SET, MOST_STEPS, Found, settled_at_once
 from .solution import QPSolution
 from .steps import reduction_for
 
@@ -189,7 +187,7 @@ class QuadraticProgramResult(Answer):
         return "; ".join([ADVICE.get(self.status, self.status.value), *self._of_which("x")])
 
     def _numbers(self) -> dict[str, float]:
-        names = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
+        names = ("primal_residual", "dual_residual", "duality_gap")
         residuals = {} if self.has_no_solution else {name: float(getattr(self.solution, name)) for name in names}
         return {**super()._numbers(), **residuals, "goal": self.goal, "setup_seconds": self.setup_seconds}
 
@@ -232,20 +230,19 @@ def solve_program(
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
     options = {name: wish for name, wish in options.items() if wish is not None}
-    if program.rescaled is not None and "callback" not in options:  # which is shown the problem as it is stated
-        scaled = _solved_rescaled(program.rescaled, algorithm, tolerance, options)
-        if scaled is not None:
-            return scaled
+    if isinstance(algorithm, Engine) or algorithm in ENGINES:
+        return _solved_by_engine(program, algorithm, tolerance, options)
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
-    goal, prove_infeasibility, begun = program_goal(tolerance), options.get("prove_infeasibility", True), Begun(program)
-    by, found = _at_once(begun, tolerance, guess, options) if is_one_call else ("", None)
-    if isinstance(found, Found) and prove_infeasibility and not found.solution.is_sure(goal):
-        found = program.accepted_proof(goal, is_met=True) or found
-    if isinstance(found, Found):
+    goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
+    with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
+        by, found = _at_once(program, goal, guess, options) if is_one_call else ("", None)
+        if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
+            found = program.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
+    if isinstance(found, EngineRun):
         return QuadraticProgramResult(
-            Status.SOLVED, found.solution, goal, f"auto: {by}", found.stage.iterations, found.seconds, tolerance,
-            (found.stage,), _origin=found.origin,
+            Status.SOLVED, found.solution, goal, f"auto: {by}", found.stage.iterations, clock.read(),
+            tolerance, (found.stage,),
         )
     if found is not None:
         return _without_minimum(program, found, by, tolerance, clock.read())
@@ -260,11 +257,12 @@ def solve_program(
             if options.get("verbose"):
                 say(f"{unheld.status.name}: the program is {unheld}")
             return _without_minimum(program, unheld, BY_FACTOR, tolerance, clock.read())
-        result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options, begun)
+        result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
     is_optimal = solution.is_stationary(goal)
     if proof is None and prove_infeasibility and not ended_by_caller(result, options) and not solution.is_sure(goal):
-        proof = program.accepted_proof(goal, is_met=is_optimal)
-    status = _status(result, is_optimal, solution.is_stationary(max(goal, NEARLY)), proof)
+        proof = program.accepted_proof(goal, is_met=is_optimal and solution.holds_surely(goal))
+    is_nearly = solution.is_stationary(max(goal, NEARLY)) or (not is_optimal and _contradicts_by_rounding(program))
+    status = _status(result, is_optimal, is_nearly, proof)
     if options.get("verbose") and status is not result.status:
         say(f"{status.name}: {ADVICE.get(status, status.value) if proof is None else proof}")
     if proof is not None:
@@ -276,25 +274,41 @@ def solve_program(
     )
 
 
-def _solved_rescaled(
-    own: Rescaled, algorithm: Any, tolerance: float, options: dict[str, Any]
-) -> QuadraticProgramResult | None:
-    """Return the answer to a program that is solved scaled, in the units in which it was given.
+def _solved_by_engine(
+    program: QuadraticProgram, algorithm: Any, tolerance: float, options: dict[str, Any]
+) -> QuadraticProgramResult:
+    """Return what an engine of others answers, judged; where it finds nothing, a proof that there is no minimum."""
+    wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
+    if isinstance(algorithm, Engine):
+        if options:
+            raise InvalidOption(
+                f"give {min(options)} to {type(algorithm).__name__}(…), or name the engine: "
+                f"solve(program, {algorithm.name!r}, …)"
+            )
+        engine = algorithm
+    else:
+        engine = engine_class(algorithm)(options)
+    asked_of_solve("auto", {"tolerance": tolerance, **wishes})
+    clock, goal = Clock(ALONE), program_goal(tolerance)
+    with time_limit(min(wishes.get("max_seconds", math.inf), seconds_left())):
+        run = run_engine(program, engine, goal, is_verbose=wishes.get("verbose", False))
+        is_optimal, proof = run.solution.is_stationary(goal), None
+        if wishes.get("prove_infeasibility", True) and not run.solution.is_sure(goal):
+            proof = program.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
+    is_nearly = run.says is Hint.OPTIMAL and run.solution.is_stationary(max(goal, NEARLY))
+    is_nearly |= not is_optimal and _contradicts_by_rounding(program)
+    status = proof.status if proof is not None else Status.SOLVED if is_optimal else (
+        Status.PRECISION_LIMIT if is_nearly else Status.STALLED
+    )
+    solution = run.solution if proof is None else QPSolution.without_multipliers(program, run.solution.x)
+    return QuadraticProgramResult(
+        status, solution, goal, engine.name, run.stage.iterations, clock.read(), tolerance, (run.stage,), proof=proof
+    )
 
-    None where it is beyond the range of doubles in these.
-    """
-    wishes = dict(options)
-    if (guess := wishes.pop("guess", None)) is not None:
-        given, scaled = (QPOrigin(reduction_for(one, Purpose.LEAST_WORK)) for one in (own.program, own.reduced))
-        if guess.size == given.n:
-            wishes["z0"] = scaled.stated(*own.inward(*given.outward(guess)))
-    found = solve_program(own.reduced, algorithm, tolerance=tolerance, **wishes)
-    proof = own.program.accept_proof(own.proof(found.proof))
-    x, multipliers = own.outward(found.solution.x, found.solution.multipliers)
-    if not np.isfinite(x if found.has_no_solution else np.append(x, multipliers)).all():
-        return None
-    solution = QPSolution.of_rows(own.program, x, multipliers)
-    return replace(found, solution=solution, proof=proof, _run=None, _origin=None)
+
+def _contradicts_by_rounding(program: QuadraticProgram) -> bool:
+    """Return whether the known proof of a contradiction is of one too small to count: that of rounded data."""
+    return isinstance(program.known_proof, QPInfeasibility)
 
 
 def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
@@ -323,7 +337,7 @@ def _status(
     if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
         return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
     if result.status is Status.STALLED or result.has_no_solution:  # in the run's units, not the program's
-        return Status.SOLVED if is_optimal else Status.STALLED
+        return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
     return result.status
 
 
@@ -333,7 +347,7 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
     if options or not is_auto or not isinstance(tolerance, float):
         asked_of_solve(algorithm, {"tolerance": tolerance, **options})
         checked_callback(options.get("callback"))
-        is_short = options.get("max_seconds", 1.0) < SHORTEST or options.get("max_iterations", MOST_STEPS) < MOST_STEPS
+        is_short = options.get("max_seconds", 1.0) < SHORTEST or "max_iterations" in options
         if not is_auto or is_short or any(options.get(name, False) is not False for name in SEEN):
             return False
     if not 0.0 < tolerance < 1.0:
@@ -343,30 +357,29 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 
 
 def _at_once(
-    begun: Begun, tolerance: float, guess: FloatVector | None, options: dict[str, Any]
-) -> tuple[str, Found | QPInfeasibility | QPUnboundedness | None]:
-    """Return what found it, and the answer, a proof or None: the active set of a guess, one call or interior points."""
-    prove_infeasibility, by = options.get("prove_infeasibility", True), InteriorPoint.name
+    program: QuadraticProgram, goal: float, guess: FloatVector | None, options: dict[str, Any]
+) -> tuple[str, EngineRun | QPInfeasibility | QPUnboundedness | None]:
+    """Return the answer of the first engine that has one, a proof that there is none, or None; and who has it."""
+    prove_infeasibility = options.get("prove_infeasibility", True)
     try:
-        if guess is not None and (again := solved_again(begun, guess, tolerance)) is not None:
-            return by, again
-        if (at_once := settled_at_once(begun.program, tolerance)) is not None or "max_iterations" in options:
-            return ACTIVE_SET, at_once
-        if (limit := options.get("max_seconds", math.inf)) == math.inf:
-            return by, solved_by_interior_points(begun, tolerance, prove_infeasibility=prove_infeasibility)
-        clock, found = Clock(ALONE), None
-        with suppress(OutOfTimeError), time_limit(min(SHARE * limit, seconds_left()), is_enforced=True):
-            found = solved_by_interior_points(begun, tolerance, prove_infeasibility=prove_infeasibility)
-        options["max_seconds"] = max(limit - clock.read(), SHORTEST)
+        if guess is not None and (run := run_again(program, guess, goal)) is not None:
+            return run.stage.name, run
+        for engine in engines_for(program):
+            run = run_engine(program, engine, goal)
+            if run.solution.is_stationary(goal):
+                return engine.name, run
+            is_hint = run.says in (Hint.INFEASIBLE, Hint.UNBOUNDED)
+            if prove_infeasibility and is_hint and (proof := program.accepted_proof(goal)) is not None:
+                return engine.name, proof
+            if is_over():
+                break
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
-        return by, None
-    return by, found
+    return "", None
 
 
 def _by_forms(
     program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any],
-    begun: Begun | None = None,
 ) -> tuple[Result, QPSolution, QPInfeasibility | QPUnboundedness | None]:
     """Return the run and the answer of the best of some complementarity problems, and the proof that ended them."""
     refuse_nonconvex(program)
@@ -378,7 +391,7 @@ def _by_forms(
 
     runs = list(program_runs(
         program, algorithm, (tolerance,), (goal, goal), guess=guess,
-        find_proof=find_proof if options.get("prove_infeasibility", True) else None, begun=begun, **options,
+        find_proof=find_proof if options.get("prove_infeasibility", True) else None, **options,
     ))
     best = min(runs, key=lambda run: run.solution.error)
     return replace(best.result, stages=_stages(runs, best)), best.solution, proofs[-1] if proofs else None
@@ -387,12 +400,12 @@ def _by_forms(
 def program_runs(
     program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, ...], goals: tuple[float, float], *,
     guess: FloatVector | None = None, find_proof: Callable[[], Any] | None = None, callback: Any = None,
-    begun: Begun | None = None, **options: Any,
+    **options: Any,
 ) -> Iterator[ProgramRun]:
     """Yield runs on the forms of a program until one is stationary to the first goal, or something ends them all.
 
     Each form is solved at the first tolerance, and at a second, if there is one, where that leaves more than the second
-    goal. What has begun already is not made again.
+    goal.
     """
     has_run, refusal = False, None
     labels = set[str]()
@@ -406,10 +419,7 @@ def program_runs(
         origin.end_by(proof)
         return True
 
-    first = None if begun is None else begun.first
-    if begun is not None and begun.z is not None:
-        guess = begun.z
-    for attempt in attempts(program, first):
+    for attempt in attempts(program):
         for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):
             start = {"z0": guess} if guess is not None and guess.size == attempt.problem.n else {}
             if (left := seconds_left()) < math.inf:
@@ -423,8 +433,6 @@ def program_runs(
             except (UnsuitableMatrix, UnsuitableProblem) as error:
                 refusal = refusal or error
                 break
-            if attempt is first and begun is not None and (record := begun.record) is not None:
-                result = _after(record, result)
             solution, has_run, guess = attempt.problem.origin.recover(result), True, result.z
             yield ProgramRun(result, solution, because)
             options.pop("z0", None)
@@ -438,16 +446,6 @@ def program_runs(
     if not has_run:
         what = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
         raise UnsupportedModel(f"{refusal} (M is that of {what})") from refusal
-
-
-def _after(record: StageRecord, result: Result) -> Result:
-    """Return the result of a run that began after this stage, which it only has noted."""
-    stages = [stage for stage in result.stages if stage.name != record.name or stage.iterations]
-    remark = result.stages[-1].remark if result.stages and not stages else ""
-    return replace(
-        result, stages=(record._replace(remark=remark), *stages), iterations=result.iterations + record.iterations,
-        work=result.work + record.work,
-    )
 
 
 def _stages(runs: list[ProgramRun], best: ProgramRun) -> tuple[StageRecord, ...]:

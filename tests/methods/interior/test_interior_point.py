@@ -148,7 +148,7 @@ def test_linear_programs_agree_with_highs(seed: int) -> None:
     problem = lcp_from_qp(QuadraticProgram(np.zeros((n, n)), c, G, h, A, A @ x, lower=0.0), "kkt")
     solution = problem.origin.recover(solve(problem, InteriorPoint(), tolerance=1e-10))
     truth = linprog(c, G, h, A, A @ x, bounds=(0.0, None), method="highs").fun
-    assert solution.residual <= 1e-9
+    assert solution.error <= 1e-9
     assert abs(solution.objective - truth) <= 1e-8 * (1.0 + abs(truth))
 
 

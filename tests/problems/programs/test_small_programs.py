@@ -1,4 +1,4 @@
-"""Small quadratic programs, solved by one compiled call, have the answers that were chosen first."""
+"""Small quadratic programs, answered by an engine, have the answers that were chosen first."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lcp_plugin import LCPError, QuadraticProgramBatch, Status, solve, solve_batch
-from lcp_plugin.core.kernels.compilation import compiling_at_once
 from lcp_plugin.problems.programs import solving
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
-from lcp_plugin.problems.programs.kernels import dual_active_set, program_residuals
+from lcp_plugin.problems.programs.criterion import Errors, Terms, measured
 from lcp_plugin.problems.programs.program import QuadraticProgram
-from lcp_plugin.problems.programs.small_programs import SmallAnswers, SmallPrograms
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.solving import solve_program
 
 INF = np.inf
-MEASURED = ("primal_residual", "dual_residual", "complementarity", "row_residual", "duality_gap")
+MEASURED = ("primal_residual", "dual_residual", "duality_gap")
 
 
 def planted(n: int, rows: int, equations: int, rank: int, seed: int) -> tuple[QuadraticProgram, np.ndarray, float]:
@@ -86,7 +85,7 @@ def test_its_result_is_that_of_a_complementarity_problem() -> None:
     assert result.z.tolist() == pytest.approx([0.5, 1.5, 1.0], abs=1e-14)
     assert result.is_solved
     assert result.certificate.relative_residual <= 1e-14
-    assert "dual active set" in result.explain()
+    assert "daqp" in result.explain()
     assert "interior_point" in solve_program(program, "interior_point").explain()
     assert result.to_content()["status"] == "SOLVED"
 
@@ -159,45 +158,6 @@ def test_a_program_and_its_complementarity_problem_agree() -> None:
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
-@pytest.mark.parametrize("n", [5, 40])
-def test_interpreted_and_compiled_are_the_same_bits(n: int) -> None:
-    """Rows are worked on at once where the kernel is interpreted, in the same order as in its loops."""
-    program = planted(n, n // 2, 3, n, 11)[0]
-    given = SmallPrograms(
-        program.P[None], program.c[None], np.vstack([program.G, program.A])[None],
-        np.append(program.h, program.b)[None], np.arange(program.h.size + 3) >= program.h.size, program.lower[None],
-        program.upper[None], np.array([program.scaling[2:4]]),
-    )
-    compiled, interpreted = (SmallAnswers.empty(1, n, program.h.size + 3) for _ in range(2))
-    with compiling_at_once():
-        given.solve(1e-9, 0, 1, compiled, np.zeros(1, np.bool_))
-    with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
-        patch.setattr(dual_active_set, "run", dual_active_set.run.py_func)
-        given.solve(1e-9, 0, 1, interpreted, np.zeros(1, np.bool_))
-    assert compiled.has_converged.all()
-    for one, other in zip(compiled, interpreted, strict=True):
-        assert np.array_equal(one, other)
-
-
-def test_what_memory_held_before_changes_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Interpreted, too, where whole rows are taken at once, the loop reads nothing that was not written."""
-    program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [1, 0]], h=[2, INF])
-    empty = np.empty
-
-    def filled(*arguments: Any, **named: Any) -> Any:
-        array = empty(*arguments, **named)
-        if array.dtype == np.float64:
-            array.fill(np.nan)
-        return array
-
-    monkeypatch.setattr(dual_active_set, "run", np.errstate(all="ignore")(dual_active_set.run.py_func))
-    monkeypatch.setattr(np, "empty", filled)
-    result = solve_program(program)
-    solution = result.solution
-    assert result.is_compiled
-    assert solution.x.tolist() == pytest.approx([0.5, 1.5], abs=1e-14)
-
-
 @pytest.mark.parametrize(
     ("wish", "words"),
     [
@@ -238,7 +198,7 @@ def test_ctrl_c_ends_in_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(solving, "settled_at_once", interrupted)
+    monkeypatch.setattr(solving, "run_engine", interrupted)
     result = solve_program(planted(5, 3, 1, 5, 2)[0])
     assert result.status.name == "INTERRUPTED"
 
@@ -266,29 +226,7 @@ def test_a_smaller_tolerance_gives_no_worse_answer() -> None:
         solution = result.solution
         assert result.is_compiled
         assert solution.is_optimal(result.goal)
-        assert solution.residual <= 1e-12
-
-
-def test_one_criterion_judges_dense_loops_and_solutions() -> None:
-    """At any point, with any multipliers, the loop's five measures are those of a QPSolution, or just above."""
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        n, m, p = (int(rng.integers(*ends)) for ends in ((1, 7), (0, 6), (0, 3)))
-        factor, C, d = rng.normal(size=(n, n)), rng.normal(size=(m + p, n)), rng.normal(size=m + p)
-        P, c = factor @ factor.T, rng.normal(size=n)
-        P, lower, upper = (P + P.T) / 2 * (seed % 3 > 0), np.zeros(n), np.where(rng.random(n) < 0.5, 1.0, INF)
-        x = np.clip(rng.normal(size=n), lower, upper)
-        y = np.append(np.maximum(rng.normal(size=m), 0.0), rng.normal(size=p))
-        reduced, measures = np.zeros((1, n)), np.zeros((1, 7))
-        program = QuadraticProgram(P, c, C[:m], d[:m], C[m:], d[m:], lower, upper)
-        program_residuals.measure(
-            P[None], c[None], C[None], d[None], np.arange(m + p) >= m, lower[None], upper[None],
-            np.array([program.scaling[2:4]]), 0, 0, 0, np.zeros((4, n)), x[None], y[None], reduced, measures,
-        )
-        solution = QPSolution(program, x, y[:m], y[m:], np.maximum(reduced[0], 0.0), np.maximum(-reduced[0], 0.0))
-        theirs = np.array([getattr(solution, name) for name in MEASURED])
-        assert (theirs[:4] <= measures[0, :4]).all()
-        np.testing.assert_allclose(measures[0, :5], theirs, rtol=1e-12, atol=1e-13)
+        assert solution.error <= 1e-12
 
 
 def test_the_complementarity_problem_is_made_when_somebody_asks() -> None:
@@ -318,3 +256,31 @@ def test_a_contradiction_that_is_kept_answers_the_compiled_call_only() -> None:
         first, second = (solve(program, **options) for program in (QuadraticProgram(*arrays), solved))
         assert first.algorithm == second.algorithm
         assert len(first.history) == len(second.history)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_one_function_judges_dense_sparse_and_stacked_programs(seed: int) -> None:
+    """At any point, with any multipliers, the three measures are the same but for rounding."""
+    rng = np.random.default_rng(seed)
+    n, m, p = (int(rng.integers(*ends)) for ends in ((1, 7), (0, 6), (0, 3)))
+    factor, C, d = rng.normal(size=(n, n)), rng.normal(size=(m + p, n)), rng.normal(size=m + p)
+    C *= rng.random(C.shape) < 0.7
+    P, c = factor @ factor.T * (seed % 3 > 0), rng.normal(size=n)
+    P, lower, upper = (P + P.T) / 2, np.zeros(n), np.where(rng.random(n) < 0.5, 1.0, INF)
+    x, y = np.clip(rng.normal(size=n), lower, upper), rng.normal(size=m + p)
+    below, above = np.maximum(rng.normal(size=(2, n)), 0.0)
+    dense = QuadraticProgram(P, c, C[:m], d[:m], C[m:], d[m:], lower, upper)
+    sparse = QuadraticProgram(sp.csr_array(P), c, sp.csr_array(C[:m]), d[:m], sp.csr_array(C[m:]), d[m:], lower, upper)
+    multipliers = np.concatenate([y, below, above])
+    one, other = (Errors.of(program, x, multipliers) for program in (dense, sparse))
+    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    stack = np.stack([x, 2.0 * x]), np.stack([y, y])
+    with np.errstate(all="ignore"):
+        both = measured(
+            Terms.of_dense(P[None], C[None], *stack), c, d, np.arange(m + p) >= m, lower, upper, *stack,
+            np.stack([below, below]), np.stack([above, above]),
+        )
+    beside_own_terms = np.array([measure[0] for measure in both])
+    assert (beside_own_terms >= np.array(one) * (1.0 - 1e-9) - 1e-12).all()
+    if beside_own_terms.max() <= 1e-9:
+        np.testing.assert_allclose(beside_own_terms, one, rtol=1e-9, atol=1e-12)

@@ -1,0 +1,83 @@
+"""DAQP: a dual active set for small dense convex programs."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable, Iterator
+from functools import cache
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..core.checks import FloatVector
+from .engine import Engine, Hint, Limits, Multipliers, Point, Statement, beside_bounds
+
+EQUATION = 5  # of daqp's `sense`
+SAYS = {1: Hint.OPTIMAL, 2: Hint.OPTIMAL, -1: Hint.INFEASIBLE, -3: Hint.UNBOUNDED}
+OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi", "time_limit")
+
+
+class DAQP(Engine):
+    """DAQP: a dual active set, whose factor is changed row by row.
+
+    ``max_seconds`` is obeyed; ``verbose`` prints nothing, and Ctrl-C waits for the end.
+
+    References
+    ----------
+    Arnström, Bemporad, Axehill, *A dual active-set solver for embedded quadratic programming using recursive LDLᵀ
+    updates*, IEEE Transactions on Automatic Control 67 (2022), doi:10.1109/TAC.2022.3176430.
+    """
+
+    name: ClassVar[str] = "daqp"
+    solves: ClassVar[str] = "dense convex programs of up to some hundred rows"
+    cost: ClassVar[str] = "n² a step, n³ to begin with"
+    reference: ClassVar[str] = "Arnström, Bemporad, Axehill 2022"
+    ends_with_a_case: ClassVar[bool] = True
+    defaults: ClassVar = {"primal_tol": 1e-9}
+
+    @staticmethod
+    @cache
+    def known_options() -> frozenset[str]:
+        """Return those of ``daqp.solve`` that are no data."""
+        import daqp
+
+        return frozenset(inspect.signature(daqp.solve).parameters) - set(OF_THE_CALL)
+
+    def answer(self, program: Statement, limits: Limits) -> Point:
+        """Return daqp's point."""
+        P, G, A = (one if isinstance(one, np.ndarray) else one.toarray() for one in (program.P, program.G, program.A))
+        m, n = program.h.size, program.c.size
+        seconds = limits.seconds if np.isfinite(limits.seconds) else 0.0
+        limit = np.concatenate([program.h, program.b])[np.newaxis]
+        ((x, y, flag, steps),) = self.points(
+            P[np.newaxis], program.c[np.newaxis], np.vstack([G, A])[np.newaxis], limit, np.arange(limit.size) >= m,
+            program.lower[np.newaxis], program.upper[np.newaxis], range(1), seconds,
+        )
+        lower, upper = beside_bounds(y[:n], program.lower, program.upper)
+        multipliers = Multipliers(np.maximum(y[n : n + m], 0.0), y[n + m :], lower, upper)
+        return Point(x, multipliers, steps, SAYS.get(flag, Hint.GAVE_UP))
+
+    def points(
+        self, P: Any, c: Any, C: Any, d: Any, is_equation: Any, lower: Any, upper: Any, items: Iterable[int],
+        seconds: float = 0.0,
+    ) -> Iterator[tuple[FloatVector, FloatVector, int, int]]:
+        """Yield x, multipliers of bounds and rows, both signs, daqp's exit flag and its steps, for some of a stack.
+
+        Parameters
+        ----------
+        P, c, C, d, is_equation, lower, upper : arrays
+            Shapes (B or 1, n, n), (B, n), (B or 1, rows, n), (B, rows), (rows,), (B, n), (B, n).
+        """
+        import daqp
+
+        sense = np.repeat([0, EQUATION], [c.shape[1] + np.count_nonzero(~is_equation), np.count_nonzero(is_equation)])
+        sense = sense.astype(np.intc)
+        above, below = np.hstack([upper, d]), np.hstack([lower, np.where(is_equation, d, -np.inf)])
+        costs, settings, has_P = np.array(c), {**self.settings, "time_limit": seconds}, P.any()
+        matrices = [np.array(one) for one in (P, C)]
+        of_P, of_C = (range(len(c)) if len(one) > 1 else [0] * len(c) for one in matrices)
+        solve = daqp.solve
+        for k in items:
+            hessian = matrices[0][of_P[k]] if has_P else None
+            x, _, flag, info = solve(hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, **settings)
+            yield np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]

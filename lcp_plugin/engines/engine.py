@@ -1,0 +1,139 @@
+"""What an engine is given and what it gives back."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, did_you_mean
+
+
+class Statement(NamedTuple):
+    """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper.
+
+    Attributes
+    ----------
+    P, G, A : array or csr_array, shapes (n, n), (m, n), (p, n)
+        All dense or all sparse; P is symmetric.
+    c, h, b, lower, upper : array, shapes (n,), (m,), (p,), (n,), (n,)
+        h, −lower and upper may be ∞.
+    """
+
+    P: Any
+    c: FloatVector
+    G: Any
+    h: FloatVector
+    A: Any
+    b: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+
+
+class Multipliers(NamedTuple):
+    """At a solution P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0, and all but `equality` are ≥ 0."""
+
+    inequality: FloatVector
+    equality: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+
+
+class Limits(NamedTuple):
+    """What a caller allows and wants: an engine obeys what it can, and its docstring says what it cannot.
+
+    Attributes
+    ----------
+    seconds : float
+        ∞ for no limit.
+    is_verbose : bool
+        Whether the engine prints its own log.
+    """
+
+    seconds: float = math.inf
+    is_verbose: bool = False
+
+
+class Hint(Enum):
+    """What an engine says of its point: nobody believes it, but it tells where to look."""
+
+    OPTIMAL = "optimal"
+    INFEASIBLE = "infeasible"
+    UNBOUNDED = "unbounded"
+    GAVE_UP = "gave up"
+
+
+class Point(NamedTuple):
+    """A point x with multipliers, how many steps led there, and what the engine says of it."""
+
+    x: FloatVector
+    multipliers: Multipliers
+    iterations: int
+    says: Hint
+
+
+@dataclass(frozen=True, eq=False)
+class Engine(ABC):
+    """An engine with its options, by the names that it has given them.
+
+    Attributes
+    ----------
+    name : str
+    solves : str
+        Which programs.
+    cost, reference : str
+        As of an :class:`~lcp_plugin.algorithms.Algorithm`.
+    defaults : mapping
+        The options that differ from the engine's own defaults.
+    ends_with_a_case : bool
+        Whether its point solves the linear system of a case: an active set method.
+    """
+
+    name: ClassVar[str]
+    solves: ClassVar[str]
+    cost: ClassVar[str]
+    reference: ClassVar[str]
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    ends_with_a_case: ClassVar[bool] = False
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse what the engine has no option for."""
+        known = self.known_options()
+        for option in self.options:
+            if option not in known:
+                hint = did_you_mean(option, known, is_listed=True)
+                raise InvalidOption(f"{self.name} has no option {option!r}{hint}")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All options that are not the engine's own defaults."""
+        return {**self.defaults, **self.options}
+
+    @staticmethod
+    @abstractmethod
+    def known_options() -> frozenset[str]:
+        """Return the names of the engine's options."""
+
+    @abstractmethod
+    def answer(self, program: Statement, limits: Limits) -> Point:
+        """Return the point that the engine ends at."""
+
+
+def beside_bounds(slack: FloatVector, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return the multipliers of lower and upper bounds that signed ones mean, 0 where a bound is infinite.
+
+    Examples
+    --------
+    >>> beside_bounds(np.array([-2.0, 3.0]), np.zeros(2), np.array([np.inf, 1.0]))
+    (array([2., 0.]), array([0., 3.]))
+    """
+    below = np.where(np.isfinite(lower), np.maximum(-slack, 0.0), 0.0)
+    return below, np.where(np.isfinite(upper), np.maximum(slack, 0.0), 0.0)

@@ -1,0 +1,110 @@
+"""One step to the linear system of the case that a point names: which rows act and which unknowns are at a bound.
+
+With the rows W that act and the free unknowns F, the conditions of optimality are linear. From the point (x, y) the
+step solves
+
+    [P_FF + δ I   C_WFᵀ] [Δx_F]   [what is left of the gradient]
+    [C_WF         −δ I ] [Δy_W] = [what is left of the rows    ],
+
+a few times with the same factor: for δ > 0 it exists in any order (Vanderbei 1995, doi:10.1137/0805005), and the
+repeated steps tend to a solution of the system without δ, the nearest one where there are several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector
+from .engine import Multipliers, Point, Statement
+
+ROUNDS = 3  # cases
+STEPS = 5
+SHIFT = 2.0**-26  # δ beside the largest entry of its row: √ε
+
+
+def polished(program: Statement, point: Point) -> Iterator[Point]:
+    """Yield the point after the step, and after a step to the case that this one names, until the case stays.
+
+    That is Newton's method on min(multiplier, slack) = 0. It ends where a system is singular.
+
+    Parameters
+    ----------
+    program : Statement
+        Whose rows are of one size: slacks are compared with multipliers.
+    point : Point
+        Finite.
+
+    Examples
+    --------
+    >>> none = np.zeros((0, 1)), np.zeros(0)
+    >>> program = Statement(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
+    >>> near = Multipliers(np.zeros(0), np.zeros(0), np.zeros(1), np.array([0.9]))
+    >>> for found in polished(program, Point(np.array([1.99]), near, 0, None)):
+    ...     print(found.x, found.multipliers.upper)
+    [2.] [1.]
+    """
+    lower, upper, m = program.lower, program.upper, program.h.size
+    both = [program.G, program.A]
+    rows = sp.csr_array(sp.vstack(both)) if sp.issparse(program.G) else np.vstack(both)
+    right, given = np.concatenate([program.h, program.b]), point.multipliers
+    x, y, pull = np.clip(point.x, lower, upper), np.concatenate(given[:2]), given.upper - given.lower
+    slack, before = np.abs(right[:m] - program.G @ x), None
+    for _ in range(ROUNDS):
+        at_upper = pull > upper - x
+        at_lower = (-pull > x - lower) & ~at_upper | (lower == upper)
+        acts = np.append(y[:m] > slack, np.ones(right.size - m, np.bool_))
+        case = (at_lower.tobytes(), at_upper.tobytes(), acts.tobytes())
+        acting, free = rows[np.flatnonzero(acts)], np.flatnonzero(~(at_lower | at_upper))
+        if case == before or (solve := _solver(program.P[free][:, free], acting[:, free])) is None:
+            return
+        before, x = case, np.where(at_lower, lower, np.where(at_upper, upper, x))
+        y = np.where(acts, y, 0.0)
+        for _ in range(STEPS):
+            gradient = program.P @ x + program.c + rows.T @ y
+            step = solve(np.concatenate([-gradient[free], right[acts] - acting @ x]))
+            if not np.isfinite(step).all():
+                return
+            x[free] += step[: free.size]
+            y[acts] += step[free.size :]
+        yield _signed(program, rows, x, y, point)
+        slack, pull = right[:m] - program.G @ x, -(program.P @ x + program.c + rows.T @ y)
+        pull[free] = 0.0
+
+
+def _signed(program: Statement, rows: Any, x: FloatVector, y: FloatVector, point: Point) -> Point:
+    """Return the point within the bounds, with multipliers ≥ 0; those of bounds take what the gradient leaves there."""
+    m = program.h.size
+    x, y = np.clip(x, program.lower, program.upper), np.append(np.maximum(y[:m], 0.0), y[m:])
+    gradient = program.P @ x + program.c + rows.T @ y
+    below = np.where(x == program.lower, np.maximum(gradient, 0.0), 0.0)
+    above = np.where(x == program.upper, np.maximum(-gradient, 0.0), 0.0)
+    return point._replace(x=x, multipliers=Multipliers(y[:m], y[m:], below, above))
+
+
+def _solver(P: Any, C: Any) -> Callable[[FloatVector], FloatVector] | None:
+    """Return what solves with the matrix above, by LDLᵀ where it is sparse; None where no factor is found."""
+    m, n = C.shape
+    if m + n == 0:
+        return np.copy
+    signs = np.where(np.arange(n + m) < n, 1.0, -1.0)
+    if not sp.issparse(P):
+        from scipy.linalg import lapack
+
+        K = np.block([[P, C.T], [C, np.zeros((m, m))]])
+        size = np.abs(K).max(axis=0)
+        factor, pivots, info = lapack.dgetrf(K + np.diag(SHIFT * signs * np.where(size > 0.0, size, 1.0)))
+        return None if info else lambda right: lapack.dgetrs(factor, pivots, right)[0]
+    import qdldl
+
+    upper = sp.block_array([[sp.triu(P), C.T], [None, sp.csr_array((m, m))]], format="csc")
+    size = np.maximum(*(abs(upper).max(axis=axis).toarray().ravel() for axis in (0, 1)))
+    shift = sp.diags_array(SHIFT * signs * np.where(size > 0.0, size, 1.0))
+    try:
+        solver: Callable[[FloatVector], FloatVector] = qdldl.Solver(sp.csc_matrix(upper + shift), upper=True).solve
+    except RuntimeError:  # a pivot of 0, or no memory
+        return None
+    return solver

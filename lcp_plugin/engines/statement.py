@@ -1,0 +1,141 @@
+"""What an engine is given of a program: rows of one size, if need be in other units, without limits that are far away.
+
+Engines stop by tolerances of their own, beside sizes that they take from the data. So each row is divided by the power
+of two below its largest coefficient; where that does not lead to an answer, unknowns are measured in other units, and
+limits far beyond the others, which mostly stand for "none", are left out. All are ways to a point and nothing else: it
+is judged on the program as it was given, and a limit that it breaks is put back.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import BoolVector, FloatVector
+from .engine import Multipliers, Point, Statement
+
+FAR = 1e3  # times the largest of all smaller limits
+
+
+class Prepared(NamedTuple):
+    """A statement made ready, and the way back to the one that was given.
+
+    Attributes
+    ----------
+    statement : Statement
+    rows : array of int
+        The rows of the given G that are among its own.
+    of_inequalities, of_equations : array
+        What each given row was divided by.
+    unit : array or None, shape (n,)
+        What x is measured in; None for the given unit.
+    objective : float
+        What the objective was divided by. All are powers of two.
+    """
+
+    statement: Statement
+    rows: Any
+    of_inequalities: FloatVector
+    of_equations: FloatVector
+    unit: FloatVector | None
+    objective: float
+
+    @classmethod
+    def of(cls, given: Statement, is_left_out: BoolVector, unit: FloatVector | None = None) -> Prepared:
+        """Return that of a statement in these units, without these of its limits, of rows and bounds, (m + 2n,)."""
+        with np.errstate(over="ignore", invalid="ignore"):  # of what overflows an engine makes nothing
+            return cls._of(given, is_left_out, unit)
+
+    @classmethod
+    def _of(cls, given: Statement, is_left_out: BoolVector, unit: FloatVector | None) -> Prepared:
+        m, n, objective = given.h.size, given.c.size, 1.0
+        lower = np.where(is_left_out[m : m + n], -np.inf, given.lower)
+        upper = np.where(is_left_out[m + n :], np.inf, given.upper)
+        P, c, G, A = given.P, given.c, given.G, given.A
+        if unit is not None:
+            G, A, c, lower, upper = _columns(G, unit), _columns(A, unit), c * unit, lower / unit, upper / unit
+            P = _columns(_divided(P, 1.0 / unit), unit)
+            objective = _power_below(np.array([max(np.abs(c).max(initial=0.0), _largest(P).max(initial=0.0))]))[0]
+            P, c = P / objective, c / objective
+        of_inequalities, of_equations = _power_below(_largest(G)), _power_below(_largest(A))
+        rows = np.flatnonzero(np.isfinite(given.h) & ~is_left_out[:m])
+        size = of_inequalities[rows]
+        statement = Statement(
+            P, c, _divided(G if rows.size == m else G[rows], size), given.h[rows] / size, _divided(A, of_equations),
+            given.b / of_equations, lower, upper,
+        )
+        return cls(statement, rows, of_inequalities, of_equations, unit, objective)
+
+    def outward(self, point: Point) -> Point:
+        """Return the point in the given units, with multipliers of the given rows."""
+        inequality, given = np.zeros(self.of_inequalities.size), point.multipliers
+        unit = 1.0 if self.unit is None else self.unit
+        with np.errstate(over="ignore"):  # what is beyond the range of doubles is no answer
+            inequality[self.rows] = given.inequality * self.objective / self.of_inequalities[self.rows]
+            equality = given.equality * self.objective / self.of_equations
+            of_bounds = (one * self.objective / unit for one in (given.lower, given.upper))
+            return point._replace(x=point.x * unit, multipliers=Multipliers(inequality, equality, *of_bounds))
+
+    def inward(self, point: Point) -> Point:
+        """Return a point of the given statement as one of this, the way back of `outward`."""
+        given, unit = point.multipliers, 1.0 if self.unit is None else self.unit
+        inequality = (given.inequality * self.of_inequalities / self.objective)[self.rows]
+        equality = given.equality * self.of_equations / self.objective
+        of_bounds = (one * unit / self.objective for one in (given.lower, given.upper))
+        return point._replace(x=point.x / unit, multipliers=Multipliers(inequality, equality, *of_bounds))
+
+
+def far_limits(given: Statement) -> BoolVector:
+    """Return which limits of rows, lower and upper bounds are far beyond all others, shape (m + 2n,).
+
+    Those above the last gap of a factor `FAR`, in units of each row's largest coefficient.
+
+    Examples
+    --------
+    >>> none = np.zeros((0, 1))
+    >>> bounds = np.array([-1e19]), np.array([3.0])
+    >>> far_limits(Statement(np.eye(1), np.ones(1), none, np.zeros(0), np.ones((1, 1)), np.ones(1), *bounds)).tolist()
+    [True, False]
+    """
+    of_rows = np.abs(given.h) / _power_below(_largest(given.G))
+    limits = np.concatenate([of_rows, np.abs(given.lower), np.abs(given.upper)])
+    known = np.concatenate([limits, np.abs(given.b) / _power_below(_largest(given.A))])
+    sizes = np.sort(known[np.isfinite(known) & (known > 0.0)])
+    gaps = np.flatnonzero(sizes[1:] > FAR * sizes[:-1])
+    is_far: BoolVector = np.isfinite(limits) & (limits > (sizes[gaps[-1]] if gaps.size else np.inf))
+    return is_far
+
+
+def _largest(A: Any) -> FloatVector:
+    """Return the largest |entry| of each row."""
+    if not sp.issparse(A):
+        return np.asarray(np.abs(A).max(axis=1, initial=0.0))
+    largest, filled = np.zeros(A.shape[0]), np.flatnonzero(np.diff(A.indptr))
+    if filled.size:
+        largest[filled] = np.maximum.reduceat(np.abs(A.data), A.indptr[filled])
+    return largest
+
+
+def _power_below(sizes: FloatVector) -> FloatVector:
+    """Return the power of two below each size, 1 for 0."""
+    is_some = (sizes > 0.0) & np.isfinite(sizes)
+    return np.where(is_some, np.ldexp(1.0, np.frexp(np.where(is_some, sizes, 1.0))[1] - 1), 1.0)
+
+
+def _divided(A: Any, sizes: FloatVector) -> Any:
+    """Return A with its rows divided by these."""
+    if not sp.issparse(A):
+        return A / sizes[:, np.newaxis]
+    return sp.csr_array((A.data / np.repeat(sizes, np.diff(A.indptr)), A.indices, A.indptr), shape=A.shape)
+
+
+def _columns(A: Any, sizes: FloatVector) -> Any:
+    """Return A with its columns multiplied by these."""
+    if not sp.issparse(A):
+        return A * sizes
+    return sp.csr_array((A.data * sizes[A.indices], A.indices, A.indptr), shape=A.shape)
+
+
+__all__ = ["FAR", "Prepared", "far_limits"]

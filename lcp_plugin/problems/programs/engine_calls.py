@@ -1,0 +1,200 @@
+"""Programs answered by engines of others: reduced, prepared, answered, polished, and judged by the program's criterion.
+
+An engine is given the program without fixed unknowns, empty rows and rows that are bounds, its other rows of one size
+(:mod:`lcp_plugin.engines.statement`). Its point, and the same after one step to the linear system of its case
+(:mod:`lcp_plugin.engines.polish`), are judged on the program as it was given. Where neither is right, limits far beyond
+all others are left out and the engine is asked again; those that its answer breaks are put back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain, islice
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector
+from ...core.communicator import ALONE
+from ...core.deadline import Clock, is_over, seconds_left
+from ...core.solving.result import StageRecord
+from ...engines import Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
+from ...engines.polish import polished
+from ...engines.statement import Prepared, far_limits
+from .conversion import QPOrigin
+from .convexity import refuse_nonconvex
+from .criterion import program_goal
+from .program import QuadraticProgram
+from .program_matrices import as_csr, may_be_small
+from .reductions import FixedVariables, FoldedRows, Purpose, Reduction
+from .solution import QPSolution
+from .steps import reduction_for
+
+POLISH, AGAIN = "polish", "the active set of an earlier answer"
+SHARPEST = 4  # points: as it came, and polished, each without noise and with it
+NOISE = 2.0**-44
+CALLS = 4  # of an engine for one program
+
+
+class EngineRun(NamedTuple):
+    """What an engine came to.
+
+    Attributes
+    ----------
+    solution : QPSolution
+        The best of its points, polished or not, by the program's own measures.
+    says : Hint
+        What the engine says of its last one.
+    stage : StageRecord
+    seconds : float
+    """
+
+    solution: QPSolution
+    says: Hint
+    stage: StageRecord
+    seconds: float
+
+
+def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
+    """Yield the engines that auto asks, the quickest first; none where bounds are all that holds x.
+
+    Examples
+    --------
+    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
+    >>> [engine.name for engine in engines_for(program)]
+    ['daqp', 'piqp', 'clarabel']
+    """
+    m, p, n, _ = program.matrices.sizes
+    if m + p == 0 and program.matrices.entries[0]:
+        return  # a complementarity problem with M = P: what this package is for
+    if may_be_small(n, m + p, program.matrices.stored):
+        yield engine_class("daqp")()
+    yield engine_class("piqp")()
+    if not program.matrices.entries[0]:
+        yield engine_class("highs")()
+    yield engine_class("clarabel")()
+
+
+def solved_at_once(program: QuadraticProgram, tolerance: float) -> EngineRun | None:
+    """Return the sharpest answer of the quickest engine, None where it has none."""
+    engine = next(engines_for(program), None)
+    if engine is None:
+        return None
+    run = run_engine(program, engine, 0.0, points=SHARPEST)
+    return run if run.solution.is_stationary(program_goal(tolerance)) else None
+
+
+def run_again(program: QuadraticProgram, z: FloatVector, goal: float) -> EngineRun | None:
+    """Return the answer that the case of an earlier z of its complementarity problem leads to; None where it fails."""
+    clock, origin = Clock(ALONE), QPOrigin(reduction_for(program, Purpose.LEAST_WORK))
+    if z.size != origin.n:
+        return None
+    refuse_nonconvex(program)
+    start, whole = origin.recover(z), Reduction(program)
+    given = _statement(program)
+    prepared = Prepared.of(given, np.zeros(given.h.size + 2 * given.c.size, np.bool_))
+    multipliers = Multipliers(start.inequality, start.equality, start.lower, start.upper)
+    point = prepared.inward(Point(start.x, multipliers, 0, Hint.GAVE_UP))
+    with np.errstate(all="ignore"):
+        found = [_solution(whole, prepared, one) for one in polished(prepared.statement, point)]
+    for steps, solution in enumerate(found, start=1):
+        if solution is not None and solution.is_stationary(goal):
+            return EngineRun(solution, Hint.OPTIMAL, StageRecord(POLISH, AGAIN, steps, 0.0), clock.read())
+    return None
+
+
+def run_engine(
+    program: QuadraticProgram, engine: Engine, goal: float, *, is_verbose: bool = False, points: int | None = None
+) -> EngineRun:
+    """Return the best answer of an engine, which ends with the first that meets the goal, or after some points.
+
+    Raises
+    ------
+    UnsupportedModel
+        Where the program is not convex.
+    """
+    clock, iterations, says = Clock(ALONE), 0, Hint.GAVE_UP
+    nearest, nothing = np.clip(0.0, program.lower, program.upper), np.zeros(sum(program.matrices.sizes))
+    best = QPSolution.of_rows(program, nearest, nothing)
+    with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
+        for solution, point in islice(_answers(program, engine, is_verbose), points):
+            best = min(best, solution, key=lambda one: one.error)
+            iterations, says = iterations + point.iterations, point.says
+            if solution.is_stationary(goal) or is_over():
+                break
+    return EngineRun(best, says, StageRecord(engine.name, engine.solves, iterations, 0.0), clock.read())
+
+
+def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Iterator[tuple[QPSolution, Point]]:
+    """Yield the points of an engine, polished and as they came, of one statement of the program after the other."""
+    refuse_nonconvex(program)
+    reduction = Reduction(program)
+    if not may_be_small(program.n, sum(program.matrices.sizes[:2]), program.matrices.stored):
+        reduction = reduction.then(FoldedRows.of)
+    reduced = reduction.then(FixedVariables.of)
+    given = _statement(reduced.reduced)
+    nothing = np.zeros(given.h.size + 2 * given.c.size, np.bool_)
+    yield from _points(reduced, Prepared.of(given, nothing), engine, is_verbose)
+    is_far = far_limits(given)
+    units = reduced.reduced.fitted_units
+    if (units != 1.0).any():
+        yield from _points(reduced, Prepared.of(given, nothing, units), engine, is_verbose)
+    for _ in range(CALLS if is_far.any() else 0):
+        prepared, x = Prepared.of(given, is_far, units), given.c
+        for solution, point in _points(reduced, prepared, engine, is_verbose):
+            yield solution, point
+            x = prepared.outward(point).x
+        broken = np.concatenate([given.G @ x - given.h, given.lower - x, x - given.upper]) > 0.0
+        if not (is_far & broken).any():
+            return
+        is_far = is_far & ~broken
+
+
+def _points(
+    reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose: bool
+) -> Iterator[tuple[QPSolution, Point]]:
+    """Yield the point of an engine and what becomes of it: of an active set method first as it came."""
+    point = engine.answer(prepared.statement, Limits(seconds_left(), is_verbose))
+    if not (np.isfinite(point.x).all() and np.isfinite(np.concatenate(point.multipliers)).all()):
+        return
+    cases = polished(prepared.statement, point)
+    first = [] if engine.ends_with_a_case else list(islice(cases, 1))
+    steps = point.iterations
+    for one in chain(first, [point], cases):
+        for near in (_without_noise(one), one):
+            if near is not None and (solution := _solution(reduction, prepared, near)) is not None:
+                yield solution, one._replace(iterations=steps)
+                steps = 0
+
+
+def _without_noise(point: Point) -> Point | None:
+    """Return the point with 0 in place of x and multipliers that are rounding beside the largest; None without any."""
+    x, parts = point.x, point.multipliers
+    largest = NOISE * max(float(np.abs(part).max(initial=0.0)) for part in parts)
+    is_noise = np.abs(x) <= NOISE * np.abs(x).max(initial=0.0)
+    kept = [np.where(np.abs(part) <= largest, 0.0, part) for part in parts]
+    if not x[is_noise].any() and all(map(np.array_equal, kept, parts)):
+        return None
+    return point._replace(x=np.where(is_noise, 0.0, x), multipliers=Multipliers(*kept))
+
+
+def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:
+    """Return what a point of a prepared statement is in the program; None where that is not finite."""
+    back, reduced = prepared.outward(point), reduction.reduced
+    x = np.clip(back.x, reduced.lower, reduced.upper)
+    whole = reduction.outward(x, np.concatenate(back.multipliers))
+    return QPSolution.of_rows(reduction.program, *whole) if np.isfinite(np.concatenate(whole)).all() else None
+
+
+def _statement(program: QuadraticProgram) -> Statement:
+    """Return a program as engines take it: all matrices dense, or all sparse."""
+    given = (program.P, program.G, program.A)
+    if any(sp.issparse(one) and one.nnz for one in given):
+        P, G, A = map(as_csr, given)
+    else:
+        P, G, A = (one.toarray() if sp.issparse(one) else np.asarray(one) for one in given)
+    return Statement(P, program.c, G, program.h, A, program.b, program.lower, program.upper)
+
+
+__all__ = ["EngineRun", "engines_for", "run_again", "run_engine", "solved_at_once"]

@@ -1,0 +1,160 @@
+"""Engines of others: what they are given, what is made of their points, and that nobody believes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lcp_plugin import InvalidOption, QuadraticProgram, Status, solve
+from lcp_plugin.engines import ENGINES, Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
+from lcp_plugin.engines.polish import polished
+from lcp_plugin.engines.statement import Prepared, far_limits
+from lcp_plugin.problems.programs.engine_calls import run_engine
+
+INF = np.inf
+QUADRATIC = [name for name in ENGINES if name != "highs"]
+
+
+def planted(seed: int, n: int = 12, m: int = 9, p: int = 3) -> tuple[QuadraticProgram, Any, float]:
+    """A strictly convex program, its x, chosen first, and its value: rows that act, and rows that do not."""
+    rng = np.random.default_rng(seed)
+    L, G, A = (rng.normal(size=shape) for shape in ((n, n), (m, n), (p, n)))
+    P, x = L @ L.T / n + 0.1 * np.eye(n), rng.normal(size=n)
+    lower = np.where(rng.random(n) < 0.3, x, x - 1.0)
+    acts = rng.random(m) < 0.5
+    y, e, at = acts * (0.1 + rng.random(m)), rng.normal(size=p), (lower == x) * (0.1 + rng.random(n))
+    program = QuadraticProgram(
+        P, at - P @ x - G.T @ y - A.T @ e, G, G @ x + ~acts * (0.5 + rng.random(m)), A, A @ x, lower=lower
+    )
+    return program, x, program.objective(x)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", QUADRATIC)
+def test_each_engine_finds_the_planted_answer(name: str, seed: int) -> None:
+    """X to 1e-9 after the polish, its multipliers, and the engine's name in the result."""
+    program, x, value = planted(seed)
+    found = solve(program, name)
+    assert np.abs(found.x - x).max() <= 1e-9 * (1.0 + np.abs(x).max())
+    assert found.objective == pytest.approx(value, abs=1e-9)
+    assert found.algorithm == name
+    rows = program.P @ found.x + program.c + program.G.T @ found.duals["inequality"]
+    rows += program.A.T @ found.duals["equality"] - found.duals["lower"] + found.duals["upper"]
+    assert np.abs(rows).max() <= 1e-9
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_each_engine_takes_dense_and_sparse_linear_programs(name: str) -> None:
+    """Max x₁ + 2 x₂ with x₁ + x₂ ≤ 3 in a box: (1, 2), by arrays and by sparse ones."""
+    for kind in (np.array, sp.csr_array):
+        program = QuadraticProgram(None, [-1, -2], kind([[1.0, 1.0]]), [3], lower=0, upper=2)
+        found = solve(program, name)
+        assert found.x.tolist() == pytest.approx([1.0, 2.0], abs=1e-8)
+        assert found.duals["inequality"].tolist() == pytest.approx([1.0], abs=1e-7)
+
+
+@pytest.mark.parametrize("name", QUADRATIC)
+def test_a_program_without_rows_or_free_unknowns_is_answered(name: str) -> None:
+    """Bounds alone, and bounds that leave one point."""
+    assert solve(QuadraticProgram(np.eye(2), [-3, 1], lower=0, upper=2), name).x.tolist() == pytest.approx([2, 0])
+    fixed = QuadraticProgram(np.eye(2), [-3, 1], [[1, 1]], [9], lower=[1, 2], upper=[1, 2])
+    assert solve(fixed, name).x.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name: str) -> None:
+    """Rows that contradict, and an objective without end: the proofs verify exactly."""
+    contradicting = solve(QuadraticProgram(None, [1, 1], [[1, 1], [-1, -1]], [1, -3], lower=-9, upper=9), name)
+    assert contradicting.status is Status.INFEASIBLE
+    assert contradicting.proof.verify()
+    endless = solve(QuadraticProgram(None, [-1, 0], [[0, 1]], [1], lower=0), name)
+    assert endless.status is Status.UNBOUNDED
+    assert endless.proof.verify()
+
+
+def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
+    """An option goes through by its name; a wrong one is refused with the right ones, one of an instance too."""
+    program, x, _ = planted(0)
+    assert np.abs(solve(program, "piqp", max_iter=60, eps_abs=1e-8).x - x).max() <= 1e-7
+    with pytest.raises(InvalidOption, match="piqp has no option 'max_itr'; did you mean 'max_iter'"):
+        solve(program, "piqp", max_itr=3)
+    piqp = engine_class("piqp")
+    assert np.abs(solve(program, piqp({"max_iter": 50})).x - x).max() <= 1e-7
+    with pytest.raises(InvalidOption, match="PIQP"):
+        solve(program, piqp(), max_iter=3)
+
+
+def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
+    """A point that an engine calls optimal, and is not, is no SOLVED; NaN does no harm."""
+
+    class Liar(Engine):
+        name, solves, cost, reference = "liar", "nothing", "nothing", "nobody"
+        value = 1.0
+
+        @staticmethod
+        def known_options() -> frozenset[str]:
+            return frozenset()
+
+        def answer(self, program: Statement, limits: Limits) -> Point:
+            n, m, p = program.c.size, program.h.size, program.b.size
+            zeros = Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))
+            return Point(np.full(n, self.value), zeros, 1, Hint.OPTIMAL)
+
+    program = QuadraticProgram(None, [-1, -1, 2], [[1, 2, 3]], [6], lower=0, upper=5)
+    assert not solve(program, Liar()).is_solved
+    Liar.value = np.nan
+    assert not solve(program, Liar()).is_solved
+
+
+@pytest.mark.parametrize("name", QUADRATIC)
+@pytest.mark.parametrize("far", [1e9, 1e12, 1e15, 1e19])
+def test_limits_far_beyond_all_others_fool_no_engine_for_good(name: str, far: float) -> None:
+    """Two rows and bounds of 1e9 … 1e19 beside a planted program: the planted answer."""
+    program, x, value = planted(7)
+    rng = np.random.default_rng(1)
+    G = np.vstack([program.G, rng.normal(size=(2, x.size))])
+    stretched = QuadraticProgram(
+        program.P, program.c, G, np.append(program.h, [far, 3.0 * far]), program.A, program.b, lower=program.lower,
+        upper=far,
+    )
+    found = solve(stretched, name)
+    assert found.objective == pytest.approx(value, abs=1e-8)
+    assert np.abs(found.x - x).max() <= 1e-7
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_what_prepares_a_statement_leads_back(seed: int) -> None:
+    """Rows scaled and left out: Gᵀy is the same with the multipliers that come back, to the last bit."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 5)), int(rng.integers(0, 6))
+    G = rng.normal(size=(m, n)) * 2.0 ** rng.integers(-30, 30, (m, 1))
+    h = rng.normal(size=m) * 10.0 ** rng.integers(0, 9, m)
+    given_ = Statement(
+        np.eye(n), np.zeros(n), G, h, np.zeros((0, n)), np.zeros(0), np.full(n, -1e12), rng.normal(size=n) + 9.0
+    )
+    prepared = Prepared.of(given_, far_limits(given_))
+    inside = prepared.statement
+    y = rng.random(inside.h.size)
+    point = prepared.outward(Point(np.zeros(n), Multipliers(y, np.zeros(0), np.zeros(n), np.zeros(n)), 0, Hint.OPTIMAL))
+    assert np.array_equal(inside.G.T @ y, given_.G[prepared.rows].T @ point.multipliers.inequality[prepared.rows])
+    if inside.h.size:
+        largest = np.abs(inside.G).max(axis=1)
+        assert ((largest >= 1.0) & (largest < 2.0)).all()
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
+def test_a_polish_solves_the_case_and_goes_on_where_it_names_another(kind: Any) -> None:
+    """From a rough point with one row too many the second round has the planted x to rounding."""
+    program, x, _ = planted(2)
+    statement = Statement(
+        kind(program.P), program.c, kind(program.G), program.h, kind(program.A), program.b, program.lower, program.upper
+    )
+    rough = run_engine(program, engine_class("daqp")(), 1e-9).solution
+    inequality = rough.inequality + (np.arange(program.h.size) == np.argmin(rough.inequality)) * 1e3
+    start = Point(x + 1e-4, Multipliers(inequality, rough.equality, rough.lower, rough.upper), 0, Hint.GAVE_UP)
+    assert min(float(np.abs(one.x - x).max()) for one in polished(statement, start)) <= 1e-12

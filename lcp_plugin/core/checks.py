@@ -327,6 +327,12 @@ def checked_right_side(values: Any, name: str, length: int | None) -> FloatVecto
     return read_only(np.where(right >= INFINITE_LIMIT, np.inf, right))
 
 
+def without_huge(lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return bounds, of any shape, with −∞ for a lower one of −1e20 or less, and ∞ for an upper one of 1e20 or more."""
+    lower = np.where(lower <= -INFINITE_LIMIT, -np.inf, lower)
+    return read_only(lower), read_only(np.where(upper >= INFINITE_LIMIT, np.inf, upper))
+
+
 def check_order(lower: FloatVector, upper: FloatVector) -> None:
     """Raise where lower ≤ upper fails or admits no number."""
     wrong = (lower > upper) | (lower == np.inf) | (upper == -np.inf)

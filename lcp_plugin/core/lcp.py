@@ -10,7 +10,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from .checks import FloatVector, check_order, checked_bound, finite_vector, read_only, real_vector, restored
+from .checks import (
+    FloatVector,
+    check_order,
+    checked_bound,
+    finite_vector,
+    read_only,
+    real_vector,
+    restored,
+    without_huge,
+)
 from .communicator import Communicator
 from .deadline import Lock
 from .errors import InvalidProblem
@@ -48,7 +57,7 @@ class LCP:
     q : array, shape (n,)
         Real, finite.
     lower, upper : scalar or array, shape (n,)
-        Bounds of z in the unit of z; −∞ and ∞ are allowed, lower ≤ upper.
+        Bounds of z in the unit of z, lower ≤ upper; none where lower ≤ −1e20, or upper ≥ 1e20.
 
     Raises
     ------
@@ -73,8 +82,8 @@ class LCP:
     def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
         self.q: FloatVector = finite_vector(q, "q", self.own)
-        self.lower: FloatVector = checked_bound(lower, "lower", self.own)
-        self.upper: FloatVector = checked_bound(upper, "upper", self.own)
+        bounds = checked_bound(lower, "lower", self.own), checked_bound(upper, "upper", self.own)
+        self.lower, self.upper = without_huge(*bounds)
         check_order(self.lower, self.upper)
         self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
         self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual

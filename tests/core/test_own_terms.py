@@ -89,3 +89,19 @@ def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:
     assert result.is_solved
     assert result.z == pytest.approx(z, abs=1e-7)
     assert result.iterations <= 60
+
+
+@pytest.mark.parametrize("none", [1e20, 1e30, np.inf])
+def test_a_bound_of_1e20_is_none(none: float) -> None:
+    """As in files and other solvers: in arrays, with another q, in a batch; 1e19 is a bound."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
+    problem = LCP(M, q, lower=-none, upper=[none, 1e19])
+    assert problem.lower.tolist() == [-np.inf, -np.inf]
+    assert problem.upper.tolist() == [np.inf, 1e19]
+    right = np.linalg.solve(M, -q)
+    other = problem.with_q(2.0 * q, lower=[-1e25, -none])
+    batch = solve_batch(M, np.array([q, 2.0 * q]), lower=-none, upper=np.full((2, 2), none))
+    answers = [solve(problem), solve(other), *batch]
+    for result, expected in zip(answers, (right, 2.0 * right, right, 2.0 * right), strict=True):
+        assert result.is_solved
+        assert result.z == pytest.approx(expected)

@@ -394,9 +394,8 @@ def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LC
         is_whole &= bool(np.array_equal(np.isinf(new), np.isinf(old)))
     if not is_whole:
         return None
-    scaled = problem.with_q(q, lower=lower, upper=upper) if matrix is problem.matrix else LCP(
-        matrix, q, lower=lower, upper=upper
-    )
+    scaled = LCP(matrix, q)
+    scaled.lower, scaled.upper = read_only(lower), read_only(upper)  # checked, in the caller's unit
     scaled.origin, scaled.criterion = problem.origin, problem.criterion
     return scaled
 

@@ -186,9 +186,10 @@ class Judge:
         return certificate if finished is z else self._better_of(certificate, self.certificate_of(finished))
 
     def _better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
-        """Return the cleaned one unless its residual is larger, or it answers the program no more."""
+        """Return the cleaned one unless its residual is larger or a row wrong, or it answers the program no more."""
         before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
-        is_no_worse = after <= before < math.inf
+        meets = [one.meets(self.settings, self.scaling.answered) for one in (certificate, cleaned)]
+        is_no_worse = after <= before < math.inf if meets[0] == meets[1] else meets[1]
         return cleaned if is_no_worse and cleaned.answers_program(self.settings) is not False else certificate
 
     def is_solved_by(self, certificate: Certificate) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...auto import takes_the_small_dense_solver
-from ...core.checks import DENSE_ABOVE_DENSITY, checked_start, read_only, real_array
+from ...core.checks import DENSE_ABOVE_DENSITY, checked_start, read_only, real_array, without_huge
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...core.tuning import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
@@ -126,6 +126,8 @@ class Stacked(Items):
             raise InvalidProblem("q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none")
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
         self._vectors = {name: rows_of_a_batch(values, name, n) for name, values in named.items()}
+        bounds = without_huge(self._vectors["lower"], self._vectors["upper"])
+        self._vectors["lower"], self._vectors["upper"] = bounds
         counts = {name: rows.shape[0] for name, rows in self._vectors.items() if np.ndim(named[name]) == 2}
         counts |= {} if self._shared else {"M": self._M.shape[0]}
         super().__init__(length_of_all(counts))

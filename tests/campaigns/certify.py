@@ -7,7 +7,8 @@ Exit code 1 where a bound is violated, a right answer disproved or a wrong one p
 Of 600 programs (120 of seed 901, 480 of seed 902) nothing false was said: no bound was violated, no right answer
 disproved; all 1200 right answers were proved, 98 % of those off by 1e-2 disproved, none with a multiplier's sign turned
 and no false "infeasible" proved; the gap was the true one in the median. Of those right to 1e-9, 2 were disproved: at
-x* = 0 all terms vanish, and the comparison is exact. Of those off by 1e-4, 12 were proved, all optimal to the tolerance.
+x* = 0 all terms vanish, and the comparison is exact. Of those off by 1e-4, 12 were proved: all are
+optimal to the tolerance.
 """
 
 from __future__ import annotations

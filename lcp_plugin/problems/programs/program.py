@@ -294,24 +294,6 @@ class QuadraticProgram:
         rows = self.constraints
         return float((rows.unit / rows.coefficient).max(initial=1.0) * self.scaling.unknown.max(initial=0.0))
 
-    @property
-    def dual_size(self) -> float:
-        """The same of multipliers, and of x where there is a P."""
-        of_x = float(self.scaling.unknown.max(initial=0.0)) if self.matrices.entries[0] else 0.0
-        return self.size_of_multipliers * max(self.scaling.objective, of_x)
-
-    @cached_property
-    def size_along(self) -> float:
-        """A size of x where P resists nothing but by rounding: the largest limit, or cost ÷ the column of its unknown.
-
-        Without the 1 + of `primal_size`: what is 0 in exact arithmetic has no other size to be beside.
-        """
-        rows, unknown = self.constraints, self.scaling.unknown
-        with np.errstate(over="ignore"):
-            of_limits = np.abs(rows.limit) / rows.coefficient * unknown.max(initial=0.0)
-            of_costs = np.abs(self.c) / or_one(largest_in_rows(self.P))
-        return float(np.concatenate([of_limits[rows.finite], of_costs]).max(initial=0.0))
-
     @cached_property
     def column_sizes(self) -> FloatVector:
         """The largest |entry| of each column of P, G and A in the program's own scaling, 1 where there is none."""

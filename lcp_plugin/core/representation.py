@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -73,3 +74,15 @@ def bounds_repr(lower: FloatVector, upper: FloatVector, least: float) -> list[st
         elif values and values[0].hex() != float(default).hex():
             given.append(f"{name}={values[0]}")
     return given
+
+
+def within(radius: float, what: str) -> str:
+    """Return the words for the radius of a proof; none where it is ∞.
+
+    Examples
+    --------
+    >>> within(2.5e12, "x"), within(math.inf, "x")
+    ('; of all x up to 2e+12', '')
+    """
+    digits, exponent = f"{radius:.15e}".split("e") if radius < math.inf else ("", "")
+    return f"; of all {what} up to {digits[0]}e{exponent}" if digits else ""

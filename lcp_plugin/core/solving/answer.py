@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any, Self
 
 from ..errors import NotConverged
-from ..representation import in_words
+from ..representation import in_words, within
 from ..settings import PROVEN, Status
 
 
@@ -82,8 +82,6 @@ class Answer:
 
     def _of_which(self, what: str) -> list[str]:
         """Return of which points a proof speaks that there is no answer, where it is not of all."""
-        from ...proofs.no_solution.linear_constraints import within
-
         words = within(getattr(self.proof, "radius", math.inf), what) if self.has_no_solution else ""
         return [f"{words[2:]}: a larger one is not excluded"] if words else []
 

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.matrix.matrix import largest_in_rows
+from ...core.representation import within
 from ...core.settings import Status
 from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import ZERO, Vector, common_denominator, products, rational, rounded_down, short
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
 from ...proofs.no_solution.free_motion import falling_directions, is_at_rest, is_far_out, moved_unknowns
-from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction, exact_dot, within
+from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction, exact_dot
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
 from .criterion import PROGRAM_TOLERANCE, SURE, constraint_tolerance

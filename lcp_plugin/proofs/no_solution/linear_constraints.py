@@ -114,18 +114,6 @@ def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
     return sp.csr_array((matrix.data[kept], (rows[kept], matrix.indices[kept])), shape=matrix.shape)
 
 
-def within(radius: float, what: str) -> str:
-    """Return the words for the radius of a proof; none where it is ∞.
-
-    Examples
-    --------
-    >>> within(2.5e12, "x"), within(np.inf, "x")
-    ('; of all x up to 2e+12', '')
-    """
-    digits, exponent = f"{radius:.15e}".split("e") if radius < np.inf else ("", "")
-    return f"; of all {what} up to {digits[0]}e{exponent}" if digits else ""
-
-
 class Sides(Protocol):
     """What a contradiction asks of constraints; cases of other conditions have signs and bounds of their own."""
 

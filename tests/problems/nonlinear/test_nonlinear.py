@@ -406,6 +406,14 @@ def test_a_bound_of_1e20_is_none(none: float) -> None:
     np.testing.assert_allclose(result.z, [2.0, 0.0], rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.full
+def test_a_hill_climber_finds_no_wrong_point_that_passes() -> None:
+    """Of ten planted problems in units of rows and unknowns no point off by 1 % passes after a polish's tolerance."""
+    from campaigns.attack_nonlinear import attack_nonlinear
+
+    assert list(attack_nonlinear(np.random.default_rng(0), 10)) == []
+
+
 def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
     """A derivative of 2e14 promises a zero 8e-9 away, nothing in the unit 100 of the other row; the zero is at .017."""
     def F(x: np.ndarray) -> np.ndarray:

@@ -9,15 +9,16 @@ included:
   bounds' multipliers), or beside ω times the largest |b_k u_k| / u_j of unknowns off their bounds, b_k the largest
   of |c_k| and |p_kl x_l|, where that is larger; a multiplier of a wrong sign beside the same without ω, divided by the
   largest coefficient of its row.
-- **gap**: Σ |y_i (d_i − c_i x)| over rows and bounds + Σ |x_j left_j|, beside Σ |c_j x_j| + |xᵀP x|.
+- **gap**: Σ |y_i (d_i − c_i x)| over rows and bounds + Σ |x_j left_j| + the rounding of xᵀP x, beside
+  Σ |c_j x_j| + |xᵀP x|.
 
 Of units u of the unknowns there are two, the caller's and fitted ones: the smaller size counts.
 
 x is SOLVED where no measure exceeds the goal. Each size is one of the answer, or of its row at the answer: a limit that
-nobody reaches, a cost or a coefficient excuses nothing elsewhere. Unknowns that stand in no condition are no size of x,
-and multipliers, which may be huge and cancel, are no size of the gradient's other components. Where all terms are 0
-there is no size: an error is 0 or ∞. A row without coefficients is a number that others have computed from terms which
-nobody sees here: it stands beside 1.
+nobody reaches, a cost or a coefficient excuses nothing elsewhere. Unknowns that stand in no condition, or in one
+beneath the rounding of what acts, are no size of x; multipliers, which may be huge and cancel, are no size of the
+gradient's other components. Where all terms are 0 there is no size: an error is 0 or ∞. A row without coefficients is a
+number that others have computed from terms which nobody sees here: it stands beside 1.
 """
 
 from __future__ import annotations
@@ -146,7 +147,7 @@ class Acting(NamedTuple):
     def of(cls, program: QuadraticProgram, terms: Terms, x: FloatVector, multipliers: Any) -> Acting:
         """Return the smaller sizes of those in the caller's units and in fitted ones."""
         base = np.maximum(np.abs(program.c), terms.product_largest)
-        says = np.maximum(base, terms.pull_largest) + np.abs(multipliers[1]) + np.abs(multipliers[2]) > 0.0
+        own = np.maximum(np.maximum(base, terms.pull_largest), np.maximum(*np.abs(multipliers[1:])))
         is_free = (x > program.lower) & (x < program.upper)
         sizes = []
         for unit in (np.ones(x.size), program.fitted_units):
@@ -155,8 +156,8 @@ class Acting(NamedTuple):
                 coefficient = largest_in_rows(matrix, np.abs(matrix.data) * unit[matrix.indices])
             else:
                 coefficient = (np.abs(matrix) * unit).max(axis=1, initial=0.0)
-            reach = (np.abs(x) / unit)[says].max(initial=0.0)
             pull = (base * unit)[is_free].max(initial=0.0)
+            reach = (np.abs(x) / unit)[own * unit > EPSILON * pull].max(initial=0.0)
             of_rows = np.where(coefficient > 0.0, coefficient * reach, 1.0 / ACTS)
             sizes.append((of_rows, pull / unit, pull / coefficient))
         return cls(*(np.fmin(one, other) for one, other in zip(*sizes, strict=True)))
@@ -211,11 +212,16 @@ def measured(
         wrong = np.where(has, np.maximum(-of_bound, 0.0), np.abs(of_bound))
         dual = np.maximum(dual, _beside(wrong, acts.column))
 
-    gap = (np.abs(y) * np.maximum(np.abs(residual) - margin, 0.0)).sum(-1)
-    gap = gap + (np.maximum(left - blur, 0.0) * np.abs(x)).sum(-1)
+    one = np.abs(x).max(-1, initial=0.0, keepdims=True)
+    one = np.where(one > 0.0, one, 1.0)  # of x: objectives may be beyond the range of doubles
+    ahead = x / one
+    gap = (np.abs(y) * (np.maximum(np.abs(residual) - margin, 0.0) / one)).sum(-1)
+    gap = gap + (np.maximum(left - blur, 0.0) * np.abs(ahead)).sum(-1)
+    gap = gap + rounding * (np.abs(ahead) * terms.product_size).sum(-1)  # far along P d = 0 it hides any cost
     for has, of_bound, bound in ((below, of_lower, lower), (above, of_upper, upper)):
-        gap = gap + np.where(has & (of_bound != 0.0), np.abs(of_bound * (x - np.where(has, bound, 0.0))), 0.0).sum(-1)
-    objective = np.abs(c * x).sum(-1) + 1.5 * np.abs((x * terms.product).sum(-1))
+        slack = (x - np.where(has, bound, 0.0)) / one
+        gap = gap + np.where(has & (of_bound != 0.0), np.abs(of_bound * slack), 0.0).sum(-1)
+    objective = np.abs(c * ahead).sum(-1) + 1.5 * np.abs((ahead * terms.product).sum(-1))
     return Errors(primal, dual, _beside(gap[..., np.newaxis], objective[..., np.newaxis]))
 
 

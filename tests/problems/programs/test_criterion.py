@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from lcp_plugin import QPSolver, QuadraticProgram, QuadraticProgramBatch, register_with_qpsolvers, solve, solve_batch
+from lcp_plugin import (
+    QPSolver,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    Status,
+    register_with_qpsolvers,
+    solve,
+    solve_batch,
+)
+from lcp_plugin.problems.programs.criterion import Errors, program_goal
 
 register_with_qpsolvers()
 
@@ -72,3 +81,72 @@ def test_limits_of_1e20_are_kept_as_infinite() -> None:
     for P in (np.zeros((1, 1)), np.zeros((1, 1, 1))):
         batch = QuadraticProgramBatch(P, [[1.0]], [[1.0], [-1.0]], [1e20, -1e20], lower=-1e20, upper=1e30)
         assert repr(batch[0]) == repr(program)
+
+
+# --- Numbers that users write -----------------------------------------------------------------------------------------
+
+NOISE = [[-1.0, 0.0, -1.0, -9.2e-17], [-1.0, 1e-16, 9.8e-17, 0.0]]
+P, C, G, H = HALF_SPACES
+VALUE = 1300 / 121 - 19000 / 11
+RIGHT = {
+    "a row of 1e16": (QuadraticProgram(P, C, [*G, [1, 0]], [*H, 1e16], lower=0.0), VALUE),
+    "bounds of 1e19": (QuadraticProgram(P, C, G, H, lower=0.0, upper=1e19), VALUE),
+    "cos(π/2)": (QuadraticProgram(None, [-3, -4], [[1, np.cos(np.pi / 2)]], [1], lower=-10, upper=10), -43.0),
+    "1e-5 in a row": (QuadraticProgram(np.diag([1, 0]), [0, 1], [[1e-5, 1]], [-1], lower=-10, upper=10), -10.0),
+    "noise": (QuadraticProgram(np.diag([1, 0, 0, 1]), [0, 1, 1, -1], NOISE, [-1, -1], lower=-10, upper=10), -10.0),
+    "an empty row": (
+        QuadraticProgram([[1.000000001]], [-3.0], [[0], [2], [0]], [0, -4, 1], lower=-1e19, upper=1e10), 8.000000002
+    ),
+    "no costs": (QuadraticProgram(None, [0.0], [[-1], [-1], [-1]], [-1, -1, 0], lower=-1e20), 0.0),
+}
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_numbers_that_users_write(name: str) -> None:
+    """The optimum, by hand, and no violation, whatever one limit or coefficient is."""
+    program, value = RIGHT[name]
+    result = solve(program)
+    x = result.solution.x
+    assert result.is_solved
+    assert result.solution.objective == pytest.approx(value, rel=1e-8, abs=1e-8)
+    assert (program.G @ x - program.h <= 1e-9 * np.maximum(np.abs(program.h), 1.0)).all()
+    assert ((program.lower <= x) & (x <= program.upper)).all()
+
+
+def test_a_small_cost_of_a_free_unknown_is_unbounded() -> None:
+    """Of x₁ + 1e-10 x₂ with x₁ = 1, however small the cost of x₂ is beside that of x₁."""
+    assert solve(QuadraticProgram(None, [1.0, 1e-10], A=[[1.0, 0.0]], b=[1.0])).status is Status.UNBOUNDED
+
+
+# --- The judge, attacked: wrong answers whose measures an earlier form called small ----------------------------------
+
+ONE_ROW = QuadraticProgram(None, [1.0, 1.0, 1e9], [[-1.0, -1.0, -1.0]], [-1.0], lower=0.0)
+TWICE = QuadraticProgram(None, [1.0, 0.0], A=[[0.0, 1.0], [0.0, 1.0]], b=[1.0, 1.0], lower=[0.0, -np.inf])
+AT_A_BOUND = QuadraticProgram(None, [1.0, 0.0], A=[[0.0, 1.0]], b=[1.0], lower=[0.0, 1.0])
+IDLE = QuadraticProgram(np.diag([4.0, 0.0]), [3.0, 0.0], [[-1.0, 0.0]], [0.0])
+NEARLY_IDLE = QuadraticProgram(np.diag([1.0, 0.0]), [-4.0, 0.0], [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [2.0, 1.0, 4.0])
+LEVEL = QuadraticProgram([[0.01, 0.03], [0.03, 0.09]], [-1.0, 0.0])  # P d = 0 but for rounding, d = (3, −1)
+FELL = {
+    "a slack of cost 1e9": (ONE_ROW, [500, 0, 0], [1, 0, 0, 1e9 - 1, 0, 0, 0]),
+    "its bounds hold all": (ONE_ROW, [500, 0, 0], [0, 1, 1, 1e9, 0, 0, 0]),
+    "its row holds all": (ONE_ROW, [500, 0, 0], [1e9, 1 - 1e9, 1 - 1e9, 0, 0, 0, 0]),
+    "two huge multipliers cancel": (TWICE, [7, 1], [1e9, -1e9, 0, 0, 0, 0]),
+    "two huge multipliers, and the gap": (TWICE, [7, 1], [1e9, -1e9, 1, 0, 0, 0]),
+    "a row and a bound cancel": (AT_A_BOUND, [7, 1], [1e8, 0, 1e8, 0, 0]),
+    "a row and a wrong sign cancel": (AT_A_BOUND, [7, 1], [-1e8, 0, -1e8, 0, 0]),
+    "an idle unknown is huge": (IDLE, [-0.75, -1e9], [0, 0, 0, 0, 0]),
+    "an unknown in idle rows is huge": (NEARLY_IDLE, [4, -1.34e8], [0, 0, 0, 0, 0, 0, 0]),
+    "a multiplier of 1e-22 wakes a huge unknown": (NEARLY_IDLE, [4, -1e14], [0, 0, 1e-22, 0, 0, 0, 0]),
+    "a multiplier of 1e-16 wakes a huge unknown": (NEARLY_IDLE, [4, -4e11], [0, 0, 1e-16, 0, 0, 0, 0]),
+    "a multiplier of 1e-14 wakes a huge unknown": (NEARLY_IDLE, [4, -4e9], [0, 0, 1e-14, 0, 0, 0, 0]),
+    "the cost is beneath rounding of P x": (LEVEL, [3e30, -1e30], [0, 0, 0, 0]),
+    "xᵀP x is beyond doubles": (LEVEL, [3e197, -1e197], [0, 0, 0, 0]),
+}
+
+
+@pytest.mark.parametrize("name", FELL)
+def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
+    """Objectives off by half and more, with multipliers, idle unknowns and slacks of sizes that excuse nothing."""
+    program, x, multipliers = FELL[name]
+    errors = Errors.of(program, np.array(x, np.float64), np.array(multipliers, np.float64))
+    assert errors.largest > 10.0 * program_goal(1e-8), errors

@@ -27,7 +27,7 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     ),
     "core.kind": ({"kinds"}, "a refusal names every kind that would be taken"),
     "core.solving.result": ({"proofs"}, "explain() says what may mislead, guarantee what is proved"),
-    "core.solving.answer": ({"evidence", "proofs"}, "plot() of every answer; a proof's radius in its advice"),
+    "core.solving.answer": ({"evidence"}, "plot() of every answer"),
     "problems.many.answers": ({"evidence"}, "plot() of many answers"),
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),
     "problems.programs.certification": ({"modeling"}, "certify takes a cvxpy problem as well"),

@@ -92,7 +92,7 @@ def _polished(
 
     used, left = np.flatnonzero(y), np.flatnonzero(~is_balanced)
     rest = np.abs(gradient + y @ program.matrices.rows)[left].max(initial=0.0)
-    if rest > EXACTLY * np.abs(gradient).max() and used.size * left.size <= LARGEST_DENSE:
+    if used.size and rest > EXACTLY * np.abs(gradient).max() and used.size * left.size <= LARGEST_DENSE:
         block = as_csr(program.matrices.rows)[used][:, left].toarray().T
         y, (Q, R) = y.copy(), np.linalg.qr(block)
         sizes = np.abs(R.diagonal())

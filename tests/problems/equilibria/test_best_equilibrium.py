@@ -66,6 +66,15 @@ def test_two_pairs_may_give_one_variable_different_bounds() -> None:
     np.testing.assert_allclose([problem.value, x.value, u.value], [16.0, 1.0, 1.0], atol=1e-9)
 
 
+def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
+    """Of an LCP with one solution it is the best, where the least multipliers of a cost of 3e9 are none."""
+    M, q = np.array([[1.0, 0.0, 0.0], [0.0, 6.0, -3.0], [0.0, -3.0, 4.0]]), np.array([-1000003.0, -1e-7, 0.0])
+    lower, cost = np.append(np.zeros(3), np.full(3, -np.inf)), [1.0, -2.0, -3e9, 0.0, 0.0, 0.0]
+    program = QuadraticProgram(None, cost, A=np.hstack([M, -np.eye(3)]), b=-q, lower=lower)
+    result = solve(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5]))
+    np.testing.assert_allclose(result.x[:3], [1000003.0, 4e-7 / 15, 2e-8], rtol=1e-6)
+
+
 def test_random_programs_agree_with_all_their_pieces() -> None:
     """Status, value, bound and verify() hold against every piece, and verify() sees each of a dozen damages."""
     pytest.importorskip("highspy", reason="solves the pieces")

@@ -1,4 +1,4 @@
-"""The campaign with numbers that users write: what its judge says of known answers."""
+"""Some of each kind of the campaign with numbers that users write, and what its judge says of known answers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from campaigns.outliers import (
     FALSE,
+    KINDS,
     OPEN,
     REFUSED,
     RIGHT,
@@ -13,11 +14,20 @@ from campaigns.outliers import (
     ExactProgram,
     judged_lcp,
     judged_program,
+    run,
 )
 
 NO_BOUNDS = np.full(2, -np.inf), np.full(2, np.inf)
 HEAVY = [[1e-8, -1e-8, 0], [-1e-8, 1 + 1e-8, -1], [0, -1, 1 + 1e-8]]
 HALF_SPACES = [np.diag([2.0, 2.0]), [-300.0, -500.0], [[3.0, 1.0], [1.0, 4.0]], [10.0, 10.0], np.zeros((0, 2)), []]
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("program", "linear", "batch")])
+def test_no_answer_is_false(kind: str) -> None:
+    """No SOLVED beside the conditions and every judge, no proof beside a solution, no exception."""
+    found = [(k, run(kind, 69, k)) for k in range(60)]
+    assert [(k, outcome.text) for k, outcome in found if outcome.what == FALSE] == []
+    assert sum(outcome.what == RIGHT for _, outcome in found) >= 30
 
 
 @pytest.mark.parametrize(

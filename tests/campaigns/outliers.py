@@ -457,6 +457,7 @@ def by_others(data: list[Any]) -> np.ndarray | None:
     return x if x is not None and violation(data, x) <= 1e-8 else None
 
 
+@np.errstate(all="ignore")  # an error beside 1e-300
 def violation(data: list[Any], x: np.ndarray) -> float:
     """The largest violation beside a row's own terms, or 1e-6 of its largest coefficient times the largest unknown."""
     _, _, G, h, A, b, lower, upper = data
@@ -471,6 +472,7 @@ def violation(data: list[Any], x: np.ndarray) -> float:
     return max(worst, float(np.where(outside > 0, outside / np.maximum(abs(x), 1e-6 * largest), 0).max(initial=0)))
 
 
+@np.errstate(all="ignore")
 def conditions(data: list[Any], x: np.ndarray, duals: dict[str, np.ndarray]) -> float:
     """The largest violation of any condition of optimality beside its own terms."""
     P, c, G, h, A, b, lower, upper = data

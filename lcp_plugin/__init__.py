@@ -11,6 +11,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.core.splittings")``: what to expect of sweeps
 - ``help("lcp_plugin.proofs")``: what is proved of a matrix, a method, an error, a problem without solution
 - ``help("lcp_plugin.core.certificates.criterion")``: what SOLVED means, in which scaling
+- ``help("lcp_plugin.problems.programs.criterion")``: the same of a quadratic program
 - ``help("lcp_plugin.interfaces.learn")``: layers for PyTorch and JAX
 - ``help("lcp_plugin.interfaces")``: Pyomo, AMPL, JuMP, qpsolvers, cvxpylayers, QuantEcon, files, finite elements
 - ``help("lcp_plugin.evidence")``: scenes and the report; other packages

@@ -13,6 +13,7 @@ from ..core.checks import FloatVector
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement, beside_bounds
 
 EQUATION = 5  # of daqp's `sense`
+ANSWERED = 1  # the smallest exit flag of an answer
 SAYS = {1: Hint.OPTIMAL, 2: Hint.OPTIMAL, -1: Hint.INFEASIBLE, -3: Hint.UNBOUNDED}
 OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi", "time_limit")
 
@@ -63,6 +64,8 @@ class DAQP(Engine):
     ) -> Iterator[tuple[FloatVector, FloatVector, int, int]]:
         """Yield x, multipliers of bounds and rows, both signs, daqp's exit flag and its steps, for some of a stack.
 
+        NaN where daqp has no answer: what it hands back then it has never written to.
+
         Parameters
         ----------
         P, c, C, d, is_equation, lower, upper : arrays
@@ -76,8 +79,10 @@ class DAQP(Engine):
         costs, settings, has_P = np.array(c), {**self.settings, "time_limit": seconds}, P.any()
         matrices = [np.array(one) for one in (P, C)]
         of_P, of_C = (range(len(c)) if len(one) > 1 else [0] * len(c) for one in matrices)
-        solve = daqp.solve
+        solve, nothing = daqp.solve, np.full(c.shape[1], np.nan)
         for k in items:
             hessian = matrices[0][of_P[k]] if has_P else None
             x, _, flag, info = solve(hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, **settings)
+            if flag < ANSWERED:
+                x, info = nothing, {**info, "lam": np.append(nothing, np.full(d.shape[1], np.nan))}
             yield np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]

@@ -89,6 +89,14 @@ def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
         solve(program, piqp(), max_iter=3)
 
 
+def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
+    """Of rows that contradict, daqp hands back memory that it has not written to: none of that is a point."""
+    program = QuadraticProgram(2.0 * np.eye(2), [0, 0], A=[[1, -1], [1, -1]], b=[1e3, 1e3 * (1 + 2e-6)])
+    runs = [run_engine(program, engine_class("daqp")(), 1e-6).solution for _ in range(5)]
+    assert len({run.x.tobytes() for run in runs}) == 1
+    assert np.abs(runs[0].x).max() <= 1e4
+
+
 def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
     """A point that an engine calls optimal, and is not, is no SOLVED; NaN does no harm."""
 

@@ -115,14 +115,16 @@ def run_engine(
         Where the program is not convex.
     """
     clock, iterations, says = Clock(ALONE), 0, Hint.GAVE_UP
-    nearest, nothing = np.clip(0.0, program.lower, program.upper), np.zeros(sum(program.matrices.sizes))
-    best = QPSolution.of_rows(program, nearest, nothing)
+    best: QPSolution | None = None
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         for solution, point in islice(_answers(program, engine, is_verbose), points):
-            best = min(best, solution, key=lambda one: one.error)
+            best = solution if best is None or solution.error < best.error else best
             iterations, says = iterations + point.iterations, point.says
             if solution.is_stationary(goal) or is_over():
                 break
+    if best is None:
+        nearest, nothing = np.clip(0.0, program.lower, program.upper), np.zeros(sum(program.matrices.sizes))
+        best = QPSolution.of_rows(program, nearest, nothing)
     return EngineRun(best, says, StageRecord(engine.name, engine.solves, iterations, 0.0), clock.read())
 
 

@@ -298,6 +298,15 @@ def sizes_of_factor(matrix: Matrix) -> tuple[float, float]:
     return factor_sizes(matrix.csr, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)
 
 
+def factor_operations(matrix: Matrix, most: float) -> float:
+    """Return the operations of a factor of M; ∞ where a sparse one takes more than so many, which ends the count."""
+    if matrix.is_dense:
+        return matrix.n**3 / 3.0
+    from .minimum_degree import factor_sizes
+
+    return factor_sizes(matrix.csr, LARGEST_FILL, min(most, FACTOR_OPERATIONS_UP_TO))[1]
+
+
 class Bands(NamedTuple):
     """A matrix by its diagonals.
 

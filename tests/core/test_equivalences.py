@@ -360,7 +360,7 @@ def test_the_modulus_family_works_above_any_lower_bound(name: str, kind: str) ->
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-@pytest.mark.parametrize("exponent", [-300, 300])
+@pytest.mark.parametrize("exponent", [-300, 60])  # beyond, a bound is none
 def test_another_unit_of_z_changes_no_bit(name: str, exponent: int) -> None:
     """With q, bounds and start multiplied by a power of two, every iterate is, exactly."""
     problem = random_problem("sparse", bounds=name in BOUNDED)

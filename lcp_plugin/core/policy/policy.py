@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..algorithm import Algorithm
+from ..checks import FloatVector
 from ..lcp import LCP
 from .stages import Choice, Stage
 
@@ -37,6 +38,15 @@ class Policy:
 
     def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
         """Return what begins where the run began, after a point so far out that rounding hides the tolerance there."""
+        return None
+
+    def last_system(
+        self, problem: LCP, z: FloatVector, work: float, is_solved: bool
+    ) -> tuple[FloatVector, float] | None:
+        """Return the solution of the linear system of the case that z shows, and its work; None where nobody solves it.
+
+        The case is which unknowns are at which bound; `work` is that of the run, and `is_solved` what it has reached.
+        """
         return None
 
 

@@ -183,9 +183,9 @@ class Judge:
         if last is None or is_cut_short or not self.problem.communicator.everywhere(bool(np.isfinite(z).all())):
             return certificate
         finished = last.finish(self.scaling.problem, z)
-        return certificate if finished is z else self._better_of(certificate, self.certificate_of(finished))
+        return certificate if finished is z else self.better_of(certificate, self.certificate_of(finished))
 
-    def _better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
+    def better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
         """Return the cleaned one unless its residual is larger or a row wrong, or it answers the program no more."""
         before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
         meets = [one.meets(self.settings, self.scaling.answered) for one in (certificate, cleaned)]

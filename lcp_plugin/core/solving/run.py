@@ -30,6 +30,7 @@ Callback = Callable[[Sample, FloatVector], Any]
 
 SAMPLE_GROWTH = 1.05
 NO_STEP = object()  # an algorithm has no further one
+WITH_A_CASE = (End.CONVERGED, End.AT_FLOOR, *FAILED)
 DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
 
 
@@ -213,12 +214,26 @@ class Run:
         is_excluded = last is not None and last.least_residual > self.settings.goal and end is not End.CONVERGED
         best = start if incumbent.z is None or is_excluded else incumbent.z
         certificate = self.judge.final(best, end, None if last is None else last.algorithm)
+        if last is not None and end in WITH_A_CASE and not is_excluded and isinstance(self.judge.asked, LCP):
+            certificate = self._with_last_system(certificate, last)
         return certificate, self.judge.verdict(certificate, end, is_chain=len(state.stages) > 1)
+
+    def _with_last_system(self, certificate: Certificate, last: Stage) -> Certificate:
+        """Return the certificate of the solution of the linear system of the case that was found, if it is no worse."""
+        judge, state, z = self.judge, self.state, self.scaling.inward(certificate.z)
+        found = self.policy.last_system(self.problem, z, state.work, judge.is_solved_by(certificate))
+        if found is None:
+            return certificate
+        z, work = found
+        state.work += work
+        last.take("", 0, work)
+        return judge.better_of(certificate, judge.certificate_of(np.clip(z, self.problem.lower, self.problem.upper)))
 
     def judged(self, start: FloatVector, end: End) -> Result:
         """Return the result, whose status the certificate names."""
-        state, settings, stages = self.state, self.settings, self.state.records()
+        state, settings = self.state, self.settings
         certificate, status = self.ended(start, end)
+        stages = state.records()
         words, proof = dict(self.judge.words), self.judge.proof
         is_over_at_once = status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None
         if is_over_at_once:

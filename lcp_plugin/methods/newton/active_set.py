@@ -12,6 +12,7 @@ from ...core.algorithm import Step
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
+from ...systems.factors import factor_operations
 from ...systems.free_systems import FreeSystem
 
 LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorisation
@@ -105,6 +106,26 @@ def solve_active_set(
     if x is None or not np.isfinite(z).all():
         return None
     return ActiveSetSolution(z + x, system, 1.0 + (system.work - before) / max(problem.nonzeros, 1))
+
+
+@np.errstate(all="ignore")
+def solve_case(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolution | None:
+    """Return what solves the linear system of the active set that z shows.
+
+    None where its block is singular, so that z is one of many, and where a factor would take more passes over M than
+    `most_work`.
+
+    Examples
+    --------
+    >>> solve_case(LCP([[2, 1], [1, 2]], [-5, 1]), np.array([2.4, 0.1]), 100.0).z
+    array([2.5, 0. ])
+    """
+    at_lower, at_upper = classify(problem, z, problem.slack(z))
+    system = FreeSystem(problem.matrix, ~(at_lower | at_upper), by_factor=True)
+    most = most_work * max(problem.nonzeros, 1)
+    if factor_operations(system.principal, most) > most or system.is_singular:
+        return None
+    return solve_active_set(problem, at_lower, at_upper, near=z, system=system)
 
 
 class NewtonState:

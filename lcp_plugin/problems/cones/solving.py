@@ -375,7 +375,7 @@ class ConeJudge(Judge):
         if newton_operations(problem, z) > self.products() * problem.nonzeros:
             return found  # type: ignore[no-any-return]
         step = NewtonSystem(problem).step(z, found.velocity, problem.residual(z, found.velocity)[0], 0.0)[1]
-        return found if step is None else self._better_of(found, self.certificate_of(z + step))
+        return found if step is None else self.better_of(found, self.certificate_of(z + step))
 
     def _held(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, with z° in the components that z° answers."""

@@ -1,8 +1,8 @@
-"""The algorithms by their names: classes found in ``methods/``, and those that installed packages offer.
+"""The algorithms by their names: a table of our classes, and those that installed packages offer.
 
 An algorithm is a class below :class:`Algorithm` with ``name``, its options as fields, ``needs``, ``solves``, ``cost``
-and ``reference``, which ``lcp-plugin list`` and README's table tell. A file in ``methods/`` is all it takes here; a
-class there that leaves out ``solves`` is a step of ``auto`` alone. Another package offers one as an entry point,
+and ``reference``, which ``lcp-plugin list`` and README's table tell. Ours is a file in ``methods/`` and a line of
+`REGISTRY`; a class without a line is a step of ``auto`` alone. Another package offers one as an entry point,
 ``name = "module:Class"`` in the group ``lcp_plugin.algorithms``: the name of the entry point must be the class's, and
 none of ours. ``examples/add_an_algorithm.py`` writes one.
 
@@ -23,17 +23,12 @@ https://packaging.python.org/specifications/entry-points/.
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields
 from functools import cache
 from importlib import import_module
-from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from . import methods
-from .core import splittings
 from .core.algorithm import Algorithm, FusedSolve, Step
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.settings import OF_SOLVE
@@ -54,21 +49,21 @@ if TYPE_CHECKING:  # for editors and mypy: __getattr__ has each class of the reg
 ENTRY_POINT_GROUP = "lcp_plugin.algorithms"
 
 
-class _Registry(Mapping[str, type[Algorithm]]):
-    """The classes below two folders by their names; a file is read to find the names, and imported for its class.
+class Registry(Mapping[str, type[Algorithm]]):
+    """Classes by their names; a solve imports those that it takes, and no other.
 
-    So a solve loads the methods that it takes, and no other.
+    Parameters
+    ----------
+    places : mapping
+        Each name's ``module:Class``, the module from this package on.
     """
 
-    def __init__(self, *packages: ModuleType) -> None:
-        self._places = {
-            name: (module, word) for package in packages for module, text in _sources(package)
-            for word, name in _names_in(text)
-        }
+    def __init__(self, places: Mapping[str, str]) -> None:
+        self._places = {name: tuple(place.split(":")) for name, place in places.items()}
 
     def __getitem__(self, name: str) -> type[Algorithm]:
         module, word = self._places[name]
-        found: type[Algorithm] = getattr(import_module(module), word)
+        found: type[Algorithm] = getattr(import_module(f".{module}", __package__), word)
         return found
 
     def __iter__(self) -> Iterator[str]:
@@ -78,7 +73,7 @@ class _Registry(Mapping[str, type[Algorithm]]):
         return len(self._places)
 
     def module(self, name: str) -> str:
-        """Return the module in which the class of that name is written."""
+        """Return the module in which the class of that name is written, from this package on."""
         return self._places[name][0]
 
     def name_of(self, word: str) -> str | None:
@@ -86,26 +81,27 @@ class _Registry(Mapping[str, type[Algorithm]]):
         return next((name for name, (_, own) in self._places.items() if own == word), None)
 
 
-def _sources(package: ModuleType) -> Iterator[tuple[str, str]]:
-    """Yield the module and the text of each file below a package but for kernels."""
-    root = Path(package.__path__[0])
-    for file in sorted(root.rglob("*.py")):
-        parts = file.relative_to(root).with_suffix("").parts
-        if "kernels" not in parts:
-            place = [package.__name__, *(part for part in parts if part != "__init__")]
-            yield ".".join(place), file.read_text(encoding="utf-8")
-
-
-def _names_in(text: str) -> Iterator[tuple[str, str]]:
-    """Yield class and name of each algorithm that a file defines, and that says, or inherits, what it solves."""
-    for part in f"\n{text}".split("\nclass ")[1:]:
-        head = re.match(r"(\w+)\((\w+)", part)
-        name = re.search(r'^    name(?:: ClassVar\[str\])? = "(\w+)"', part, re.M)
-        if head and name and (head[2] != "Algorithm" or re.search(r"^    solves\b", part, re.M)):
-            yield head[1], name[1]
-
-
-REGISTRY = _Registry(splittings, methods)
+REGISTRY = Registry({
+    "psor": "core.splittings.projected_relaxation:PSOR",
+    "pgs": "core.splittings.projected_relaxation:PGS",
+    "paor": "core.splittings.projected_relaxation:PAOR",
+    "pj": "core.splittings.projected_relaxation:PJ",
+    "gfp": "core.splittings.projected_relaxation:GFP",
+    "npaor": "core.splittings.projected_type:NPAOR",
+    "npsor": "core.splittings.projected_type:NPSOR",
+    "npgs": "core.splittings.projected_type:NPGS",
+    "npj": "core.splittings.projected_type:NPJ",
+    "banded": "methods.banded:Banded",
+    "interior_point": "methods.interior.interior_point:InteriorPoint",
+    "lemke": "methods.lemke:Lemke",
+    "maor": "methods.modulus.modulus:MAOR",
+    "msor": "methods.modulus.modulus:MSOR",
+    "mgs": "methods.modulus.modulus:MGS",
+    "mj": "methods.modulus.modulus:MJ",
+    "multigrid": "methods.multigrid:Multigrid",
+    "newton": "methods.newton.semismooth_newton:Newton",
+    "npsplitting": "methods.npsplitting:NPSplitting",
+})
 
 __all__ = [
     "ENTRY_POINT_GROUP", "REGISTRY", "Algorithm", "FusedSolve", "Step", "algorithm_class", "create",

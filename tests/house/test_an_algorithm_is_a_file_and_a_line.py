@@ -1,4 +1,4 @@
-"""The example's algorithm becomes one of the package by a file in methods/ and its test; nothing else changes."""
+"""The example's algorithm becomes one of the package by a file in methods/, its test and its line in the table."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ TESTS = ("tests/methods/test_extragradient.py", "tests/house/test_architecture.p
 
 
 @pytest.mark.full
-def test_an_algorithm_is_two_files(tmp_path: Path) -> None:
-    """A copy of the package with the two files has it by its name, and the tests of all algorithms take it."""
+def test_an_algorithm_is_a_file_and_a_line(tmp_path: Path) -> None:
+    """A copy of the package with these has it by its name, and the tests of all algorithms take it."""
     for name in ("lcp_plugin", "tests", "examples", "README.md", "pyproject.toml", "CITATION.cff", "LICENSE"):
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
         copy(ROOT / name, tmp_path / name)
@@ -36,6 +36,10 @@ def test_an_algorithm_is_two_files(tmp_path: Path) -> None:
         "from ..core.algorithm import Algorithm, Step, check_flag, check_positive\nfrom ..core.lcp import LCP\n\n\n"
     )
     (tmp_path / "lcp_plugin" / "methods" / "extragradient.py").write_text(head + source[start:end], encoding="utf-8")
+    table = tmp_path / "lcp_plugin" / "algorithms.py"
+    before, after = table.read_text(encoding="utf-8").split("REGISTRY = Registry({\n")
+    line = '    "extragradient": "methods.extragradient:Extragradient",\n'
+    table.write_text(f"{before}REGISTRY = Registry({{\n{line}{after}", encoding="utf-8")
     (tmp_path / TESTS[0]).write_text(TEST, encoding="utf-8")
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *TESTS], cwd=tmp_path,

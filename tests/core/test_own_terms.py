@@ -85,12 +85,24 @@ def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
 
 
 def test_what_fell_under_attack_is_refused() -> None:
-    """Points that earlier forms of the rule passed: a row that was not moved to its bound; one excused at 1e-8."""
+    """Points that earlier forms of the rule passed: not moved to a bound; excused at 1e-8; moved as far as z is."""
     for M, q, false in (
         ([[1e-9, -1.0], [1.0, 1e-9]], [-1e-9, 0.0], [6.0, 5e-9]),
         ([[2e-6, 1.0], [-1.0, 1e-11]], [-1.0, -2e-11], [2e-12, 1.0]),
+        (
+            [[1e-6, 0.0, 0.0, 0.0], [1.0, 1e-6, 0.0, 0.0], [-3.0, -2.0, 1.0, 0.0], [-2.0, 1.0, 3.0, 1e-6]],
+            [-1e-6, -1.0, 1.0, 2999996.0], [1.0, 0.0, 2.0, 0.9993],
+        ),
     ):
         assert not Certificate.of(LCP(M, q), false).meets(Settings())
+
+
+def test_no_row_is_explained_by_a_number_that_does_not_act() -> None:
+    """w_3 = .5 where z_3 = 1: neither SOLVED nor rounding, though m_34 = −1e19 would hide it."""
+    M = [[0.0, -3.0, 2.0, -1.0], [3.0, -3.0, 3.0, 1.0], [1.0, -2.0, 2.0, -1e19], [1.0, -3.0, 1.0, -2.0]]
+    problem = LCP(M, [-2.0, 0.0, -1.5, 0.0])
+    for result in (solve(problem), *solve_batch([problem, problem])):
+        assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)
 
 
 def test_integers_with_tiny_diagonals_by_all_cases() -> None:

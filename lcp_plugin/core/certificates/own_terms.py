@@ -12,7 +12,8 @@ With v_i the part of w_i that has the wrong sign (|w_i| where z_i is off its bou
 Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. A component is also
 right where it is so at another z', with z_i at its bound where the sign of w_i is right there and d_i·distance ≤ |w_i|,
 or where row i is wrong and the distance at most 10⁻⁸ of the largest |z_j − z°_j|: as where z* and w* are both 0, which
-sweeps approach and do not reach. z' is judged by what it is; z is as near to it as a residual can tell.
+sweeps approach and do not reach. z' is judged by what it is, and z by how far it is from there, beside the largest
+|z_j − z°_j|: that has to be right to √tolerance as well.
 
 No size that is guessed from the data enters: what acts is read from z, and limits, costs or rows that nothing touches
 count nowhere. Beside a T_i that is large because its terms cancel, the relative residual has its say.
@@ -24,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..checks import BoolVector, FloatVector
+from ..checks import FloatVector
 from .criterion import for_each_row, largest_of_components
 from .row_residuals import magnitude
 
@@ -57,20 +58,21 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
     here = _beside_own_terms(problem, z, w)
     if not problem.communicator.anywhere(here.any()):
         return here
-    moved = _at_bounds(problem, z, w, here > NEAR)
-    there = _beside_own_terms(problem, moved, problem.slack(moved))
+    with np.errstate(all="ignore"):
+        moves = for_each_row(problem, largest_of_components(problem, np.abs(z - problem.nearest_to_zero)))
+        moved = _at_bounds(problem, z, w, np.where(here > NEAR, NEAR * moves, 0.0))
+        there = _beside_own_terms(problem, moved, problem.slack(moved))
+        there = np.fmax(there, np.where(moved == z, 0.0, ((moved - z) / moves) ** 2))
     is_better = largest_of_components(problem, there) < largest_of_components(problem, here)
     return np.where(for_each_row(problem, is_better), there, here)
 
 
-def _at_bounds(problem: LCP, z: FloatVector, w: FloatVector, is_wrong: BoolVector) -> FloatVector:
-    """Return z', shape (own,): a row that is right beside its own terms goes no way that w does not ask for."""
-    with np.errstate(all="ignore"):
-        moves = largest_of_components(problem, np.abs(z - problem.nearest_to_zero))
-        step, near = w / problem.residual_scale, np.where(is_wrong, NEAR * for_each_row(problem, moves), 0.0)
-        above, below = z - problem.lower, problem.upper - z
-        to_lower = (above <= np.maximum(step, near)) & (above <= below)
-        to_upper = below <= np.maximum(-step, near)
+def _at_bounds(problem: LCP, z: FloatVector, w: FloatVector, near: FloatVector) -> FloatVector:
+    """Return z', shape (n,): with z_i at a bound that w_i asks for, or that is as near as that."""
+    step = w / problem.residual_scale
+    above, below = z - problem.lower, problem.upper - z
+    to_lower = (above <= np.maximum(step, near)) & (above <= below)
+    to_upper = below <= np.maximum(-step, near)
     return np.where(to_lower, problem.lower, np.where(to_upper, problem.upper, z))
 
 

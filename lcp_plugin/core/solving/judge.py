@@ -154,6 +154,8 @@ class Judge:
         """Return whether no z is a solution, but this one misses by no more than rounding of the data."""
         if z is None or self.proof is None or not self.proof.is_rounding:
             return False
+        if self.certificate_of(z).term_residual > self.settings.goal:
+            return False  # q's largest number may be far from this row
         return measured_scaled_residual(self.problem, self.scaling.outward(z)) <= rounding_of_data(self.problem)
 
     def accept_proof(self, proof: Any) -> bool:

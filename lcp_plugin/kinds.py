@@ -67,14 +67,15 @@ def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
     kind = kind_of(problem)
     if kind is None:
         raise InvalidOption(refusal("solve", problem))
-    options, article = options_of(kind), with_article(kind.word)
+    options = options_of(kind)
     if options is None or "algorithm" in options or algorithm != "auto":
         wishes = {"algorithm": algorithm, **wishes}
     kind.refuse(wishes)
     for name in wishes:
         if options is not None and name not in options:
-            raise InvalidOption(f"solve takes no {name} for {article}{did_you_mean(name, options)}")
+            raise InvalidOption(f"solve takes no {name} for {with_article(kind.word)}{did_you_mean(name, options)}")
     for name, default in (options or {}).items():
         if default is inspect.Parameter.empty and name not in wishes:
+            article = with_article(kind.word)
             raise InvalidOption(f"solve needs {name} for {article}: write solve(problem, {name}=…)")
     return solver_of(kind)(problem, **wishes)

@@ -51,7 +51,7 @@ class DAQP(Engine):
         seconds = limits.seconds if np.isfinite(limits.seconds) else 0.0
         limit = np.concatenate([program.h, program.b])[np.newaxis]
         ((x, y, flag, steps),) = self.points(
-            P[np.newaxis], program.c[np.newaxis], np.vstack([G, A])[np.newaxis], limit, np.arange(limit.size) >= m,
+            P[np.newaxis], program.c[np.newaxis], np.concatenate([G, A])[np.newaxis], limit, np.arange(limit.size) >= m,
             program.lower[np.newaxis], program.upper[np.newaxis], range(1), seconds,
         )
         lower, upper = beside_bounds(y[:n], program.lower, program.upper)
@@ -73,9 +73,10 @@ class DAQP(Engine):
         """
         import daqp
 
-        sense = np.repeat([0, EQUATION], [c.shape[1] + np.count_nonzero(~is_equation), np.count_nonzero(is_equation)])
-        sense = sense.astype(np.intc)
-        above, below = np.hstack([upper, d]), np.hstack([lower, np.where(is_equation, d, -np.inf)])
+        sense = np.zeros(upper.shape[1] + is_equation.size, np.intc)
+        sense[upper.shape[1] :][is_equation] = EQUATION
+        above = np.concatenate([upper, d], axis=1)
+        below = np.concatenate([lower, np.where(is_equation, d, -np.inf)], axis=1)
         costs, settings, has_P = np.array(c), {**self.settings, "time_limit": seconds}, P.any()
         matrices = [np.array(one) for one in (P, C)]
         of_P, of_C = (range(len(c)) if len(one) > 1 else [0] * len(c) for one in matrices)

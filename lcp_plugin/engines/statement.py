@@ -51,9 +51,10 @@ class Prepared(NamedTuple):
     @classmethod
     def _of(cls, given: Statement, is_left_out: BoolVector, unit: FloatVector | None) -> Prepared:
         m, n, objective = given.h.size, given.c.size, 1.0
-        lower = np.where(is_left_out[m : m + n], -np.inf, given.lower)
-        upper = np.where(is_left_out[m + n :], np.inf, given.upper)
-        P, c, G, A = given.P, given.c, given.G, given.A
+        P, c, G, A, lower, upper = given.P, given.c, given.G, given.A, given.lower, given.upper
+        if is_left_out.any():
+            lower = np.where(is_left_out[m : m + n], -np.inf, lower)
+            upper = np.where(is_left_out[m + n :], np.inf, upper)
         if unit is not None:
             G, A, c, lower, upper = _columns(G, unit), _columns(A, unit), c * unit, lower / unit, upper / unit
             P = _columns(_divided(P, 1.0 / unit), unit)
@@ -119,9 +120,8 @@ def _largest(A: Any) -> FloatVector:
 
 
 def _power_below(sizes: FloatVector) -> FloatVector:
-    """Return the power of two below each size, 1 for 0."""
-    is_some = (sizes > 0.0) & np.isfinite(sizes)
-    return np.where(is_some, np.ldexp(1.0, np.frexp(np.where(is_some, sizes, 1.0))[1] - 1), 1.0)
+    """Return the power of two below each size, ½ for 0."""
+    return np.asarray(np.ldexp(1.0, np.frexp(sizes)[1] - 1))
 
 
 def _divided(A: Any, sizes: FloatVector) -> Any:

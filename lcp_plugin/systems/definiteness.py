@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
 from ..core.tuning import CHOLESKY_UP_TO, FULL_CHOLESKY_FROM, FULL_CHOLESKY_UP_TO
-from .factors import PositiveFactor, factor_fits, positive_factor
+from .factors import PositiveFactor, cholesky, factor_fits, positive_factor
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray], FloatArray]
 
 LARGEST_SHIFT = 1e-6  # a semidefiniteness up to more than this would say nothing
+SMALLEST_PIVOT = 2.0**-900  # what underflows is nothing beside it
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
 
 
@@ -91,6 +92,9 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
         return False
     filled = np.flatnonzero(diagonal)
     if int(P.nnz if sp.issparse(P) else np.count_nonzero(P)) == filled.size:
+        return True
+    # The backward error of a Cholesky factor is as small beside √(p_ii p_jj) as that of the scaled matrix (Demmel).
+    if not sp.issparse(P) and diagonal.min() >= SMALLEST_PIVOT and cholesky(P) is not None:
         return True
     # A zero on the diagonal of a semidefinite matrix has nothing beside it.
     if filled.size < diagonal.size and (abs(P) @ (diagonal == 0.0).astype(np.float64)).any():

@@ -191,44 +191,49 @@ def measured(
     """
     acts = Acting(0.0, 0.0, 0.0) if acting is None else acting
     known, rounding = np.isfinite(d), 2.0 * (terms.summands + 4) * EPSILON
-    right, below, above = np.where(known, d, 0.0), np.isfinite(lower), np.isfinite(upper)
-    residual = np.where(known, terms.value - right, 0.0)
-    margin = rounding * (terms.size + np.abs(right))
-    excess = np.where(is_equality, np.abs(residual), residual)
-    over = np.where(known, np.maximum(excess + margin, 0.0), 0.0)
-
-    base = np.maximum(np.abs(c), terms.product_largest)
-    own = np.maximum(np.maximum(base, terms.pull_largest), np.maximum(np.abs(of_lower), np.abs(of_upper)))
-    size = np.maximum(np.maximum(terms.largest, np.abs(right)), ACTS * acts.row)
+    right = np.where(known, d, 0.0)
+    residual, of_right = np.where(known, terms.value - right, 0.0), np.abs(right)
+    margin = rounding * (terms.size + of_right)
+    off = np.abs(residual)
+    over = np.where(known, np.maximum(np.where(is_equality, off, residual) + margin, 0.0), 0.0)
+    size = np.maximum(np.maximum(terms.largest, of_right), ACTS * acts.row)
+    of_x = np.abs(x)
     outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
-    primal = np.maximum(_beside(over, size), _beside(outside, np.abs(x)))
+    primal = np.maximum(_beside(over, size), _beside(outside, of_x))
 
+    cost, of_y, of_bounds = np.abs(c), np.abs(y), (np.abs(of_lower), np.abs(of_upper))
     left = np.abs(terms.product + c + terms.pull - of_lower + of_upper)
-    blur = rounding * (terms.product_size + np.abs(c) + terms.pull_size + np.abs(of_lower) + np.abs(of_upper))
+    blur = rounding * (terms.product_size + cost + terms.pull_size + of_bounds[0] + of_bounds[1])
+    own = np.maximum(np.maximum(cost, terms.product_largest), np.maximum(terms.pull_largest, np.maximum(*of_bounds)))
     dual = _beside(left + blur, np.maximum(own, ACTS * acts.column))
-    wrong = np.where(is_equality | known & (y > 0.0), 0.0, np.where(known, -y, np.abs(y)))
-    dual = np.maximum(dual, _beside(wrong, acts.of_row))
-    for has, of_bound in ((below, of_lower), (above, of_upper)):
-        wrong = np.where(has, np.maximum(-of_bound, 0.0), np.abs(of_bound))
-        dual = np.maximum(dual, _beside(wrong, acts.column))
+    dual = np.maximum(dual, _beside(of_y * ~(is_equality | (known & (y >= 0.0))), acts.of_row))
 
-    one = np.abs(x).max(-1, initial=0.0, keepdims=True)
-    one = np.where(one > 0.0, one, 1.0)  # of x: objectives may be beyond the range of doubles
-    ahead = x / one
-    gap = (np.abs(y) * (np.maximum(np.abs(residual) - margin, 0.0) / one)).sum(-1)
-    gap = gap + (np.maximum(left - blur, 0.0) * np.abs(ahead)).sum(-1)
-    gap = gap + rounding * (np.abs(ahead) * terms.product_size).sum(-1)  # far along P d = 0 it hides any cost
-    for has, of_bound, bound in ((below, of_lower, lower), (above, of_upper, upper)):
-        slack = (x - np.where(has, bound, 0.0)) / one
-        gap = gap + np.where(has & (of_bound != 0.0), np.abs(of_bound * slack), 0.0).sum(-1)
-    objective = np.abs(c * ahead).sum(-1) + 1.5 * np.abs((ahead * terms.product).sum(-1))
+    one = of_x.max(-1, initial=0.0, keepdims=True)
+    one = one + (one == 0.0)  # of x: objectives may be beyond the range of doubles
+    ahead, of_ahead = x / one, of_x / one
+    gap = (of_y * (np.maximum(off - margin, 0.0) / one)).sum(-1)
+    # Far along P d = 0 the rounding of P x hides any cost.
+    gap = gap + (of_ahead * (np.maximum(left - blur, 0.0) + rounding * terms.product_size)).sum(-1)
+    for signed, of_bound, bound in ((of_lower, of_bounds[0], lower), (of_upper, of_bounds[1], upper)):
+        if of_bound.any():
+            has = np.isfinite(bound)
+            dual = np.maximum(dual, _beside(np.where(has & (signed >= 0.0), 0.0, of_bound), acts.column))
+            slack = np.abs(x - np.where(has, bound, 0.0)) / one
+            gap = gap + np.where(has & (of_bound != 0.0), of_bound * slack, 0.0).sum(-1)
+    objective = (cost * of_ahead).sum(-1) + 1.5 * np.abs((ahead * terms.product).sum(-1))
     return Errors(primal, dual, _beside(gap[..., np.newaxis], objective[..., np.newaxis]))
 
 
 def _beside(wrong: Any, size: Any) -> Any:
     """Return the largest quotient along the last axis, 0 / 0 = 0; ∞ where one is no number."""
-    quotient = np.where(wrong == 0.0, 0.0, wrong / size).max(-1, initial=0.0)
-    return np.where(np.isnan(quotient), np.inf, quotient)
+    if not wrong.any():
+        return np.zeros(wrong.shape[:-1])
+    quotient = wrong / size
+    largest = quotient.max(-1, initial=0.0)
+    if np.isnan(largest).any():
+        largest = np.where(wrong == 0.0, 0.0, quotient).max(-1, initial=0.0)
+        largest = np.where(np.isnan(largest), np.inf, largest)
+    return largest
 
 
 def program_goal(tolerance: float) -> float:

@@ -36,6 +36,8 @@ SHARPEST = 4  # points: as it came, and polished, each without noise and with it
 NOISE = 2.0**-44
 CALLS = 4  # of an engine for one program
 
+Answered = tuple[QPSolution | None, Point]
+
 
 class EngineRun(NamedTuple):
     """What an engine came to.
@@ -118,9 +120,10 @@ def run_engine(
     best: QPSolution | None = None
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         for solution, point in islice(_answers(program, engine, is_verbose), points):
-            best = solution if best is None or solution.error < best.error else best
             iterations, says = iterations + point.iterations, point.says
-            if solution.is_stationary(goal) or is_over():
+            if solution is not None and (best is None or solution.error < best.error):
+                best = solution
+            if (best is not None and best.is_stationary(goal)) or is_over():
                 break
     if best is None:
         nearest, nothing = np.clip(0.0, program.lower, program.upper), np.zeros(sum(program.matrices.sizes))
@@ -128,7 +131,7 @@ def run_engine(
     return EngineRun(best, says, StageRecord(engine.name, engine.solves, iterations, 0.0), clock.read())
 
 
-def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Iterator[tuple[QPSolution, Point]]:
+def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Iterator[Answered]:
     """Yield the points of an engine, polished and as they came, of one statement of the program after the other."""
     refuse_nonconvex(program)
     reduction = Reduction(program)
@@ -146,19 +149,21 @@ def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Ite
         prepared, x = Prepared.of(given, is_far, units), given.c
         for solution, point in _points(reduced, prepared, engine, is_verbose):
             yield solution, point
-            x = prepared.outward(point).x
+            x = x if solution is None else prepared.outward(point).x
         broken = np.concatenate([given.G @ x - given.h, given.lower - x, x - given.upper]) > 0.0
         if not (is_far & broken).any():
             return
         is_far = is_far & ~broken
 
 
-def _points(
-    reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose: bool
-) -> Iterator[tuple[QPSolution, Point]]:
-    """Yield the point of an engine and what becomes of it: of an active set method first as it came."""
+def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose: bool) -> Iterator[Answered]:
+    """Yield the point of an engine and what becomes of it: of an active set method first as it came.
+
+    Where the engine has only a word and no point, no solution either.
+    """
     point = engine.answer(prepared.statement, Limits(seconds_left(), is_verbose))
     if not (np.isfinite(point.x).all() and np.isfinite(np.concatenate(point.multipliers)).all()):
+        yield None, point
         return
     cases = polished(prepared.statement, point)
     first = [] if engine.ends_with_a_case else list(islice(cases, 1))
@@ -172,13 +177,13 @@ def _points(
 
 def _without_noise(point: Point) -> Point | None:
     """Return the point with 0 in place of x and multipliers that are rounding beside the largest; None without any."""
-    x, parts = point.x, point.multipliers
-    largest = NOISE * max(float(np.abs(part).max(initial=0.0)) for part in parts)
-    is_noise = np.abs(x) <= NOISE * np.abs(x).max(initial=0.0)
-    kept = [np.where(np.abs(part) <= largest, 0.0, part) for part in parts]
-    if not x[is_noise].any() and all(map(np.array_equal, kept, parts)):
+    x, y = point.x, np.concatenate(point.multipliers)
+    of_x, of_y = np.abs(x), np.abs(y)
+    in_x, in_y = of_x <= NOISE * of_x.max(initial=0.0), of_y <= NOISE * of_y.max(initial=0.0)
+    if not (x[in_x].any() or y[in_y].any()):
         return None
-    return point._replace(x=np.where(is_noise, 0.0, x), multipliers=Multipliers(*kept))
+    kept = np.split(np.where(in_y, 0.0, y), np.cumsum([part.size for part in point.multipliers[:-1]]))
+    return point._replace(x=np.where(in_x, 0.0, x), multipliers=Multipliers(*kept))
 
 
 def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:
@@ -195,7 +200,8 @@ def _statement(program: QuadraticProgram) -> Statement:
     if any(sp.issparse(one) and one.nnz for one in given):
         P, G, A = map(as_csr, given)
     else:
-        P, G, A = (one.toarray() if sp.issparse(one) else np.asarray(one) for one in given)
+        (P,), (rows,) = program.matrices.dense
+        G, A = rows[: program.h.size], rows[program.h.size :]
     return Statement(P, program.c, G, program.h, A, program.b, program.lower, program.upper)
 
 

@@ -48,7 +48,9 @@ class ProgramMatrices:
     @cached_property
     def is_equality(self) -> NDArray[np.bool_]:
         """Which of the constraints are equations."""
-        return np.repeat([False, True, False, False], self.sizes)
+        (m, p, _, _), is_equality = self.sizes, np.zeros(sum(self.sizes), np.bool_)
+        is_equality[m : m + p] = True
+        return is_equality
 
     @cached_property
     def rows(self) -> sp.csr_array:

@@ -94,6 +94,8 @@ class Engine(ABC):
         The options that differ from the engine's own defaults.
     ends_with_a_case : bool
         Whether its point solves the linear system of a case: an active set method.
+    is_for_linear_alone : bool
+        Whether it takes no P.
     """
 
     name: ClassVar[str]
@@ -102,6 +104,7 @@ class Engine(ABC):
     reference: ClassVar[str]
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     ends_with_a_case: ClassVar[bool] = False
+    is_for_linear_alone: ClassVar[bool] = False
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

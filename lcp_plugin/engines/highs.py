@@ -31,6 +31,7 @@ class HiGHS(Engine):
     cost: ClassVar[str] = "a sparse factor now and then, two triangular solves a step"
     reference: ClassVar[str] = "Huangfu, Hall 2018"
     ends_with_a_case: ClassVar[bool] = True
+    is_for_linear_alone: ClassVar[bool] = True
     defaults: ClassVar = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
 
     @staticmethod

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import InvalidOption, QuadraticProgram, Status, solve
+from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
 from lcp_plugin.engines import ENGINES, Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
 from lcp_plugin.engines.polish import polished
 from lcp_plugin.engines.statement import Prepared, far_limits
@@ -75,6 +75,14 @@ def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name: str) -> None:
     endless = solve(QuadraticProgram(None, [-1, 0], [[0, 1]], [1], lower=0), name)
     assert endless.status is Status.UNBOUNDED
     assert endless.proof.verify()
+
+
+def test_what_an_engine_does_not_take_is_refused_and_nothing_left_needs_none() -> None:
+    """HiGHS is no solver of quadratic programs; where all unknowns are fixed nobody is asked."""
+    with pytest.raises(UnsuitableProblem, match='highs solves linear programs, but P has nonzeros; take "piqp"'):
+        solve(QuadraticProgram(np.eye(1), [1.0]), "highs")
+    for name in ENGINES:
+        assert solve(QuadraticProgram(None, [1.0], G=[[1.0]], h=[2.0], lower=0, upper=0), name).x.tolist() == [0.0]
 
 
 def test_options_are_the_engine_s_own_and_others_are_refused() -> None:

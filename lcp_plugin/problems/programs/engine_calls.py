@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, seconds_left
+from ...core.errors import UnsuitableProblem
 from ...core.solving.result import StageRecord
 from ...engines import Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
 from ...engines.polish import polished
@@ -115,7 +116,13 @@ def run_engine(
     ------
     UnsupportedModel
         Where the program is not convex.
+    UnsuitableProblem
+        Where the engine takes linear programs alone, and it is none.
     """
+    if engine.is_for_linear_alone and program.matrices.entries[0]:
+        raise UnsuitableProblem(
+            f"{engine.name} solves {engine.solves}, but P has nonzeros; take \"piqp\", or give P = None"
+        )
     clock, iterations, says = Clock(ALONE), 0, Hint.GAVE_UP
     best: QPSolution | None = None
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
@@ -146,10 +153,12 @@ def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Ite
     if (units != 1.0).any():
         yield from _points(reduced, Prepared.of(given, nothing, units), engine, is_verbose)
     for _ in range(CALLS if is_far.any() else 0):
-        prepared, x = Prepared.of(given, is_far, units), given.c
+        prepared, x = Prepared.of(given, is_far, units), None
         for solution, point in _points(reduced, prepared, engine, is_verbose):
             yield solution, point
             x = x if solution is None else prepared.outward(point).x
+        if x is None:
+            return
         broken = np.concatenate([given.G @ x - given.h, given.lower - x, x - given.upper]) > 0.0
         if not (is_far & broken).any():
             return
@@ -161,7 +170,12 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
 
     Where the engine has only a word and no point, no solution either.
     """
-    point = engine.answer(prepared.statement, Limits(seconds_left(), is_verbose))
+    if prepared.statement.c.size:
+        point = engine.answer(prepared.statement, Limits(seconds_left(), is_verbose))
+    else:  # what is left to say is whether the rows hold
+        empty = np.zeros(0)
+        multipliers = Multipliers(np.zeros(prepared.rows.size), np.zeros(prepared.statement.b.size), empty, empty)
+        point = Point(empty, multipliers, 0, Hint.GAVE_UP)
     if not (np.isfinite(point.x).all() and np.isfinite(np.concatenate(point.multipliers)).all()):
         yield None, point
         return

@@ -4,7 +4,8 @@ An algorithm is a class below :class:`Algorithm` with ``name``, its options as f
 and ``reference``, which ``lcp-plugin list`` and README's table tell. Ours is a file in ``methods/`` and a line of
 `REGISTRY`; a class without a line is a step of ``auto`` alone. Another package offers one as an entry point,
 ``name = "module:Class"`` in the group ``lcp_plugin.algorithms``: the name of the entry point must be the class's, and
-none of ours. ``examples/add_an_algorithm.py`` writes one.
+none of ours. ``examples/add_an_algorithm.py`` writes one. Convex programs have engines, too, other people's solvers, in
+a table of their own (:mod:`lcp_plugin.engines`).
 
 An instance holds its options, and is refused where one is wrong:
 
@@ -32,6 +33,7 @@ from typing import TYPE_CHECKING, Any
 from .core.algorithm import Algorithm, FusedSolve, Step
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.settings import OF_SOLVE
+from .engines import ENGINES, engine_class
 
 if TYPE_CHECKING:  # for editors and mypy: __getattr__ has each class of the registry by its name
     from importlib.metadata import EntryPoint
@@ -214,16 +216,26 @@ def _offers() -> dict[str, list[EntryPoint]]:
 def class_from_outside(name: str) -> type[Algorithm]:
     """Return the class that an installed package offers by that name; raise UnknownAlgorithm where there is none."""
     offers = _offers()
+    if name in ENGINES:
+        raise refusal_of_engine(name)
     if name not in offers:
-        hint = did_you_mean(name, {"auto", *REGISTRY, *offers}, is_listed=True)
+        hint = did_you_mean(name, {"auto", *REGISTRY, *ENGINES, *offers}, is_listed=True)
         raise UnknownAlgorithm(f"unknown algorithm {name!r}{hint}")
     return _checked_offer(name, offers[name])
+
+
+def refusal_of_engine(name: str) -> UnknownAlgorithm:
+    """Return the error that says which problems the engine solves, and how an LCP is stated for it."""
+    return UnknownAlgorithm(
+        f"{name} is an engine for {engine_class(name).solves}, not for this problem; the convex program of an LCP "
+        f"whose M is positive semidefinite is problem.to_qp(): solve(problem.to_qp(), {name!r})"
+    )
 
 
 def _checked_offer(name: str, offers: list[EntryPoint]) -> type[Algorithm]:
     """Return the class that stands behind an entry point, or raise naming the package and what it should mend."""
     packages = " and ".join(sorted({_package(entry) for entry in offers}))
-    if name == "auto" or name in REGISTRY:
+    if name == "auto" or name in REGISTRY or name in ENGINES:
         raise UnknownAlgorithm(f"{packages}: the name {name!r} belongs to lcp_plugin; the package must choose another")
     if len(offers) > 1:
         raise UnknownAlgorithm(f"{packages}: {name!r} is offered more than once; uninstall all but one")

@@ -63,7 +63,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .algorithms import REGISTRY, create
+from .algorithms import REGISTRY, create, refusal_of_engine
 from .core.algorithm import Algorithm, in_driven_sweeps
 from .core.certificates.criterion import CommonScaling
 from .core.checks import FloatVector, checked_start
@@ -85,6 +85,7 @@ from .core.solving.run import Callback
 from .core.splittings.projected_relaxation import PGS, PSOR
 from .core.splittings.projected_type import NPSOR
 from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO
+from .engines import Engine
 
 if TYPE_CHECKING:
     from .methods.direct import FallbackOrder, Retries
@@ -366,6 +367,8 @@ def policy_for(
     if isinstance(algorithm, type):
         name = algorithm.__name__
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")
+    if isinstance(algorithm, Engine):
+        raise refusal_of_engine(algorithm.name)
     if not isinstance(algorithm, str):
         raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
     return _single(create(algorithm, options), on_ranks, prove_infeasibility)

@@ -339,7 +339,7 @@ def report(
 
 @command("list", "0 done", "list")
 def list_everything() -> None:
-    """List the kinds of problems with the ways that take them, the algorithms with what they need, the scenes."""
+    """List kinds of problems with the ways that take them, algorithms and engines with what they need, scenes."""
     from .target import print_everything
 
     print_everything()

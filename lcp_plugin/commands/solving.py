@@ -20,6 +20,7 @@ from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
+from ..engines import ENGINES, engine_class
 from ..interfaces.program_files import kind_in, load_least_squares, load_problem, load_program
 from ..problems.cones.data import FrictionalContact
 from ..problems.cones.methods import METHODS
@@ -356,8 +357,11 @@ def run_model(
     asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
     asked |= {name: options.pop(name) for name in ("prove",) if name in options}  # of a search
     is_on_cones = kind_in(target.strip()).__name__ in ON_CONES  # whose algorithms have names of their own
-    if is_on_cones and options and algorithm in METHODS:
-        chosen: Any = made(METHODS[algorithm], algorithm, options)
+    chosen: Any
+    if isinstance(algorithm, str) and algorithm in ENGINES:
+        chosen = engine_class(algorithm)(options)
+    elif is_on_cones and options and algorithm in METHODS:
+        chosen = made(METHODS[algorithm], algorithm, options)
     else:
         chosen = algorithm if is_on_cones and not options else policy_for(algorithm, options).chosen
     OneProcess().check_outputs(target, picture.path, out)

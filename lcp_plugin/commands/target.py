@@ -235,15 +235,17 @@ def scene_names(incomplete: str) -> list[str]:
 def algorithm_names(incomplete: str) -> list[str]:
     """Return the algorithms that begin so, those of other packages too."""
     from ..algorithms import REGISTRY, from_other_packages
+    from ..engines import ENGINES
 
-    return [name for name in ("auto", *REGISTRY, *from_other_packages()) if name.startswith(incomplete)]
+    return [name for name in ("auto", *REGISTRY, *ENGINES, *from_other_packages()) if name.startswith(incomplete)]
 
 
 def print_everything() -> None:
-    """Print kinds of problems by the ways that take them, algorithms with needs and sources, scenes with parameters."""
+    """Print kinds of problems by the ways that take them, algorithms and engines with needs and sources, scenes."""
     from ..algorithms import REGISTRY, algorithm_class, from_other_packages
     from ..core.algorithm import Algorithm
     from ..core.kind import WAYS
+    from ..engines import ENGINES, engine_class
     from ..gallery import describe
     from ..kinds import KINDS
     from ..problems.cones.methods import METHODS
@@ -252,7 +254,8 @@ def print_everything() -> None:
     foreign = from_other_packages()
     offers = {**{name: algorithm_class(name) for name in REGISTRY}, **foreign}
     kinds = {name: kind for name, kind in offers.items() if not isinstance(kind, LCPError)}
-    every = *kinds.values(), *METHODS.values()
+    engines = [engine_class(name) for name in ENGINES]
+    every: tuple[Any, ...] = *kinds.values(), *METHODS.values(), *engines
     references = dict.fromkeys(kind.reference for kind in every if kind.reference != Algorithm.reference)
     sources = {reference: f"[{k}]" for k, reference in enumerate(references, start=1)}
     headings = ("name", "needs", "proved to converge on", "an iteration costs", "source")
@@ -261,6 +264,7 @@ def print_everything() -> None:
          for name, kind in some.items()]
         for some in (kinds, METHODS)
     )
+    of_others = [(one.name, one.solves, one.cost, one.obeys, sources[one.reference]) for one in engines]
     scenes = [
         (name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
         for name, summary, parameters in describe()
@@ -273,6 +277,9 @@ def print_everything() -> None:
     terminal.print(table("Algorithms", headings, algorithms, pad_edge=False))
     terminal.print()
     terminal.print(table("Algorithms over cones, and for contact with friction", headings, over_cones, pad_edge=False))
+    terminal.print()
+    headings = ("name", "solves", "costs", "heeds while it runs", "source")
+    terminal.print(table("Engines of others, for solve(program, name)", headings, of_others, pad_edge=False))
     for reference, source in sources.items():
         terminal.print(f"{source} {reference}")
     for error in (one for one in foreign.values() if isinstance(one, LCPError)):

@@ -20,8 +20,6 @@ SAYS = {
 class Clarabel(Engine):
     """Clarabel: an interior point method on the homogeneous embedding of a program over cones.
 
-    ``max_seconds`` is obeyed, ``verbose`` prints its own log, Ctrl-C waits for the end.
-
     References
     ----------
     Goulart, Chen, *Clarabel: an interior-point solver for conic programs with quadratic objectives*, 2024,
@@ -32,6 +30,7 @@ class Clarabel(Engine):
     solves: ClassVar[str] = "convex programs"
     cost: ClassVar[str] = "a factor of the KKT matrix a step, 10 to 50 steps"
     reference: ClassVar[str] = "Goulart, Chen 2024"
+    obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
     defaults: ClassVar = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
 
     @staticmethod

@@ -21,8 +21,6 @@ OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_a
 class DAQP(Engine):
     """DAQP: a dual active set, whose factor is changed row by row.
 
-    ``max_seconds`` is obeyed; ``verbose`` prints nothing, and Ctrl-C waits for the end.
-
     References
     ----------
     Arnström, Bemporad, Axehill, *A dual active-set solver for embedded quadratic programming using recursive LDLᵀ
@@ -33,6 +31,7 @@ class DAQP(Engine):
     solves: ClassVar[str] = "dense convex programs of up to some hundred rows"
     cost: ClassVar[str] = "n² a step, n³ to begin with"
     reference: ClassVar[str] = "Arnström, Bemporad, Axehill 2022"
+    obeys: ClassVar[str] = "max_seconds; verbose prints nothing; Ctrl-C waits for its end"
     ends_with_a_case: ClassVar[bool] = True
     defaults: ClassVar = {"primal_tol": 1e-9}
 

@@ -47,7 +47,7 @@ class Multipliers(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a caller allows and wants: an engine obeys what it can, and its docstring says what it cannot.
+    """What a caller allows and wants: an engine obeys what it can, as its `obeys` says.
 
     Attributes
     ----------
@@ -90,6 +90,8 @@ class Engine(ABC):
         Which programs.
     cost, reference : str
         As of an :class:`~lcp_plugin.algorithms.Algorithm`.
+    obeys : str
+        Which of `max_seconds`, `verbose` and Ctrl-C it heeds while it runs, and what it does of the others.
     defaults : mapping
         The options that differ from the engine's own defaults.
     ends_with_a_case : bool
@@ -102,6 +104,7 @@ class Engine(ABC):
     solves: ClassVar[str]
     cost: ClassVar[str]
     reference: ClassVar[str]
+    obeys: ClassVar[str]
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     ends_with_a_case: ClassVar[bool] = False
     is_for_linear_alone: ClassVar[bool] = False

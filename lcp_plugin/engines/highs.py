@@ -18,8 +18,6 @@ OPTIONS = frozenset({
 class HiGHS(Engine):
     """HiGHS: dual simplex for linear programs, as `scipy.optimize.linprog` brings it.
 
-    ``max_seconds`` is obeyed, ``verbose`` prints its own log, Ctrl-C waits for the end.
-
     References
     ----------
     Huangfu, Hall, *Parallelizing the dual revised simplex method*, Mathematical Programming Computation 10 (2018),
@@ -30,6 +28,7 @@ class HiGHS(Engine):
     solves: ClassVar[str] = "linear programs"
     cost: ClassVar[str] = "a sparse factor now and then, two triangular solves a step"
     reference: ClassVar[str] = "Huangfu, Hall 2018"
+    obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
     ends_with_a_case: ClassVar[bool] = True
     is_for_linear_alone: ClassVar[bool] = True
     defaults: ClassVar = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}

@@ -16,8 +16,6 @@ SAYS = {1: Hint.OPTIMAL, -2: Hint.INFEASIBLE, -3: Hint.UNBOUNDED}
 class PIQP(Engine):
     """PIQP: a proximal interior point method for convex quadratic programs.
 
-    ``verbose`` prints its own log; ``max_seconds`` and Ctrl-C wait for the end, which `max_iter` steps bring.
-
     References
     ----------
     Schwan, Jiang, Kuhn, Jones, *PIQP: a proximal interior-point quadratic programming solver*, IEEE Conference on
@@ -28,6 +26,9 @@ class PIQP(Engine):
     solves: ClassVar[str] = "convex programs, dense and sparse"
     cost: ClassVar[str] = "a factor of the KKT matrix a step, 10 to 30 steps"
     reference: ClassVar[str] = "Schwan, Jiang, Kuhn, Jones 2023"
+    obeys: ClassVar[str] = (
+        "verbose prints its own log; max_seconds and Ctrl-C wait for its end, after max_iter steps at the latest"
+    )
     defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 250}
 
     @staticmethod

@@ -16,12 +16,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from scenes import SMALL
 from the_command import lcp_plugin
 
 from lcp_plugin import LCP, Status, __version__, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.commands.cli import run
+from lcp_plugin.engines import ENGINES, engine_class
 from lcp_plugin.evidence import paper_tables
 from lcp_plugin.problems.cones.methods import METHODS
 
@@ -328,6 +330,8 @@ BAD_INPUT = [
     ("solve scaling_trap:n=3", r"scene 'scaling_trap' has no parameter 'n'.*takes none"),
     (SOLVE + "-a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
     (SOLVE + "-a NPSOR", r"unknown algorithm 'NPSOR'"),
+    (SOLVE + "-a piqp", r"piqp is an engine for convex programs.*solve\(problem\.to_qp\(\), 'piqp'\)"),
+    (SOLVE + "-a pqip", r"unknown algorithm 'pqip'; did you mean 'piqp'\?"),
     (SOLVE + "-a psor -o relaxation", r"--option wants name=value, got 'relaxation'"),
     (SOLVE + "-a psor -o =1.5", r"--option wants name=value, got '=1.5'"),
     (SOLVE + "-a psor -o relaxtion=1.5", r"psor has no option 'relaxtion'; did you mean 'relaxation'\?"),
@@ -437,16 +441,39 @@ def test_failing_write_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatc
 
 
 def test_list_shows_everything_there_is() -> None:
-    """Every algorithm with its source, and every scene with each of its parameters and defaults, is in the list."""
+    """Every algorithm, engine and their sources, and every scene with its parameters and defaults are in the list."""
     done = lcp_plugin("list")
     assert done.exit_code == 0
     rows = re.findall(r"^ (\w+) {2,}\S", done.stdout.partition("Algorithms")[2], re.MULTILINE)
-    assert [row for row in rows if row != "name"] == [*REGISTRY, *METHODS, *gallery.names()]
+    assert [row for row in rows if row != "name"] == [*REGISTRY, *METHODS, *ENGINES, *gallery.names()]
     assert all(algorithm_class(name).reference in done.stdout for name in REGISTRY)
     assert all(kind.reference in done.stdout for kind in METHODS.values())
+    assert all(engine_class(name).reference in done.stdout for name in ENGINES)
     for _, _, parameters in gallery.describe():
         for key, value in parameters.items():
             assert f"{key}={value}" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "option"), [("daqp", "iter_limit=50"), ("piqp", "max_iter=50"), ("clarabel", "max_iter=50")]
+)
+def test_an_engine_solves_the_program_of_a_file(name: str, option: str) -> None:
+    """`solve FILE -a ENGINE` finds the planted minimum, with its own options, and refuses those of others."""
+    matrices = {"P": sp.csc_array([[2.0, 0.0], [0.0, 2.0]]), "A": sp.csc_array([[1.0, 1.0]])}
+    parts = {
+        f"{key}_{part}": getattr(one, part)
+        for key, one in matrices.items() for part in ("shape", "data", "indices", "indptr")
+    }
+    np.savez("program.npz", q=[-2.0, -5.0], l=[-np.inf], u=[1.0], **parts)
+    for more in ((), ("-o", option)):
+        done = lcp_plugin("solve", "program.npz", "-a", name, *more, "--json")
+        assert done.exit_code == 0, done.output
+        content = json.loads(done.stdout)
+        assert content["run"]["algorithm"] == name
+        assert content["objective"] == pytest.approx(-4.125, abs=1e-9)
+    refused = lcp_plugin("solve", "program.npz", "-a", name, "-o", "omega=1.5")
+    assert refused.exit_code == 2
+    assert f"{name} has no option 'omega'" in refused.stderr
 
 
 def test_tables_agree_with_the_paper() -> None:

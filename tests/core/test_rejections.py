@@ -46,6 +46,7 @@ from lcp_plugin.core.errors import (
 )
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
+from lcp_plugin.engines import engine_class
 from lcp_plugin.evidence.curves import Report, performance_profile
 from lcp_plugin.evidence.stability import Atlas
 
@@ -257,6 +258,9 @@ WHOLE = r"max_iterations must be a whole number ≥ 0, got "
 RUNS = [
     run("algorithm misspelt", UnknownAlgorithm, r"unknown algorithm 'psr'; did you mean 'psor'\?", "psr"),
     run("algorithm nothing like it", UnknownAlgorithm, r"unknown algorithm 'gurobi'.*known", "gurobi"),
+    run("algorithm an engine", UnknownAlgorithm, r"piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'", "piqp"),
+    run("algorithm an engine object", UnknownAlgorithm, r"piqp is an engine for convex", engine_class("piqp")()),
+    run("algorithm nearly an engine", UnknownAlgorithm, r"did you mean 'clarabel'\?", "clarable"),
     run("algorithm empty", UnknownAlgorithm, r"unknown algorithm ''.*known", ""),
     run("algorithm in capitals", UnknownAlgorithm, r"unknown algorithm 'PSOR'.*psor", "PSOR"),
     run("algorithm None", UnknownAlgorithm, r"algorithm must be a name or an object.*got None", None),

@@ -230,7 +230,7 @@ def solve_program(
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
     options = {name: wish for name, wish in options.items() if wish is not None}
-    if isinstance(algorithm, Engine) or algorithm in ENGINES:
+    if isinstance(algorithm, Engine) or (isinstance(algorithm, str) and algorithm in ENGINES):
         return _solved_by_engine(program, algorithm, tolerance, options)
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)

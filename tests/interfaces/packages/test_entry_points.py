@@ -27,6 +27,7 @@ from lcp_plugin.algorithms import (
     from_other_packages,
 )
 from lcp_plugin.commands.cli import app
+from lcp_plugin.engines import ENGINES
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")
@@ -156,12 +157,11 @@ def test_a_broken_entry_says_what_and_whose(text: str, attribute: str, message: 
     assert ran.stderr.startswith("lcp-plugin: package their-package 1.2: ")
 
 
-@pytest.mark.parametrize("name", ["psor", "auto"])
+@pytest.mark.parametrize("name", ["psor", "auto", "piqp"])
 def test_a_name_of_ours_cannot_be_taken(name: str, install: Install) -> None:
     """A package that offers a built-in name changes nothing for it, and is named as refused."""
     install(WORKING.format(name=name), name, package="their-package")
-    result = solve(PROBLEM, name)
-    assert result.is_solved
+    assert solve(PROBLEM.to_qp() if name in ENGINES else PROBLEM, name).is_solved
     assert algorithm_class("psor").__module__ == "lcp_plugin.core.splittings.projected_relaxation"
     refused = from_other_packages()[name]
     assert isinstance(refused, UnknownAlgorithm)

@@ -70,6 +70,9 @@ def test_no_row_below_its_sign_is_solved() -> None:
     problem = LCP([[1e-9, 1.0], [-1.0, 0.0]], [-1.0, -1.0])
     assert not Certificate.of(problem, [0.0, 1.1e16]).meets(Settings())
     assert solve(problem).status is Status.INFEASIBLE
+    far = LCP([[1.0, 0.0, 2.0], [0.0, 1.0, 2.0], [-2.0, -2.0, 0.0]], [0.0, -1e15, -1.0])  # w_3 ≤ −1 beside w_2 of 1e15
+    assert not Certificate.of(far, [0.0, 0.0, 0.5e15]).meets(Settings())
+    assert solve(far).status is not Status.SOLVED
 
 
 def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:

@@ -15,7 +15,7 @@ from ..certificates.criterion import CommonScaling, measured_scaled_residual, ro
 from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
-from ..kernels.floats import EPSILON
+from ..kernels.floats import DATA_ROUNDING, EPSILON
 from ..settings import Settings, Status
 from .result import BoundOrReason
 
@@ -154,9 +154,11 @@ class Judge:
         """Return whether no z is a solution, but this one misses by no more than rounding of the data."""
         if z is None or self.proof is None or not self.proof.is_rounding:
             return False
-        if self.certificate_of(z).term_residual > self.settings.goal:
-            return False  # q's largest number may be far from this row
-        return measured_scaled_residual(self.problem, self.scaling.outward(z)) <= rounding_of_data(self.problem)
+        certificate, problem = self.certificate_of(z), self.problem
+        in_its_unit = DATA_ROUNDING * problem.communicator.largest(float(np.abs(problem.q).max(initial=0.0)))
+        if certificate.natural_residual > in_its_unit and certificate.term_residual > self.settings.goal:
+            return False  # small beside a coefficient that need not act
+        return measured_scaled_residual(problem, certificate.z) <= rounding_of_data(problem)
 
     def accept_proof(self, proof: Any) -> bool:
         """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.

@@ -85,6 +85,27 @@ def test_what_an_engine_does_not_take_is_refused_and_nothing_left_needs_none() -
         assert solve(QuadraticProgram(None, [1.0], G=[[1.0]], h=[2.0], lower=0, upper=0), name).x.tolist() == [0.0]
 
 
+@pytest.mark.parametrize("name", ENGINES)
+def test_an_answer_of_zeros_is_found(name: str) -> None:
+    """Rows x ≥ 0 and positive costs: x = 0, of which an interior point leaves 1e-11 or 1e-50."""
+    kind = np.zeros((2, 2)) if name == "highs" else np.eye(2)
+    found = solve(QuadraticProgram(kind, [1, 1], G=-np.eye(2), h=[0, 0]), name)
+    assert found.is_solved
+    assert np.abs(found.x).max() <= 1e-12
+
+
+def test_a_large_coefficient_excuses_no_other_term_of_its_row() -> None:
+    """1e15 times 4e-15 is a term like the others: a row of terms 3, 4 and 11 is met to 1e-7 of these."""
+    program = QuadraticProgram(
+        [[18, -1, 7, -13], [-1, 15, 8, -7], [7, 8, 13, -3], [-13, -7, -3, 26]], [2, -3, -1, -3],
+        G=[[-1, 2, -2, -2]], h=[-2], A=[[0, 2, 3, -2], [2, 3, 2, 1e15]], b=[8, 11], lower=[-1, 1, -1, -INF],
+        upper=[4, 1, 4, 2],
+    )
+    for name in ("auto", *QUADRATIC):
+        found = solve(program, name)
+        assert not found.is_solved or np.abs(program.A @ found.x - program.b).max() <= 2e-6
+
+
 def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
     """An option goes through by its name; a wrong one is refused with the right ones, one of an instance too."""
     program, x, _ = planted(0)

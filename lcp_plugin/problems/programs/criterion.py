@@ -4,9 +4,9 @@ Of min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds, at x with mul
 included:
 
 - **primal**: by how much a row is violated beside its own terms, max(|d_i|, max_j |c_ij x_j|), or beside
-  ω max_j |c_ij u_j| · max_k |x_k / u_k| where that is larger; a bound beside |x_j|.
+  ω min_j |c_ij u_j| · max_k |x_k / u_k| where that is larger; a bound beside |x_j|.
 - **dual**: what is left of component j of P x + c + Cᵀy beside its own terms, max(|c_j|, |p_jk x_k|, |c_ij y_i|, its
-  bounds' multipliers), or beside ω times the largest |b_k u_k| / u_j of unknowns off their bounds, b_k the largest
+  bounds' multipliers), or beside ω times the smallest |b_k u_k| / u_j of unknowns off their bounds, b_k the largest
   of |c_k| and |p_kl x_l|, where that is larger; a multiplier of a wrong sign beside the same without ω, divided by the
   largest coefficient of its row.
 - **gap**: Σ |y_i (d_i − c_i x)| over rows and bounds + Σ |x_j left_j| + the rounding of xᵀP x, beside
@@ -153,10 +153,15 @@ class Acting(NamedTuple):
         for unit in (np.ones(x.size), program.fitted_units):
             matrix: Any = program.matrices.rows if program.matrices.has_sparse_rows else program.matrices.dense_rows
             if sp.issparse(matrix):
-                coefficient = largest_in_rows(matrix, np.abs(matrix.data) * unit[matrix.indices])
+                entries = np.abs(matrix.data) * unit[matrix.indices]
+                coefficient = 1.0 / largest_in_rows(matrix, np.where(entries > 0.0, 1.0 / entries, 0.0))
             else:
-                coefficient = (np.abs(matrix) * unit).max(axis=1, initial=0.0)
-            pull = (base * unit)[is_free].max(initial=0.0)
+                entries = np.abs(matrix) * unit
+                coefficient = np.where(entries > 0.0, entries, np.inf).min(axis=1, initial=np.inf)
+            coefficient = np.where(np.isfinite(coefficient), coefficient, 0.0)
+            forces = (base * unit)[is_free]
+            pull = forces[forces > 0.0].min(initial=np.inf)
+            pull = pull if pull < np.inf else 0.0
             reach = (np.abs(x) / unit)[own * unit > EPSILON * pull].max(initial=0.0)
             of_rows = np.where(coefficient > 0.0, coefficient * reach, 1.0 / ACTS)
             sizes.append((of_rows, pull / unit, pull / coefficient))

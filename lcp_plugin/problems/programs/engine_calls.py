@@ -182,7 +182,9 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     cases = polished(prepared.statement, point)
     first = [] if engine.ends_with_a_case else list(islice(cases, 1))
     steps = point.iterations
-    for one in chain(first, [point], cases):
+    # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
+    at_zero = [(first or [point])[0]._replace(x=np.zeros(point.x.size))]
+    for one in chain(first, [point], cases, at_zero):
         for near in (_without_noise(one), one):
             if near is not None and (solution := _solution(reduction, prepared, near)) is not None:
                 yield solution, one._replace(iterations=steps)

@@ -13,7 +13,7 @@ from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
 SAYS = {
     "Solved": Hint.OPTIMAL, "AlmostSolved": Hint.OPTIMAL, "PrimalInfeasible": Hint.INFEASIBLE,
     "AlmostPrimalInfeasible": Hint.INFEASIBLE, "DualInfeasible": Hint.UNBOUNDED,
-    "AlmostDualInfeasible": Hint.UNBOUNDED,
+    "AlmostDualInfeasible": Hint.UNBOUNDED, "MaxIterations": Hint.STOPPED, "MaxTime": Hint.STOPPED,
 }
 
 
@@ -39,7 +39,9 @@ class Clarabel(Engine):
         """Return Clarabel's settings."""
         import clarabel
 
-        return frozenset(dir(clarabel.DefaultSettings())) - {"verbose", "time_limit"}
+        settings = clarabel.DefaultSettings()
+        names = (name for name in dir(settings) if not name.startswith("_") and not callable(getattr(settings, name)))
+        return frozenset(names) - {"verbose", "time_limit"}
 
     def answer(self, program: Statement, limits: Limits) -> Point:
         """Return Clarabel's point: equations in the zero cone, rows and finite bounds in the nonnegative one."""

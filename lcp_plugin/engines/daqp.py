@@ -14,7 +14,7 @@ from .engine import Engine, Hint, Limits, Multipliers, Point, Statement, beside_
 
 EQUATION = 5  # of daqp's `sense`
 ANSWERED = 1  # the smallest exit flag of an answer
-SAYS = {1: Hint.OPTIMAL, 2: Hint.OPTIMAL, -1: Hint.INFEASIBLE, -3: Hint.UNBOUNDED}
+SAYS = {1: Hint.OPTIMAL, 2: Hint.OPTIMAL, -1: Hint.INFEASIBLE, -3: Hint.UNBOUNDED, -4: Hint.STOPPED}
 OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi", "time_limit")
 
 
@@ -32,6 +32,7 @@ class DAQP(Engine):
     cost: ClassVar[str] = "n² a step, n³ to begin with"
     reference: ClassVar[str] = "Arnström, Bemporad, Axehill 2022"
     obeys: ClassVar[str] = "max_seconds; verbose prints nothing; Ctrl-C waits for its end"
+    steps: ClassVar[str] = "iter_limit"
     ends_with_a_case: ClassVar[bool] = True
     defaults: ClassVar = {"primal_tol": 1e-9}
 

@@ -67,6 +67,7 @@ class Hint(Enum):
     OPTIMAL = "optimal"
     INFEASIBLE = "infeasible"
     UNBOUNDED = "unbounded"
+    STOPPED = "stopped by its limit of steps or seconds"
     GAVE_UP = "gave up"
 
 
@@ -94,6 +95,8 @@ class Engine(ABC):
         Which of `max_seconds`, `verbose` and Ctrl-C it heeds while it runs, and what it does of the others.
     defaults : mapping
         The options that differ from the engine's own defaults.
+    steps : str
+        Its option for the largest number of steps.
     ends_with_a_case : bool
         Whether its point solves the linear system of a case: an active set method.
     is_for_linear_alone : bool
@@ -106,6 +109,7 @@ class Engine(ABC):
     reference: ClassVar[str]
     obeys: ClassVar[str]
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    steps: ClassVar[str] = "max_iter"
     ends_with_a_case: ClassVar[bool] = False
     is_for_linear_alone: ClassVar[bool] = False
     options: Mapping[str, Any] = field(default_factory=dict)

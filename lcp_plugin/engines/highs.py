@@ -8,7 +8,7 @@ import numpy as np
 
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
 
-SAYS = {0: Hint.OPTIMAL, 2: Hint.INFEASIBLE, 3: Hint.UNBOUNDED}
+SAYS = {0: Hint.OPTIMAL, 1: Hint.STOPPED, 2: Hint.INFEASIBLE, 3: Hint.UNBOUNDED}
 OPTIONS = frozenset({
     "maxiter", "presolve", "dual_feasibility_tolerance", "primal_feasibility_tolerance", "ipm_optimality_tolerance",
     "simplex_dual_edge_weight_strategy",
@@ -29,6 +29,7 @@ class HiGHS(Engine):
     cost: ClassVar[str] = "a sparse factor now and then, two triangular solves a step"
     reference: ClassVar[str] = "Huangfu, Hall 2018"
     obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
+    steps: ClassVar[str] = "maxiter"
     ends_with_a_case: ClassVar[bool] = True
     is_for_linear_alone: ClassVar[bool] = True
     defaults: ClassVar = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}

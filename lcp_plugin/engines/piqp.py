@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
 
-SAYS = {1: Hint.OPTIMAL, -2: Hint.INFEASIBLE, -3: Hint.UNBOUNDED}
+SAYS = {1: Hint.OPTIMAL, -1: Hint.STOPPED, -2: Hint.INFEASIBLE, -3: Hint.UNBOUNDED}
 
 
 class PIQP(Engine):

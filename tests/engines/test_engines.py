@@ -126,6 +126,24 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
     assert np.abs(runs[0].x).max() <= 1e4
 
 
+def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
+    """A limit of steps, a record, a callback; a start changes nothing; wrong values of options are refused."""
+    program, x, _ = planted(0)
+    short = solve(program, "piqp", max_iterations=1)
+    assert short.status in (Status.MAX_ITERATIONS, Status.SOLVED)  # a polish may mend one step
+    assert short.iterations <= 4  # it is asked again in other units
+    seen = []
+    watched = solve(program, "piqp", record=True, callback=lambda sample, z: seen.append((sample.iteration, z.size)))
+    assert len(watched.history) == 2
+    assert seen == [(watched.iterations, x.size)]
+    assert np.abs(solve(program, "piqp", z0=watched.z).x - x).max() <= 1e-7
+    for name, wrong in (("piqp", {"max_iter": 1.5}), ("daqp", {"iter_limit": "x"}), ("clarabel", {"tol_feas": "a"})):
+        with pytest.raises(InvalidOption, match=f"{name} does not take"):
+            solve(program, name, **wrong)
+    with pytest.raises(InvalidOption, match="callback"):
+        solve(program, "piqp", callback=3)
+
+
 def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
     """A point that an engine calls optimal, and is not, is no SOLVED; NaN does no harm."""
 

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, seconds_left
-from ...core.errors import UnsuitableProblem
+from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.solving.result import StageRecord
 from ...engines import Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
 from ...engines.polish import polished
@@ -171,7 +171,13 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     Where the engine has only a word and no point, no solution either.
     """
     if prepared.statement.c.size:
-        point = engine.answer(prepared.statement, Limits(seconds_left(), is_verbose))
+        try:
+            point = engine.answer(prepared.statement, Limits(seconds_left(), is_verbose))
+        except Exception as error:  # whatever another package raises of an option's value
+            if not engine.options:
+                raise
+            given = ", ".join(f"{name}={value!r}" for name, value in engine.options.items())
+            raise InvalidOption(f"{engine.name} does not take {given}: {str(error).splitlines()[0]}") from error
     else:  # what is left to say is whether the rows hold
         empty = np.zeros(0)
         multipliers = Multipliers(np.zeros(prepared.rows.size), np.zeros(prepared.statement.b.size), empty, empty)

@@ -277,33 +277,69 @@ def solve_program(
 def _solved_by_engine(
     program: QuadraticProgram, algorithm: Any, tolerance: float, options: dict[str, Any]
 ) -> QuadraticProgramResult:
-    """Return what an engine of others answers, judged; where it finds nothing, a proof that there is no minimum."""
+    """Return what an engine of others answers, judged; where it finds nothing, a proof that there is no minimum.
+
+    An engine begins anew, whatever start there is, and is looked at when it has ended: a record has two samples, and a
+    callback is called once.
+    """
+    options.pop("guess", None)
     wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
-    if isinstance(algorithm, Engine):
-        if options:
-            raise InvalidOption(
-                f"give {min(options)} to {type(algorithm).__name__}(…), or name the engine: "
-                f"solve(program, {algorithm.name!r}, …)"
-            )
-        engine = algorithm
-    else:
-        engine = engine_class(algorithm)(options)
-    asked_of_solve("auto", {"tolerance": tolerance, **wishes})
+    callback = checked_callback(wishes.pop("callback", None))
+    settings = asked_of_solve("auto", {"tolerance": tolerance, **wishes})[1]
+    engine = _engine(algorithm, {**options, **_steps(algorithm, wishes)})
     clock, goal = Clock(ALONE), program_goal(tolerance)
-    with time_limit(min(wishes.get("max_seconds", math.inf), seconds_left())):
-        run = run_engine(program, engine, goal, is_verbose=wishes.get("verbose", False))
+    with time_limit(min(settings.max_seconds, seconds_left())):
+        try:
+            run = run_engine(program, engine, goal, is_verbose=settings.verbose)
+        except KeyboardInterrupt:
+            return _interrupted(program, engine, goal, tolerance, clock.read())
         is_optimal, proof = run.solution.is_stationary(goal), None
-        if wishes.get("prove_infeasibility", True) and not run.solution.is_sure(goal):
+        if settings.prove_infeasibility and not run.solution.is_sure(goal):
             proof = program.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
     is_nearly = run.says is Hint.OPTIMAL and run.solution.is_stationary(max(goal, NEARLY))
     is_nearly |= not is_optimal and _contradicts_by_rounding(program)
+    why = Status.STALLED
+    if run.says is Hint.STOPPED:
+        why = Status.MAX_SECONDS if clock.read() >= settings.max_seconds else Status.MAX_ITERATIONS
     status = proof.status if proof is not None else Status.SOLVED if is_optimal else (
-        Status.PRECISION_LIMIT if is_nearly else Status.STALLED
+        Status.PRECISION_LIMIT if is_nearly else why
     )
     solution = run.solution if proof is None else QPSolution.without_multipliers(program, run.solution.x)
+    steps, seconds = run.stage.iterations, clock.read()
+    end = Sample(steps, 0.0, seconds, run.solution.error, engine.name)
+    if callback is not None:
+        callback(end, run.solution.x)
+    history = (Sample(0, 0.0, 0.0, None, engine.name), end) if settings.record else ()
     return QuadraticProgramResult(
-        status, solution, goal, engine.name, run.stage.iterations, clock.read(), tolerance, (run.stage,), proof=proof
+        status, solution, goal, engine.name, steps, seconds, tolerance, (run.stage,), history, proof=proof
     )
+
+
+def _engine(algorithm: Any, options: dict[str, Any]) -> Engine:
+    """Return the engine with its options."""
+    if not isinstance(algorithm, Engine):
+        return engine_class(algorithm)(options)
+    if options:
+        raise InvalidOption(
+            f"give {min(options)} to {type(algorithm).__name__}(…), or name the engine: "
+            f"solve(program, {algorithm.name!r}, …)"
+        )
+    return algorithm
+
+
+def _steps(algorithm: Any, wishes: dict[str, Any]) -> dict[str, Any]:
+    """Return max_iterations by the name that the engine has for it."""
+    most = wishes.pop("max_iterations", None)
+    steps = algorithm.steps if isinstance(algorithm, Engine) else engine_class(algorithm).steps
+    return {} if most is None else {steps: most}
+
+
+def _interrupted(
+    program: QuadraticProgram, engine: Engine, goal: float, tolerance: float, seconds: float
+) -> QuadraticProgramResult:
+    """Return the result of a run that Ctrl-C has ended: there is nothing of it."""
+    solution = QPSolution.without_multipliers(program, np.clip(0.0, program.lower, program.upper))
+    return QuadraticProgramResult(Status.INTERRUPTED, solution, goal, engine.name, 0, seconds, tolerance)
 
 
 def _contradicts_by_rounding(program: QuadraticProgram) -> bool:

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from ...core.kernels.floats import EPSILON
 from ...core.settings import Status
-from ...engines import engine_class
+from ...engines import ENGINES, engine_class
 from ...engines.engine import beside_bounds
 from ..programs.criterion import Terms, measured, program_goal
 from ..programs.program_matrices import may_be_small
@@ -37,7 +37,11 @@ class ProgramBatchRun(BatchLoop):
     def __init__(
         self, programs: QuadraticProgramBatch, algorithm: Any, wishes: dict[str, Any], *, threads: int, limit: float
     ) -> None:
-        super().__init__(len(programs), algorithm, wishes, {}, threads=threads, limit=limit)
+        is_engine = isinstance(algorithm, str) and algorithm in ENGINES
+        super().__init__(
+            len(programs), "auto" if is_engine else algorithm, wishes, {}, threads=threads, limit=limit
+        )
+        self.algorithm = algorithm
         programs.refuse_nonconvex()
         self.programs, count, (m, p, n, _) = programs, len(programs), programs.sizes
         self.x, self.y = np.full((count, n), np.nan), np.full((count, m + p), np.nan)
@@ -57,7 +61,7 @@ class ProgramBatchRun(BatchLoop):
 
     def _solve_compiled(self) -> None:
         m, p, n, _ = self.programs.sizes
-        if self.algorithm != "auto" or not may_be_small(n, m + p, n * (n + m + p)):
+        if self.algorithm not in ("auto", ENGINE) or not may_be_small(n, m + p, n * (n + m + p)):
             return
         data, engine = self.programs.arrays, engine_class(ENGINE)()
         at_once = max(TOGETHER // max(n * (n + m + p), 1), 1)
@@ -114,7 +118,7 @@ class ProgramBatchRun(BatchLoop):
             multipliers = np.concatenate([self.y[k], *self.at_bounds[:, k]])
             solution = QPSolution.of_rows(self.programs[k], self.x[k], multipliers)
             self.results[k] = QuadraticProgramResult(
-                self.status[k], solution, goal, f"auto: {ENGINE}", int(self.steps[k]), share,
+                self.status[k], solution, goal, f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE, int(self.steps[k]), share,
                 self.settings.tolerance,
             )
         return self.results[k]

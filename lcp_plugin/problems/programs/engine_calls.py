@@ -62,6 +62,8 @@ class EngineRun(NamedTuple):
 def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
     """Yield the engines that auto asks, the quickest first; none where bounds are all that holds x.
 
+    Under a limit of seconds a large program is left to those that keep it.
+
     Examples
     --------
     >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
@@ -71,9 +73,11 @@ def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
     m, p, n, _ = program.matrices.sizes
     if m + p == 0 and program.matrices.entries[0]:
         return  # a complementarity problem with M = P: what this package is for
-    if may_be_small(n, m + p, program.matrices.stored):
+    is_small = may_be_small(n, m + p, program.matrices.stored)
+    if is_small:
         yield engine_class("daqp")()
-    yield engine_class("piqp")()
+    if is_small or seconds_left() == np.inf:
+        yield engine_class("piqp")()
     if not program.matrices.entries[0]:
         yield engine_class("highs")()
     yield engine_class("clarabel")()
@@ -186,7 +190,7 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
         yield None, point
         return
     cases = polished(prepared.statement, point)
-    first = [] if engine.ends_with_a_case else list(islice(cases, 1))
+    first = [] if engine.ends_with_a_case or is_over() else list(islice(cases, 1))
     steps = point.iterations
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = [(first or [point])[0]._replace(x=np.zeros(point.x.size))]

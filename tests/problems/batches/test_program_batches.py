@@ -274,6 +274,17 @@ def test_hard_programs_are_left_to_the_long_way(monkeypatch: pytest.MonkeyPatch)
         assert one.status == answers.status[k]
 
 
+@pytest.mark.parametrize("name", ["daqp", "piqp"])
+def test_a_batch_takes_an_engine_by_its_name(name: str) -> None:
+    """As solve does, each program; the answers are those of auto."""
+    P, c, G, h = dense(4)
+    programs = QuadraticProgramBatch(P, c, G, h)
+    answers, auto = solve_batch(programs, algorithm=name), solve_batch(programs)
+    assert answers.all_solved
+    assert answers[0].algorithm == name
+    np.testing.assert_allclose(answers.x, auto.x, atol=1e-9)
+
+
 # --- Arrays, threads, clock --------------------------------------------------------------------------------------
 
 

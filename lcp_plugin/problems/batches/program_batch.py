@@ -117,9 +117,9 @@ class ProgramBatchRun(BatchLoop):
             goal, share = program_goal(self.settings.tolerance), self.clock.read() / max(len(self.status), 1)
             multipliers = np.concatenate([self.y[k], *self.at_bounds[:, k]])
             solution = QPSolution.of_rows(self.programs[k], self.x[k], multipliers)
+            by = f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE
             self.results[k] = QuadraticProgramResult(
-                self.status[k], solution, goal, f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE, int(self.steps[k]), share,
-                self.settings.tolerance,
+                self.status[k], solution, goal, by, int(self.steps[k]), share, self.settings.tolerance
             )
         return self.results[k]
 

@@ -19,14 +19,13 @@ from ...methods.presolve import like
 from ...proofs.exact.rational import products, rational_rows
 from ...systems.definiteness import is_diagonal
 from ...systems.symmetry import is_its_mirror
-from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full, may_be_small
+from .program_matrices import Indices, ProgramMatrices, as_csr, block, diagonal_array, is_full
 from .reductions import Purpose, Step
 from .scaling import ProgramScaling
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-SUBSTITUTED_FROM = 5e5  # multiplications of the compiled call: to put in what equations define takes as long
 STEPS = 6  # numbers of entries that are tried as limits, each half of the one before
 
 
@@ -140,21 +139,9 @@ class Substitution(Step):
 
     @classmethod
     def for_purpose(cls, program: QuadraticProgram, purpose: Purpose) -> Substitution | None:
-        """Return that of a program for the purpose; the compiled call takes what equations define as it takes others.
-
-        But where it would be long, and where P is not definite by the look of its diagonal: on the subspace that is
-        left it may be so.
-        """
+        """Return that of a program for the purpose."""
         if purpose is Purpose.AS_IT_STANDS or not program.b.size:
             return None
-        if purpose is Purpose.COMPILED_CALL:
-            matrices, n = program.matrices, program.n
-            is_quick = n**2 * (n + sum(matrices.sizes[:2])) <= SUBSTITUTED_FROM
-            if is_quick and bool((matrices.diagonal > 0.0).all()):
-                return None
-            defined = min(int(np.count_nonzero(matrices.is_definable)), program.b.size)
-            if not may_be_small(n - defined, 0, 0):
-                return None
         return cls.of(program, saves_work=purpose is Purpose.LEAST_WORK)
 
     @classmethod

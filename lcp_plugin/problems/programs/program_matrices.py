@@ -18,9 +18,8 @@ from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 from ...systems.null_space import null_space_of
 
-UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that the compiled call takes
+UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = 0.3, 2e7  # share of entries; multiplications that sparse factors take more quickly
-MANY = UP_TO**2 * ROWS_UP_TO  # entries: those that are left are not counted yet
 Indices = NDArray[np.intp]
 T = TypeVar("T")
 
@@ -316,7 +315,7 @@ def is_kept_dense(n: int, entries: int) -> bool:
 
 
 def may_be_small(n: int, m: int, entries: int) -> bool:
-    """Return whether the compiled call may take a program with so many unknowns, rows, and entries of P and C."""
+    """Return whether a program with so many unknowns, rows, and entries of P and C is small or dense: for daqp."""
     if not (0 < n <= UP_TO and m <= ROWS_UP_TO):
         return False
     return n * n * (n + m) <= SPARSE_UP_TO or entries >= SPARSE * n * (n + m)

@@ -19,13 +19,12 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...methods.presolve import like
-from .program_matrices import MANY, Indices, ProgramMatrices, block, may_be_small
+from .program_matrices import Indices, ProgramMatrices, block
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 OWN = -1  # the variable's own bound, not a row's
-FOLDED_FROM = 5e5  # multiplications of the compiled call by rows that may be bounds: to look for these takes as long
 
 
 class Purpose(Enum):
@@ -37,8 +36,6 @@ class Purpose(Enum):
     """A complementarity problem that is predicted to take the fewest multiplications."""
     SMALLEST = auto()
     """A complementarity problem with the fewest unknowns."""
-    COMPILED_CALL = auto()
-    """A small program that one compiled call solves: only steps that take less time than they save there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,18 +206,6 @@ class FoldedRows(Step):
         if known is None:
             known = program.__dict__["_folded"] = cls._of(program)
         return known
-
-    @classmethod
-    def for_purpose(cls, program: QuadraticProgram, purpose: Purpose) -> FoldedRows | None:
-        """Return it, but for the compiled call, which takes simple rows as rows, only where these are many."""
-        matrices = program.matrices
-        if purpose is Purpose.COMPILED_CALL:
-            if not (matrices.has_sparse_rows and matrices.sizes[0] * program.n**2 > FOLDED_FROM):
-                return None
-            free, simple = int(np.count_nonzero(program.lower < program.upper)), matrices.singletons[0].size
-            if not may_be_small(free, sum(matrices.sizes[:2]) - simple, MANY):
-                return None
-        return cls.of(program)
 
     @classmethod
     def _of(cls, program: QuadraticProgram) -> FoldedRows:

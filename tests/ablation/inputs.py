@@ -1,0 +1,623 @@
+"""What is solved with and without a mechanism: problems with answers that others know, by kinds.
+
+Applications at small sizes and, as "grid", at larger ones; the collection; published problems, where they lie beside
+the checkout; and small shares of the campaigns. Judges are independent references, exact arithmetic and other people's
+solvers, never a status.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Container, Iterator
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin import (
+    LCP,
+    FrictionalContact,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    Status,
+    bounded_least_squares,
+    certify,
+    march,
+    minimize_over_solutions,
+    solve,
+    solve_batch,
+    solve_nonlinear,
+)
+
+TESTS = Path(__file__).parents[1]
+DATA = Path(os.environ.get("LCP_PLUGIN_DATA", TESTS.parents[1] / "shared" / "data"))  # published problems, if there
+SOLVED, PROVED, OPEN, FALSE = "solved", "proved", "open", "false"
+ALIKE, LOOSE = 1e-6, 1e-4  # relative, of an objective or a residual that others judge; of a program over a cone
+MOST_PUBLISHED = 2500  # rows and columns
+SEED = 70
+
+
+@dataclass(frozen=True)
+class Input:
+    """One problem.
+
+    Attributes
+    ----------
+    source, name : str
+    state : callable
+        Returns what is solved, of which nothing is known yet.
+    solve : callable, problem -> result
+    judge : callable, (problem, result) -> str
+        SOLVED or PROVED, OPEN, or FALSE.
+    """
+
+    source: str
+    name: str
+    state: Callable[[], Any]
+    solve: Callable[[Any], Any]
+    judge: Callable[[Any, Any], str]
+
+
+def work_of(result: Any) -> float:
+    """Return what a result says of its work: passes over M, else steps or nodes."""
+    for name in ("work", "nodes", "nit"):
+        if isinstance(found := getattr(result, name, None), (int, float, np.number)):
+            return float(found)
+    if stages := getattr(result, "stages", ()):
+        return float(sum(stage.work for stage in stages))
+    steps = getattr(result, "iterations", 0.0)
+    return float(np.sum(steps))
+
+
+# --- LCPs -----------------------------------------------------------------------------------------------------------
+
+
+def applications(*, full: bool) -> Iterator[Input]:
+    """Applications as they are and in other units; large ones of a few kinds as they are."""
+    from applications.table import Case, cases
+
+    if full:
+        chosen = {
+            "obstacle_2d": {"side": 100}, "obstacle_3d": {"side": 20}, "jumps": {"side": 100},
+            "put_uniform": {"n": 4000}, "put_geometric": {"n": 4000}, "seepage": {"side": 70},
+            "rotated_anisotropy": {"side": 70}, "graph_laplacian": {"n": 3000}, "plate": {"side": 30},
+        }
+        every: Any = [Case(name, arguments) for name, arguments in chosen.items()]
+    else:
+        every = cases(full=False)
+    for case in every:
+        for units in ("own",) if full else ("own", "both"):
+            yield Input(
+                "applications, larger" if full else "applications", f"{case.name} {units}",
+                partial(case.in_units, units), lambda stated: solve(stated[0]), partial(_as_application, case),
+            )
+
+
+def _as_application(case: Any, stated: Any, result: Any) -> str:
+    z = np.ldexp(result.z, stated[1])
+    if not result.is_solved:
+        return OPEN
+    return SOLVED if case.error(z, [z]) < 1e-3 else FALSE
+
+
+def collection() -> Iterator[Input]:
+    from collection import all_entries
+    from collection.judgement import false_claim, shortfall
+
+    def judge(entry: Any, problem: Any, result: Any) -> str:
+        if false_claim(problem, entry.truth, result, 1e-8):
+            return FALSE
+        is_short = shortfall(problem, entry.truth, result) or result.status.name == "STALLED"
+        return OPEN if is_short else SOLVED if entry.truth == "solvable" else PROVED
+
+    for entry in all_entries():
+        yield Input("collection", entry.name, partial(_fresh, entry.problem), solve, partial(judge, entry))
+
+
+def _fresh(one: LCP) -> LCP:
+    return LCP(one.M, one.q, lower=one.lower, upper=one.upper)
+
+
+def small_lcps(count: int = 120) -> Iterator[Input]:
+    from campaigns.small_lcps import KINDS, random_problem
+    from collection.judgement import false_claim, shortfall
+    from collection.truth import SOLVABLE, decide
+
+    @cache
+    def truth(case: int) -> str:
+        return str(decide(drawn(case)).verdict)
+
+    def drawn(case: int) -> LCP:
+        return random_problem([*KINDS][case % len(KINDS)], np.random.default_rng([SEED, case]))
+
+    def judge(case: int, problem: Any, result: Any) -> str:
+        if false_claim(problem, truth(case), result, 1e-8):
+            return FALSE
+        return OPEN if shortfall(problem, truth(case), result) else SOLVED if truth(case) == SOLVABLE else PROVED
+
+    for case in range(count):
+        yield Input("small LCPs", str(case), partial(drawn, case), solve, partial(judge, case))
+
+
+def published_lcps() -> Iterator[Input]:
+    for file in sorted(DATA.glob("*.npz")):
+        if not file.name.startswith(("qp_", "fc3d_")):
+            yield Input("published LCPs", file.stem, partial(_read_lcp, file), solve, _by_residual)
+
+
+def _read_lcp(file: Path) -> LCP:
+    with np.load(file) as f:
+        M = sp.csr_array((f["data"], f["indices"], f["indptr"]), shape=tuple(f["shape"]))
+        return LCP(M, f["q"], lower=f["lower"], upper=f["upper"])
+
+
+def residual(problem: Any, z: Any) -> float:
+    """Return the natural residual of a point beside that of the bounds' point nearest to 0, by plain numpy."""
+    d = np.abs(problem.M).max(axis=1)
+    d = d.toarray().ravel() if sp.issparse(d) else np.asarray(d)
+    d = np.where(d > 0.0, d, 1.0)
+
+    def size(x: Any) -> float:
+        w = problem.M @ x + problem.q
+        return float(np.abs(x - np.clip(x - w / d, problem.lower, problem.upper)).max(initial=0.0))
+
+    here, there = size(z), size(np.clip(0.0, problem.lower, problem.upper))
+    return here / there if there > 0.0 else here
+
+
+def _by_residual(problem: Any, result: Any) -> str:
+    return OPEN if not result.is_solved else SOLVED if residual(problem, result.z) <= ALIKE else FALSE
+
+
+def contacts(count: int = 63) -> Iterator[Input]:
+    """Contacts with friction pyramids."""
+    from campaigns.contact import RATIOS, SIZES, is_false
+    from contact_families import FAMILIES
+
+    def state(case: int) -> LCP:
+        contacts, bodies = SIZES[case // len(FAMILIES) % len(SIZES)]
+        ratio = RATIOS[case // (len(FAMILIES) * len(SIZES)) % 2]
+        made = FAMILIES[[*FAMILIES][case % len(FAMILIES)]](contacts, bodies, ratio, np.random.default_rng((SEED, case)))
+        return LCP(*made.arrays)
+
+    def judge(problem: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        return FALSE if problem.n <= 40 and is_false(problem, result.z) else _by_residual(problem, result)
+
+    for case in range(count):
+        yield Input("contacts", str(case), partial(state, case), solve, judge)
+
+
+def marches() -> Iterator[Input]:
+    import marches as made
+
+    def judge(stated: Any, result: Any) -> str:
+        if not result.all_solved:
+            return OPEN
+        z, worst = stated.z0, 0.0
+        for forcing, answer in zip(stated.forcing, result.z, strict=True):
+            worst = max(worst, residual(stated.problem.with_q(forcing + stated.propagator @ z), answer))
+            z = answer
+        return SOLVED if worst <= ALIKE else FALSE
+
+    def put() -> Any:
+        """An American put on one asset, implicit steps."""
+        n, steps = 2000, 20
+        s = 2.0 * np.arange(1, n + 1) / (n + 1)
+        dt, h = 0.5 / steps, s[0]
+        diffusion, drift = 0.5 * 0.2**2 * s**2 / h**2, 0.5 * 0.05 * s / h
+        A = made._line(n, drift - diffusion, 2.0 * diffusion + 0.05, -drift - diffusion)
+        payoff = np.maximum(1.0 - s, 0.0)
+        M, forcing = sp.csr_array(sp.eye_array(n) + dt * A), np.zeros((steps, n))
+        forcing[:, 0] = dt * (drift - diffusion)[0]
+        return made.Steps(LCP(M, np.zeros(n), lower=payoff), forcing, sp.csr_array(-sp.eye_array(n)), payoff)
+
+    stated: dict[str, Callable[[], Any]] = {
+        "Heston": lambda: made.heston(60, 30, 10)[0], "basket": lambda: made.basket(40, 10),
+        "parabolic": lambda: made.parabolic(64, 10), "rolling contact": lambda: made.contact(40, 10), "put": put,
+    }
+    for name, state in stated.items():
+        yield Input(
+            "marches", name, state,
+            lambda one: march(one.problem, one.forcing, one.propagator, z0=one.z0), judge,
+        )
+
+
+def _solved_together(stated: Any) -> Any:
+    M, q, lower, upper = stated
+    return solve_batch(M, q=q, lower=lower, upper=upper)
+
+
+def batches() -> Iterator[Input]:
+    from planted import planted
+
+    def judge(stated: Any, result: Any) -> str:
+        if any(status.name != "SOLVED" for status in result.status):
+            return OPEN
+        M, *vectors = stated
+        worst = max(
+            residual(LCP(M if M.ndim == 2 else M[k], q, lower=lower, upper=upper), result.z[k])
+            for k, (q, lower, upper) in enumerate(zip(*vectors, strict=True))
+        )
+        return SOLVED if worst <= ALIKE else FALSE
+
+    for n, count, is_shared in ((6, 300, False), (20, 100, True), (60, 30, False)):
+        state = partial(planted, count, n, SEED, symmetric=n != 20, shared=is_shared)
+        yield Input("batches", f"{count} of {n}", state, _solved_together, judge)
+
+
+def batches_of_programs() -> Iterator[Input]:
+    def state(n: int, count: int) -> QuadraticProgramBatch:
+        rng = np.random.default_rng([SEED, n])
+        F, G = rng.standard_normal((count, n, n)), rng.standard_normal((count, n, n))
+        P = F @ F.transpose(0, 2, 1) / n + 0.1 * np.eye(n)
+        return QuadraticProgramBatch(P, rng.standard_normal((count, n)), G, rng.random((count, n)), lower=-1.0)
+
+    def judge(programs: Any, result: Any) -> str:
+        if any(status.name != "SOLVED" for status in result.status):
+            return OPEN
+        verdicts = {_by_value(programs[k], result[k], value_of_others(programs[k])) for k in range(0, len(programs), 9)}
+        return FALSE if FALSE in verdicts else SOLVED
+
+    for n, count in ((3, 200), (6, 100), (12, 50)):
+        yield Input("batches of programs", f"{count} of {n}", partial(state, n, count), solve_batch, judge)
+
+
+# --- programs -------------------------------------------------------------------------------------------------------
+
+
+def planted_programs(count: int = 45) -> Iterator[Input]:
+    """Minima, contradictions and endless descents that were planted, as drawn and in one other unit each."""
+    from campaigns.scaled_programs import WHAT, planted, rescaled
+
+    def state(case: int, what: str) -> Any:
+        rng = np.random.default_rng([SEED, case])
+        drawn = planted(case, rng)
+        return drawn, *((drawn.program, 1.0) if what == WHAT[0] else rescaled(drawn.program, what, rng))
+
+    def judge(stated: Any, result: Any) -> str:
+        drawn, program, size = stated
+        if result.status is not drawn.status:
+            return FALSE if result.is_solved or result.has_no_solution else OPEN
+        if drawn.status is not Status.SOLVED:
+            return PROVED
+        x = np.abs(result.x)
+        terms = float(np.abs(program.c) @ x + 0.5 * x @ (abs(program.P) @ x))
+        return SOLVED if abs(result.objective - size * drawn.value) <= ALIKE * terms else FALSE
+
+    for case in range(count):
+        for what in (WHAT[0], WHAT[1 + case % (len(WHAT) - 1)]):
+            yield Input("planted programs", f"{case} {what}", partial(state, case, what),
+                        lambda stated: solve(stated[1]), judge)
+
+
+def shapes(*, full: bool) -> Iterator[Input]:
+    """Programs that users bring, of some hundred unknowns or some thousand."""
+    from benchmarks import programs, shapes
+
+    large: list[tuple[Callable[..., Any], tuple[int, ...]]] = [
+        (shapes.lasso, (200, 800)), (shapes.separator, (600, 150)),
+        (shapes.huber, (600, 100)), (programs.portfolio, (2000, 40)), (shapes.full_portfolio, (2000, 50)),
+        (shapes.transport, (50, 50)), (shapes.control, (150,)), (shapes.nonnegative, (300, 300)),
+        (shapes.total_variation, (4000,)), (shapes.isotonic, (4000,)), (programs.sparse, (1500,)),
+        (programs.dense, (200,)), (programs.support_vectors, (300,)),
+    ]
+    small: list[tuple[Callable[..., Any], tuple[int, ...]]] = [
+        (shapes.lasso, (50, 100)), (shapes.lasso, (200, 60)), (shapes.elastic_net, (50, 100)),
+        (shapes.separator, (100, 10)), (shapes.kernel, (100,)), (shapes.largest_margin, (100, 10)),
+        (shapes.huber, (100, 20)), (programs.portfolio, (300, 15)), (shapes.full_portfolio, (300, 20)),
+        (shapes.transport, (15, 15)), (shapes.control, (30,)), (shapes.nonnegative, (100, 50)),
+        (shapes.total_variation, (300,)), (shapes.isotonic, (200,)), (programs.sparse, (300,)),
+        (programs.linear, (300,)), (programs.dense, (60,)), (programs.support_vectors, (100,)),
+        (programs.chain, (200,)),
+    ]
+    for make, shape in large if full else small:
+        case = make(*shape, np.random.default_rng((SEED, *shape)))
+        least = cache(lambda case=case: value_of_others(case.program()))
+        yield Input(f"shapes of programs{', larger' * full}", case.name, case.program, solve,
+                    lambda program, result, least=least: _by_value(program, result, least()))
+
+
+def published_programs() -> Iterator[Input]:
+    for file in sorted(DATA.glob("qp_*.npz")):
+        with np.load(file) as f:
+            if sum(f["A_shape"]) > MOST_PUBLISHED:
+                continue
+            optimal = float(f["optimal_value"]) - float(f["r"])
+        yield Input("published programs", file.stem, partial(_read_program, file), solve,
+                    lambda program, result, optimal=optimal: _by_value(program, result, optimal))
+
+
+def _read_program(file: Path) -> QuadraticProgram:
+    with np.load(file) as f:
+        P, A = (
+            sp.csr_array(sp.csc_array(tuple(f[f"{one}_{part}"] for part in ("data", "indices", "indptr")),
+                                      shape=tuple(f[f"{one}_shape"]))) for one in "PA"
+        )
+        c, low, high = f["q"], f["l"], f["u"]
+    is_equality, has_low, has_high = low == high, low > -1e19, high < 1e19
+    below, above = np.flatnonzero(has_low & ~is_equality), np.flatnonzero(has_high & ~is_equality)
+    G = sp.csr_array(sp.vstack([-A[below], A[above]]))
+    h = np.concatenate([-low[below], high[above]])
+    equal = np.flatnonzero(is_equality)
+    return QuadraticProgram(P, c, G, h, A[equal], low[equal])
+
+
+def value_of_others(program: QuadraticProgram) -> float:
+    """Return the minimum by Clarabel, which auto asks last."""
+    import qpsolvers
+
+    matrices = [sp.csc_matrix(one) for one in (program.P, program.G, program.A)]
+    stated = qpsolvers.Problem(
+        matrices[0], program.c, *((matrices[1], program.h) if program.h.size else (None, None)),
+        *((matrices[2], program.b) if program.b.size else (None, None)), program.lower, program.upper,
+    )
+    x = qpsolvers.solve_problem(stated, solver="clarabel", tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9).x
+    return float(0.5 * x @ (program.P @ x) + program.c @ x)
+
+
+def _by_value(program: Any, result: Any, optimal: float) -> str:
+    """Return whether the value is the optimal one and no constraint is missed, beside the terms of each."""
+    if not result.is_solved:
+        return FALSE if result.has_no_solution else OPEN
+    x = result.x
+    value = float(0.5 * x @ (program.P @ x) + program.c @ x)
+    missed = np.concatenate([
+        (program.G @ x - program.h) / (1.0 + abs(program.G) @ np.abs(x) + np.abs(program.h)),
+        np.abs(program.A @ x - program.b) / (1.0 + abs(program.A) @ np.abs(x) + np.abs(program.b)),
+        (program.lower - x) / (1.0 + np.abs(x)), (x - program.upper) / (1.0 + np.abs(x)),
+    ])
+    is_optimal = abs(value - optimal) <= ALIKE * max(1.0, abs(optimal))
+    return SOLVED if is_optimal and missed.max(initial=0.0) <= ALIKE else FALSE
+
+
+def certified(count: int = 60) -> Iterator[Input]:
+    """What `certify` says of right answers and of wrong ones."""
+    from campaigns.certify import KINDS, case, faults
+
+    def state(number: int) -> Any:
+        rng = np.random.default_rng([SEED, number])
+        given = case(KINDS[number % len(KINDS)], rng, 8)
+        step = rng.normal(size=given.x.size)
+        x = given.x + (1e-2 * step / np.abs(step).max() if number % 3 == 2 else 0.0)
+        return given, x, (None, given.multipliers, None)[number % 3]
+
+    def ask(stated: Any) -> Any:
+        given, x, multipliers = stated
+        return certify(given.program, x) if multipliers is None else certify(given.program, x, multipliers)
+
+    def judge(stated: Any, said: Any) -> str:
+        given, x, _ = stated
+        if faults(given, x, said):
+            return FALSE
+        if said.verdict != "proved":
+            return PROVED if said.verdict == "disproved" else OPEN
+        return SOLVED if not given.is_definite or said.distance is not None else OPEN
+
+    for number in range(count):
+        yield Input("certify", str(number), partial(state, number), ask, judge)
+
+
+def equilibria(count: int = 40) -> Iterator[Input]:
+    from campaigns.best_equilibria import complaints, random_problem, truth
+
+    known = cache(lambda case: truth(drawn(case)))
+
+    def drawn(case: int) -> Any:
+        return random_problem(np.random.default_rng([SEED, case]), 12 if case % 2 else 6)
+
+    def judge(case: int, problem: Any, result: Any) -> str:
+        try:
+            if [one for one in complaints(result, known(case)) if "verify" not in one]:
+                return FALSE
+        except ArithmeticError:  # not judged
+            return OPEN
+        return SOLVED if result.is_solved else PROVED if result.has_no_solution else OPEN
+
+    for case in range(count):
+        yield Input("equilibria", str(case), partial(drawn, case), minimize_over_solutions,
+                    partial(judge, case))
+
+
+def programs_again(count: int = 9) -> Iterator[Input]:
+    """Programs whose costs have changed, from the answer before."""
+    def state(case: int) -> Any:
+        rng = np.random.default_rng([SEED, case])
+        n = (5, 20, 80)[case % 3]
+        F, G = rng.standard_normal((n, n)), rng.standard_normal((n, n))
+        c, h = rng.standard_normal(n), rng.random(n)
+        before, now = (QuadraticProgram(F @ F.T + np.eye(n), one, G, h, lower=-1.0) for one in (c, 1.01 * c))
+        return now, solve(before).z
+
+    for case in range(count):
+        yield Input("programs again", str(case), partial(state, case), lambda stated: solve(stated[0], z0=stated[1]),
+                    lambda stated, result: _by_value(stated[0], result, value_of_others(stated[0])))
+
+
+def outliers(count: int = 60) -> Iterator[Input]:
+    """Small problems with one or two odd numbers, judged in fractions; their time has that of the judges in it."""
+    from campaigns.outliers import FALSE as WRONG
+    from campaigns.outliers import RIGHT, run
+
+    verdicts = {RIGHT: SOLVED, WRONG: FALSE}
+    for case in range(count):
+        for kind in ("program", "lcp", "cones"):
+            yield Input("outliers", f"{kind} {case}", partial(partial, run, kind, SEED, case), lambda case: case(),
+                        lambda _, found: verdicts.get(found.what, OPEN))
+
+
+# --- others ---------------------------------------------------------------------------------------------------------
+
+
+def least_squares(count: int = 108) -> Iterator[Input]:
+    from campaigns.least_squares import KINDS, Exact, complaint, draw
+
+    exact = cache(lambda number: Exact(small(number)))
+
+    def small(number: int) -> Any:
+        return draw(KINDS[number % len(KINDS)], np.random.default_rng([SEED, number]))
+
+    def ask(case: Any) -> Any:
+        return bounded_least_squares(case.A, case.b, case.lower, case.upper, weights=case.weights, ridge=case.ridge)
+
+    def judge(number: int, case: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        return FALSE if complaint(case, exact(number), result.x) == "FALSE" else SOLVED
+
+    for number in range(count):
+        yield Input("least squares", str(number), partial(small, number), ask, partial(judge, number))
+
+
+def large_least_squares() -> Iterator[Input]:
+    from scipy.optimize import lsq_linear
+    from scipy.sparse.linalg import aslinearoperator
+
+    def large(m: int, n: int, density: float) -> Any:
+        rng = np.random.default_rng([SEED, m, n])
+        A = rng.standard_normal((m, n)) if density == 1.0 else sp.random_array((m, n), density=density, rng=rng).tocsr()
+        return A, rng.standard_normal(m), 0.0, np.where(rng.random(n) < 0.5, np.inf, 0.05)
+
+    def by_scipy(stated: Any, result: Any) -> str:
+        A, b, lower, upper = stated
+        if not result.is_solved:
+            return OPEN
+        dense = A.toarray() if sp.issparse(A) else A
+        least = lsq_linear(dense, b, (np.full(upper.size, lower), upper), method="bvls").cost
+        return SOLVED if result.cost <= least + ALIKE * max(least, 1e-12) else FALSE
+
+    def as_operator(stated: Any) -> Any:
+        return bounded_least_squares(aslinearoperator(stated[0]), *stated[1:])
+
+    for shape in ((300, 100, 1.0), (100, 300, 1.0), (60, 60, 1.0), (1500, 300, 0.02), (300, 600, 0.02)):
+        for way, ask in (("", lambda stated: bounded_least_squares(*stated)), (" operator", as_operator)):
+            yield Input("least squares, larger", f"{' × '.join(map(str, shape))}{way}", partial(large, *shape), ask,
+                        by_scipy)
+
+
+def cones(count: int = 60) -> Iterator[Input]:
+    """Planted contacts with friction and planted convex problems over cones."""
+    from campaigns.cones import SIZES
+    from cone_families import exact_relative_residual, planted_cones, planted_contacts
+
+    def state(case: int) -> Any:
+        rng = np.random.default_rng([SEED, case])
+        if case % 4 == 0:
+            return planted_cones(int(rng.integers(1, 9)), rng, rank=float(rng.choice([0.4, 1.0])))[0]
+        contacts, bodies = SIZES[rng.integers(len(SIZES))]
+        ratio = 10.0 ** rng.uniform(0.0, 5.0)
+        return planted_contacts(contacts, bodies, ratio, rng, definite=rng.random() < 0.3)[0]
+
+    def judge(problem: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        return FALSE if problem.n <= 30 and exact_relative_residual(problem, result.z) > 1e-8 else SOLVED
+
+    for case in range(count):
+        yield Input("cones", str(case), partial(state, case), solve, judge)
+
+
+def published_contacts() -> Iterator[Input]:
+    """Contacts with friction of the Siconos collection, judged by the projections of r − ρ (u + μ ‖u_T‖ n)."""
+
+    def state(file: Path) -> FrictionalContact:
+        with np.load(file) as f:
+            W = sp.csr_array((f["data"], f["indices"], f["indptr"]), shape=tuple(f["shape"]))
+            return FrictionalContact(W, f["q"], f["mu"])
+
+    def judge(problem: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        r, mu = result.z.reshape(-1, 3), np.broadcast_to(problem.friction, (result.z.size // 3,))
+        u = (problem.W @ result.z + problem.q).reshape(-1, 3)
+        rho = 1.0 / np.maximum(problem.W.diagonal().reshape(-1, 3).max(axis=1), 1e-300)
+        pushed = r - rho[:, None] * np.column_stack([u[:, 0] + mu * np.linalg.norm(u[:, 1:], axis=1), u[:, 1:]])
+        normal, tangent = pushed[:, 0], np.linalg.norm(pushed[:, 1:], axis=1)
+        is_inside, is_polar = tangent <= mu * normal, mu * tangent <= -normal
+        length = np.where(is_inside, normal, np.where(is_polar, 0.0, (normal + mu * tangent) / (1.0 + mu**2)))
+        share = np.where(is_inside, 1.0, np.divide(mu * length, tangent, out=np.zeros_like(tangent), where=tangent > 0))
+        nearest = np.column_stack([length, share[:, None] * pushed[:, 1:]])
+        return SOLVED if np.abs(r - nearest).max() <= LOOSE * max(np.abs(r).max(), 1e-12) else FALSE
+
+    for file in sorted(DATA.glob("fc3d_*.npz")):
+        yield Input("published contacts", file.stem, partial(state, file), solve, judge)
+
+
+def nonlinear(count: int = 30) -> Iterator[Input]:
+    from nonlinear_families import KINDS, planted
+
+    def state(case: int) -> Any:
+        rng = np.random.default_rng([SEED, case])
+        one = planted(rng, KINDS[case % len(KINDS)], round(2 * 15 ** rng.random()))
+        return one, np.zeros(one.x.size) if rng.random() < 0.5 else rng.standard_normal(one.x.size)
+
+    def judge(stated: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        left = stated[0].sharp_relative_residual(result.z, result.certificate.problem.residual_scale)
+        return FALSE if left > 1e-8 else SOLVED
+
+    for case in range(count):
+        yield Input("nonlinear", str(case), partial(state, case),
+                    lambda stated: solve_nonlinear(stated[0].problem, stated[1]), judge)
+
+
+def vanishing_slopes(count: int = 15) -> Iterator[Input]:
+    """Slopes that vanish or blow up, from starts over ten decades."""
+    from vanishing_families import SHAPES, STRUCTURES, vanishing
+
+    def without_slope(case: int) -> Any:
+        shapes = [*SHAPES]
+        return vanishing(np.random.default_rng([SEED, case]), shapes[case % len(shapes)],
+                         STRUCTURES[case // len(shapes) % len(STRUCTURES)])
+
+    def by_rows(one: Any, result: Any) -> str:
+        return OPEN if not result.is_solved else FALSE if one.wrong_rows(result.z) else SOLVED
+
+    for case in range(count):
+        yield Input("nonlinear, vanishing", str(case), partial(without_slope, case),
+                    lambda one: solve_nonlinear(one.problem, one.start), by_rows)
+
+
+def proved_nonlinear(count: int = 15) -> Iterator[Input]:
+    """Nonlinear answers whose error is to be proved."""
+    from polynomial_families import is_violated, polynomial
+
+    def near(case: int) -> Any:
+        rng = np.random.default_rng([SEED, case])
+        one = polynomial(rng, is_dominant=case % 2 == 0)
+        return one, one.x + 0.01 * rng.standard_normal(one.x.size)
+
+    def by_bound(stated: Any, result: Any) -> str:
+        if not result.is_solved or result.error_bound is None:
+            return OPEN
+        return FALSE if is_violated(stated[0], result.z, result.error_bound.componentwise) else PROVED
+
+    for case in range(count):
+        yield Input("nonlinear, proved", str(case), partial(near, case),
+                    lambda stated: solve_nonlinear(stated[0].problem, stated[1], error_bound=True), by_bound)
+
+
+SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
+    "applications": partial(applications, full=False), "collection": collection, "published LCPs": published_lcps,
+    "small LCPs": small_lcps, "contacts": contacts, "applications, larger": partial(applications, full=True),
+    "marches": marches, "batches": batches,
+    "batches of programs": batches_of_programs, "published programs": published_programs,
+    "planted programs": planted_programs, "shapes of programs": partial(shapes, full=False),
+    "shapes of programs, larger": partial(shapes, full=True), "programs again": programs_again,
+    "outliers": outliers, "certify": certified, "equilibria": equilibria,
+    "least squares": least_squares, "least squares, larger": large_least_squares, "cones": cones,
+    "published contacts": published_contacts, "nonlinear": nonlinear, "nonlinear, vanishing": vanishing_slopes,
+    "nonlinear, proved": proved_nonlinear,
+}
+
+
+def inputs(sources: Container[str] = SOURCES) -> Iterator[Input]:
+    """Yield all inputs of these sources, of all."""
+    for source, made in SOURCES.items():
+        if source in sources:
+            yield from made()

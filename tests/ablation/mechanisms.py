@@ -1,0 +1,621 @@
+"""The mechanisms: the name, what it is for, what is put in its place, which lines would go with it."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .switching import Instead, Patch
+
+PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
+DIRECT, LEAST, CONES, EQUILIBRIA = "methods.direct", "problems.least_squares", "problems.cones", "problems.equilibria"
+INTERIOR, NEWTON, PROGRAMS = "methods.interior.interior_point", "methods.newton.semismooth_newton", "problems.programs"
+CALLS = f"{PROGRAMS}.engine_calls"
+STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_Newton", f"{PROGRAMS}.dual_bounds:DualBounds"
+
+
+class Mechanism(NamedTuple):
+    """One that can be left out.
+
+    Attributes
+    ----------
+    name : str
+    purpose : str
+    off : dict
+        What is put in place of what, by places.
+    goes : str
+        Files, folders and definitions that it alone needs.
+    """
+
+    name: str
+    purpose: str
+    off: dict[str, Instead]
+    goes: str = ""
+
+    @property
+    def patches(self) -> list[Patch]:
+        """What leaves it out."""
+        return [Patch(place, instead) for place, instead in self.off.items()]
+
+    @property
+    def lines(self) -> int:
+        """Lines of code that would go: no comments, docstrings or blank lines."""
+        return sum(code_lines(place) for place in self.goes.split())
+
+
+# --- what stands there instead --------------------------------------------------------------------------------------
+
+
+def says(answer: Any) -> Instead:
+    """That answer, whatever is asked."""
+    return differing(lambda old: lambda *_, **__: answer)
+
+
+def skipped() -> Instead:
+    """Nothing is done where something was."""
+    return Instead(lambda old: lambda *_, **__: None)
+
+
+def given_back(position: int = 0) -> Instead:
+    """What it was given."""
+    return differing(lambda old: lambda *given, **_: given[position])
+
+
+def differing(off: Callable[[Any], Any]) -> Instead:
+    """What is cheap, so that whoever watches can compare the two answers."""
+
+    def watch(old: Any, note: Callable[[], None]) -> Any:
+        other = off(old)
+
+        def noted(*given: Any, **named: Any) -> Any:
+            found = old(*given, **named)
+            if not is_same(found, other(*given, **named)):
+                note()
+            return found
+
+        return noted
+
+    return Instead(off, watch)
+
+
+def is_same(one: Any, other: Any) -> bool:
+    """Whether two answers are one object, or the same numbers."""
+    if one is other:
+        return True
+    try:
+        return bool(np.array_equal(one, other, equal_nan=True))
+    except (TypeError, ValueError):
+        return False
+
+
+def yielding(is_kept: Callable[[int, Any], bool], *, to_the_end: bool = True) -> Instead:
+    """What it yields as long as that is kept, or all that is."""
+
+    def made(old: Any, note: Callable[[], None] | None) -> Any:
+        def generator(*given: Any, **named: Any) -> Any:
+            for k, one in enumerate(old(*given, **named)):
+                is_left = is_kept(k, one)
+                if not is_left and note is not None:
+                    note()
+                if is_left or note is not None:
+                    yield one
+                elif not to_the_end:
+                    return
+
+        return generator
+
+    return Instead(lambda old: made(old, None), made)
+
+
+def without(*names: str) -> Instead:
+    """What it yields but for methods of these names."""
+    return yielding(lambda _, choice: choice.algorithm.name not in names)
+
+
+def nothing() -> Instead:
+    """A generator that yields nothing, and returns False."""
+
+    def off(old: Any) -> Any:
+        def empty(*_: Any, **__: Any) -> Any:
+            return False
+            yield
+
+        return empty
+
+    def watch(old: Any, note: Callable[[], None]) -> Any:
+        def noted(*given: Any, **named: Any) -> Any:
+            steps = old(*given, **named)
+            while True:
+                try:
+                    step = next(steps)
+                except StopIteration as end:
+                    if end.value:
+                        note()
+                    return end.value
+                note()
+                yield step
+
+        return noted
+
+    return Instead(off, watch)
+
+
+def first_alone() -> Instead:
+    """The first entry of a tuple; who goes beyond it is noted."""
+
+    def watch(old: Any, note: Callable[[], None]) -> Any:
+        class Watched(tuple):  # type: ignore[type-arg]
+            def __iter__(self) -> Any:
+                for k, entry in enumerate(super().__iter__()):
+                    if k:
+                        note()
+                    yield entry
+
+        return Watched(old)
+
+    return Instead(lambda old: old[:1], watch)
+
+
+def retries_without(*names: str) -> Instead:
+    def off(old: Any) -> Any:
+        def following(self: Any, problem: Any, stages: Any) -> Any:
+            self._left = [one for one in self._left if one.name not in names]
+            return old(self, problem, stages)
+
+        return following
+
+    def watch(old: Any, note: Callable[[], None]) -> Any:
+        def following(*given: Any) -> Any:
+            choice = old(*given)
+            if choice is not None and choice.algorithm.name in names:
+                note()
+            return choice
+
+        return following
+
+    return Instead(off, watch)
+
+
+def only_start() -> Instead:
+    """No step of least squares: the start alone."""
+    return Instead(lambda old: lambda start, *_: iter([start]))
+
+
+def interior_alone(old: Any) -> Any:
+    """Steps of an interior point that begin without a guess of the active set, nor correct one."""
+
+    def steps(self: Any, z0: Any) -> Any:
+        y = (z0 if self.kept is None else z0[self.kept]) / self.unit
+        if not y.size:
+            yield self.step(y, 0.0)
+        else:
+            yield from self.interior(None)
+
+    return steps
+
+
+def if_symmetric(old: Any, note: Callable[[], None]) -> Any:
+    def steps(self: Any, z0: Any) -> Any:
+        if self.suited.is_symmetric:
+            note()
+        return old(self, z0)
+
+    return steps
+
+
+def sparse_factor(old: Any) -> Any:
+    """LU with pivots for programs, too."""
+
+    def newton_matrix(M: Any, is_symmetric: bool, signs: Any = None, symbolic: Any = None) -> Any:
+        from lcp_plugin.methods.interior.newton_matrix import SparseNewtonMatrix
+
+        is_program = signs is not None and not isinstance(M, np.ndarray)
+        return SparseNewtonMatrix(M, signs) if is_program else old(M, is_symmetric, signs, symbolic)
+
+    return newton_matrix
+
+
+def if_program(old: Any, note: Callable[[], None]) -> Any:
+    def newton_matrix(M: Any, is_symmetric: bool, signs: Any = None, symbolic: Any = None) -> Any:
+        if signs is not None and not isinstance(M, np.ndarray):
+            note()
+        return old(M, is_symmetric, signs, symbolic)
+
+    return newton_matrix
+
+
+def step_by_step(old: Any) -> Any:
+    def steps(self: Any, *given: Any) -> Any:
+        from lcp_plugin.methods.interior.newton_matrix import NewtonMatrix
+
+        return NewtonMatrix.steps(self, *given)
+
+    return steps
+
+
+def no_starts(old: Any) -> Any:
+    return lambda path, z, restarts, **named: old(path, z, 0, **named)
+
+
+def if_arbitrary(old: Any, note: Callable[[], None]) -> Any:
+    def starts(path: Any, z: Any, restarts: int, **named: Any) -> Any:
+        principled = sum(1 for _ in old(path, z, 0, **named))
+        for k, start in enumerate(old(path, z, restarts, **named)):
+            if k >= principled:
+                note()
+            yield start
+
+    return starts
+
+
+def nothing_known(old: Any) -> Any:
+    return lambda problem: np.full(problem.n, np.nan)
+
+
+def without_engines(*names: str) -> Instead:
+    """The engines that are asked but for those of these names."""
+    return yielding(lambda _, engine: engine.name not in names)
+
+
+def in_given_units(old: Any) -> Any:
+    return lambda cls, given, is_left_out, unit=None: old(cls, given, is_left_out)
+
+
+def if_in_other_units(old: Any, note: Callable[[], None]) -> Any:
+    def of(cls: Any, given: Any, is_left_out: Any, unit: Any = None) -> Any:
+        if unit is not None and (unit != 1.0).any():
+            note()
+        return old(cls, given, is_left_out, unit)
+
+    return of
+
+
+def no_limit(old: Any) -> Any:
+    return lambda given: np.zeros(given.h.size + 2 * given.c.size, np.bool_)
+
+
+def at_once_failed(old: Any) -> Any:
+    """The compiled call of a small problem of least squares, not made."""
+
+    def solved(problem: Any, settings: Any, clock: Any) -> Any:
+        from lcp_plugin import Status
+        from lcp_plugin.problems.least_squares.solving import _result_of
+
+        x = np.full(problem.shape[1], np.nan)
+        residual = np.full(problem.shape[0], np.nan)
+        return _result_of(problem, settings, x, residual, residual, math.nan, Status.STALLED, 0, clock)
+
+    return solved
+
+
+def is_late(choice: Any) -> bool:
+    return choice.because.startswith(("another start for Newton", "sweeps until"))
+
+
+MECHANISMS = (
+    # --- LCPs: what comes first
+    Mechanism("small loop", "small LCPs in one compiled call",
+              {"methods.small.small_dense:is_short": says(False)},
+              "methods/small/small_dense.py methods/small/kernels/small_problems.py methods/small/kernels/tableau.py "
+              "methods/small/kernels/small_systems.py methods/small/kernels/workspace.py"),
+    Mechanism("contact loop", "contacts with friction pyramids in one compiled call",
+              {"methods.small.small_dense:has_contacts": says(False)},
+              "methods/small/kernels/contact_problems.py methods/small/kernels/contact_rounds.py "
+              "methods/small/kernels/contact_systems.py methods/small/kernels/friction_pyramids.py"),
+    Mechanism("fused", "auto's first method in one compiled call where nobody watches",
+              {"core.solving.driver:fused": says(None)}, "core/solving/driver.py:fused"),
+    Mechanism("banded", "rounds of active sets on narrow bands",
+              {"methods.banded:Banded.predicted_passes": says(math.inf)}, "methods/banded"),
+    Mechanism("multigrid", "truncated V-cycles where sweeps are slow",
+              {"methods.multigrid:Multigrid.predicted_passes": says(math.inf)}, "methods/multigrid systems/hierarchy"),
+    Mechanism("psor", "relaxation found during the run, after npsor",
+              {"core.splittings.projected_relaxation:PSOR.predicted_passes": says(math.inf)}),
+    Mechanism("clear dominance", "psor at once where diagonal entries outweigh rows",
+              {"auto:_is_clearly_dominant": says(False)}, "auto.py:_is_clearly_dominant"),
+    Mechanism("triangles of M", "one exact sweep of a triangular M",
+              {"auto:_exact_order": says(None), "auto:_triangle": says(None)},
+              "auto.py:_exact_order auto.py:_triangle"),
+    Mechanism("coupling", "psor before multigrid along strong flows",
+              {"core.matrix.symmetry:mean_coupling": says(math.inf)}, "core/matrix/symmetry.py:mean_coupling"),
+    Mechanism("unheld", "a factor's pivots of 0 send auto to look for a proof",
+              {"proofs.no_solution.infeasibility:seems_unheld": says(False)},
+              "proofs/no_solution/infeasibility.py:seems_unheld proofs/no_solution/infeasibility.py:unheld_motion "
+              "proofs/no_solution/free_motion.py"),
+    Mechanism("units", "rows and columns of M scaled by powers of two",
+              {"core.matrix.scaling:scaling_of": says(None)}, "core/matrix/scaling.py"),
+    Mechanism("last system", "long runs end with the linear system of the case they found",
+              {"auto:EndsWithItsCase.last_system": says(None)},
+              "auto.py:EndsWithItsCase methods/newton/active_set.py:solve_case"),
+    Mechanism("moved to bounds", "a row right with its unknown at the bound that is near is right",
+              {"core.certificates.own_terms:_at_bounds": given_back(1)}, "core/certificates/own_terms.py:_at_bounds"),
+    # --- LCPs: the direct methods
+    Mechanism("presolve", "rows that are decided before any method", {"methods.presolve:presolve": says(None)},
+              "methods/presolve.py"),
+    Mechanism("condensed", "unknowns without bounds eliminated by one factor",
+              {"methods.newton.condensed:condensing_passes": says(math.inf)}, "methods/newton/condensed.py"),
+    Mechanism("retries", "newton and lemke once more, from the start",
+              {f"{DIRECT}:Retries.following": says(None)}, "methods/direct.py:Retries"),
+    Mechanism("largest point", "−M an M-matrix: one system decides",
+              {"proofs.verdicts.report:is_negated_m_matrix": says(False)},
+              "methods/search/stages.py:LargestPoint proofs/verdicts/report.py:is_negated_m_matrix"),
+    Mechanism("first search", "all cases of few unknowns before other direct methods",
+              {f"{DIRECT}:may_be_searched": says(False)},
+              "methods/direct.py:may_be_searched methods/direct.py:_first_look methods/search/kernels.py"),
+    Mechanism("search", "all cases of few unknowns: solutions and proofs",
+              {f"{DIRECT}:may_be_searched": says(False), f"{DIRECT}:_at_last": without("search")}, "methods/search"),
+    Mechanism("feasibility", "a linear program looks for a proof that there is no solution",
+              {f"{DIRECT}:_by_prospects": without("feasibility")}, "methods/search/stages.py:FeasibilityCheck"),
+    Mechanism("one row", "a row that contradicts its bounds by itself is looked for first",
+              {"proofs.no_solution.infeasibility:contradictory_row": says(None)},
+              "proofs/no_solution/infeasibility.py:contradictory_row"),
+    Mechanism("forced rows", "chains of rows that force each other prove that there is no solution",
+              {"proofs.no_solution.infeasibility:find_forced_contradiction": says(None)},
+              "proofs/no_solution/infeasibility.py:find_forced_contradiction "
+              "proofs/no_solution/infeasibility.py:ForcedContradiction"),
+    Mechanism("some pivots", "pivots before a factor of a dense M",
+              {f"{DIRECT}:_by_prospects": yielding(lambda _, one: getattr(one.algorithm, "max_pivots", None) is None)}),
+    Mechanism("lemke", "complementary pivoting",
+              {f"{DIRECT}:_by_prospects": without("lemke"), f"{DIRECT}:Retries.following": retries_without("lemke")},
+              "methods/lemke"),
+    Mechanism("newton", "semismooth Newton on LCPs",
+              {f"{DIRECT}:_by_prospects": without("newton"), f"{DIRECT}:Retries.following": retries_without("newton")},
+              "methods/newton/semismooth_newton.py methods/newton/active_set.py"),
+    Mechanism("interior point", "interior steps on LCPs",
+              {f"{DIRECT}:_by_prospects": without("interior_point")}, "methods/interior"),
+    Mechanism("lemke's starts", "arbitrary starts after the principled ones",
+              {"methods.lemke.pivoting_path:starts": Instead(no_starts, if_arbitrary)},
+              "methods/lemke/pivoting_path.py:_random_cell"),
+    Mechanism("games", "paths of Lemke and Howson on bimatrix games",
+              {"methods.lemke.pivoting_path:bimatrix_players": says(None)},
+              "methods/lemke/pivoting_path.py:bimatrix_players methods/lemke/pivoting_path.py:_lemke_howson"),
+    Mechanism("warm paths", "a path that begins in the cell of a given start",
+              {"methods.lemke.pivoting_path:_warm": says(False)}, "methods/lemke/pivoting_path.py:_warm"),
+    Mechanism("damped steps", "a line search on the function of Fischer and Burmeister",
+              {f"{NEWTON}:damped_steps": nothing()},
+              "methods/newton/semismooth_newton.py:damped_steps methods/newton/semismooth_newton.py:_full_step "
+              "methods/newton/semismooth_newton.py:_searched methods/newton/semismooth_newton.py:_newton_direction"),
+    Mechanism("principal pivots", "one row at a time where newton's sets return",
+              {f"{NEWTON}:principal_pivots": nothing()}, "methods/newton/semismooth_newton.py:principal_pivots"),
+    Mechanism("bands", "banded LU for narrow systems", {"systems.factors:bands": says(None)},
+              "systems/factors.py:bands systems/factors.py:Bands systems/factors.py:_banded_lu"),
+    # --- multigrid
+    Mechanism("nested start", "multigrid begins on the coarsest grid",
+              {"methods.multigrid.multigrid_run:MultigridRun._nested_start": skipped()},
+              "methods/multigrid/multigrid_run.py:MultigridRun._nested_start "
+              "methods/multigrid/multigrid_run.py:MultigridRun._add_coarse_problems "
+              "methods/multigrid/multigrid_run.py:MultigridRun._interpolated"),
+    Mechanism("Krylov", "conjugate steps preconditioned by V-cycles",
+              {"methods.multigrid.multigrid_run:MultigridRun._krylov": nothing()},
+              "methods/multigrid/multigrid_run.py:MultigridRun._krylov "
+              "systems/hierarchy/truncation.py:KrylovCorrection"),
+    Mechanism("single precision", "coarse grids in single precision",
+              {"systems.hierarchy.levels:carries_single": says(False)}, "systems/hierarchy/levels.py:carries_single"),
+    # --- interior points
+    Mechanism("primal active set", "dense symmetric M: a factor updated row by row",
+              {f"{INTERIOR}:Search.steps": Instead(interior_alone, if_symmetric)},
+              "methods/interior/primal_active_set.py methods/interior/kernels/triangles.py "
+              "methods/interior/kernels/symmetric_sweeps.py methods/interior/interior_point.py:Search.guessed"),
+    Mechanism("interior attempts", "programs again with a ridge, with pivots, from elsewhere",
+              {f"{INTERIOR}:ATTEMPTS": first_alone()},
+              "methods/interior/attempts.py"),
+    Mechanism("polish", "the active set that interior points lead to, solved for",
+              {f"{INTERIOR}:Search.polished": nothing()}, "methods/interior/interior_point.py:Search.polished"),
+    Mechanism("known before", "fixed rows left out before interior steps",
+              {"methods.interior.suited_matrix:known_before": differing(nothing_known)},
+              "methods/interior/suited_matrix.py:known_before"),
+    Mechanism("interior units", "M equilibrated for interior steps",
+              {"methods.interior.suited_matrix:equilibration": says(None)},
+              "methods/interior/suited_matrix.py:equilibration"),
+    Mechanism("monotone rows", "row factors that make M monotone",
+              {"methods.interior.suited_matrix:monotone_rows": says(None)},
+              "methods/interior/suited_matrix.py:monotone_rows methods/interior/suited_matrix.py:_may_be_monotone"),
+    Mechanism("sizes", "components of an interior run in units of their own",
+              {"methods.interior.suited_matrix:sizes_of_components": says((1.0, 1.0))},
+              "methods/interior/suited_matrix.py:sizes_of_components methods/interior/suited_matrix.py:_means"),
+    Mechanism("quasidefinite", "LDLᵀ without pivots for programs",
+              {"methods.interior.dense_ends:newton_matrix": Instead(sparse_factor, if_program)},
+              "methods/interior/quasidefinite.py methods/interior/dense_ends.py methods/interior/kernels"),
+    Mechanism("dense ends", "the dense end of a sparse factor by LAPACK",
+              {"methods.interior.dense_ends:dense_part": says(None),
+               "methods.interior.dense_ends:dense_rows_last": says((None, 0))},
+              "methods/interior/dense_ends.py methods/interior/kernels/dense_ends.py"),
+    Mechanism("steps at once", "interior steps of programs in one compiled call",
+              {"methods.interior.quasidefinite:QuasidefiniteNewtonMatrix.steps": Instead(step_by_step)},
+              "methods/interior/kernels/steps_at_once.py "
+              "methods/interior/quasidefinite.py:QuasidefiniteNewtonMatrix.steps"),
+    # --- programs
+    Mechanism("engines", "programs answered by solvers of others, judged here",
+              {f"{CALLS}:engines_for": without_engines("daqp", "piqp", "clarabel", "highs")},
+              "engines problems/programs/engine_calls.py"),
+    Mechanism("daqp", "the engine of small dense programs", {f"{CALLS}:engines_for": without_engines("daqp")},
+              "engines/daqp.py"),
+    Mechanism("PIQP", "the engine of all other programs", {f"{CALLS}:engines_for": without_engines("piqp")},
+              "engines/piqp.py"),
+    Mechanism("Clarabel", "the engine that is asked last", {f"{CALLS}:engines_for": without_engines("clarabel")},
+              "engines/clarabel.py"),
+    Mechanism("HiGHS", "the engine of linear programs", {f"{CALLS}:engines_for": without_engines("highs")},
+              "engines/highs.py"),
+    Mechanism("engine polish", "the linear system of the case that an engine's point names",
+              {"engines.polish:polished": nothing()}, "engines/polish.py"),
+    Mechanism("further cases", "the systems of the cases that the first one leads to",
+              {"engines.polish:polished": yielding(lambda k, _: k < 1, to_the_end=False)}),
+    Mechanism("engine units", "an engine is asked again in units fitted to a program's entries",
+              {"engines.statement:Prepared.of": Instead(in_given_units, if_in_other_units)}),
+    Mechanism("far limits", "an engine is asked again without limits far beyond all others",
+              {"engines.statement:far_limits": differing(no_limit)}, "engines/statement.py:far_limits"),
+    Mechanism("noise", "rounding beside the largest of an engine's numbers put to 0",
+              {f"{CALLS}:_without_noise": says(None)}, "problems/programs/engine_calls.py:_without_noise"),
+    Mechanism("case again", "the case of an earlier answer before an engine is asked",
+              {f"{CALLS}:run_again": says(None)}, "problems/programs/engine_calls.py:run_again"),
+    Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
+              {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, 0.0))},
+              "problems/programs/criterion.py:Acting"),
+    Mechanism("definitions", "variables that an equation defines are put in",
+              {f"{PROGRAMS}.definitions:Substitution.for_purpose": says(None)}, "problems/programs/definitions.py"),
+    Mechanism("folded rows", "rows with one entry become bounds",
+              {f"{PROGRAMS}.steps:STEPS": first_alone()}),
+    Mechanism("fixed variables", "variables with equal bounds leave small programs",
+              {f"{PROGRAMS}.reductions:FixedVariables.of": says(None)},
+              "problems/programs/reductions.py:FixedVariables"),
+    Mechanism("forms", "another form of a program where the first fails",
+              {f"{PROGRAMS}.conversion:attempts": yielding(lambda k, _: k < 1, to_the_end=False)},
+              "problems/programs/conversion.py:attempts"),
+    Mechanism("rescaling", "programs far from 1 solved in other units",
+              {f"{PROGRAMS}.program:QuadraticProgram.rescaled": says(None)}, "problems/programs/scaling.py:Rescaled"),
+    Mechanism("fits", "units of unknowns fitted to a program's entries",
+              {f"{PROGRAMS}.scaling:_fitted": says(None)}, "problems/programs/scaling.py:_fitted"),
+    Mechanism("least multipliers", "smaller multipliers where large ones cancel",
+              {f"{PROGRAMS}.least_multipliers:least_multipliers": says(None)},
+              "problems/programs/least_multipliers.py"),
+    Mechanism("better left", "a reduced cost counted as a residual where that is less",
+              {f"{PROGRAMS}.conversion:_is_better_left": differing(lambda old: lambda _, x, *__: x != x)},
+              "problems/programs/conversion.py:_is_better_left"),
+    Mechanism("unheld programs", "a factor of P asks for a proof before a run",
+              {f"{PROGRAMS}.no_minimum:prove_unheld": says(None)}, "problems/programs/no_minimum.py:prove_unheld"),
+    # --- least squares
+    Mechanism("least squares at once", "small problems of least squares in one compiled call",
+              {f"{LEAST}.solving:_solved_at_once": Instead(at_once_failed)}, "problems/least_squares/kernels.py"),
+    Mechanism("projected steps", "projected gradients and conjugate steps",
+              {f"{LEAST}.face_steps:projected_steps": only_start()},
+              "problems/least_squares/face_steps.py:projected_steps "
+              "problems/least_squares/face_steps.py:_conjugate_steps "
+              "problems/least_squares/face_steps.py:_spectral_steps"),
+    Mechanism("refined steps", "active sets solved to the last digit of each row",
+              {f"{LEAST}.refined_steps:refined_steps": only_start()}, "problems/least_squares/refined_steps.py"),
+    Mechanism("block pivots", "many columns at once to and from their bounds",
+              {f"{LEAST}.face_steps:block_pivot_steps": only_start()},
+              "problems/least_squares/face_steps.py:block_pivot_steps "
+              "problems/least_squares/face_steps.py:_proximal_point"),
+    Mechanism("interior of least squares", "interior points of least squares",
+              {f"{LEAST}.face_steps:interior_steps": only_start()},
+              "problems/least_squares/face_steps.py:interior_steps problems/least_squares/face_steps.py:NormalMatrix"),
+    Mechanism("active sets at the end", "the end of a run solved for its active set",
+              {f"{LEAST}.face_steps:active_set_steps": only_start()},
+              "problems/least_squares/face_steps.py:active_set_steps"),
+    Mechanism("repaired duals", "dual points repaired for the certificate of least squares",
+              {f"{LEAST}.certificate:_repaired": nothing()},
+              "problems/least_squares/certificate.py:_repaired problems/least_squares/certificate.py:_pushes"),
+    # --- cones
+    Mechanism("cone loop", "small problems over cones in one compiled loop",
+              {f"{CONES}.solving:_is_for_the_loop": says(False)},
+              "problems/cones/small.py problems/cones/small_kernels.py"),
+    Mechanism("late stages", "more sweeps and other starts at the end",
+              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))}),
+    Mechanism("cone interior", "an interior point along the central path of contacts",
+              {f"{CONES}.solving:ConeAuto._stages": without("interior_point")},
+              "problems/cones/methods.py:InteriorPoint problems/cones/central_path.py"),
+    Mechanism("cone restarts", "Newton from starts moved at random",
+              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "seed", 0))}),
+    Mechanism("cone proofs", "a conic program looks for a proof that there is no answer",
+              {f"{CONES}.solving:ConeAuto._stages": without("infeasibility")}, "problems/cones/infeasibility.py"),
+    Mechanism("components of cones", "components that a common run leaves open, each alone",
+              {f"{CONES}.solving:_solved_apart": Instead(lambda old: lambda together, *_: together)},
+              "problems/cones/solving.py:_solved_apart problems/cones/solving.py:_open_components"),
+    Mechanism("last step of cones", "the linear system of the cases that a run found",
+              {f"{CONES}.solving:ConeJudge.final": Instead(lambda old: lambda self, z, *_: self.certificate_of(z))},
+              "problems/cones/solving.py:ConeJudge.final"),
+    # --- nonlinear
+    Mechanism("nonlinear restarts", "other starts of small nonlinear problems",
+              {f"{STEPS}.start_elsewhere": says(False)},
+              "problems/nonlinear/josephy_newton.py:_Newton.start_elsewhere"),
+    Mechanism("by Φ", "steps of Fischer–Burmeister before linear problems",
+              {f"{STEPS}._by_phi": says(None)},
+              "problems/nonlinear/josephy_newton.py:_Newton._by_phi"),
+    Mechanism("on the path", "part of the way of a linearisation", {f"{STEPS}._on_path": says(None)},
+              "problems/nonlinear/josephy_newton.py:_Newton._on_path"),
+    Mechanism("proximal", "linearisations with a larger diagonal", {f"{STEPS}._proximal": says(None)},
+              "problems/nonlinear/josephy_newton.py:_Newton._proximal "
+              "problems/nonlinear/josephy_newton.py:_Newton._proximal_point"),
+    Mechanism("descent", "steepest descent at last", {f"{STEPS}._descended": says(None)},
+              "problems/nonlinear/josephy_newton.py:_Newton._descended"),
+    Mechanism("Krawczyk", "proves a solution of a nonlinear problem near an answer",
+              {"problems.nonlinear.krawczyk:krawczyk_bound": says(None)}, "problems/nonlinear/krawczyk.py"),
+    # --- equilibria
+    Mechanism("own nodes", "branch and bound of ours before and after SCIP",
+              {f"{EQUILIBRIA}.branch_and_bound:BranchAndBound._search": skipped()},
+              "problems/equilibria/branch_and_bound.py:BranchAndBound._search "
+              "problems/equilibria/branch_and_bound.py:BranchAndBound._branch "
+              "problems/equilibria/branch_and_bound.py:BranchAndBound._settle "
+              "problems/equilibria/branch_and_bound.py:BranchAndBound._pair"),
+    Mechanism("SCIP", "another's global search where ours is long",
+              {"interfaces.scip:minimize_or_none": says(None)}, "interfaces/scip.py"),
+    Mechanism("lower level", "bounds that a monotone lower level gives",
+              {f"{EQUILIBRIA}.lower_level:tightened": given_back()}, "problems/equilibria/lower_level.py"),
+    Mechanism("leaders first", "incumbents from followers solved for given leaders",
+              {f"{EQUILIBRIA}.incumbents:LocalSearch.from_leaders": skipped()},
+              "problems/equilibria/incumbents.py:LocalSearch.from_leaders "
+              "problems/equilibria/incumbents.py:followers_solved problems/equilibria/incumbents.py:leaders "
+              "problems/equilibria/incumbents.py:_followed"),
+    Mechanism("incumbents", "solutions from the points of relaxations",
+              {f"{EQUILIBRIA}.incumbents:LocalSearch.from_point": says(None)},
+              "problems/equilibria/incumbents.py:LocalSearch.from_point"),
+    # --- certify
+    Mechanism("sharp distance", "how far an x is, by its residuals",
+              {f"{PROGRAMS}.certification:ProgramProofs.sharpened": given_back(1)},
+              "problems/programs/sharp_distances.py problems/programs/certification.py:ProgramProofs.sharpened"),
+    Mechanism("dual slack", "dual points repaired to have the signs that are needed",
+              {f"{BOUNDS}._with_slack": given_back(1)}, "problems/programs/dual_bounds.py:DualBounds._with_slack"),
+    Mechanism("dual rows", "dual points repaired by more rows",
+              {f"{BOUNDS}._with_more_rows": says(None)}, "problems/programs/dual_bounds.py:DualBounds._with_more_rows"),
+    Mechanism("exact dual", "the dual bound in exact arithmetic",
+              {f"{BOUNDS}._exact_value": says(-math.inf)}, "problems/programs/dual_bounds.py:DualBounds._exact_value"),
+    Mechanism("implied box", "bounds of unknowns that the rows imply",
+              {f"{PROGRAMS}.dual_bounds:implied_box": differing(lambda old: lambda one: (one.lower, one.upper))},
+              "problems/programs/dual_bounds.py:implied_box problems/programs/dual_bounds.py:_tighten"),
+    Mechanism("exact points", "feasible points in exact arithmetic",
+              {f"{PROGRAMS}.feasible_points:FeasiblePoints.exactly_near": says(None)},
+              "problems/programs/feasible_points.py:FeasiblePoints.exactly_near"),
+    # --- many
+    Mechanism("lesson", "a step of a march begins with what ended the one before",
+              {"problems.march.marching:StepPolicy.following": says(None)}, "problems/march/marching.py"),
+    Mechanism("march loop", "steps of banded marches in one compiled loop",
+              {"problems.march:_fused": nothing()},
+              "problems/march/__init__.py:_fused methods/banded/march_kernels.py"),
+    Mechanism("batch loop", "small problems of a batch in one compiled loop",
+              {"problems.batches.batch_run:BatchRun._solve_compiled": skipped()},
+              "problems/batches/batch_run.py:BatchRun._solve_compiled "
+              "problems/batches/batch_run.py:BatchRun._run_compiled problems/batches/batch_groups.py"),
+    Mechanism("batch of programs", "small programs of a batch judged together",
+              {"problems.batches.program_batch:ProgramBatchRun._solve_compiled": skipped()},
+              "problems/batches/program_batch.py:ProgramBatchRun._solve_compiled"),
+    Mechanism("threads", "loops shared among threads",
+              {"core.kernels.threads:threads_for.__init__": Instead(lambda old: lambda self, count: old(self, 1))},
+              "core/kernels/threads.py problems/many/chunks.py"),
+    Mechanism("guarantees", "a warning where no theorem covers a named method",
+              {"proofs.guarantees:warn_where_known_to_be_uncovered": says(None)}, "proofs/guarantees"),
+)
+NAMES = {one.name: one for one in MECHANISMS}
+HEAVIEST = (
+    "small loop", "multigrid", "banded", "units", "presolve", "search", "lemke", "interior point", "newton",
+    "quasidefinite", "engines", "definitions",
+)
+
+
+# --- lines ----------------------------------------------------------------------------------------------------------
+
+
+def code_lines(place: str) -> int:
+    """Return the lines of code of a folder, a file, or a definition in a file; fail where there is none."""
+    path, _, name = place.partition(":")
+    file = PACKAGE / path
+    files = sorted(file.rglob("*.py")) if file.is_dir() else [file]
+    return sum(_counted(one, name.split(".") if name else ()) for one in files)
+
+
+def _counted(file: Path, names: Sequence[str]) -> int:
+    text = file.read_text(encoding="utf-8")
+    node: Any = ast.parse(text)
+    for name in names:
+        node = next(one for one in node.body if getattr(one, "name", "") == name)
+    lines = text.splitlines()
+    first, end = (getattr(node, "lineno", 1), getattr(node, "end_lineno", len(lines)))
+    kept = {k for k in range(first, end + 1) if (line := lines[k - 1].strip()) and not line.startswith("#")}
+    for one in ast.walk(node):
+        if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str):
+            kept -= {*range(one.lineno, (one.end_lineno or one.lineno) + 1)}
+    return len(kept)

@@ -1,0 +1,116 @@
+"""The list of mechanisms finds what it leaves out, and the page has a line for each."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, solve
+from lcp_plugin.methods.small import small_dense
+
+from . import inputs, measuring, table
+from .mechanisms import HEAVIEST, MECHANISMS, NAMES, Mechanism, says
+from .switching import Instead, Patch, replaced
+
+HERE = Path(__file__).parent
+TINY = [[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0]
+
+
+def one(judge: Any = inputs._by_residual) -> inputs.Input:
+    return inputs.Input("tiny", "0", lambda: LCP(*TINY), solve, judge)
+
+
+@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda one: one.name)
+def test_a_mechanism_is_found(mechanism: Mechanism) -> None:
+    """What is patched stands there, and so do the lines that would go."""
+    with replaced(mechanism.patches):
+        pass
+    assert (mechanism.lines > 0) is bool(mechanism.goes)
+
+
+def test_what_is_no_more_is_missed() -> None:
+    """A mechanism that has another name now, or another module, fails."""
+    with pytest.raises(KeyError), replaced([Patch("methods.small.small_dense:SmallDenseSolver.taken", says(None))]):
+        pass
+    with pytest.raises(ModuleNotFoundError), replaced([Patch("methods.smaller:taken", says(None))]):
+        pass
+
+
+def test_names_are_unique() -> None:
+    """No name stands twice, and the heaviest are in the list."""
+    assert len(NAMES) == len(MECHANISMS)
+    assert {*HEAVIEST} <= {*NAMES}
+
+
+def test_page_has_a_line_for_each() -> None:
+    """ablation.md is what the rows that were measured say, a line a mechanism."""
+    text = table.PAGE.read_text(encoding="utf-8")
+    assert [line.split(" | ")[0].removeprefix("| ") for line in text.splitlines() if line.startswith("| ")][2:] == [
+        *NAMES, *dict.fromkeys(row["mechanism"] for row in table.read() if " + " in row["mechanism"]),
+    ]
+
+
+def test_package_is_put_back() -> None:
+    """A function is replaced where others imported it, too, and watched; afterwards all is as before."""
+    from lcp_plugin.methods import lemke
+
+    before = small_dense.is_short
+    patch = Patch("methods.small.small_dense:is_short", says(False))
+    with replaced([patch], watched=True):
+        assert lemke.is_short is not before
+        assert solve(LCP(*TINY)).z.round(6).tolist() == [0.75, 0.0]
+    assert patch.times > 0
+    with replaced([patch]):
+        assert lemke.is_short is small_dense.is_short is not before
+        assert solve(LCP(*TINY)).z.round(6).tolist() == [0.75, 0.0]
+    assert lemke.is_short is small_dense.is_short is before
+    assert solve(LCP(*TINY)).iterations
+
+
+def test_a_loss_is_seen() -> None:
+    """What raises without a mechanism, and so has no answer, is counted against leaving it out."""
+    def wrong(old: Any) -> Any:
+        return lambda *_, **__: 1 / 0
+
+    tally = measuring.Tally("none", "tiny")
+    measuring.measure(one(), [Patch("auto:Auto.first", Instead(wrong))], tally)
+    assert (tally.met, tally.solved, tally.solved_off, tally.raised_off) == (1, 1, 0, 1)
+    assert table.lost([dict(zip(tally.columns(), tally.cells(), strict=True))]) == ["1 solved", "1 raised"]
+
+
+def test_what_would_do_the_same_is_not_met(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mechanism that is asked and has nothing to say is not met; one that has is."""
+    monkeypatch.setattr(measuring, "inputs", lambda: iter([one()]))
+    found = measuring.meetings([*NAMES])
+    assert found["small loop"] == [["tiny", "0"]]
+    assert found["presolve"] == found["units"] == []
+
+
+def test_false_answers_are_seen() -> None:
+    """Residuals are measured by other means than ours."""
+    problem = LCP(*TINY)
+    assert inputs.residual(problem, np.array([0.75, 0.0])) == 0.0
+    assert inputs.residual(problem, np.array([0.75, 0.1])) > 1e-3
+
+
+def test_unknown_names_are_refused() -> None:
+    """Exit code 2, and the names that there are."""
+    done = subprocess.run([sys.executable, str(HERE), "bandid"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "'bandid'; there are small loop" in done.stderr
+
+
+@pytest.mark.full
+def test_inputs_can_be_judged() -> None:
+    """The first problem of each source is solved, or proved to have no solution, or left open without one."""
+    for source, made in inputs.SOURCES.items():
+        given = next(made(), None)
+        if given is not None:  # published problems need not be here
+            problem = given.state()
+            assert given.source == source
+            assert given.judge(problem, given.solve(problem)) != inputs.FALSE, source

@@ -68,7 +68,8 @@ def _measured(name: str, file: Path, seconds: float) -> list[dict[str, str]]:
         print(f"{name}: ended after {PATIENCE * seconds:.0f} s", file=sys.stderr)
     rows = [dict(zip(columns(), cells, strict=True)) for cells in csv.reader(text.splitlines())
             if len(cells) == len(columns()) and cells[0] == name]
-    print(name, "loses", "; ".join(lost(rows)) or "nothing", file=sys.stderr, flush=True)
+    loss = "; ".join(lost(rows)) or "nothing" if rows else "what nobody has measured"
+    print(name, "loses", loss, file=sys.stderr, flush=True)
     return rows
 
 

@@ -381,8 +381,6 @@ MECHANISMS = (
               "methods/newton/semismooth_newton.py:_searched methods/newton/semismooth_newton.py:_newton_direction"),
     Mechanism("principal pivots", "one row at a time where newton's sets return",
               {f"{NEWTON}:principal_pivots": nothing()}, "methods/newton/semismooth_newton.py:principal_pivots"),
-    Mechanism("bands", "banded LU for narrow systems", {"systems.factors:bands": says(None)},
-              "systems/factors.py:bands systems/factors.py:Bands systems/factors.py:_banded_lu"),
     # --- multigrid
     Mechanism("nested start", "multigrid begins on the coarsest grid",
               {"methods.multigrid.multigrid_run:MultigridRun._nested_start": skipped()},

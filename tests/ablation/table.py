@@ -18,7 +18,8 @@ in one process. Counts are of the inputs that meet it, everything on → without
 their geometric mean, time in seconds of the processor; "at most" is the source of inputs where leaving it out costs
 most time. Lines are lines of code that it alone needs. A row loses nothing where no
 answer and no proof is lost, no false one added, nothing raised, and no source takes {slower} × as long: such a
-mechanism is deleted. What no input meets is not shown to be of use.
+mechanism is deleted. "a of b" was measured in part, within a limit of seconds: measure it whole (`--seconds`) before
+anything goes. What no input meets is not shown to be of use.
 
 """
 COLUMNS = ("mechanism", "what for", "met", "solved", "proved", "false", "work", "time", "at most", "lines", "loses")

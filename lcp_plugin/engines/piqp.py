@@ -62,4 +62,4 @@ class PIQP(Engine):
             np.array(found.z_u) if m else np.zeros(0), np.array(found.y) if p else np.zeros(0), np.array(found.z_bl),
             np.array(found.z_bu),
         )
-        return Point(np.array(found.x), multipliers, int(found.info.iter), says)
+        return Point(np.array(found.x), multipliers, 0 if says is Hint.GAVE_UP else int(found.info.iter), says)

@@ -195,7 +195,7 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = [(first or [point])[0]._replace(x=np.zeros(point.x.size))]
     for one in chain(first, [point], cases, at_zero):
-        for near in (_without_noise(one), one):
+        for near in (one, _without_noise(one)):
             if near is not None and (solution := _solution(reduction, prepared, near)) is not None:
                 yield solution, one._replace(iterations=steps)
                 steps = 0

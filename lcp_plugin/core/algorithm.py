@@ -142,6 +142,7 @@ class Algorithm(ABC):
     reference: ClassVar[str] = "–"
     runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
+    ends_with_a_case: ClassVar[bool] = False  # where it is True, a run adds no last linear system
     is_watched: ClassVar[bool] = False
     why_no_start: ClassVar[str] = ""
 

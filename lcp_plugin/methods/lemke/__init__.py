@@ -89,6 +89,7 @@ class Lemke(Algorithm):
         "Lemke 1965, doi:10.1287/mnsc.11.7.681; Cao, Ferris 1996, doi:10.1287/moor.21.2.484"
     )
     is_monotone: ClassVar[bool] = False
+    ends_with_a_case: ClassVar[bool] = True
     why_no_start: ClassVar[str] = (
         "z0 was not used but for its active set: lemke begins from a start whose residual is at most a tenth of that "
         "of the point of the bounds nearest to 0, and from any other one only where the usual starts fail"

@@ -74,6 +74,7 @@ class Newton(Algorithm):
         "doi:10.1007/BF02592192"
     )
     is_monotone: ClassVar[bool] = False
+    ends_with_a_case: ClassVar[bool] = True
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
         """Return those of a direct answer."""

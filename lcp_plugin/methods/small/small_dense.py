@@ -35,6 +35,7 @@ class SmallDenseSolver(Algorithm):
 
     name: ClassVar[str] = "small dense solver"
     is_monotone: ClassVar[bool] = False
+    ends_with_a_case: ClassVar[bool] = True
 
     @staticmethod
     def takes(problem: LCP) -> bool:

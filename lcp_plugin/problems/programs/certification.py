@@ -258,7 +258,7 @@ class ProgramProofs:
     @cached_property
     def own_solution(self) -> QPSolution | None:
         """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
-        if (at_once := solved_at_once(self.program, ALMOST)) is not None:
+        if (at_once := solved_at_once(self.program, ALMOST, is_sharp=True)) is not None:
             return at_once.solution
         found: list[QPSolution] = []
         # What it is to prove takes time as well; a form may overflow.

@@ -319,6 +319,8 @@ def least_squares_above(matrix: sp.csr_array, right: FloatVector, low: FloatVect
     """
     from scipy.optimize import lsq_linear
 
+    if 0 in matrix.shape:  # which scipy's older releases do not take
+        return np.zeros(low.size)
     try:
         found = lsq_linear(matrix.toarray(), right, (low, np.inf), method="bvls", tol=1e-14, max_iter=ITERATIONS).x
     except np.linalg.LinAlgError:

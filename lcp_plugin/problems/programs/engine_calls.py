@@ -83,13 +83,14 @@ def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
     yield engine_class("clarabel")()
 
 
-def solved_at_once(program: QuadraticProgram, tolerance: float) -> EngineRun | None:
-    """Return the sharpest answer of the quickest engine, None where it has none."""
+def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: bool = False) -> EngineRun | None:
+    """Return the answer of the quickest engine, polished in any case where it is to be sharp; None where it has none."""
     engine = next(engines_for(program), None)
     if engine is None:
         return None
-    run = run_engine(program, engine, 0.0, points=SHARPEST)
-    return run if run.solution.is_stationary(program_goal(tolerance)) else None
+    goal = program_goal(tolerance)
+    run = run_engine(program, engine, 0.0 if is_sharp else goal, points=SHARPEST)
+    return run if run.solution.is_stationary(goal) else None
 
 
 def run_again(program: QuadraticProgram, z: FloatVector, goal: float) -> EngineRun | None:

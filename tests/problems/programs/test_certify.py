@@ -939,7 +939,7 @@ def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -
         return solve(problem, *args, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve_lcp", counted)
-    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_: None)
+    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_, **__: None)
     program = QuadraticProgram([[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3])
     assert certify(program, ProgramProofs.of(program).own_solution).verdict == "proved"
     assert asked == [1e-9]
@@ -954,7 +954,7 @@ def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyP
         return solve(problem, *args, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve_lcp", counted)
-    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_: None)
+    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_, **__: None)
     assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
     assert limits
     assert max(limits) <= 30.0

@@ -33,7 +33,7 @@ from .solution import QPSolution
 from .steps import reduction_for
 
 POLISH, AGAIN = "polish", "the active set of an earlier answer"
-SHARPEST = 4  # points: as it came, and polished, each without noise and with it
+SHARPEST = 4  # points: as it came, and polished, each with its noise and without
 NOISE = 2.0**-44
 CALLS = 4  # of an engine for one program
 
@@ -84,7 +84,7 @@ def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
 
 
 def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: bool = False) -> EngineRun | None:
-    """Return the answer of the quickest engine, polished in any case where it is to be sharp; None where it has none."""
+    """Return the answer of the quickest engine, polished where it is to be sharp; None where it has none."""
     engine = next(engines_for(program), None)
     if engine is None:
         return None

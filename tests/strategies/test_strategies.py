@@ -55,7 +55,7 @@ SOLVED = {
     "strict": strict(solved_lcps(bounds=True)),
     "sparse": solved_lcps(h_plus_matrices(st.integers(0, 6)).map(sp.csr_array)),
     "huge slacks": solved_lcps(huge_slacks=True),
-    "in units": scaled_solved(solved_lcps(bounds=True), 300, 300),
+    "in units": scaled_solved(solved_lcps(bounds=True), 60, 60),
     "nearly singular": solved_lcps(nearly_singular(2.0**-30), bounds=True),
 }
 

@@ -172,7 +172,7 @@ def solve_batch(
     The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
 
     >>> answers = solve_batch(QuadraticProgramBatch(np.eye(2), [[-1, -2], [0, -1]], G=[[1, 1]], h=[2]))
-    >>> answers.x.round(6).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
+    >>> (answers.x.round(6) + 0.0).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
     ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
     checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds

@@ -217,15 +217,16 @@ def measured(
     one = one + (one == 0.0)  # of x: objectives may be beyond the range of doubles
     ahead, of_ahead = x / one, of_x / one
     gap = (of_y * (np.maximum(off - margin, 0.0) / one)).sum(-1)
-    # Far along P d = 0 the rounding of P x hides any cost.
-    gap = gap + (of_ahead * (np.maximum(left - blur, 0.0) + rounding * terms.product_size)).sum(-1)
+    gap = gap + (of_ahead * np.maximum(left - blur, 0.0)).sum(-1)
+    linear, hidden = (cost * of_ahead).sum(-1), (of_ahead * rounding * terms.product_size).sum(-1)
+    gap = gap + np.where(hidden > linear, hidden, 0.0)  # far along P d = 0 the rounding of P x hides any cost
     for signed, of_bound, bound in ((of_lower, of_bounds[0], lower), (of_upper, of_bounds[1], upper)):
         if of_bound.any():
             has = np.isfinite(bound)
             dual = np.maximum(dual, _beside(np.where(has & (signed >= 0.0), 0.0, of_bound), acts.column))
             slack = np.abs(x - np.where(has, bound, 0.0)) / one
             gap = gap + np.where(has & (of_bound != 0.0), of_bound * slack, 0.0).sum(-1)
-    objective = (cost * of_ahead).sum(-1) + 1.5 * np.abs((ahead * terms.product).sum(-1))
+    objective = linear + 1.5 * np.abs((ahead * terms.product).sum(-1))
     return Errors(primal, dual, _beside(gap[..., np.newaxis], objective[..., np.newaxis]))
 
 

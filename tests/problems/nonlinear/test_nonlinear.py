@@ -411,7 +411,8 @@ def test_a_hill_climber_finds_no_wrong_point_that_passes() -> None:
     """Of ten planted problems in units of rows and unknowns no point off by 1 % passes after a polish's tolerance."""
     from campaigns.attack_nonlinear import attack_nonlinear
 
-    assert list(attack_nonlinear(np.random.default_rng(0), 10)) == []
+    with np.errstate(all="ignore"):  # far out F leaves the range of doubles
+        assert list(attack_nonlinear(np.random.default_rng(0), 10)) == []
 
 
 def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:

@@ -12,6 +12,7 @@ from inspect import getattr_static
 from typing import Any, NamedTuple
 
 PACKAGE = "lcp_plugin."
+MAKES_IDENTITIES = {"lcp_plugin.modeling.expressions.functions"}
 
 
 class Modules:
@@ -135,8 +136,8 @@ _caches: list[Any] = []
 
 
 def forget() -> None:
-    """Empty the caches of the package's functions."""
+    """Empty the caches of the package's functions, but those that make what is compared by identity (x² is SQUARE)."""
     _caches.extend(value for module in _modules.new() for value in vars(module).values()
-                   if isinstance(value, _lru_cache_wrapper))
+                   if isinstance(value, _lru_cache_wrapper) and value.__module__ not in MAKES_IDENTITIES)
     for one in _caches:
         one.cache_clear()

@@ -24,9 +24,10 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.settings import Status
+from ...engines import engine_class
 from ...proofs.bounds.curvature import Curvature, constrained_curvature
 from ..programs.dual_bounds import DualBounds, implied_box
-from ..programs.engine_calls import solved_at_once
+from ..programs.engine_calls import run_engine, solved_at_once
 from ..programs.no_minimum import QPInfeasibility, prove_infeasible
 from ..programs.program import QuadraticProgram
 from ..programs.solution import QPSolution
@@ -117,6 +118,10 @@ class Relaxations:
         if node.value < math.inf and (program := self.program(cases)) is not None and node.dual is not None:
             enough = node.value - ENOUGH * self.tolerance * max(1.0, abs(node.value))
             node.bound = self.bound(program, node.dual, enough)
+            if node.bound == -math.inf:  # a vertex has more zeros than multipliers to mend them by
+                inside = run_engine(program, engine_class("clarabel")(), 0.0, points=1).solution
+                dual = inside.x, np.concatenate([inside.inequality, inside.equality])
+                node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:
             node.bound, node.dual = parent.bound, parent.dual
         return node

@@ -31,19 +31,16 @@ def solved(problem: cp.Problem, **options: Any) -> Any:
     return problem.solver_stats.extra_stats
 
 
-BOUNDED_BY_SCIP = {"monteiro"}  # our own bounds of its nodes are too weak since engines answer them
-
-
 @pytest.mark.parametrize("name", list(COLLECTION))
 def test_published_optima_are_found_and_proved(name: str) -> None:
     """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
     published = COLLECTION[name]
     problem = published.state()
-    result = solved(problem, prove=name not in BOUNDED_BY_SCIP)
+    result = solved(problem)
     assert (problem.status, result.is_global) == (cp.OPTIMAL, True)
     assert result.gap <= 1e-6
     assert abs(problem.value - published.optimum) <= 1e-6 * abs(published.optimum) + published.accuracy
-    assert result.verify() is (name not in BOUNDED_BY_SCIP)
+    assert result.verify()
 
 
 @pytest.mark.parametrize(("bounds", "wanted"), [((-9, 1), 8.0), ((1, 9), 20.0), ((2, 4), 26.0)])

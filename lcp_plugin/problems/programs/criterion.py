@@ -42,6 +42,8 @@ SURE = 1e-3  # of what is called optimal: no exact proof that there is no minimu
 STRICT = 1e3  # times a tolerance below 1e-9: what is asked of a program's own residuals
 ACTS = 1e-6  # ω
 NO_EXCUSE = 1e-9  # measures beside own terms that need no other size
+SMALLEST = 2.0**-1074  # instead of a size 0: an error beside it is beyond every goal, and 0 stays 0
+total, most = np.add.reduce, np.maximum.reduce  # what an array's methods come to, of small arrays in half the time
 
 
 class Errors(NamedTuple):
@@ -113,12 +115,11 @@ class Terms(NamedTuple):
     def of_dense(cls, P: Any, C: Any, x: FloatVector, y: FloatVector) -> Terms:
         """Return those of ndarrays, or of stacks of them: shapes (…, n, n), (…, rows, n), (…, n) and (…, rows)."""
         of_rows, of_columns, of_P = C * x[..., np.newaxis, :], C * y[..., np.newaxis], P * x[..., np.newaxis, :]
-        sizes = [np.abs(one) for one in (of_rows, of_columns, of_P)]
-        return cls(
-            of_rows.sum(-1), sizes[0].sum(-1), sizes[0].max(-1, initial=0.0),
-            of_columns.sum(-2), sizes[1].sum(-2), sizes[1].max(-2, initial=0.0),
-            of_P.sum(-1), sizes[2].sum(-1), sizes[2].max(-1, initial=0.0), max(C.shape[-2:]),
-        )
+        sums = [
+            (total(one, axis), total(size, axis), most(size, axis, initial=0.0))
+            for one, size, axis in ((one, np.abs(one), axis) for one, axis in ((of_rows, -1), (of_columns, -2), (of_P, -1)))
+        ]
+        return cls(*sums[0], *sums[1], *sums[2], max(C.shape[-2:]))
 
     @classmethod
     def of_sparse(cls, P: Any, C: sp.csr_array, x: FloatVector, y: FloatVector) -> Terms:
@@ -194,52 +195,46 @@ def measured(
     acting : Acting, optional
         Without it rows and columns are measured beside their own terms alone.
     """
-    acts = Acting(0.0, 0.0, 0.0) if acting is None else acting
     known, rounding = np.isfinite(d), 2.0 * (terms.summands + 4) * EPSILON
     right = np.where(known, d, 0.0)
     residual, of_right = np.where(known, terms.value - right, 0.0), np.abs(right)
     margin = rounding * (terms.size + of_right)
     off = np.abs(residual)
     over = np.where(known, np.maximum(np.where(is_equality, off, residual) + margin, 0.0), 0.0)
-    size = np.maximum(np.maximum(terms.largest, of_right), ACTS * acts.row)
+    size = np.maximum(terms.largest, of_right)
     of_x = np.abs(x)
     outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
-    primal = np.maximum(_beside(over, size), _beside(outside, of_x))
 
     cost, of_y, of_bounds = np.abs(c), np.abs(y), (np.abs(of_lower), np.abs(of_upper))
     left = np.abs(terms.product + c + terms.pull - of_lower + of_upper)
     blur = rounding * (terms.product_size + cost + terms.pull_size + of_bounds[0] + of_bounds[1])
     own = np.maximum(np.maximum(cost, terms.product_largest), np.maximum(terms.pull_largest, np.maximum(*of_bounds)))
-    dual = _beside(left + blur, np.maximum(own, ACTS * acts.column))
-    dual = np.maximum(dual, _beside(of_y * ~(is_equality | (known & (y >= 0.0))), acts.of_row))
+    wrong = of_y * ~(is_equality | (known & (y >= 0.0)))
+    if acting is not None:
+        size, own = np.maximum(size, ACTS * acting.row), np.maximum(own, ACTS * acting.column)
+    primal = np.maximum(_beside(over, size), _beside(outside, of_x))
+    dual = np.maximum(_beside(left + blur, own), _beside(wrong, 0.0 if acting is None else acting.of_row))
 
-    one = of_x.max(-1, initial=0.0, keepdims=True)
+    one = most(of_x, -1, keepdims=True, initial=0.0)
     one = one + (one == 0.0)  # of x: objectives may be beyond the range of doubles
     ahead, of_ahead = x / one, of_x / one
-    gap = (of_y * (np.maximum(off - margin, 0.0) / one)).sum(-1)
-    gap = gap + (of_ahead * np.maximum(left - blur, 0.0)).sum(-1)
-    linear, hidden = (cost * of_ahead).sum(-1), (of_ahead * rounding * terms.product_size).sum(-1)
+    gap = total(of_y * (np.maximum(off - margin, 0.0) / one), -1) + total(of_ahead * np.maximum(left - blur, 0.0), -1)
+    linear, hidden = total(cost * of_ahead, -1), total(of_ahead * rounding * terms.product_size, -1)
     gap = gap + np.where(hidden > linear, hidden, 0.0)  # far along P d = 0 the rounding of P x hides any cost
     for signed, of_bound, bound in ((of_lower, of_bounds[0], lower), (of_upper, of_bounds[1], upper)):
         if of_bound.any():
             has = np.isfinite(bound)
-            dual = np.maximum(dual, _beside(np.where(has & (signed >= 0.0), 0.0, of_bound), acts.column))
+            unfit = np.where(has & (signed >= 0.0), 0.0, of_bound)
+            dual = np.maximum(dual, _beside(unfit, 0.0 if acting is None else acting.column))
             slack = np.abs(x - np.where(has, bound, 0.0)) / one
-            gap = gap + np.where(has & (of_bound != 0.0), of_bound * slack, 0.0).sum(-1)
-    objective = linear + 1.5 * np.abs((ahead * terms.product).sum(-1))
-    return Errors(primal, dual, _beside(gap[..., np.newaxis], objective[..., np.newaxis]))
+            gap = gap + total(np.where(has & (of_bound != 0.0), of_bound * slack, 0.0), -1)
+    objective = linear + 1.5 * np.abs(total(ahead * terms.product, -1))
+    return Errors(*(np.where(np.isnan(one), np.inf, one) for one in (primal, dual, gap / np.maximum(objective, SMALLEST))))
 
 
 def _beside(wrong: Any, size: Any) -> Any:
-    """Return the largest quotient along the last axis, 0 / 0 = 0; ∞ where one is no number."""
-    if not wrong.any():
-        return np.zeros(wrong.shape[:-1])
-    quotient = wrong / size
-    largest = quotient.max(-1, initial=0.0)
-    if np.isnan(largest).any():
-        largest = np.where(wrong == 0.0, 0.0, quotient).max(-1, initial=0.0)
-        largest = np.where(np.isnan(largest), np.inf, largest)
-    return largest
+    """Return the largest quotient along the last axis, 0 / 0 = 0; NaN where one is no number."""
+    return most(wrong / np.maximum(size, SMALLEST), -1, initial=0.0)
 
 
 def program_goal(tolerance: float) -> float:

@@ -194,23 +194,22 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     first = [] if engine.ends_with_a_case or is_over() else list(islice(cases, 1))
     steps = point.iterations
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
-    at_zero = [(first or [point])[0]._replace(x=np.zeros(point.x.size))]
+    at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])
     for one in chain(first, [point], cases, at_zero):
-        for near in (one, _without_noise(one)):
-            if near is not None and (solution := _solution(reduction, prepared, near)) is not None:
+        for near in chain([one], _without_noise(one)):
+            if (solution := _solution(reduction, prepared, near)) is not None:
                 yield solution, one._replace(iterations=steps)
                 steps = 0
 
 
-def _without_noise(point: Point) -> Point | None:
-    """Return the point with 0 in place of x and multipliers that are rounding beside the largest; None without any."""
+def _without_noise(point: Point) -> Iterator[Point]:
+    """Yield the point with 0 in place of x and multipliers that are rounding beside the largest, where there are any."""
     x, y = point.x, np.concatenate(point.multipliers)
     of_x, of_y = np.abs(x), np.abs(y)
     in_x, in_y = of_x <= NOISE * of_x.max(initial=0.0), of_y <= NOISE * of_y.max(initial=0.0)
-    if not (x[in_x].any() or y[in_y].any()):
-        return None
-    kept = np.split(np.where(in_y, 0.0, y), np.cumsum([part.size for part in point.multipliers[:-1]]))
-    return point._replace(x=np.where(in_x, 0.0, x), multipliers=Multipliers(*kept))
+    if x[in_x].any() or y[in_y].any():
+        kept = np.split(np.where(in_y, 0.0, y), np.cumsum([part.size for part in point.multipliers[:-1]]))
+        yield point._replace(x=np.where(in_x, 0.0, x), multipliers=Multipliers(*kept))
 
 
 def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:

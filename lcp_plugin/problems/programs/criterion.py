@@ -115,11 +115,12 @@ class Terms(NamedTuple):
     def of_dense(cls, P: Any, C: Any, x: FloatVector, y: FloatVector) -> Terms:
         """Return those of ndarrays, or of stacks of them: shapes (…, n, n), (…, rows, n), (…, n) and (…, rows)."""
         of_rows, of_columns, of_P = C * x[..., np.newaxis, :], C * y[..., np.newaxis], P * x[..., np.newaxis, :]
-        sums = [
-            (total(one, axis), total(size, axis), most(size, axis, initial=0.0))
-            for one, size, axis in ((one, np.abs(one), axis) for one, axis in ((of_rows, -1), (of_columns, -2), (of_P, -1)))
-        ]
-        return cls(*sums[0], *sums[1], *sums[2], max(C.shape[-2:]))
+        sizes = [np.abs(one) for one in (of_rows, of_columns, of_P)]
+        return cls(
+            total(of_rows, -1), total(sizes[0], -1), most(sizes[0], -1, initial=0.0),
+            total(of_columns, -2), total(sizes[1], -2), most(sizes[1], -2, initial=0.0),
+            total(of_P, -1), total(sizes[2], -1), most(sizes[2], -1, initial=0.0), max(C.shape[-2:]),
+        )
 
     @classmethod
     def of_sparse(cls, P: Any, C: sp.csr_array, x: FloatVector, y: FloatVector) -> Terms:
@@ -229,7 +230,8 @@ def measured(
             slack = np.abs(x - np.where(has, bound, 0.0)) / one
             gap = gap + total(np.where(has & (of_bound != 0.0), of_bound * slack, 0.0), -1)
     objective = linear + 1.5 * np.abs(total(ahead * terms.product, -1))
-    return Errors(*(np.where(np.isnan(one), np.inf, one) for one in (primal, dual, gap / np.maximum(objective, SMALLEST))))
+    found = primal, dual, gap / np.maximum(objective, SMALLEST)
+    return Errors(*(np.where(np.isnan(one), np.inf, one) for one in found))
 
 
 def _beside(wrong: Any, size: Any) -> Any:

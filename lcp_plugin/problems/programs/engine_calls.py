@@ -203,7 +203,7 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
 
 
 def _without_noise(point: Point) -> Iterator[Point]:
-    """Yield the point with 0 in place of x and multipliers that are rounding beside the largest, where there are any."""
+    """Yield the point with 0 in place of x and multipliers that are rounding beside the largest, if any."""
     x, y = point.x, np.concatenate(point.multipliers)
     of_x, of_y = np.abs(x), np.abs(y)
     in_x, in_y = of_x <= NOISE * of_x.max(initial=0.0), of_y <= NOISE * of_y.max(initial=0.0)

@@ -51,7 +51,6 @@ SYMMETRIC_WITHIN = 16  # log2: how far rows may leave the diagonal's units to ma
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
 ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding
 LARGEST_OFF = 2.0**SPREAD  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
-DENSE_LIMIT = 300  # unknowns of a least squares problem
 
 
 Fit = tuple[Any, Any]
@@ -411,12 +410,6 @@ def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> 
     """Return s, shape (n,), for which ratio_k + s_column − s_row is about 0 in the least squares sense."""
     rhs: Any = np.bincount(rows, ratios, n) - np.bincount(columns, ratios, n)
     degree: Any = np.bincount(rows, minlength=n) + np.bincount(columns, minlength=n)
-    if n <= DENSE_LIMIT:
-        dense = np.diag(degree.astype(np.float64))
-        np.add.at(dense, (rows, columns), -1.0)
-        np.add.at(dense, (columns, rows), -1.0)
-        solution: FloatVector = np.linalg.lstsq(dense, rhs, rcond=None)[0]
-        return solution
     from scipy.sparse.linalg import LinearOperator, cg
 
     weights = np.where(degree > 0, degree, 1).astype(np.float64)
@@ -424,4 +417,4 @@ def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> 
     transposed = pattern.T.tocsr()
     graph = LinearOperator((n, n), matvec=lambda x: degree * x - pattern @ x - transposed @ x)
     jacobi = LinearOperator((n, n), matvec=lambda x: x / weights)
-    return np.asarray(cg(graph, rhs, rtol=1e-3, maxiter=300, M=jacobi)[0])
+    return np.asarray(cg(graph, rhs, rtol=1e-6, maxiter=300, M=jacobi)[0])

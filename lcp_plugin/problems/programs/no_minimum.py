@@ -454,14 +454,16 @@ def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
     """
     from scipy.linalg import qr
 
-    if not P.nnz or P.shape[0] > LARGEST_DENSE:
-        return np.arange(P.shape[0] if P.nnz else 0)
-    root = np.sqrt(np.maximum(P.diagonal(), 0.0))
+    filled = np.flatnonzero(np.diff(P.indptr))
+    if not 0 < filled.size <= LARGEST_DENSE:
+        return filled
+    dense = P[filled][:, filled].toarray()
+    root = np.sqrt(np.maximum(dense.diagonal(), 0.0))
     scale = 1.0 / np.where(root > 0.0, root, 1.0)
-    R, order = qr(scale[:, None] * P.toarray() * scale, mode="r", pivoting=True)
+    R, order = qr(scale[:, None] * dense * scale, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(R))
-    rank = int(np.count_nonzero(diagonal > P.shape[0] * 8 * EPSILON * diagonal.max(initial=0.0)))
-    return np.asarray(order[:rank], dtype=np.intp)
+    rank = int(np.count_nonzero(diagonal > filled.size * 8 * EPSILON * diagonal.max(initial=0.0)))
+    return np.asarray(filled[order[:rank]], dtype=np.intp)
 
 
 def feasible_point(program: QuadraticProgram) -> Vector | None:

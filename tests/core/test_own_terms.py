@@ -108,6 +108,32 @@ def test_no_row_is_explained_by_a_number_that_does_not_act() -> None:
         assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)
 
 
+def test_a_row_with_a_q_is_asked_for_in_its_own_unit() -> None:
+    """w_2 = −1 and w_3 = −1 off a bound beside z = 1e15 and 1e19 in the same component: neither has a solution."""
+    for M, q, lower, false in (
+        ([[1e6, 0.0, 0.0], [-2.0, -1.0, 0.0], [-1.0, 2.0, 1.0]], [-1e6, 1.0, -1e15], 0.0, [1.0, 0.0, 1e15]),
+        (
+            [[1.0, 0.0, 1.0, -1.0], [0.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]],
+            [-1e19, 2.0, -2.0, 0.0], [-1e10, -1.0, 0.0, 0.0], [0.0, -1.0, 1e19, 0.0],
+        ),
+    ):
+        problem = LCP(M, q, lower=lower)
+        assert not Certificate.of(problem, false).meets(Settings())
+        assert solve(problem).status is not Status.SOLVED
+
+
+def test_a_diagonal_entry_of_1e12_may_leave_no_solution() -> None:
+    """w_4 = −3.3e-13 and −2.2e-12 are all of their rows; without them w_1 > 0 where z_1 > 0."""
+    for M, q in (
+        ([[1e-12, 0, -1, -1], [0, 1e-11, 0, 2], [3, 2, 1e-10, 3], [0, 0, -1, -3]], [0, 2, -1, 0]),
+        (
+            [[1e-12, -2, 2, 2, 3], [2, 0, -1, 2, -1], [1, -3, 2, 1, 2], [0, -3, -3, -2, 3], [0, 1, 1, -3, -3]],
+            [0, -3, 0, 0, 3],
+        ),
+    ):
+        assert solve(LCP(M, q)).status is not Status.SOLVED
+
+
 def test_integers_with_tiny_diagonals_by_all_cases() -> None:
     """A slice of the campaign: no SOLVED is false, planted ones included."""
     assert tiny_diagonals.main(["--cases", "300", "--seed", "3"]) == 0

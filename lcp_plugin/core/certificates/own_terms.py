@@ -5,9 +5,9 @@ entry, or where a nonlinear F flattens. So beside it every row is judged by its 
 With v_i the part of w_i that has the wrong sign (|w_i| where z_i is off its bounds), row i is right to s if
 
 - v_i ≤ s T_i, or
-- T_i ≤ 10⁻¹² |m_ii| ‖z_P‖∞ (d_i for m_ii = 0) and T_i ≤ 10⁻¹² T_k for a row k that acts (z_k off its bounds, or
-  v_k > 0), both in its component P, and v_i ≤ Σ_j |m_ij z_j|: beside what acts at the answer it is negligible in the
-  unit of z and in that of w, as in a far field, and what is left of z there explains it.
+- q_i = 0, T_i ≤ 2⁻⁴² |m_ii| ‖z_P‖∞ (d_i for m_ii = 0) and T_i ≤ 2⁻⁴² T_k for a row k that acts (z_k off its bounds,
+  or v_k > 0), both in its component P: beside what acts at the answer it is negligible in the unit of z and in that of
+  w, as in a far field, and what is left of z there explains it. A q_i says what is asked for in its own unit.
 
 Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. A component is also
 right where it is so at another z', with z_i at its bound where the sign of w_i is right there and d_i·distance ≤ |w_i|,
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import FloatVector
+from ..kernels.floats import NEGLIGIBLE
 from .criterion import for_each_row, largest_of_components
 from .row_residuals import magnitude
 
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from ..lcp import LCP
 
 NEAR = 1e-8  # to a bound, beside the largest step from z°; and a row whose term residual is below is right
-NEGLIGIBLE = 1e-12  # beside what acts
 
 
 def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
@@ -88,6 +88,6 @@ def _beside_own_terms(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVect
         acts = np.where(is_wrong | ~(is_low | is_high), terms, 0.0)
         of_z, of_w = (for_each_row(problem, largest_of_components(problem, side)) for side in (np.abs(z), acts))
         unit = np.where(problem.diagonal != 0.0, np.abs(problem.diagonal), problem.residual_scale)
-        counts = (terms > NEGLIGIBLE * unit * of_z) | (terms > NEGLIGIBLE * of_w) | (wrong > terms - np.abs(problem.q))
+        counts = (problem.q != 0.0) | ~(terms <= NEGLIGIBLE * np.minimum(unit * of_z, of_w))
         squares = np.where(is_wrong & counts, (wrong / terms) ** 2, 0.0)
     return np.where(np.isfinite(squares), squares, np.inf)

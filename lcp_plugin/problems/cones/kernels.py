@@ -11,14 +11,13 @@ import numpy as np
 
 from ...core.kernels.compilation import compiled, compiled_part
 from ...core.kernels.enclosures import row_ends
-from ...core.kernels.floats import TINY, UNIT
+from ...core.kernels.floats import NEGLIGIBLE, TINY, UNIT
 
 OUTWARD = 1.0 + 2.0**-48  # of a handful of roundings
 OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: at the apex or a bound, inside, on the boundary
 LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for one block
 TURN = 0.5  # radians a step of Newton turns at the most
 ACCURATE = 1e-14
-NEGLIGIBLE = 1e-12  # beside what acts: such terms do not count
 
 
 @compiled_part
@@ -134,8 +133,8 @@ def own_terms(  # type: ignore[no-untyped-def]
     """Write into `wrong` how wrong each block is beside its own terms, squared: the guard of the criterion.
 
     It is measured at `near`: z with the blocks on their bounds, apexes and boundaries where the slack w at z keeps
-    them there. There d ‖R_k‖ stands beside ‖|q_k| + Σ |m_ij z_j|‖, whose rows `terms` gets. A block does not count
-    whose terms are NEGLIGIBLE beside those of the blocks that act and beside d ‖z_P‖, P its component.
+    them there. There d ‖R_k‖ stands beside ‖|q_k| + Σ |m_ij z_j|‖, whose rows `terms` gets. A block with q_k = 0 does
+    not count whose terms are NEGLIGIBLE beside those of the blocks that act and beside d ‖z_P‖, P its component.
     """
     for k in range(slope.size):
         first, end = starts[k], starts[k + 1]
@@ -163,9 +162,10 @@ def own_terms(  # type: ignore[no-untyped-def]
         if case != OUT or wrong[k] > 0.0:
             most[part] = max(most[part], _tangent(terms, first - 1, end))
     for k in range(slope.size):
-        own, part = _tangent(terms, starts[k] - 1, starts[k + 1]), labels[k]
-        counts = own > NEGLIGIBLE * scale[k] * longest[part] or own > NEGLIGIBLE * most[part]
-        if wrong[k] == 0.0 or not counts:
+        first, end, part = starts[k], starts[k + 1], labels[k]
+        own = _tangent(terms, first - 1, end)
+        is_negligible = own <= NEGLIGIBLE * min(scale[k] * longest[part], most[part])
+        if wrong[k] == 0.0 or (is_negligible and _tangent(q, first - 1, end) == 0.0):
             wrong[k] = 0.0
         else:
             wrong[k] = (wrong[k] / own) ** 2 if wrong[k] < np.inf and own < np.inf else np.inf

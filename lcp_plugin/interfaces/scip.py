@@ -40,6 +40,7 @@ from ..modeling.expressions.functions import Function
 from ..modeling.expressions.program import Combination, Program
 from ..problems.equilibria.branch_and_bound import ENDS
 from ..problems.equilibria.equilibrium_program import BETWEEN, LOWER, UPPER, EquilibriumProgram
+from ..problems.programs.program import QuadraticProgram
 
 LARGEST = 1e20  # what is farther is infinite for SCIP
 LONGEST = 1e20  # seconds
@@ -94,7 +95,7 @@ def minimize(
     ----------
     problem : EquilibriumProgram
     tolerance : float
-        Of value − bound, beside the larger of 1 and |value|.
+        Of value − bound, beside |value|, or beside 1 in the unit of the largest cost.
     max_nodes : float
     start : array, shape (n,), optional
         A solution to begin with.
@@ -141,7 +142,9 @@ class _Model:
     ----------
     x : list
         SCIP's variables of x.
-    values : list
+    unit : float
+        What the objective is measured in, a power of two: SCIP takes costs below 1e-9 for nothing.
+    added : list
         Of each variable that was added the function that gives its value, from x and from those before it.
     """
 
@@ -149,6 +152,7 @@ class _Model:
         import pyscipopt
 
         self.scip, self.problem, self.model = pyscipopt, problem, pyscipopt.Model()
+        self.unit = 1.0 if problem.smooth is not None else _power_below(problem.program)
         self.model.hideOutput()
         lower, upper = problem.bounds(problem.all_cases)
         lower, upper = np.maximum(lower, -far), np.minimum(upper, far)
@@ -194,14 +198,13 @@ class _Model:
             return Found(str(error), None, math.inf, -math.inf, 0)
         if watcher.error is not None:
             raise watcher.error
-        status, x, value = model.getStatus(), None, math.inf
+        status, x = model.getStatus(), None
+        value, bound, nodes = watcher.reached()
         if model.getNSols():
             best = model.getBestSol()
-            x, value = np.array([model.getSolVal(best, one) for one in self.x]), model.getSolObjVal(best)
+            x = np.array([model.getSolVal(best, one) for one in self.x])
             x = x if (np.abs(x) < LARGEST).all() else None
-        bound = model.getDualbound()
-        bound = math.copysign(math.inf, bound) if abs(bound) >= LARGEST else bound
-        return Found(status, x, value, bound, int(model.getNTotalNodes()))
+        return Found(status, x, value, bound, nodes)
 
     # --- the statement ---
 
@@ -214,11 +217,12 @@ class _Model:
         for matrix, low, high in ((program.G, -np.inf, program.h), (program.A, program.b, program.b)):
             terms = self._sums(sp.csr_array(matrix), self.x, np.zeros(matrix.shape[0]))
             self._constrain(terms, np.broadcast_to(low, high.shape), high)
-        goal, bent = self._sums(sp.csr_array(program.c[None]), self.x, np.array([self.problem.offset]))[0], []
+        costs, offset = sp.csr_array(program.c[None]) / self.unit, np.array([self.problem.offset / self.unit])
+        goal, bent = self._sums(costs, self.x, offset)[0], []
         P = sp.coo_array(sp.csr_array(program.P))
         if P.nnz:
             entries = zip(P.row.tolist(), P.col.tolist(), P.data.tolist(), strict=True)
-            bent.append(self.scip.quicksum(0.5 * a * self.x[i] * self.x[j] for i, j, a in entries))
+            bent.append(self.scip.quicksum(0.5 * a / self.unit * self.x[i] * self.x[j] for i, j, a in entries))
         if smooth is not None:
             if not isinstance(smooth.map, Program):
                 raise UnsupportedModel(
@@ -239,7 +243,7 @@ class _Model:
             self._pair(i, cases)
 
     def _bent_value(self, x: FloatVector) -> float:
-        return self.problem.objective(x) - self.problem.offset - float(self.problem.program.c @ x)
+        return (self.problem.objective(x) - self.problem.offset - float(self.problem.program.c @ x)) / self.unit
 
     def _constrain(self, terms: list[Any], low: FloatVector, high: FloatVector) -> None:
         for term, least, most in zip(terms, low.tolist(), high.tolist(), strict=True):
@@ -371,7 +375,7 @@ class _Model:
 
     def _watched_by(self, ends: Watcher | None, improves: Improver | None, silence: _Silence) -> _Watched:
         """Let SCIP ask after each node whether the search ends, and now and then for a better point."""
-        scip, own, watched = self.scip, self, _Watched(self.model, silence)
+        scip, own, watched = self.scip, self, _Watched(self.model, self.unit, silence)
         event = scip.SCIP_EVENTTYPE
 
         class Nodes(scip.Eventhdlr):  # type: ignore[misc, name-defined]
@@ -405,13 +409,13 @@ class _Model:
 class _Watched:
     """Calls of ours from within a model's run, whose C code would swallow what they raise."""
 
-    def __init__(self, model: Any, silence: _Silence) -> None:
-        self.model, self.silence = model, silence
+    def __init__(self, model: Any, unit: float, silence: _Silence) -> None:
+        self.model, self.unit, self.silence = model, unit, silence
         self.error: BaseException | None = None
 
     def reached(self) -> tuple[float, float, int]:
         """Return value, bound and nodes."""
-        value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one
+        value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one * self.unit
                         for one in (self.model.getPrimalbound(), self.model.getDualbound()))
         return value, bound, int(self.model.getNTotalNodes())
 
@@ -461,6 +465,12 @@ class _Silence:
             yield
         finally:
             self._begin()
+
+
+def _power_below(program: QuadraticProgram) -> float:
+    """Return the power of two below the largest entry of c and P, 1 where there is none."""
+    largest = max(float(np.abs(one).max(initial=0.0)) for one in (program.c, sp.csr_array(program.P).data))
+    return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest > 0.0 else 1.0
 
 
 def _is_number(term: Any) -> bool:

@@ -58,7 +58,7 @@ def minimize_over_solutions(
     ----------
     problem : EquilibriumProgram
     tolerance : float
-        SOLVED means that value − bound ≤ tolerance · max(1, |value|).
+        SOLVED means that value − bound is at most the tolerance beside the objective's own terms at x.
     max_nodes : int, optional
         How many nodes may be branched on.
     max_seconds : float, optional
@@ -176,7 +176,13 @@ class BranchAndBound:
     def cutoff(self) -> float:
         """A bound that closes a node."""
         value = self.local.value
-        return value - SHARE * self.tolerance * max(1.0, abs(value)) if value < math.inf else math.inf
+        return value - SHARE * self.allowed if value < math.inf else math.inf
+
+    @property
+    def allowed(self) -> float:
+        """The gap that is within the tolerance, beside the objective's own terms at the best solution."""
+        point = None if self.local.best is None else self.local.best.point
+        return 0.0 if point is None else self.tolerance * self.original.objective_size(point)
 
     def run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> EquilibriumResult:
         """Return the result, once the gap is closed, or something ends the search."""
@@ -245,8 +251,8 @@ class BranchAndBound:
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = Outside(found.status, found.bound)
         if found.x is not None:
-            self.local.confirm(found.x, found.value + self.tolerance * max(1.0, abs(found.value)))
-        if self.local.value < found.bound - self.tolerance * max(1.0, abs(self.local.value)):
+            self.local.confirm(found.x, found.value + self.tolerance * self.original.objective_size(found.x))
+        if self.local.value < found.bound - self.allowed:
             self.outside = Outside(CONTRADICTED, -math.inf)
         return ENDS.get(found.status)
 
@@ -256,7 +262,7 @@ class BranchAndBound:
 
     def _is_closed(self) -> bool:
         value = self.local.value
-        return value < math.inf and value - self.lower_bound <= self.tolerance * max(1.0, abs(value))
+        return value < math.inf and value - self.lower_bound <= self.allowed
 
     def _search(self, ends: Callable[[], bool], most: float) -> Status | None:
         """Branch on so many nodes, or until none is open; return which limit came first, or None."""
@@ -347,15 +353,15 @@ class BranchAndBound:
 
     def _result(self, ended: Status | None) -> EquilibriumResult:
         best, value = self.local.best, self.local.value
-        allowed = self.tolerance * max(1.0, abs(value)) if best is not None else 0.0
         # of the leaves: of what is open Ctrl-C may have lost a node that was being moved
         lower = min([value, *(node.bound for node in self.tree if node.pair < 0)]) if self.tree else -math.inf
         bound_by = "proof" if lower > -math.inf else None
-        if self.outside is not None and value - lower > allowed and self.outside.bound > lower and best is not None:
+        is_open = best is not None and value - lower > self.allowed
+        if self.outside is not None and is_open and self.outside.bound > lower:
             lower, bound_by = min(self.outside.bound, value), "SCIP"
         if self.descent is not None:
             status, lower, value, best, bound_by = Status.UNBOUNDED, -math.inf, -math.inf, None, None
-        elif best is not None and (value == lower or value - lower <= allowed):
+        elif best is not None and (value == lower or value - lower <= self.allowed):
             status = Status.SOLVED
         elif ended is not None:
             status = ended
@@ -383,8 +389,7 @@ class _Log:
     def __call__(self, search: BranchAndBound) -> bool:
         if search.nodes >= self._next:
             self._next = max(search.nodes + 1, search.nodes * GROWTH)
-            is_found = math.isfinite(search.value)
-            gap = (search.value - search.lower_bound) / max(1.0, abs(search.value)) if is_found else math.inf
+            gap = search.value - search.lower_bound if math.isfinite(search.value) else math.inf
             print(f"{search.nodes:>8} {search.value:>17.9g} {search.lower_bound:>17.9g} "
                   f"{gap:>9.1e} {search.clock.read():>9.2f}", flush=True)
         return False

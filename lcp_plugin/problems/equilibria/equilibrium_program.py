@@ -260,6 +260,11 @@ class EquilibriumProgram:
         smooth = 0.0 if self.smooth is None else float(self.smooth.map.value(x)[0])
         return self.program.objective(x) + self.offset + smooth
 
+    def objective_size(self, x: FloatVector) -> float:
+        """Return Σ |c_j x_j| + ½ |xᵀP x| + |offset| + |objective|: what a gap is measured beside."""
+        parts = (0.5 * (x @ (self.program.P @ x)), self.offset, self.objective(x))
+        return float(np.abs(self.program.c * x).sum()) + sum(abs(float(part)) for part in parts)
+
     def excess(self, x: FloatVector) -> float:
         """Return how far x is from a solution: of rows beside their own terms, of pairs and integers as they are."""
         found = [self.excess_of_rows(x), self.violations(x), np.abs(x - np.rint(x))[self.integers]]

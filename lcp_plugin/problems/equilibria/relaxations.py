@@ -115,8 +115,8 @@ class Relaxations:
         """Return the node of some cases, solved, and bounded or proved infeasible."""
         node = self.solved_node(cases)
         node.parent = parent
-        if node.value < math.inf and (program := self.program(cases)) is not None and node.dual is not None:
-            enough = node.value - ENOUGH * self.tolerance * max(1.0, abs(node.value))
+        if node.dual is not None and node.point is not None and (program := self.program(cases)) is not None:
+            enough = node.value - ENOUGH * self.tolerance * self.problem.objective_size(node.point)
             node.bound = self.bound(program, node.dual, enough)
             if node.bound == -math.inf:  # a vertex has more zeros than multipliers to mend them by
                 inside = run_engine(program, engine_class("clarabel")(), 0.0, points=1).solution

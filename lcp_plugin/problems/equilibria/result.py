@@ -119,10 +119,11 @@ class EquilibriumResult(Answer):
 
     @property
     def gap(self) -> float:
-        """The value less the bound, beside |value| where that exceeds 1."""
+        """The value less the bound, beside the objective's own terms at x; ∞ without an x."""
         if self.value == self.lower_bound:
             return 0.0
-        return (self.value - self.lower_bound) / max(1.0, abs(self.value)) if math.isfinite(self.value) else math.inf
+        size = 0.0 if self.x is None else self.problem.objective_size(self.x)
+        return (self.value - self.lower_bound) / size if size > 0.0 else math.inf
 
     @property
     def iterations(self) -> int:

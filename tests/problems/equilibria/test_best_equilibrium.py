@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from macmpec import COLLECTION
+from scipy.optimize import linprog
 
 from lcp_plugin import (
     LCP,
@@ -150,3 +152,23 @@ def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
     result = solve(problem, max_seconds=20)
     assert not result.is_solved
     assert result.x is None
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e-6, 1.0, 1e9])
+@pytest.mark.parametrize("prove", [False, True])
+def test_the_unit_of_the_objective_changes_no_answer(unit: float, prove: bool) -> None:
+    """Costs of 1e-12 or of 1e9: the least over all cases, by enumeration with HiGHS, to 1e-6 of it."""
+    rng, n = np.random.default_rng(3), 6
+    root, N, q, costs = (rng.standard_normal(shape) for shape in ((n, n), (n, n), n, 2 * n))
+    W, cost = np.hstack([N, root @ root.T + np.eye(n)]), unit * costs
+    lower, upper = np.append(-np.ones(n), np.zeros(n)), np.append(np.ones(n), np.full(n, np.inf))
+    best = np.inf
+    for case in itertools.product([False, True], repeat=n):
+        is_zero = np.array(case)
+        ends = np.column_stack([lower, np.where(np.append(np.zeros(n, bool), is_zero), 0.0, upper)])
+        found = linprog(costs, -W[is_zero], q[is_zero], W[~is_zero], -q[~is_zero], ends)
+        best = min(best, unit * found.fun) if found.status == 0 else best
+    problem = EquilibriumProgram.of_rows(QuadraticProgram(None, cost, lower=lower, upper=upper), range(n, 2 * n), W, q)
+    result = minimize_over_solutions(problem, prove=prove)
+    assert result.is_solved
+    np.testing.assert_allclose(result.value, best, rtol=1e-6)

@@ -33,7 +33,6 @@ from ..problems.programs.certification import (
     size_of_objective,
 )
 from ..problems.programs.convexity import refuse_nonconvex
-from ..problems.programs.definitions import Substitution
 from ..problems.programs.dual_bounds import DENSE_UP_TO, least_squares_above
 from ..problems.programs.feasible_points import objective_bounds
 from ..problems.programs.program import QuadraticProgram
@@ -124,7 +123,7 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
     is_the_same = x is not None and compiled[0] <= stated[1] and stated[0] <= compiled[1]
     proved = Proved(
         compiled if is_the_same else stated, violation, proofs.own_lower, proofs.upper(*([] if x is None else [x])),
-        tolerance, _size(program, at),
+        tolerance, size_of_objective(program, at),
     )
     if x is None:  # nothing can be said of an x that the program does not show
         return replace(proved.certification(proofs, at, "", np.zeros(0, np.intp)), distance=None)
@@ -132,14 +131,6 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
     if said.distance is None:
         return said
     return replace(said, distance=math.nextafter(said.distance * math.sqrt(reduced.most_copies), math.inf))
-
-
-def _size(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
-    """Return the size of the objective's terms in the user's variables: cvxpy's t = A x − b is put in."""
-    put_in = Substitution.of(program)
-    return size_of_objective(program, x) if put_in is None else size_of_objective(
-        put_in.reduced, x[put_in.definitions.kept]
-    )
 
 
 def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance: float) -> str:

@@ -19,7 +19,6 @@ from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
 from ..core.matrix.matrix import largest_in_rows
 from ..core.matrix.structure import row_numbers
-from ..problems.programs.definitions import put_in
 from ..proofs.no_solution.linear_constraints import activity
 
 Indices = NDArray[np.int64]
@@ -128,6 +127,27 @@ def eliminate_definitions(
     equations = Affine(sp.csr_array(equations.matrix[left][:, kept]), equations.offset[left], equations.owner[left])
     functions = Affine(sp.csr_array(functions.matrix[:, kept]), functions.offset, functions.owner)
     return Elimination(kept, sp.csr_array(back[:, kept]), offset, defining, defined), equations, functions
+
+
+def put_in(matrix: sp.csr_array, offset: FloatVector, columns: Indices) -> tuple[sp.csr_array, FloatVector]:
+    """Return R and r of z ← R z + r, which puts in what matrix · z + offset = 0 says of the unknowns in the columns.
+
+    Parameters
+    ----------
+    matrix : CSR array, shape (k, n)
+        Row i defines the unknown ``columns[i]``, and none of the others.
+    offset : ndarray, shape (k,)
+    columns : ndarray of int, shape (k,)
+    """
+    k, n = matrix.shape
+    pivots = np.asarray(matrix[np.arange(k), columns]).ravel()
+    keep, shift = np.ones(n), np.zeros(n)
+    keep[columns], shift[columns] = 0.0, -offset / pivots
+    definition = sp.diags_array(-1.0 / pivots) @ matrix @ sp.diags_array(keep)
+    place = sp.csr_array((np.ones(k), (columns, np.arange(k))), shape=(n, k))
+    substitution = sp.csr_array(sp.diags_array(keep) + place @ definition)
+    substitution.eliminate_zeros()
+    return substitution, shift
 
 
 def put_in_all(

@@ -448,28 +448,18 @@ MECHANISMS = (
               {"engines.statement:far_limits": differing(no_limit)}, "engines/statement.py:far_limits"),
     Mechanism("noise", "rounding beside the largest of an engine's numbers put to 0",
               {f"{CALLS}:_without_noise": says(None)}, "problems/programs/engine_calls.py:_without_noise"),
-    Mechanism("case again", "the case of an earlier answer before an engine is asked",
-              {f"{CALLS}:run_again": says(None)}, "problems/programs/engine_calls.py:run_again"),
     Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
               {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, 0.0))},
               "problems/programs/criterion.py:Acting"),
-    Mechanism("definitions", "variables that an equation defines are put in",
-              {f"{PROGRAMS}.definitions:Substitution.for_purpose": says(None)}, "problems/programs/definitions.py"),
     Mechanism("folded rows", "rows with one entry become bounds",
-              {f"{PROGRAMS}.steps:STEPS": first_alone()}),
+              {f"{PROGRAMS}.reductions:FoldedRows.of": says(None)}),
     Mechanism("fixed variables", "variables with equal bounds leave small programs",
               {f"{PROGRAMS}.reductions:FixedVariables.of": says(None)},
               "problems/programs/reductions.py:FixedVariables"),
-    Mechanism("forms", "another form of a program where the first fails",
-              {f"{PROGRAMS}.conversion:attempts": yielding(lambda k, _: k < 1, to_the_end=False)},
-              "problems/programs/conversion.py:attempts"),
     Mechanism("rescaling", "programs far from 1 solved in other units",
               {f"{PROGRAMS}.program:QuadraticProgram.rescaled": says(None)}, "problems/programs/scaling.py:Rescaled"),
     Mechanism("fits", "units of unknowns fitted to a program's entries",
               {f"{PROGRAMS}.scaling:_fitted": says(None)}, "problems/programs/scaling.py:_fitted"),
-    Mechanism("least multipliers", "smaller multipliers where large ones cancel",
-              {f"{PROGRAMS}.least_multipliers:least_multipliers": says(None)},
-              "problems/programs/least_multipliers.py"),
     Mechanism("better left", "a reduced cost counted as a residual where that is less",
               {f"{PROGRAMS}.conversion:_is_better_left": differing(lambda old: lambda _, x, *__: x != x)},
               "problems/programs/conversion.py:_is_better_left"),
@@ -590,7 +580,7 @@ MECHANISMS = (
 NAMES = {one.name: one for one in MECHANISMS}
 HEAVIEST = (
     "small loop", "multigrid", "banded", "units", "presolve", "search", "lemke", "interior point", "newton",
-    "quasidefinite", "engines", "definitions",
+    "quasidefinite", "engines",
 )
 
 

@@ -21,7 +21,6 @@ from lcp_plugin.modeling import qp_solver
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 from lcp_plugin.modeling.stated_terms import EQUATIONS, StatedTerms
 from lcp_plugin.problems.programs.conversion import QuadraticProgram
-from lcp_plugin.problems.programs.definitions import Substitution
 
 SolverError = cp.error.SolverError
 CASES = 40
@@ -371,18 +370,3 @@ def test_a_refusal_has_its_reason(name: str) -> None:
         assert re.search(reason, str(raised.value))
 
 
-def test_a_direction_that_the_curvature_does_not_see() -> None:
-    """Variables put into a singular P leave a row of rounding errors, which is not taken for a lack of symmetry."""
-    for seed in range(20):
-        draw = np.random.default_rng(seed)
-        factor = draw.normal(size=(3, 1))
-        E = draw.normal(size=(3, 2))
-        E[:, 0] -= factor[:, 0] * (factor[:, 0] @ E[:, 0]) / (factor[:, 0] @ factor[:, 0])
-        P = np.zeros((5, 5))
-        P[2:, 2:] = factor @ factor.T
-        rows, lower = np.hstack([-E, np.eye(3)]), [-1.0, -1.0, *[-np.inf] * 3]
-        program = QuadraticProgram(P, np.ones(5), A=rows, b=np.zeros(3), lower=lower)
-        substitution = Substitution.of(program)
-        assert substitution is not None
-        reduced = substitution.reduced.matrices.hessian.csr.toarray()
-        np.testing.assert_array_equal(reduced, reduced.T)

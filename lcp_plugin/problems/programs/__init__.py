@@ -5,9 +5,9 @@
 | file | what is in it |
 |---|---|
 | `program`, `program_matrices`, `constraints`, `scaling`, `convexity` | the data, and what they alone say |
-| `reductions`, `definitions` | smaller programs, step by step, and the way back |
+| `reductions` | smaller programs, step by step, and the way back |
 | `engine_calls` | the way to an answer without a run: engines of others, polished and judged |
-| `conversion`, `least_multipliers` | the complementarity problem of a program, and the answer that its z is |
+| `conversion` | the complementarity problem of a program, and the answer that its z is |
 | `criterion`, `solution` | what is optimal, and by how much an answer misses it |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
 | `certification`, `dual_bounds`, `feasible_points`, `sharp_distances` | what is proved of anybody's answer |

@@ -38,7 +38,7 @@ from .program import QuadraticProgram
 from .reductions import FoldedRows
 from .sharp_distances import sharp_distance
 from .solution import QPSolution
-from .solving import QuadraticProgramResult, program_runs
+from .solving import QuadraticProgramResult, run_program
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
 OWN_TOLERANCE = 1e-12  # residuals of a program that multipliers are sharp at, and of its complementarity problem
@@ -261,11 +261,14 @@ class ProgramProofs:
         if (at_once := solved_at_once(self.program, ALMOST, is_sharp=True)) is not None:
             return at_once.solution
         found: list[QPSolution] = []
-        # What it is to prove takes time as well; a form may overflow.
+        # What it is to prove takes time as well; the problem may overflow.
         with suppress(LCPError), time_limit(SHARE * seconds_left()):
             # A tolerance beside what acts in the complementarity problem may be far below the program's own.
-            for run in program_runs(self.program, "auto", *[(ALMOST, OWN_TOLERANCE)] * 2):
-                found.append(run.solution)
+            for tolerance in (ALMOST, OWN_TOLERANCE):
+                result, solution = run_program(self.program, "auto", tolerance)
+                found.append(solution)
+                if solution.is_stationary(OWN_TOLERANCE) or not result.is_solved:
+                    break
         return min(found, key=lambda solution: solution.error, default=None)
 
     @cached_property

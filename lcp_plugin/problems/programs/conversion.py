@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,22 +15,17 @@ from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, program_goal
-from .least_multipliers import CANCELS, least_multipliers
 from .program import QuadraticProgram, asymmetry_of
 from .program_matrices import sums_and_terms
-from .reductions import Purpose, Reduction
+from .reductions import FoldedRows, Reduction
 from .solution import QPSolution
-from .steps import reduction_for
 
 if TYPE_CHECKING:
     from .no_minimum import QPInfeasibility, QPUnboundedness
     from .program import QuadraticProgram
 
 FORMS = ("auto", "direct", "kkt")
-__all__ = ["QuadraticProgram", "attempts", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
-WORTH = 1e-9  # residuals of a program that small multipliers may have in place of smaller ones
-CANCELS_MUCH = 1e3  # the same, where the residuals are small as it is: the search takes as long as the run
-LARGEST_IN_PASSING = 1500  # the same, where the residuals are small as it is
+__all__ = ["QuadraticProgram", "lcp_from_lp", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
 
 def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
@@ -48,8 +42,7 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
         - kkt, any convex program: M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b), x within its bounds,
           multipliers of G not negative, those of A free. Monotone, sparse, with zeros on its diagonal.
 
-        auto: variables that an equation of their own defines, as cvxpy writes r = A x − b, are put in where that is
-        predicted to save work. Then direct where it can be, else kkt.
+        auto: direct where it can be, else kkt.
 
     Returns
     -------
@@ -70,7 +63,7 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     -----
     Constraints that contradict one another are not looked for: such a program gives a problem without solution, or
     with one beyond all bounds; ``recover(result).status`` then looks for the proof on the program itself. SOLVED is
-    judged on the program: where its own criteria do not hold, another form may do.
+    judged on the program.
 
     References
     ----------
@@ -94,8 +87,7 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
     refuse_nonconvex(program)
     if form not in FORMS:
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
-    purpose = Purpose.LEAST_WORK if form == "auto" else Purpose.AS_IT_STANDS
-    problem = optimality_conditions(reduction_for(program, purpose))
+    problem = optimality_conditions(program)
     if form == "direct" and (left := problem.origin.rows):
         raise UnsuitableProblem(
             f'form="direct" needs a program with bounds only, but {left} rows of G and A have more than one '
@@ -148,46 +140,12 @@ def lcp_from_lp(
     return lcp_from_qp(QuadraticProgram(sp.csr_array((n, n)), c, G, h, A, b, lower, upper))
 
 
-def optimality_conditions(reduction: Reduction) -> LCP:
-    """Return the conditions of a program known to be convex, of what a reduction leaves of it."""
-    origin = QPOrigin(reduction)
+def optimality_conditions(program: QuadraticProgram) -> LCP:
+    """Return the conditions of a program known to be convex."""
+    origin = QPOrigin.of(program)
     problem = origin.problem()
     problem.origin = problem.criterion = origin
     return problem
-
-
-class Attempt(NamedTuple):
-    """A complementarity problem that states a program, and why it is tried."""
-
-    problem: LCP
-    because: str
-
-
-def attempts(program: QuadraticProgram, first: Attempt | None = None) -> Iterator[Attempt]:
-    """Yield the complementarity problems by which a convex program is worth solving, the most promising first.
-
-    Parameters
-    ----------
-    program : QuadraticProgram
-    first : Attempt, optional
-        The most promising one, where it is known.
-
-    Examples
-    --------
-    >>> program = QuadraticProgram([[0, 0], [0, 2]], [0, 0], A=[[1, -1]], b=[1], lower=[0, -np.inf])
-    >>> [attempt.because for attempt in attempts(program)]
-    ['the direct form, defined variables put in', 'the KKT form of the program as it stands']
-    """
-    if first is None:
-        problem = optimality_conditions(reduction_for(program, Purpose.LEAST_WORK))
-        remarks = problem.origin.reduction.remarks
-        first = Attempt(problem, ", ".join([f"the {problem.origin.form} form", *remarks]))
-    yield first
-    if first.problem.origin.reduction.computes:
-        as_it_stands = reduction_for(program, Purpose.AS_IT_STANDS)
-        yield Attempt(optimality_conditions(as_it_stands), "the KKT form of the program as it stands")
-    elif (smallest := reduction_for(program, Purpose.SMALLEST)).computes:
-        yield Attempt(optimality_conditions(smallest), ", ".join(smallest.remarks))
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
@@ -259,8 +217,7 @@ class QPOrigin:
     Attributes
     ----------
     reduction : Reduction
-        The program, and what is left of it, whose conditions the problem states: variables that are only defined put
-        in, or not, and simple rows folded into bounds.
+        The program, and what is left of it, whose conditions the problem states: simple rows folded into bounds.
 
     Notes
     -----
@@ -273,6 +230,11 @@ class QPOrigin:
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
     _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
     _attempted: list[str] = field(default_factory=list, init=False, repr=False)
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> QPOrigin:
+        """Return that of a program."""
+        return cls(Reduction(program).then(FoldedRows.of))
 
     @property
     def program(self) -> QuadraticProgram:
@@ -335,7 +297,8 @@ class QPOrigin:
         key = x.tobytes() + y.tobytes()
         solution = self._latest.get(key)  # a run's judge may have asked for it
         if solution is None:
-            solution = self._solution(x, y)
+            y[: self.reduction.reduced.h.size] = np.maximum(y[: self.reduction.reduced.h.size], 0.0)
+            solution = self._with_bounds(x, y)
             self._latest.clear()
             self._latest[key] = solution
         return solution
@@ -346,20 +309,6 @@ class QPOrigin:
         if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
             return False
         return solution.is_sure(goal) or self.program.accepted_proof(goal, is_met=True) is None
-
-    def _solution(self, x: FloatVector, y: FloatVector) -> QPSolution:
-        """Return the solution of x and multipliers y, or of smaller ones that are as good."""
-        folded = self.reduction.reduced
-        y[: folded.h.size] = np.maximum(y[: folded.h.size], 0.0)
-        found = self._with_bounds(x, y)
-        is_small = found.error <= WORTH
-        if is_small and folded.n + y.size > LARGEST_IN_PASSING:
-            return found
-        smaller = least_multipliers(folded, x, y, CANCELS_MUCH if is_small else CANCELS)
-        if smaller is None:
-            return found
-        other = self._with_bounds(x, smaller)
-        return other if other.error <= max(found.error, WORTH) else found
 
     def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""

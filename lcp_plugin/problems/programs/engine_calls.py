@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
 from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, UnsuitableProblem
@@ -23,16 +22,13 @@ from ...core.solving.result import StageRecord
 from ...engines import Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
 from ...engines.polish import polished
 from ...engines.statement import Prepared, far_limits
-from .conversion import QPOrigin
 from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .program import QuadraticProgram
 from .program_matrices import as_csr, may_be_small
-from .reductions import FixedVariables, FoldedRows, Purpose, Reduction
+from .reductions import FixedVariables, FoldedRows, Reduction
 from .solution import QPSolution
-from .steps import reduction_for
 
-POLISH, AGAIN = "polish", "the active set of an earlier answer"
 SHARPEST = 4  # points: as it came, and polished, each with its noise and without
 NOISE = 2.0**-44
 CALLS = 4  # of an engine for one program
@@ -91,25 +87,6 @@ def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: boo
     goal = program_goal(tolerance)
     run = run_engine(program, engine, 0.0 if is_sharp else goal, points=SHARPEST)
     return run if run.solution.is_stationary(goal) else None
-
-
-def run_again(program: QuadraticProgram, z: FloatVector, goal: float) -> EngineRun | None:
-    """Return the answer that the case of an earlier z of its complementarity problem leads to; None where it fails."""
-    clock, origin = Clock(ALONE), QPOrigin(reduction_for(program, Purpose.LEAST_WORK))
-    if z.size != origin.n:
-        return None
-    refuse_nonconvex(program)
-    start, whole = origin.recover(z), Reduction(program)
-    given = _statement(program)
-    prepared = Prepared.of(given, np.zeros(given.h.size + 2 * given.c.size, np.bool_))
-    multipliers = Multipliers(start.inequality, start.equality, start.lower, start.upper)
-    point = prepared.inward(Point(start.x, multipliers, 0, Hint.GAVE_UP))
-    with np.errstate(all="ignore"):
-        found = [_solution(whole, prepared, one) for one in polished(prepared.statement, point)]
-    for steps, solution in enumerate(found, start=1):
-        if solution is not None and solution.is_stationary(goal):
-            return EngineRun(solution, Hint.OPTIMAL, StageRecord(POLISH, AGAIN, steps, 0.0), clock.read())
-    return None
 
 
 def run_engine(
@@ -231,4 +208,4 @@ def _statement(program: QuadraticProgram) -> Statement:
     return Statement(P, program.c, G, program.h, A, program.b, program.lower, program.upper)
 
 
-__all__ = ["EngineRun", "engines_for", "run_again", "run_engine", "solved_at_once"]
+__all__ = ["EngineRun", "engines_for", "run_engine", "solved_at_once"]

@@ -156,16 +156,6 @@ class ProgramMatrices:
         return rows, stacked.indices[places].astype(np.intp), coefficient
 
     @cached_property
-    def is_definable(self) -> NDArray[np.bool_]:
-        """Which variables stand in one row of A, in no row of G, and have a quadratic term of their own.
-
-        One without a quadratic term defines nothing that would become strictly convex.
-        """
-        of_A, of_G = (np.bincount(as_csr(part).indices, minlength=self.P.shape[0]) for part in (self.A, self.G))
-        is_definable: NDArray[np.bool_] = (of_A == 1) & (of_G == 0) & (self.diagonal > 0.0)
-        return is_definable
-
-    @cached_property
     def is_semidefinite(self) -> bool | None:
         """Whether P is positive semidefinite to rounding; None where it is too large to say."""
         return is_semidefinite_to_rounding(self.P)

@@ -1,9 +1,9 @@
 """Programs made smaller by one stack of steps, each with its way back for x, multipliers and proofs.
 
-A step is a class – how it makes the smaller program (`of`), and its way back (`inward`, `point`, `multipliers`) – and
-an entry in the list of :mod:`lcp_plugin.problems.programs.steps`: nothing else knows which steps there are. One that
-drops rows which are stated twice, say, keeps the variables and needs no `point`. Whether a contradiction or a direction
-of descent of the smaller program is one of the program is checked on the program's own numbers, whatever the step says.
+A step is a class: how it makes the smaller program (`of`), and its way back (`inward`, `point`, `multipliers`). One
+that drops rows which are stated twice, say, keeps the variables and needs no `point`. Whether a contradiction or a
+direction of descent of the smaller program is one of the program is checked on the program's own numbers, whatever the
+step says.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from enum import Enum, auto
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,17 +26,6 @@ if TYPE_CHECKING:
 OWN = -1  # the variable's own bound, not a row's
 
 
-class Purpose(Enum):
-    """What a smaller program is for."""
-
-    AS_IT_STANDS = auto()
-    """A complementarity problem that has the numbers of the program: no step that computes others."""
-    LEAST_WORK = auto()
-    """A complementarity problem that is predicted to take the fewest multiplications."""
-    SMALLEST = auto()
-    """A complementarity problem with the fewest unknowns."""
-
-
 @dataclass(frozen=True, eq=False)
 class Step(ABC):
     """A program and a smaller one that stands for it.
@@ -46,14 +34,7 @@ class Step(ABC):
     ----------
     program, reduced : QuadraticProgram
         Before and after.
-    computes : bool
-        Whether numbers of what is left are sums of several given ones: rounded, and P may be convex where it was not.
-    remark : str
-        What a run says of a form of the program that was made so.
     """
-
-    computes: ClassVar[bool] = False
-    remark: ClassVar[str] = ""
 
     program: QuadraticProgram
     reduced: QuadraticProgram
@@ -62,11 +43,6 @@ class Step(ABC):
     @abstractmethod
     def of(cls, program: QuadraticProgram) -> Step | None:
         """Return that of a program; None, or the same object left, where there is nothing to do."""
-
-    @classmethod
-    def for_purpose(cls, program: QuadraticProgram, purpose: Purpose) -> Step | None:
-        """Return that of a program where it serves this purpose: unless a step says otherwise, it always does."""
-        return cls.of(program)
 
     @abstractmethod
     def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
@@ -130,9 +106,9 @@ class Reduction:
     program: QuadraticProgram
     steps: tuple[Step, ...] = ()
 
-    def then(self, step: Callable[..., Step | None], *purpose: Purpose) -> Reduction:
+    def then(self, step: Callable[[QuadraticProgram], Step | None]) -> Reduction:
         """Return the reduction with one more step, or as it is where that does nothing."""
-        found = step(self.reduced, *purpose)
+        found = step(self.reduced)
         if found is None or found.reduced is self.reduced:
             return self
         return Reduction(self.program, (*self.steps, found))
@@ -141,16 +117,6 @@ class Reduction:
     def reduced(self) -> QuadraticProgram:
         """What is left of the program."""
         return self.steps[-1].reduced if self.steps else self.program
-
-    @property
-    def computes(self) -> bool:
-        """Whether numbers of what is left are sums of several given ones."""
-        return any(step.computes for step in self.steps)
-
-    @property
-    def remarks(self) -> list[str]:
-        """What a run says of a form that was made so."""
-        return [step.remark for step in self.steps if step.remark]
 
     def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of all constraints of what is left."""

@@ -1,12 +1,12 @@
-"""Solves convex quadratic programs by `solve`: form after form, until the program's own residuals are small."""
+"""Solves convex quadratic programs by `solve`: engines of others first, then a run; judged by their own residuals."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any, ClassVar, NamedTuple
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,20 +32,17 @@ from ...core.solving.result import Result, Sample, StageRecord, told_stages
 from ...core.solving.run_log import say
 from ...engines import ENGINES, Engine, Hint, engine_class
 from ...methods.interior.interior_point import InteriorPoint
-from ...methods.interior.suited_matrix import suited
 from ...methods.search.stages import FeasibilityCheck
 from ...systems.null_space import null_space_by_rows
-from .conversion import QPOrigin, attempts
+from .conversion import QPOrigin, optimality_conditions
 from .convexity import LARGEST_CHECKED, refuse_nonconvex
 from .criterion import program_goal
-from .engine_calls import EngineRun, engines_for, run_again, run_engine
+from .engine_calls import EngineRun, engines_for, run_engine
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers, prove_unheld
 from .program import QuadraticProgram
 from .program_matrices import may_be_small
-from .reductions import Purpose
 from .solution import QPSolution
-from .steps import reduction_for
 
 SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
@@ -55,14 +52,6 @@ PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is
 BY_FACTOR = "factor of P"  # that meets a pivot of 0
 NO_MINIMUM = "it came upon a proof that the program has no minimum"
 VECTORS = {"c", "h", "b", "lower", "upper"}
-
-
-class ProgramRun(NamedTuple):
-    """A run on one form of a program, what it says of the program, and why it was made."""
-
-    result: Result
-    solution: QPSolution
-    because: str
 
 
 ADVICE = {
@@ -129,7 +118,7 @@ class QuadraticProgramResult(Answer):
         """The run on the complementarity problem of the program; where none was needed, the answer converted."""
         if self._run is not None:
             return self._run
-        origin = self._origin or QPOrigin(reduction_for(self.program, Purpose.LEAST_WORK))
+        origin = self._origin or QPOrigin.of(self.program)
         problem = origin.problem()
         problem.origin = problem.criterion = origin
         certificate = Certificate.of(problem, origin.stated(self.x, self.solution.multipliers))
@@ -211,11 +200,10 @@ def solve_program(
         Convex; merely convex and linear programs included.
     algorithm, tolerance, **options
         Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
-        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on, and where
-        it ends so, the KKT form without substitutions is tried. A limit of the caller holds for each trial and ends
-        them all. Where the interior point and the feasibility check end without a solution, ``program.accepted_proof``
-        is looked for, which ends them, too; not so with ``prove_infeasibility=False``. A `z0` is a guess, an earlier
-        answer's z: programs are solved in several forms, and it is the start of those that have as many unknowns.
+        residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on. Where the
+        interior point and the feasibility check end without a solution, ``program.accepted_proof`` is looked for, which
+        ends the run, too; not so with ``prove_infeasibility=False``. A `z0` is an earlier answer's z, where a run
+        starts; engines of others begin anew.
 
     Raises
     ------
@@ -236,7 +224,7 @@ def solve_program(
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
     with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
-        by, found = _at_once(program, goal, guess, options) if is_one_call else ("", None)
+        by, found = _at_once(program, goal, options) if is_one_call else ("", None)
         if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
             found = program.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
     if isinstance(found, EngineRun):
@@ -257,7 +245,7 @@ def solve_program(
             if options.get("verbose"):
                 say(f"{unheld.status.name}: the program is {unheld}")
             return _without_minimum(program, unheld, BY_FACTOR, tolerance, clock.read())
-        result, solution, proof = _by_forms(program, algorithm, tolerance, guess, options)
+        result, solution, proof = _by_run(program, algorithm, tolerance, guess, options)
     is_optimal = solution.is_stationary(goal)
     if proof is None and prove_infeasibility and not ended_by_caller(result, options) and not solution.is_sure(goal):
         proof = program.accepted_proof(goal, is_met=is_optimal and solution.holds_surely(goal))
@@ -393,13 +381,11 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 
 
 def _at_once(
-    program: QuadraticProgram, goal: float, guess: FloatVector | None, options: dict[str, Any]
+    program: QuadraticProgram, goal: float, options: dict[str, Any]
 ) -> tuple[str, EngineRun | QPInfeasibility | QPUnboundedness | None]:
     """Return the answer of the first engine that has one, a proof that there is none, or None; and who has it."""
     prove_infeasibility = options.get("prove_infeasibility", True)
     try:
-        if guess is not None and (run := run_again(program, guess, goal)) is not None:
-            return run.stage.name, run
         for engine in engines_for(program):
             run = run_engine(program, engine, goal)
             if run.solution.is_stationary(goal):
@@ -414,10 +400,10 @@ def _at_once(
     return "", None
 
 
-def _by_forms(
+def _by_run(
     program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any],
 ) -> tuple[Result, QPSolution, QPInfeasibility | QPUnboundedness | None]:
-    """Return the run and the answer of the best of some complementarity problems, and the proof that ended them."""
+    """Return a run on the complementarity problem, the answer, and the proof that ended it."""
     refuse_nonconvex(program)
     goal, proofs = program_goal(tolerance), list[Any]()
 
@@ -425,75 +411,41 @@ def _by_forms(
         proofs.append(program.accepted_proof(goal))
         return proofs[-1]
 
-    runs = list(program_runs(
-        program, algorithm, (tolerance,), (goal, goal), guess=guess,
-        find_proof=find_proof if options.get("prove_infeasibility", True) else None, **options,
-    ))
-    best = min(runs, key=lambda run: run.solution.error)
-    return replace(best.result, stages=_stages(runs, best)), best.solution, proofs[-1] if proofs else None
+    wants_proof = options.get("prove_infeasibility", True)
+    run = run_program(
+        program, algorithm, tolerance, guess=guess, find_proof=find_proof if wants_proof else None, **options
+    )
+    return *run, proofs[-1] if proofs else None
 
 
-def program_runs(
-    program: QuadraticProgram, algorithm: Any, tolerances: tuple[float, ...], goals: tuple[float, float], *,
-    guess: FloatVector | None = None, find_proof: Callable[[], Any] | None = None, callback: Any = None,
-    **options: Any,
-) -> Iterator[ProgramRun]:
-    """Yield runs on the forms of a program until one is stationary to the first goal, or something ends them all.
+def run_program(
+    program: QuadraticProgram, algorithm: Any, tolerance: float, *, guess: FloatVector | None = None,
+    find_proof: Callable[[], Any] | None = None, callback: Any = None, **options: Any,
+) -> tuple[Result, QPSolution]:
+    """Return a run on the complementarity problem of a program, and the answer; a proof that is found ends it."""
+    problem, labels = optimality_conditions(program), set[str]()
 
-    Each form is solved at the first tolerance, and at a second, if there is one, where that leaves more than the second
-    goal.
-    """
-    has_run, refusal = False, None
-    labels = set[str]()
-
-    def ends(origin: QPOrigin, sample: Sample, z: FloatVector) -> bool:
+    def ends(sample: Sample, z: FloatVector) -> bool:
         labels.add(sample.label)
         wants_end = callback is not None and bool(callback(sample, z))
         is_last_resort = sample.label == FeasibilityCheck.name or labels >= PIVOTS_AT_LAST
         if wants_end or find_proof is None or not is_last_resort or (proof := find_proof()) is None:
             return wants_end
-        origin.end_by(proof)
+        problem.origin.end_by(proof)
         return True
 
-    for attempt in attempts(program):
-        for tolerance, because in zip(tolerances, (attempt.because, "a smaller tolerance"), strict=False):
-            start = {"z0": guess} if guess is not None and guess.size == attempt.problem.n else {}
-            if (left := seconds_left()) < math.inf:
-                options["max_seconds"] = min(left, options.get("max_seconds", math.inf))
-            try:
-                result = solve_lcp(
-                    attempt.problem, algorithm, tolerance=tolerance,
-                    callback=partial(ends, attempt.problem.origin) if callback or find_proof else None,
-                    **{**start, **options},
-                )
-            except (UnsuitableMatrix, UnsuitableProblem) as error:
-                refusal = refusal or error
-                break
-            solution, has_run, guess = attempt.problem.origin.recover(result), True, result.z
-            yield ProgramRun(result, solution, because)
-            options.pop("z0", None)
-            if ended_by_caller(result, options) or is_over():
-                return
-            # Where it is not solved, a smaller tolerance would change nothing.
-            if solution.is_stationary(goals[1]) or not result.is_solved:
-                break
-        if has_run and (solution.is_stationary(goals[0]) or (find_proof is not None and find_proof() is not None)):
-            return
-    if not has_run:
+    if guess is not None and guess.size == problem.n:
+        options["z0"] = guess
+    if (left := seconds_left()) < math.inf:
+        options["max_seconds"] = min(left, options.get("max_seconds", math.inf))
+    try:
+        result = solve_lcp(
+            problem, algorithm, tolerance=tolerance, callback=ends if callback or find_proof else None, **options
+        )
+    except (UnsuitableMatrix, UnsuitableProblem) as refusal:
         what = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
         raise UnsupportedModel(f"{refusal} (M is that of {what})") from refusal
-
-
-def _stages(runs: list[ProgramRun], best: ProgramRun) -> tuple[StageRecord, ...]:
-    """Return the stages of all runs, as of one: why another run was made, its first stage says."""
-    stages: list[StageRecord] = []
-    for run in runs:
-        first = len(stages)
-        stages += [stage if run is best else stage._replace(remark="") for stage in run.result.stages]
-        if 0 < first < len(stages):
-            reasons = [reason for reason in (run.because, stages[first].because) if reason]
-            stages[first] = stages[first]._replace(because="; ".join(reasons))
-    return tuple(stages)
+    return result, problem.origin.recover(result)
 
 
 def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
@@ -508,8 +460,6 @@ def prepare_program(program: QuadraticProgram) -> None:
     matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
     if may_be_small(n, m + p, matrices.stored):
         _ = matrices.dense
-    else:
-        _ = suited(next(attempts(program)).problem.matrix).symbolic
 
 
 def solve_programs(

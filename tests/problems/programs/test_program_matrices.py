@@ -12,14 +12,11 @@ import scipy.sparse as sp
 from campaigns.convex_programs import SOLVABLE, case
 
 from lcp_plugin import solve
-from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.errors import InvalidProblem
-from lcp_plugin.problems.programs.conversion import QuadraticProgram, attempts, lcp_from_qp
-from lcp_plugin.problems.programs.definitions import Substitution
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 from lcp_plugin.problems.programs.program_matrices import as_csr
 from lcp_plugin.problems.programs.reductions import FoldedRows
 from lcp_plugin.problems.programs.solution import QPSolution
-from lcp_plugin.problems.programs.solving import solve_program
 
 NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
 VECTORS = ("c", "h", "b", "lower", "upper")
@@ -43,22 +40,22 @@ def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
 @pytest.mark.parametrize("kind", SOLVABLE)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, seed: int) -> None:
-    """Its complementarity problems, and what is recovered and measured, are those of a fresh program, bit by bit."""
+    """Its complementarity problem, and what is recovered and measured, are those of a fresh program, bit by bit."""
     rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
     first, _ = case(kind, seed, 0, 12)
-    list(attempts(first))
+    lcp_from_qp(first)
     shared = first.with_vectors(**moved(first, rng))
-    for ours, theirs in zip(attempts(shared), attempts(afresh(shared)), strict=True):
-        assert ours.problem.origin.form == theirs.problem.origin.form
-        np.testing.assert_array_equal(ours.problem.csr.toarray(), theirs.problem.csr.toarray())
-        for name in ("q", "lower", "upper"):
-            np.testing.assert_array_equal(getattr(ours.problem, name), getattr(theirs.problem, name))
-        z = rng.normal(size=ours.problem.n)
-        left, right = (one.problem.origin.recover(z) for one in (ours, theirs))
-        for name in ("x", "multipliers"):
-            np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
-        for name in ("primal_residual", "dual_residual", "duality_gap", "objective"):
-            assert getattr(left, name) == getattr(right, name)
+    ours, theirs = lcp_from_qp(shared), lcp_from_qp(afresh(shared))
+    assert ours.origin.form == theirs.origin.form
+    np.testing.assert_array_equal(ours.csr.toarray(), theirs.csr.toarray())
+    for name in ("q", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    z = rng.normal(size=ours.n)
+    left, right = (one.origin.recover(z) for one in (ours, theirs))
+    for name in ("x", "multipliers"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+    for name in ("primal_residual", "dual_residual", "duality_gap", "objective"):
+        assert getattr(left, name) == getattr(right, name)
 
 
 def test_the_matrix_of_the_conditions_is_shared() -> None:
@@ -95,39 +92,6 @@ def test_a_pickled_program_says_the_same() -> None:
     ours, theirs = (one.origin.recover(solve(one)) for one in (problem, restored))
     np.testing.assert_array_equal(ours.x, theirs.x)
     assert theirs.is_optimal()
-
-
-@pytest.mark.parametrize("density", [0.3, 1.0])
-@pytest.mark.parametrize("mixed", [False, True])
-@pytest.mark.parametrize("seed", range(5))
-def test_definitions_are_put_in_exactly(density: float, mixed: bool, seed: int) -> None:
-    """With t = A x − b put in, P and c are those of the objective as a function of x and the others, in integers."""
-    rng = np.random.default_rng(seed)
-    n, k, others = 5, 7, 3
-    A = np.where(rng.random((k, n)) < density, rng.integers(-3, 4, (k, n)), 0).astype(float)
-    root = rng.integers(-2, 3, (n + k + others, n + k + others)).astype(float)
-    P = root @ root.T if mixed else np.diag(rng.integers(1, 5, n + k + others).astype(float))
-    order = rng.permutation(n + k + others)
-    c, b = rng.integers(-3, 4, n + k + others).astype(float), rng.integers(-3, 4, k).astype(float)
-    rows = np.hstack([-A, np.eye(k), np.zeros((k, others))])
-    given = QuadraticProgram(
-        sp.csr_array(P[np.ix_(order, order)]), c[order], A=sp.csr_array(rows[:, order]), b=b,
-        lower=np.where(order < n, -1.0, np.where(order < n + k, -np.inf, -5.0)),
-    )
-    found = Substitution.of(given)
-    assert found is not None
-    E = np.zeros((order.size, n + others))
-    E[:n, :n], E[n : n + k, :n], E[n + k :, n:] = np.eye(n), A, np.eye(others)
-    f = np.zeros(order.size)
-    f[n : n + k] = b
-    kept = np.array([list(range(n)) + list(range(n + k, n + k + others))]).ravel()
-    place = [kept.tolist().index(j) for j in order[found.definitions.kept]]
-    np.testing.assert_array_equal(
-        found.reduced.matrices.hessian.csr.toarray(), (E.T @ P @ E)[np.ix_(place, place)]
-    )
-    np.testing.assert_array_equal(found.reduced.c, (E.T @ (P @ f + c))[place])
-    y = rng.integers(-3, 4, n + others).astype(float)
-    np.testing.assert_array_equal(found.point(y[place]), (E @ y + f)[order])
 
 
 def test_a_full_or_empty_array_is_compressed_as_scipy_does() -> None:
@@ -171,35 +135,3 @@ def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
             assert Fraction(residual) <= exact + Fraction(1, 2**40)
 
 
-def least_squares(A: FloatVector, rng: np.random.Generator) -> QuadraticProgram:
-    """Return ½‖r‖² with r = A x − b, x ≥ 0."""
-    m, n = A.shape
-    P, rows = sp.diags_array(np.repeat([0.0, 1.0], [n, m])), sp.block_array([[sp.csr_array(A), -sp.eye_array(m)]])
-    lower = np.repeat([0.0, -np.inf], [n, m])
-    return QuadraticProgram(sp.csr_array(P), np.zeros(n + m), A=rows, b=rng.standard_normal(m), lower=lower)
-
-
-@pytest.mark.parametrize(("m", "n", "form"), [(80, 20, "direct"), (40, 40, "direct"), (20, 80, "kkt")])
-def test_the_form_is_chosen_by_shape(m: int, n: int, form: str) -> None:
-    """Residuals are put in where there are at least as many as unknowns; where they are few they stay, as AᵀA fills."""
-    rng = np.random.default_rng(0)
-    program = least_squares(rng.standard_normal((m, n)), rng)
-    tried = [attempt.problem.origin.form for attempt in attempts(program)]
-    assert tried[0] == form == lcp_from_qp(program).origin.form
-    assert set(tried) == {"direct", "kkt"}  # the other one is the second try
-
-
-def test_long_definitions_stay_and_short_ones_are_put_in() -> None:
-    """Of a portfolio the factors, of which every asset has a share, stay equations; the assets' own risks go."""
-    rng, (assets, factors) = np.random.default_rng(1), (200, 5)
-    loads, scale = rng.standard_normal((factors, assets)), sp.diags_array(rng.random(assets) + 0.1)
-    P = sp.diags_array(np.repeat([0.0, 1.0], [assets, assets + factors]))
-    A = sp.block_array([[scale, -sp.eye_array(assets), None], [sp.csr_array(loads), None, -sp.eye_array(factors)]])
-    lower = np.repeat([0.0, -np.inf], [assets, assets + factors])
-    program = QuadraticProgram(
-        sp.csr_array(P), rng.standard_normal(lower.size), A=A, b=np.zeros(assets + factors), lower=lower
-    )
-    found = Substitution.of(program, saves_work=True)
-    assert found is not None
-    assert (found.reduced.n, found.reduced.b.size) == (assets + factors, factors)
-    assert solve_program(program).solution.is_optimal()

@@ -408,10 +408,10 @@ def solve_lcp(
     """
     if options:
         LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)
-    communicator, clock = problem.communicator, Clock(problem.communicator)
+    matrix, clock = problem.matrix, Clock(problem.matrix)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
-    with np.errstate(), communicator.interruptions() as clock.hears:
-        policy, settings, callback, start = communicator.together(lambda: (
+    with np.errstate(), matrix.interruptions() as clock.hears:
+        policy, settings, callback, start = matrix.together(lambda: (
             policy_for(algorithm, options, on_ranks=problem.is_distributed, prove_infeasibility=prove_infeasibility),
             Settings(
                 tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
@@ -420,7 +420,7 @@ def solve_lcp(
             checked_callback(callback), checked_start(problem, z0),
         ))
         asked = policy.chosen, settings
-        communicator.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
+        matrix.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
         return solved_by(
             policy, problem, settings, start, clock, callback, judge=_judge_of, header=_header,
             warn=None if policy.chosen == "auto" else _warn,

@@ -9,7 +9,7 @@ import secrets
 import shutil
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -26,7 +26,7 @@ from ..core.solving.result import Result
 from ..gallery.obstacle import sphere_layers
 from ..gallery.scene import Scene, checked_values
 from ..gallery.scene import build as build_whole
-from .solving import OneProcess, refuse_the_problem_itself, require_place
+from .solving import OneProcess, T, refuse_the_problem_itself, require_place
 from .target import scene_text
 
 LARGE_FOR_EACH_RANK = 100_000
@@ -57,10 +57,16 @@ def on_all_ranks() -> Iterator[None]:
 class OnRanks(OneProcess):
     """Every rank of the job, which all call in the same order."""
 
+    is_distributed = True
+
     def __init__(self) -> None:
         from ..ranks.petsc.collective import Ranks
 
-        self.communicator = self.ranks = Ranks(None)
+        self.ranks = Ranks(None)
+
+    def from_first(self, attempt: Callable[[], T]) -> T:
+        """Return on every rank what `attempt` gives on the first one."""
+        return self.ranks.from_first(attempt)
 
     def ending_together(self) -> AbstractContextManager[None]:
         """Return a context in which the first failure ends all ranks."""
@@ -94,7 +100,7 @@ class OnRanks(OneProcess):
         text = scene_text(target, size)
         if text is None:
             path = Path(target)
-            if self.communicator.from_first(lambda: path.is_dir() and not (path / "M.mtx").exists()):
+            if self.ranks.from_first(lambda: path.is_dir() and not (path / "M.mtx").exists()):
                 return LCP.load(target, self.ranks.comm), None
             whole = LCP.load(target)
             self._note_whole(whole.n, "this file is read")
@@ -122,7 +128,7 @@ class OnRanks(OneProcess):
     def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
         """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""
         problem = result.certificate.problem
-        token, is_new = self.communicator.from_first(lambda: _make_folder(out, problem.n))
+        token, is_new = self.ranks.from_first(lambda: _make_folder(out, problem.n))
         temporary = {name: out / f".{token}-{name}" for name in FILES}
 
         def finish() -> None:
@@ -132,11 +138,11 @@ class OnRanks(OneProcess):
 
         try:
             for name, own in (("z.npy", result.z), ("w.npy", result.w)):
-                begin = self.communicator.from_first(partial(_begin_array, temporary[name], problem.n))
-                self.communicator.together(partial(_write_part, temporary[name], begin + 8 * problem.first, own))
-            self.communicator.from_first(finish)
+                begin = self.ranks.from_first(partial(_begin_array, temporary[name], problem.n))
+                self.ranks.together(partial(_write_part, temporary[name], begin + 8 * problem.first, own))
+            self.ranks.from_first(finish)
         finally:
-            if self.communicator.rank == 0:
+            if self.ranks.rank == 0:
                 for path in temporary.values():
                     path.unlink(missing_ok=True)
                 if is_new and not any(out.iterdir()):

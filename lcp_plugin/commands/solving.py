@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
@@ -15,7 +15,6 @@ import typer
 
 from ..algorithms import made
 from ..core.certificates.row_residuals import is_at_bound
-from ..core.communicator import ALONE, Communicator
 from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
@@ -32,12 +31,17 @@ OWN_FLAGS = ("tolerance", "absolute_tolerance", "max_iterations", "max_seconds",
 WORDS = {"none": None, "true": True, "false": False}
 SHOWN = 20  # variables that a person is told at once
 ON_CONES = ("ConeProblem", "FrictionalContact")
+T = TypeVar("T")
 
 
 class OneProcess:
     """The parts of the command that differ where the rows lie on ranks."""
 
-    communicator: Communicator = ALONE
+    is_distributed = False
+
+    def from_first(self, attempt: Callable[[], T]) -> T:
+        """Return what `attempt` gives on the first process."""
+        return attempt()
 
     def ending_together(self) -> AbstractContextManager[None]:
         """Return a context in which no process waits for one that has failed."""
@@ -160,9 +164,9 @@ def run(
 
     with here.ending_together():
         Settings(**settings)  # a wrong one is seen before anything is built
-        chosen = policy_for(algorithm, options, on_ranks=not here.communicator.is_alone).chosen
+        chosen = policy_for(algorithm, options, on_ranks=here.is_distributed).chosen
         plot = picture.path
-        here.communicator.from_first(lambda: here.check_outputs(target, plot, out))
+        here.from_first(lambda: here.check_outputs(target, plot, out))
         problem, scene = here.read(target, size)
         picture.check(problem)
         pictured = scene if picture.grid is None else on_grid(problem, target, scene, picture.grid)
@@ -287,15 +291,15 @@ def _story(results: list[Result], scene: Any, more: list[str]) -> str:
     result = results[-1]
     problem = result.certificate.problem
     lines = ["" if scene is None else str(scene), str(problem), result.explain(), str(result.certificate)]
-    at_bound = problem.communicator.total(float(np.count_nonzero(is_at_bound(problem, result.z))))
-    lines.append(f"{'at a bound':<18} {at_bound:.0f} of {problem.n}")
+    at_bound = problem.matrix.count_of(is_at_bound(problem, result.z))
+    lines.append(f"{'at a bound':<18} {at_bound} of {problem.n}")
     if scene is not None and scene.steps > 1:
         total = "{iterations} iterations, {seconds:.3g} s".format(**_totals(results))
         lines.insert(2, f"march: {len(results)} of {scene.steps} steps, {total}; the last step:")
     elif scene is not None and problem.n:
         for name, known in (("true error", scene.exact), ("from the continuum", scene.continuum)):
             if known is not None:
-                distance = problem.communicator.largest(float(np.abs(result.z - known).max(initial=0.0)))
+                distance = problem.matrix.largest_of(np.abs(result.z - known))
                 lines.append(f"{name:<18} {distance:.3e}")
     return "\n".join(filter(None, [*lines, *more]))
 

@@ -98,7 +98,7 @@ class Algorithm(ABC):
     `require_positive_diagonal`, and a class of matrices in `solves` ("H₊", "SPD", "PSD") that `theorem` proves it, for
     the default options, on such matrices. Besides,
     `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
-    `problem.communicator` for what other ranks know; `is_monotone` False says that rises of the residual are legal, and
+    `problem.matrix` for what holds of all rows; `is_monotone` False says that rises of the residual are legal, and
     that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
     run whose best residual stands still; `why_no_start` is said of a start that is given and not used.
 
@@ -294,7 +294,7 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
                 f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="{other}"'
             )
 
-    problem.communicator.together(check)
+    problem.matrix.together(check)
     return diagonal
 
 

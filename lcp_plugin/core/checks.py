@@ -12,6 +12,7 @@ from .errors import InvalidOption, InvalidProblem
 
 FloatVector = NDArray[np.float64]
 BoolVector = NDArray[np.bool_]
+Arrays = tuple[NDArray[Any], NDArray[Any], FloatVector]  # of a sparse matrix: indptr, indices, data
 
 DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000

@@ -14,10 +14,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import FloatVector
+from .checks import Arrays, FloatVector
 
 T = TypeVar("T")
-Arrays = tuple[NDArray[Any], NDArray[Any], FloatVector]
 NOBODY = np.empty(0, np.int64)
 AS_IT_IS: AbstractContextManager[Callable[[], bool]] = nullcontext(bool)
 
@@ -138,3 +137,95 @@ class Communicator:
 
 
 ALONE = Communicator()
+
+
+class SharedRows:
+    """The rows of a matrix or a grid, all here or spread over processes, and what is taken over all of them.
+
+    Every process gives its own part and gets the same answer. On several all of them call, in the same order.
+    """
+
+    communicator: Communicator = ALONE
+
+    @property
+    def is_distributed(self) -> bool:
+        """True where the rows are spread over the ranks of an MPI job."""
+        return not self.communicator.is_alone
+
+    @property
+    def processes(self) -> int:
+        """How many processes hold rows."""
+        return self.communicator.size
+
+    @property
+    def rank(self) -> int:
+        """Which of them this is, from 0 on."""
+        return self.communicator.rank
+
+    @property
+    def foreign(self) -> int:
+        """How many unknowns of other processes the own rows meet."""
+        return self.communicator.foreign
+
+    @property
+    def is_coupled(self) -> bool:
+        """True where rows of some process meet unknowns of another one."""
+        return not self.communicator.is_empty
+
+    @property
+    def first(self) -> int:
+        """The index of the first row that is here."""
+        return self.communicator.first
+
+    def all_rows(self, flags: Any) -> bool:
+        """Return whether every row's flag, an array of the own ones or one for all of them, is set."""
+        return self.communicator.everywhere(bool(flags.all() if isinstance(flags, np.ndarray) else flags))
+
+    def any_row(self, flags: Any) -> bool:
+        """Return whether the flag of one row or more is set."""
+        return self.communicator.anywhere(bool(flags.any() if isinstance(flags, np.ndarray) else flags))
+
+    def count_of(self, flags: NDArray[np.bool_]) -> int:
+        """Return how many flags are set."""
+        return int(self.total_of(float(np.count_nonzero(flags))))
+
+    def largest_of(self, values: Any) -> float:
+        """Return the largest of all rows' values ≥ 0, 0 of none, or of one number a process; a NaN stays."""
+        here = values.max(initial=0.0) if isinstance(values, np.ndarray) else values
+        return self.communicator.largest(float(here))
+
+    def each_largest(self, *values: float) -> tuple[float, ...]:
+        """Return the largest of the first numbers that the processes give, of their second ones, and so on."""
+        return self.communicator.all_largest(*values)
+
+    def row_of_largest(self, value: float, own_row: int) -> int:
+        """Return the row of the whole matrix with the largest value ≥ 0, of each process's largest; −1 of no row."""
+        return self.communicator.worst(value, own_row)[1]
+
+    def total_of(self, value: float) -> float:
+        """Return the sum of the numbers that the processes give."""
+        return self.communicator.total(value)
+
+    def together(self, attempt: Callable[[], T]) -> T:
+        """Return what `attempt`, which waits for nobody, gives here; where it fails on one process, raise on all."""
+        return self.communicator.together(attempt)
+
+    def require_same(self, what: str, value: Any, remedy: str, error: Any = None) -> None:
+        """Raise that error on every process unless all of them hold the same value."""
+        self.communicator.require_same(what, value, remedy, error)
+
+    def interruptions(self) -> AbstractContextManager[Callable[[], bool]]:
+        """Return a context that tells whether Ctrl-C asked this process to end; alone, that raises as ever."""
+        return self.communicator.interruptions()
+
+    def fetch(self, x: FloatVector) -> None:
+        """Overwrite the foreign values in x, shape (width,), by those of the processes that own them."""
+        self.communicator.fetch(x)
+
+    def fetch_flags(self, flags: NDArray[np.bool_]) -> None:
+        """Do the same with flags."""
+        self.communicator.fetch_flags(flags)
+
+    def fetch_entries(self, data: FloatVector) -> None:
+        """Overwrite the entries of the foreign rows, which stand behind those of the own rows."""
+        self.communicator.fetch_entries(data)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from weakref import WeakSet
 
 if TYPE_CHECKING:
-    from .communicator import Communicator
+    from .communicator import SharedRows
 
 AT_LEAST = 0.1  # seconds
 
@@ -112,19 +112,19 @@ class Clock:
         Whether one of them was, before the last reading.
     """
 
-    def __init__(self, communicator: Communicator) -> None:
+    def __init__(self, rows: SharedRows | None = None) -> None:
         self._compilation = compilation()  # of the thread that runs; others may read
         self._began = time.perf_counter() - self._compilation.seconds
         self._paused = self.elapsed = 0.0
-        self._communicator, self.is_interrupted = communicator, False
+        self._rows, self.is_interrupted = rows, False
         self.hears: Callable[[], bool] = bool
 
     def read(self) -> float:
         """Return the seconds of the run up to now."""
         self.elapsed = time.perf_counter() - self._compilation.seconds - self._began
         seconds = self.elapsed - self._paused
-        if not self._communicator.is_alone:
-            seconds, self.elapsed, wishes = self._communicator.all_largest(seconds, self.elapsed, self.hears())
+        if self._rows is not None and self._rows.is_distributed:
+            seconds, self.elapsed, wishes = self._rows.each_largest(seconds, self.elapsed, self.hears())
             self.is_interrupted = wishes > 0.0
         return seconds
 

@@ -20,7 +20,6 @@ from .checks import (
     restored,
     without_huge,
 )
-from .communicator import Communicator
 from .deadline import Lock
 from .errors import InvalidProblem
 from .kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind
@@ -101,17 +100,12 @@ class LCP:
     @property
     def first(self) -> int:
         """The index of the first row that this process holds."""
-        return self.matrix.communicator.first
+        return self.matrix.first
 
     @property
     def last(self) -> int:
         """The index after the last row that this process holds."""
         return self.first + self.own
-
-    @cached_property
-    def communicator(self) -> Communicator:
-        """Who has the other rows."""
-        return self.matrix.communicator
 
     @property
     def M(self) -> Any:
@@ -131,7 +125,7 @@ class LCP:
     @cached_property
     def is_distributed(self) -> bool:
         """True where the rows are spread over the ranks of an MPI job."""
-        return not self.matrix.communicator.is_alone
+        return self.matrix.is_distributed
 
     @cached_property
     def nonzeros(self) -> int:
@@ -177,7 +171,7 @@ class LCP:
         matrix = self.matrix
         is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.own,)
         # On ranks all hear of a wrong part on one of them.
-        own: Any = z if is_vector and matrix.communicator.is_alone else self.own_part(z)
+        own: Any = z if is_vector and not matrix.is_distributed else self.own_part(z)
         w: FloatVector = matrix.rows @ matrix.whole(own)
         w += self.q
         return w
@@ -196,7 +190,7 @@ class LCP:
         InvalidProblem
             On every rank, where one part is no real vector of the right length.
         """
-        return self.communicator.together(lambda: real_vector(z, name, self.own))
+        return self.matrix.together(lambda: real_vector(z, name, self.own))
 
     def gathered(self, z: ArrayLike) -> FloatVector | None:
         """Return the rows of all ranks as one vector on rank 0, and None on the others.
@@ -205,7 +199,7 @@ class LCP:
         ----------
         z : array, shape (own,)
         """
-        return self.communicator.gathered(self.own_part(z, "the vector"))
+        return self.matrix.communicator.gathered(self.own_part(z, "the vector"))
 
     def with_q(self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> LCP:
         """Return the problem with another q (and bounds) that shares all that depends on M alone.
@@ -224,11 +218,11 @@ class LCP:
         """
         if lower is not None or upper is not None:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
-            return self.communicator.together(lambda: LCP(self.matrix, q, lower=bounds[0], upper=bounds[1]))
+            return self.matrix.together(lambda: LCP(self.matrix, q, lower=bounds[0], upper=bounds[1]))
         other = object.__new__(LCP)
         other.origin, other.criterion, other.matrix = None, None, self.matrix
         other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero  # checked, kept
-        other.q = self.communicator.together(lambda: finite_vector(q, "q", self.own))
+        other.q = self.matrix.together(lambda: finite_vector(q, "q", self.own))
         return other
 
     # --- rows over the ranks of an MPI job ----------------------------------------------------------------
@@ -262,8 +256,8 @@ class LCP:
         from ..ranks.on_ranks import matrix_of_rows, require_same_numbers
 
         matrix = matrix_of_rows(comm, rows, first_row)
-        problem: LCP = matrix.communicator.together(lambda: LCP(matrix, q, lower=lower, upper=upper))
-        require_same_numbers(matrix.communicator, lower=lower, upper=upper)
+        problem: LCP = matrix.together(lambda: LCP(matrix, q, lower=lower, upper=upper))
+        require_same_numbers(matrix, lower=lower, upper=upper)
         return problem
 
     @classmethod

@@ -91,7 +91,7 @@ def iterated(
     count, residual = 0, math.inf
     for count, step in enumerate(algorithm.iterates(problem, z)):
         z = step.z
-        residual = euclidean_norm(np.minimum(z, problem.slack(z)))
+        residual = euclidean_norm(np.minimum(z, problem.slack(z)), problem.matrix)
         if residual < TOLERANCE or count >= MOST_ITERATIONS:
             break
     return z, count, time.perf_counter() - begin, residual

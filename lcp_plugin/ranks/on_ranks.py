@@ -51,12 +51,12 @@ def matrix_of_rows(comm: Any, rows: Any, first_row: int | None) -> Matrix:
     return Matrix.of_own_rows(*own_rows(halo, matrix))
 
 
-def require_same_numbers(communicator: Communicator, **bounds: Any) -> None:
+def require_same_numbers(matrix: Matrix, **bounds: Any) -> None:
     """Raise where a bound that is a number for all rows is another one on some rank."""
     for name, bound in bounds.items():
         number = float(np.asarray(bound)) if np.ndim(bound) == 0 else "an array"
         advice = "a number holds for all rows; give arrays where rows differ"
-        communicator.require_same(name, number, advice, InvalidProblem)
+        matrix.require_same(name, number, advice, InvalidProblem)
 
 
 def equal_part(comm: Any, problem: LCP) -> tuple[Any, ...]:
@@ -131,7 +131,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
     UnreadableFile
         On every rank, where one of them cannot write, or the folder holds something else.
     """
-    ranks = problem.communicator
+    ranks = problem.matrix.communicator
     target = ranks.together(lambda: checked_path(path))
     name, folder = ranks.from_first(lambda: (secrets.token_hex(8), _new_folder(target)))
     try:
@@ -167,10 +167,10 @@ def _new_folder(target: Path) -> Path:
 
 
 def _write_chunk(problem: LCP, folder: Path, name: str) -> None:
-    rank, ranks = problem.communicator.rank, problem.communicator.size
-    M = numbered_over_all(problem.matrix.csr_rows, cast(Halo, problem.communicator))
+    ranks = cast(Halo, problem.matrix.communicator)
+    M = numbered_over_all(problem.matrix.csr_rows, ranks)
     try:
-        with (folder / f"rows-{rank:05d}-of-{ranks:05d}.npz").open("xb") as file:
+        with (folder / f"rows-{ranks.rank:05d}-of-{ranks.size:05d}.npz").open("xb") as file:
             np.savez(file, **arrays_of(problem, M), first_row=np.array(problem.first), save=np.array(name))
     except FileNotFoundError as error:
         raise UnreadableFile(f"the folder {folder} is not seen; all ranks must share the file system") from error

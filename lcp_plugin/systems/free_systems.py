@@ -97,7 +97,7 @@ class FreeSystem:
         """
         if not self._is_direct:
             x = self._iterated(np.where(self.free, right, 0.0), transposed, goal)
-            if x is not None or not self.matrix.communicator.is_alone or not factor_fits(self.block):
+            if x is not None or self.matrix.is_distributed or not factor_fits(self.block):
                 return x
         factor = self._factor
         if factor is None:
@@ -150,7 +150,7 @@ class FreeSystem:
 
         None for more rows, and where those of M are spread over ranks.
         """
-        if self.rows.size > LEAST_SQUARES_UP_TO or not self.matrix.communicator.is_alone:
+        if self.rows.size > LEAST_SQUARES_UP_TO or self.matrix.is_distributed:
             return None
         scaling, rows = scaling_of(self.matrix), self.rows
         if scaling is None:
@@ -199,7 +199,7 @@ class FreeSystem:
     def _is_direct(self) -> bool:
         """Whether a factor is the first choice: on small sets and narrow bands, and where there are no grids."""
         matrix = self.matrix
-        if matrix.communicator.is_alone:
+        if not matrix.is_distributed:
             if self.by_factor or matrix.is_dense or self.rows.size <= DIRECT_UP_TO:
                 return True
             if (band := bandwidth(matrix)) is not None and sum(band) <= BANDED_UP_TO:
@@ -361,13 +361,13 @@ class FreeSystem:
         from .hierarchy.vectors import dot
 
         matrix, is_symmetric = self.matrix, has_symmetric_entries(self.matrix)
-        if transposed and not is_symmetric and not matrix.communicator.is_alone:
+        if transposed and not is_symmetric and matrix.is_distributed:
             return None  # the columns of M are spread over the ranks
-        if not matrix.communicator.everywhere(bool((matrix.diagonal > 0.0).all())):
+        if not matrix.all_rows(matrix.diagonal > 0.0):
             return None
 
         def size(vector: FloatVector) -> float:
-            return float(np.sqrt(matrix.communicator.total(dot(vector, vector))))
+            return float(np.sqrt(matrix.total_of(dot(vector, vector))))
 
         unit = 1.0 if is_symmetric or transposed else 1.0 / matrix.residual_scale
         x, left, begun = np.zeros(right.size), right, size(right * unit)
@@ -390,14 +390,14 @@ class FreeSystem:
     def _remainder(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
         """Return right − M x, or right − Mᵀx, on the free rows, 0 elsewhere."""
         matrix = self.matrix
-        product = matrix.rows.T @ x if transposed and matrix.communicator.is_alone else matrix.rows @ matrix.whole(x)
+        product = matrix.rows.T @ x if transposed and not matrix.is_distributed else matrix.rows @ matrix.whole(x)
         return np.where(self.free, right - product, 0.0)
 
     def _terms(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
         """Return |right| + |M||x|, or |right| + |Mᵀ||x|, on the free rows, 0 elsewhere."""
         matrix, rows = self.matrix, abs(self.matrix.rows)
         size = np.abs(matrix.whole(x))
-        product = (rows.T if transposed and matrix.communicator.is_alone else rows) @ size
+        product = (rows.T if transposed and not matrix.is_distributed else rows) @ size
         return np.where(self.free, np.abs(right) + product, 0.0)
 
 

@@ -38,12 +38,12 @@ def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> s
     array([[ 2., 10.],
            [ 0., 15.]])
     """
-    rows, communicator = matrix.csr_rows, matrix.communicator
+    rows = matrix.csr_rows
     with np.errstate(over="ignore"):
         data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
-    if communicator.is_alone:
+    if not matrix.is_distributed:
         return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
-    columns = np.concatenate([np.arange(communicator.first, communicator.first + matrix.own), communicator.ghosts])
+    columns = matrix.columns
     outer = sp.csr_array((data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n))
     outer.sort_indices()
     return outer

@@ -24,7 +24,6 @@ from lcp_plugin import LCP, QuadraticProgramBatch, Status, bounded_least_squares
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.checks import read_only
-from lcp_plugin.core.communicator import ALONE
 from lcp_plugin.core.deadline import NEW_KERNELS, Clock, compilation
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.core.kernels.compilation import cache_folder, compiled, compiling_at_once
@@ -345,7 +344,7 @@ def test_whatever_is_compiled_within_a_run_stops_its_clock() -> None:
         return x + 1.0
 
     began, before = time.perf_counter(), compilation().seconds
-    clock = Clock(ALONE)
+    clock = Clock()
     njit(anything)(1.0)
     stopped = compilation().seconds - before
     assert stopped > 0.0

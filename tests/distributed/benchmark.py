@@ -153,7 +153,7 @@ def _snesvi(size: int) -> dict[str, Any]:
     from lcp_plugin.ranks.petsc.halo import numbered_over_all
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
-    layout, rows = problem.communicator, numbered_over_all(problem.matrix.csr_rows, problem.communicator)
+    layout, rows = problem.matrix.communicator, numbered_over_all(problem.matrix.csr_rows, problem.matrix.communicator)
     matrix = PETSc.Mat().create(comm=layout.comm)
     matrix.setSizes(((layout.own, layout.n), (layout.own, layout.n)))
     matrix.setType("aij")

@@ -149,7 +149,7 @@ def main() -> None:
     for name, make in PROBLEMS.items():
         matrix = LCP.from_problem(make(), COMM).matrix
         is_symmetric = name not in ("wind", "one way")
-        hierarchy = build_hierarchy(matrix.csr_rows, 8, scales_rows=not is_symmetric, communicator=matrix.communicator)
+        hierarchy = build_hierarchy(matrix.csr_rows, 8, scales_rows=not is_symmetric, shared=matrix)
         found[name] = {
             "grids": float(len(hierarchy.grids)), "transfers": transfers_fit(hierarchy, is_symmetric),
             "products": products_fit(hierarchy), "truncation": truncation_fits(hierarchy),

@@ -63,7 +63,7 @@ def require_equal(parts: LCP, whole: LCP) -> None:
         assert np.array_equal(getattr(parts, name), getattr(whole, name)[own]), name
     z = np.random.default_rng(1).normal(size=whole.n)
     assert np.allclose(parts.slack(z[own]), whole.slack(z)[own], rtol=1e-14, atol=1e-14)
-    global_rows = numbered_over_all(parts.matrix.csr_rows, parts.communicator)
+    global_rows = numbered_over_all(parts.matrix.csr_rows, parts.matrix.communicator)
     assert np.array_equal(global_rows.toarray(), whole.csr[own].toarray())
 
 

@@ -28,7 +28,7 @@ def compare(name, size, shifted):
     part = scenes.scene_on_ranks(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted)).problem
     whole = gallery.build(name, size=size, shifted=shifted).problem
     own = slice(part.first, part.last)
-    rows = numbered_over_all(part.matrix.csr_rows, part.communicator)
+    rows = numbered_over_all(part.matrix.csr_rows, part.matrix.communicator)
     M = whole.csr[own]
     for one, other in ((rows.indptr, M.indptr), (rows.indices, M.indices), (rows.data, M.data)):
         assert np.array_equal(one, other), (name, size, shifted)

@@ -146,7 +146,7 @@ def largest_of_components(problem: LCP, values: FloatVector) -> FloatVector:
     several = connected_components(problem.matrix)
     if several is not None:
         return several.largest(values)
-    return np.array([problem.communicator.largest(float(values.max()) if values.size else 0.0)])
+    return np.array([problem.matrix.largest_of(values)])
 
 
 def for_each_row(problem: LCP, values: Any) -> Any:
@@ -178,7 +178,7 @@ def _references(problem: LCP, is_scaled: bool) -> VectorEnds:
     whole = matrix.whole(z)
     least, most = of_components(residual_ends_of(matrix.rows, whole, problem, z, scale))
     is_open = (least == 0.0) & (most > 0.0)  # is z° the answer?
-    if problem.communicator.anywhere(is_open.any()):
+    if problem.matrix.any_row(is_open):
         sharp = of_components(sharp_residual_ends(problem, z, scale))
         least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
     return least, most
@@ -205,7 +205,7 @@ def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) 
 
 def reference_residual(problem: LCP) -> float:
     """Return ‖r(z°)‖∞ in the problem's own units, rounded upwards: what a run compares residuals with on the way."""
-    return problem.communicator.largest(float(own_references(problem)[1].max(initial=0.0)))
+    return problem.matrix.largest_of(own_references(problem)[1])
 
 
 def measured_scaled_residual(problem: LCP, z: FloatVector) -> float:
@@ -227,7 +227,7 @@ def rounding_of_data(problem: LCP) -> float:
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
     sizes = times_power(sizes, None if scaling is None else -scaling.column)
-    return DATA_ROUNDING * min(problem.communicator.largest(float(sizes.max(initial=0.0))), LARGEST)
+    return DATA_ROUNDING * min(problem.matrix.largest_of(sizes), LARGEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,7 +282,7 @@ class CommonScaling:
             most = np.maximum(most, least)
         exponents = _exponents(run, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
-        has_scaling, has_answers = (problem.communicator.anywhere(side.any()) for side in (exponents, answered))
+        has_scaling, has_answers = (problem.matrix.any_row(side) for side in (exponents, answered))
         if has_scaling and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
             run, columns, rows = alike, *(exponents if side is None else side + exponents for side in (columns, rows))
         return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least, is_scaled)
@@ -310,7 +310,7 @@ class CommonScaling:
         least, most = self.references
         if connected_components(self.problem.matrix) is None:
             return float(most.max(initial=0.0))
-        smallest = -self.problem.communicator.largest(-least_reference(least, most))
+        smallest = -self.problem.matrix.largest_of(-least_reference(least, most))
         return smallest if smallest < np.inf else 0.0
 
     @property
@@ -375,7 +375,7 @@ def hold_at_zero(problem: LCP) -> BoolVector:
     In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
     """
     z, matrix = problem.nearest_to_zero, problem.matrix
-    if not problem.communicator.anywhere(z.any()):  # what r(0) is made of is not rounded
+    if not problem.matrix.any_row(z):  # what r(0) is made of is not rounded
         return np.asarray(references_of_components(problem)[1] == 0.0)
     whole = matrix.whole(z)
     residual = residual_ends_of(matrix.rows, whole, problem, z, problem.residual_scale)[1]
@@ -414,7 +414,7 @@ def _exponents(problem: LCP, several: Components, most: FloatVector) -> IntVecto
     is_open = (most > 0.0) & np.isfinite(most)
     wanted = 1 - np.frexp(most)[1].astype(np.int64)
     ends = np.max(wanted, initial=-(10**6), where=is_open), np.max(-wanted, initial=-(10**6), where=is_open)
-    highest, minus_lowest = problem.communicator.all_largest(*map(float, ends))
+    highest, minus_lowest = problem.matrix.each_largest(*map(float, ends))
     if highest == -minus_lowest:  # they are alike
         wanted -= int(highest)
     unit = 1 - int(highest) if highest == -minus_lowest else 1

@@ -56,7 +56,7 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
     [0.012 0.   ]
     """
     here = _beside_own_terms(problem, z, w)
-    if not problem.communicator.anywhere(here.any()):
+    if not problem.matrix.any_row(here):
         return here
     with np.errstate(all="ignore"):
         moves = for_each_row(problem, largest_of_components(problem, np.abs(z - problem.nearest_to_zero)))
@@ -81,7 +81,7 @@ def _beside_own_terms(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVect
     is_low, is_high = z <= problem.lower, z >= problem.upper
     wrong = np.where(is_low, np.where(is_high, 0.0, -w), np.where(is_high, w, np.abs(w)))
     is_wrong = ~(wrong <= 0.0)
-    if not problem.communicator.anywhere(is_wrong.any()):
+    if not problem.matrix.any_row(is_wrong):
         return np.zeros(z.size)
     with np.errstate(all="ignore"):
         terms = magnitude(problem, problem.matrix.whole(z))

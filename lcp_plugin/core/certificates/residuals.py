@@ -162,7 +162,7 @@ class Certificate:
 
     def _largest(self, values: FloatVector) -> float:
         """Return the largest of all rows' values."""
-        return self.problem.communicator.largest(_largest(values))
+        return self.problem.matrix.largest_of(_largest(values))
 
     @cached_property
     def _worst(self) -> tuple[float, int]:
@@ -174,11 +174,11 @@ class Certificate:
             if several is not None:  # as the relative residual is proved: its component is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
-        communicator, is_empty = self.problem.communicator, not relative.size
-        row = communicator.worst(0.0 if is_empty else float(relative[worst]), worst)[1]
+        matrix, is_empty = self.problem.matrix, not relative.size
+        row = matrix.row_of_largest(0.0 if is_empty else float(relative[worst]), worst)
         is_here = not is_empty and row == self.problem.first + worst
         shown = float(residual[worst] if self._scaling is None else residual.max()) if is_here else 0.0
-        return communicator.largest(shown), row
+        return matrix.largest_of(shown), row
 
     @property
     def worst_index(self) -> int:
@@ -199,10 +199,10 @@ class Certificate:
     @cached_property
     def relative_residual(self) -> float:
         """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all components, rounded upwards; 0 for 0/0."""
-        communicator = self.problem.communicator
-        if communicator.anywhere(np.isinf(self.references[1]).any()):
+        matrix = self.problem.matrix
+        if matrix.any_row(np.isinf(self.references[1])):
             return np.nan
-        return communicator.largest(largest_ratio(*self.residuals_of_components))
+        return matrix.largest_of(largest_ratio(*self.residuals_of_components))
 
     @cached_property
     def term_residual(self) -> float:
@@ -268,7 +268,7 @@ class Certificate:
         several = connected_components(self.problem.matrix)
         of_rows = least if several is None else least[several.labels]
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
-        if not self.problem.communicator.anywhere(is_exact.any()):
+        if not self.problem.matrix.any_row(is_exact):
             return ends
         return np.where(is_exact, self._scaled(self._sharp_ends()), ends)
 
@@ -316,8 +316,8 @@ class Certificate:
     @cached_property
     def euclidean_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
-        communicator, terms = self.problem.communicator, self.problem.n + 7 + self.problem.communicator.size
-        norm = euclidean_norm(self._natural, communicator)
+        matrix = self.problem.matrix
+        terms, norm = self.problem.n + 7 + matrix.processes, euclidean_norm(self._natural, matrix)
         return float(np.nextafter(norm * (1.0 + gamma(terms)), np.inf)) if norm else norm
 
     @cached_property
@@ -395,7 +395,7 @@ class Certificate:
         scaling, scale = self._scaling, self._scale
         scale = scale if scaling is None else np.ldexp(scale, scaling.row + scaling.column)
         extremes = scale.max(initial=-np.inf), -scale.min(initial=np.inf)
-        most, minus_least = self.problem.communicator.all_largest(*map(float, extremes))
+        most, minus_least = self.problem.matrix.each_largest(*map(float, extremes))
         with np.errstate(over="ignore"):
             return float(np.divide(most, -minus_least)) if self.problem.n else 1.0
 
@@ -403,7 +403,7 @@ class Certificate:
     def is_at_rounding_level(self) -> bool:
         """True where no row's residual exceeds four times its rounding floor."""
         is_low = at_rounding_level(self._scaled_ends[1], self.rounding_floor)
-        return self.problem.communicator.everywhere(bool(is_low.all()))
+        return self.problem.matrix.all_rows(is_low)
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
@@ -413,10 +413,10 @@ class Certificate:
         """
         if not self.is_at_rounding_level:
             return False
-        is_large, communicator = ~(over(*self.residuals_of_components) <= GAINED), self.problem.communicator
-        if not communicator.anywhere(is_large.any()):
+        is_large, matrix = ~(over(*self.residuals_of_components) <= GAINED), self.problem.matrix
+        if not matrix.any_row(is_large):
             return True
-        return not communicator.anywhere((is_large & ~hold_at_zero(self.problem)).any())
+        return not matrix.any_row(is_large & ~hold_at_zero(self.problem))
 
     def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
         """Return the relative residual with no reference taken for less than `least`, in the caller's unit of z.
@@ -429,7 +429,7 @@ class Certificate:
         floors = np.full(self.z.size, least)
         floors = floors if self._scaling is None else self._scaling.downwards(floors)
         references = np.maximum(for_each_row(self.problem, self.references[0]), floors)
-        return self.problem.communicator.largest(largest_ratio(rows, references))
+        return self.problem.matrix.largest_of(largest_ratio(rows, references))
 
     @property
     def _worst_component(self) -> str:

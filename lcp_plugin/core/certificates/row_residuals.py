@@ -9,10 +9,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector
-from ..communicator import ALONE, Communicator
 from ..kernels.floats import EPSILON, TINY
 from ..kernels.threads import share
 from ..lcp import LCP
+from ..matrix.matrix import Matrix
 from ..matrix.row_sums import row_blocks
 from ..rounding import compensated_product, lower_end, read_only_views, upper_end
 
@@ -42,7 +42,7 @@ def measured_residual(problem: LCP, z: FloatVector) -> float:
     """Return ‖r(z)‖∞ as double precision gives it; on ranks of the own part z, and all of them call."""
     with np.errstate(all="ignore"):
         residual = scaled_residual(problem, z, problem.slack(z))
-        return problem.communicator.largest(float(np.abs(residual, out=residual).max(initial=0.0)))
+        return problem.matrix.largest_of(np.abs(residual, out=residual))
 
 
 def residual_ends_of(
@@ -189,10 +189,10 @@ def ratio(numerator: float, denominator: float) -> float:
     return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan
 
 
-def euclidean_norm(vector: FloatVector, communicator: Communicator = ALONE) -> float:
-    """Return ‖vector‖₂, of everybody's parts, without overflow or underflow on the way."""
-    largest = communicator.largest(float(np.abs(vector).max(initial=0.0)))
+def euclidean_norm(vector: FloatVector, matrix: Matrix) -> float:
+    """Return ‖vector‖₂ over all rows of the matrix without overflow or underflow on the way."""
+    largest = matrix.largest_of(np.abs(vector))
     if largest == 0.0 or not np.isfinite(largest):
         return largest
     scaled = vector / largest
-    return largest * math.sqrt(communicator.total(float(scaled @ scaled)))
+    return largest * math.sqrt(matrix.total_of(float(scaled @ scaled)))

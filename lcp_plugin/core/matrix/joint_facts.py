@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ..checks import FloatVector
-from ..communicator import Communicator
 from .matrix import Matrix
 
 UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x, x and y arbitrary, beyond which M is not symmetric
 
 
 @np.errstate(all="ignore")
-def pivot_weight(rows: Any, communicator: Communicator, relaxation: float) -> FloatVector:
+def pivot_weight(rows: Any, fetch: Callable[[FloatVector], None], relaxation: float) -> FloatVector:
     """Return what is added to the pivots d_i of a sweep on all processes at once, shape (own,).
 
     Parameters
     ----------
     rows : CSR array, shape (own, width)
         Of a symmetric matrix; the columns behind the own ones are those of other processes.
-    communicator : Communicator
-        Whoever has those; all of them call.
+    fetch : callable
+        Writes the values of those processes behind the own ones of a vector, shape (width,); all of them call.
     relaxation : float
         r in (0, 2).
 
@@ -36,7 +36,7 @@ def pivot_weight(rows: Any, communicator: Communicator, relaxation: float) -> Fl
     own, width = rows.shape
     whole = np.ones(width)
     whole[:own] = diagonal = rows.diagonal()
-    communicator.fetch(whole)
+    fetch(whole)
     coupling = np.sqrt(np.abs(diagonal)) * (abs(rows[:, own:]) @ (1.0 / np.sqrt(np.abs(whole[own:]))))
     weight: FloatVector = np.maximum(0.0, 0.5 * relaxation * coupling - 0.25 * (2.0 - relaxation) * diagonal)
     return np.where(np.isfinite(weight), weight, 0.0)
@@ -46,10 +46,10 @@ def pivot_weight(rows: Any, communicator: Communicator, relaxation: float) -> Fl
 def has_symmetric_products(matrix: Matrix) -> bool:
     """Return whether xᵀM y = yᵀM x for x and y of arbitrary entries, up to rounding."""
     unit = 1.0 / np.sqrt(matrix.diagonal)
-    x, y = (unit * _arbitrary(matrix.communicator.first, matrix.own, seed) for seed in (1, 2))
+    x, y = (unit * _arbitrary(matrix.first, matrix.own, seed) for seed in (1, 2))
     x_product, y_product = (matrix.rows @ matrix.whole(vector) for vector in (x, y))
     sums = float(y @ x_product), float(x @ y_product), float(np.sum((unit * x_product) ** 2))
-    forward, backward, size = map(matrix.communicator.total, sums)
+    forward, backward, size = map(matrix.total_of, sums)
     return bool(abs(forward - backward) <= UNLIKELY * np.sqrt(size * matrix.n)) and bool(np.isfinite(size))
 
 

@@ -8,9 +8,10 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
-from ..communicator import ALONE, Communicator
+from ..communicator import ALONE, Communicator, SharedRows
 from ..deadline import Lock
 from ..errors import UnsuitableProblem
 from ..kernels.floats import NEGLIGIBLE_DIAGONAL
@@ -61,7 +62,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         matrix._facts[self,] = value
 
 
-class Matrix:
+class Matrix(SharedRows):
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
 
     It is its own rows and a communicator of the processes that hold the others; usually it is whole, and there are
@@ -77,6 +78,7 @@ class Matrix:
     n, own : int
         How many rows there are, and how many of them are here.
     communicator : Communicator
+        Who holds the others; see :class:`~lcp_plugin.core.communicator.SharedRows` for what is taken over all rows.
 
     Raises
     ------
@@ -91,7 +93,7 @@ class Matrix:
 
     def __init__(self, M: Any) -> None:
         self._csr, self._dense = checked_matrix(M)
-        self.communicator: Communicator = ALONE
+        self.communicator = ALONE
         self.n: int = self.rows.shape[0]
         self.own: int = self.n
         self._begin()
@@ -101,7 +103,7 @@ class Matrix:
         self._lock = Lock()
 
     @classmethod
-    def of_own_rows(cls, rows: sp.csr_array, communicator: Communicator) -> Matrix:
+    def of_own_rows(cls, rows: sp.csr_array, communicator: Communicator = ALONE) -> Matrix:
         """Return the matrix of which these are the own rows, canonical, shape (own, width); all ranks call."""
         matrix = object.__new__(cls)
         matrix._csr, matrix._dense, matrix.communicator, matrix.own = rows, None, communicator, rows.shape[0]
@@ -114,6 +116,11 @@ class Matrix:
     def width(self) -> int:
         """How many unknowns the own rows may meet: the own ones, and the foreign ones they do meet."""
         return self.own + self.communicator.foreign
+
+    @property
+    def columns(self) -> NDArray[Any]:
+        """The unknowns that the own rows may meet, counted over all processes, shape (width,)."""
+        return np.concatenate([np.arange(self.first, self.first + self.own), self.communicator.ghosts])
 
     @property
     def rows(self) -> Any:
@@ -141,7 +148,7 @@ class Matrix:
 
     def require_all_rows(self) -> None:
         """Raise UnsuitableProblem where other processes hold some of the rows."""
-        if not self.communicator.is_alone:
+        if self.is_distributed:
             raise UnsuitableProblem(
                 f"the {self.n} rows of M are spread over {self.communicator.size} ranks, and this needs all of them on "
                 "one machine; there are solve by multigrid or projected sweeps, Certificate.of and error_bound on ranks"
@@ -156,7 +163,7 @@ class Matrix:
             return x
         whole = np.zeros(self.width)
         whole[: self.own] = x
-        self.communicator.fetch(whole)
+        self.fetch(whole)
         return whole
 
     @property
@@ -169,7 +176,7 @@ class Matrix:
     def nonzeros(self) -> int:
         """Number of nonzero entries of all rows."""
         own = int(self.csr_rows.nnz) if self._dense is None else int(np.count_nonzero(self._dense))
-        return int(self.communicator.total(own))
+        return int(self.total_of(own))
 
     @property
     @fact

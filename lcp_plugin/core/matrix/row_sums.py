@@ -113,7 +113,7 @@ def balanced_factors(
         with np.errstate(divide="ignore", over="ignore"):
             quick = np.minimum(LARGEST_FACTOR, 1.0 / np.maximum(1.0 - total, 0.0))
             np.minimum(quick, COUPLED / (coupling * updated[rows]), out=factors[rows])
-    if not matrix.communicator.everywhere(is_dominant):
+    if not matrix.all_rows(is_dominant):
         factors.fill(1.0)
     factors.flags.writeable = False
     return factors

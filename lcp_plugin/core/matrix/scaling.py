@@ -98,7 +98,7 @@ def scaling_of(matrix: Matrix) -> Scaling | None:
     >>> scaling_of(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).column.tolist()
     [0, 30, -30]
     """
-    if not matrix.communicator.is_alone:
+    if matrix.is_distributed:
         return None
     pivots = np.abs(matrix.diagonal)
     is_led_by_diagonal = pivots.min(initial=np.inf) >= matrix.largest * 2.0**-SPREAD

@@ -77,7 +77,7 @@ def connected_components(matrix: Matrix) -> Components | None:
     >>> connected_components(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
     True
     """
-    if not matrix.communicator.is_alone:
+    if matrix.is_distributed:
         return _joined_components(matrix)
     if _is_seen_connected(matrix):
         return None

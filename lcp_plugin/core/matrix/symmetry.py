@@ -51,7 +51,7 @@ def has_symmetric_entries(matrix: Matrix) -> bool:
     For x and y of arbitrary entries xᵀM y = yᵀM x happens by chance with probability 0. A wrong answer would cost
     speed, not correctness: every z is judged by its residual.
     """
-    if matrix.communicator.size > 1:
+    if matrix.processes > 1:
         return has_symmetric_products(matrix)
     return is_symmetric_entrywise(matrix.csr_rows)
 
@@ -71,7 +71,7 @@ def mean_coupling(matrix: Matrix) -> float:
     0.436
     """
     diagonal = matrix.diagonal
-    if matrix.communicator.size > 1 or not (diagonal > 0.0).all():
+    if matrix.processes > 1 or not (diagonal > 0.0).all():
         return np.inf
     with np.errstate(all="ignore"):
         M, root = matrix.csr, np.sqrt(diagonal)

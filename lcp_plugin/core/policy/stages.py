@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ..algorithm import Algorithm, Step
 from ..checks import BoolVector, FloatVector
 from ..lcp import LCP
@@ -105,7 +103,7 @@ class Stage:
         if self._at_bounds is not None:
             if (self.iterations - 1) % window == 0 or not self.moves:
                 self.moves.append(0)
-            self.moves[-1] += int(problem.communicator.total(float(np.count_nonzero(at_bounds != self._at_bounds))))
+            self.moves[-1] += problem.matrix.count_of(at_bounds != self._at_bounds)
         self._at_bounds = at_bounds
 
     def is_unsettled(self) -> bool:

@@ -84,7 +84,7 @@ class Judge:
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z on the caller's own data; the latest one is kept."""
         answer, latest = self.scaling.outward(z), self._certificate
-        if latest is None or not self.problem.communicator.everywhere(np.array_equal(latest.z, answer)):
+        if latest is None or not self.problem.matrix.all_rows(np.array_equal(latest.z, answer)):
             self._certificate = latest = Certificate.of(self.problem, answer)
         return latest
 
@@ -155,7 +155,7 @@ class Judge:
         if z is None or self.proof is None or not self.proof.is_rounding:
             return False
         certificate, problem = self.certificate_of(z), self.problem
-        in_its_unit = DATA_ROUNDING * problem.communicator.largest(float(np.abs(problem.q).max(initial=0.0)))
+        in_its_unit = DATA_ROUNDING * problem.matrix.largest_of(np.abs(problem.q))
         if certificate.natural_residual > in_its_unit and certificate.term_residual > self.settings.goal:
             return False  # small beside a coefficient that need not act
         return measured_scaled_residual(problem, certificate.z) <= rounding_of_data(problem)
@@ -184,7 +184,7 @@ class Judge:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
         certificate = self.certificate_of(z)
         is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT)
-        if last is None or is_cut_short or not self.problem.communicator.everywhere(bool(np.isfinite(z).all())):
+        if last is None or is_cut_short or not self.problem.matrix.all_rows(np.isfinite(z)):
             return certificate
         finished = last.finish(self.scaling.problem, z)
         return certificate if finished is z else self.better_of(certificate, self.certificate_of(finished))

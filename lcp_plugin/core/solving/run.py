@@ -54,7 +54,7 @@ class Run:
         self.start_residual = math.inf
         with clock.paused():
             self.log = RunLog(self.judge.asked, header) if settings.verbose else None
-        self._is_watched = settings.record or settings.verbose or not problem.communicator.everywhere(callback is None)
+        self._is_watched = settings.record or settings.verbose or not problem.matrix.all_rows(callback is None)
         self._next_sample = 0
 
     def drive(self, start: FloatVector, first: Choice) -> End:
@@ -66,7 +66,7 @@ class Run:
             start = self.problem.nearest_to_zero
         try:
             with (
-                nullcontext() if left == math.inf else time_limit(left, is_enforced=self.problem.communicator.is_alone),
+                nullcontext() if left == math.inf else time_limit(left, is_enforced=not self.problem.is_distributed),
                 nullcontext() if self.log is None else NEW_KERNELS.watched_by(self.log.hear_of_compilation),
             ):
                 while following is not None:
@@ -199,10 +199,10 @@ class Run:
 
     def _called_back(self, sample: Sample, z: FloatVector) -> bool:
         """Return whether a callback, of any rank, wants to stop."""
-        callback, communicator = self.callback, self.problem.communicator
+        callback, matrix = self.callback, self.problem.matrix
         shown = z if callback is None else self.scaling.outward(z)
-        wants_to_stop = communicator.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
-        return communicator.anywhere(wants_to_stop)
+        wants_to_stop = matrix.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
+        return matrix.any_row(wants_to_stop)
 
     def ended(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
         """Return what the judge makes of the best iterate, cleaned up, and of why the run ended."""

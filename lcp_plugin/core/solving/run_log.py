@@ -32,7 +32,7 @@ class RunLog:
     """
 
     def __init__(self, problem: Any, header: Header | None = None) -> None:
-        self._is_silent = isinstance(problem, LCP) and problem.communicator.rank > 0
+        self._is_silent = isinstance(problem, LCP) and problem.matrix.rank > 0
         self._compilation, self._compiled = compilation(), compilation().seconds
         self._silent_until = NEW_KERNELS.seconds + QUIET
         self._next = 0

@@ -75,22 +75,22 @@ class Splitting(Algorithm):
         z : array, shape (n,), optional
             Where x is not z itself: filled with the z of x.
         """
-        M, communicator, own = problem.matrix.csr_rows, problem.communicator, problem.own
-        passes, asks_ranks = directions(self.sweep), not communicator.is_empty
-        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
+        matrix, M, own = problem.matrix, problem.matrix.csr_rows, problem.own
+        passes, is_coupled = directions(self.sweep), matrix.is_coupled
+        splits = {backward: row_splits(matrix, backward) for backward in passes}
         new, unwanted = np.empty_like(x), np.empty_like(x) if z is not None and len(passes) > 1 else z
         work = 1.0
         while True:
             for k, backward in enumerate(passes):
-                if asks_ranks:
-                    communicator.fetch(x)
+                if is_coupled:
+                    matrix.fetch(x)
                     new[own:] = x[own:]  # what others hold is as it was
                 others = () if z is None else (unwanted if k else z,)
                 residual = kernel(
                     M.indptr, splits[backward], M.indices, M.data, rows, *weights, backward, x, new, *others
                 )
                 if k == 0:
-                    shown = x[:own] if asks_ranks else x
-                    yield Step(shown if z is None else z, communicator.largest(residual), work=work)
+                    shown = x[:own] if is_coupled else x
+                    yield Step(shown if z is None else z, matrix.largest_of(residual), work=work)
                 x, new = new, x
             work = float(len(passes))

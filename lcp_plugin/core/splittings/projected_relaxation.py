@@ -56,7 +56,7 @@ class _InPlace(_Relaxation):
     On several ranks a sweep runs on all of them at once, with what the others had before it. That is a splitting with
     fewer entries of L, which converges on H₊-matrices with ω ≤ 1; where M is symmetric, pivots beside other ranks are
     made larger, so that it converges on every positive definite one, see
-    :func:`lcp_plugin.ranks.joint_facts.pivot_weight`.
+    :func:`lcp_plugin.core.matrix.joint_facts.pivot_weight`.
     """
 
     runs_on_ranks: ClassVar[bool] = True
@@ -69,23 +69,23 @@ class _InPlace(_Relaxation):
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
         from ..kernels import splitting_sweeps as kernels
 
-        M, communicator = problem.matrix.csr_rows, problem.communicator
+        matrix, M = problem.matrix, problem.matrix.csr_rows
         pivots = require_positive_diagonal(problem, self.name)
         fixed, _ = self.weights()
         adaptive = AdaptiveRelaxation(self.first_trial()) if fixed is None else None
         relaxation, told = 1.0 if fixed is None else fixed, self.first_trial()
-        if not communicator.is_empty and has_symmetric_entries(problem.matrix):
-            pivots = pivots + pivot_weight(M, communicator, relaxation)
+        if matrix.is_coupled and has_symmetric_entries(matrix):
+            pivots = pivots + pivot_weight(M, matrix.fetch, relaxation)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
         passes = directions(self.sweep)
-        splits = {backward: row_splits(problem.matrix, backward) for backward in passes}
-        z = problem.matrix.whole(z0)
-        own = z[: problem.own]
+        splits = {backward: row_splits(matrix, backward) for backward in passes}
+        z = matrix.whole(z0)
+        own = z[: matrix.own]
         yield Step(own, work=0.0)
         while True:
             largest = total = 0.0
             for backward in passes:
-                communicator.fetch(z)
+                matrix.fetch(z)
                 change, change_sum = kernels.relaxation_sweep(
                     M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
                 )
@@ -97,11 +97,11 @@ class _InPlace(_Relaxation):
                 told = adaptive.wanted
                 learned = ContinuedPSOR(sweep=self.sweep, first_relaxation=told)
             yield Step(
-                own, increment=communicator.largest(largest), work=float(len(passes)), is_settling=is_settling,
+                own, increment=matrix.largest_of(largest), work=float(len(passes)), is_settling=is_settling,
                 successor=learned,
             )
             if adaptive:
-                relaxation = adaptive.after(communicator.total(total), z)
+                relaxation = adaptive.after(matrix.total_of(total), z)
 
 
 @dataclass(frozen=True, kw_only=True)

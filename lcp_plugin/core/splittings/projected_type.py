@@ -120,7 +120,7 @@ class ProjectedType(ScaledByRows, Splitting):
         step = self._step(problem)
         rows = packed(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step,
-            problem.communicator.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
+            problem.matrix.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
         )
         yield from self.swept(problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0))
 

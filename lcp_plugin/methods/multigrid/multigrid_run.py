@@ -50,29 +50,29 @@ class MultigridRun:
         self.hierarchy = hierarchy = hierarchy_of(matrix, algorithm.coarsest)
         self.work += 0.0 if is_built else hierarchy.work
         finest = hierarchy.grids[0]
-        self.communicator = finest.communicator
+        self.grid = finest
         # What snaps to a bound is measured before it does.
         is_measured = algorithm.smoother in ("pgs", "psor")
-        self.tells_residual = is_measured and self.communicator.everywhere(
+        self.tells_residual = is_measured and self.grid.all_rows(
             np.array_equal(problem.residual_scale, problem.diagonal)
         )
         self.truncation = Truncation(hierarchy)
         self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.extends else 1
-        jumps = hierarchy.extends and self.communicator.largest(finest.spread) > JUMPS
+        jumps = hierarchy.extends and self.grid.largest_of(finest.spread) > JUMPS
         self.gain = ROUND_GAIN_AT_JUMPS if jumps else ROUND_GAIN
         self.has_tried_rounds = not self.is_symmetric
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
-        self.size = self.communicator.total(finest.n)
-        self.entries = max(self.communicator.total(finest.matrix.data.size), 1.0)
+        self.size = self.grid.total_of(finest.n)
+        self.entries = max(self.grid.total_of(finest.matrix.data.size), 1.0)
 
     def iterates(self, start: FloatVector) -> Iterator[Step]:
         """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
         n = start.size
         z = start
-        if self.communicator.foreign:
+        if self.grid.foreign:
             z = np.zeros(self.hierarchy.grids[0].width)
             z[:n] = start
-        is_cold = self.communicator.everywhere(np.array_equal(start, self.problem.nearest_to_zero))
+        is_cold = self.grid.all_rows(np.array_equal(start, self.problem.nearest_to_zero))
         for step in self._whole_iterates(z, is_cold):
             yield step if z is start else replace(step, z=step.z[:n])
 
@@ -95,11 +95,11 @@ class MultigridRun:
         """Return the largest scaled residual of z, and leave everything as it is."""
         fine = self.problems[0]
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
-        self.communicator.fetch(z)
+        self.grid.fetch(z)
         residual = fine.residual[: fine.q.size]
         largest, _ = sweeps.free_rows(fine.grid.rows, fine.vectors, z, False, free, changed, residual)
         self.work += fine.entries
-        return self.communicator.largest(float(largest))
+        return self.grid.largest_of(float(largest))
 
     # --- nested iteration -------------------------------------------------------------------------------
 
@@ -133,7 +133,7 @@ class MultigridRun:
 
     @np.errstate(over="ignore", under="ignore")  # of bounds in single precision, or far from the unit
     def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
-        unit = self.nested_unit = power_of_two(self.communicator.largest(span(q * self.problems[0].grid.inverse)))
+        unit = self.nested_unit = power_of_two(self.grid.largest_of(span(q * self.problems[0].grid.inverse)))
         for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
             dtype = coarser.inverse.dtype
             finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n, dtype)
@@ -147,19 +147,19 @@ class MultigridRun:
     def _whole(self, k: int, own: FloatVector) -> FloatVector:
         """Return the values on grid k with the foreign ones behind them."""
         grid = self.hierarchy.grids[k]
-        if not grid.communicator.foreign:
-            grid.communicator.fetch(own)
+        if not grid.foreign:
+            grid.fetch(own)
             return own
         whole = np.zeros(grid.width, own.dtype)
         whole[: own.size] = own
-        grid.communicator.fetch(whole)
+        grid.fetch(whole)
         return whole
 
     def _interpolated(self, k: int, coarse: FloatVector, z: FloatVector) -> FloatVector:
         """Return z with P coarse added, within the bounds of grid k."""
         fine, transfer = self.problems[k], self.hierarchy.transfers[k]
         everywhere = np.ones(z.size, np.bool_)
-        self.hierarchy.grids[k + 1].communicator.fetch(coarse)
+        self.hierarchy.grids[k + 1].fetch(coarse)
         unit = self.nested_unit if k == 0 else 1.0
         vectors.prolong(transfer, coarse, unit, everywhere, fine.lower, fine.upper, z)
         self.work += transfer.prolongation.data.size
@@ -168,7 +168,7 @@ class MultigridRun:
     def _cycle_on(self, k: int, z: FloatVector) -> None:
         fine = self.problems[k]
         self.truncation.start_at(k)
-        few = COARSE_CHANGES * self.communicator.total(fine.q.size)
+        few = COARSE_CHANGES * self.grid.total_of(fine.q.size)
         for cycle in range(1, MOST_COARSE_CYCLES + 1):
             fine.sweep(z, backward=False)
             _, changed = self._look(k, z)
@@ -251,13 +251,13 @@ class MultigridRun:
     def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, fine = self.truncation.grids[k], self.problems[k]
-        fine.communicator.fetch(z)
+        fine.grid.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
             fine.grid.rows, fine.vectors, z, fine.is_projected_type, top.is_free, top.free_changed,
             fine.residual[: fine.q.size],
         )
         self.work += fine.entries
-        largest, changed = fine.communicator.largest(own_largest), fine.communicator.total(own_changed)
+        largest, changed = fine.grid.largest_of(own_largest), fine.grid.total_of(own_changed)
         if changed:
             self.truncation.update()
         return largest, changed
@@ -275,7 +275,7 @@ class MultigridRun:
         unit = self.truncation.unit
         self.truncation.restrict(k, fine.residual)
         self.truncation.correct(k + 1)
-        below.grid.communicator.fetch(below.x)
+        below.grid.fetch(below.x)
         before = None
         if k == 0 and self.is_symmetric:
             before = self.truncation.vector()
@@ -284,7 +284,7 @@ class MultigridRun:
         self.work += 2.0 * transfer.prolongation.data.size
         if before is None:
             return
-        if self.communicator.total(cut) > NOTEWORTHY_CUT * self.size:
+        if self.grid.total_of(cut) > NOTEWORTHY_CUT * self.size:
             self._shorten(before, z)
         self.truncation.spare.append(before)
 
@@ -294,13 +294,13 @@ class MultigridRun:
         fine = self.problems[0]
         n, product, step = before.size, self.truncation.vector(), z.copy()
         step[:n] -= before
-        unit = power_of_two(self.communicator.largest(span(step[:n])))
+        unit = power_of_two(self.grid.largest_of(span(step[:n])))
         step /= unit
-        self.communicator.fetch(step)
+        self.grid.fetch(step)
         sweeps.free_product(fine.grid.rows, np.ones(n), step, product)
         # w = −residual on the free rows; the others did not move
-        slope = -self.communicator.total(dot(step[:n], fine.residual[:n] / unit))
-        curvature = self.communicator.total(dot(step[:n], product))
+        slope = -self.grid.total_of(dot(step[:n], fine.residual[:n] / unit))
+        curvature = self.grid.total_of(dot(step[:n], product))
         self.work += self.entries
         size = 1.0
         for _ in range(HALVINGS):
@@ -373,6 +373,6 @@ class MultigridRun:
 
     def _spent(self) -> float:
         """Return the passes over M since the last step."""
-        work = self.communicator.total(self.work + self.truncation.take_work())
+        work = self.grid.total_of(self.work + self.truncation.take_work())
         self.work = 0.0
         return work / self.entries

@@ -142,13 +142,13 @@ class Safeguard:
 
     @property
     def _least_diagonal(self) -> float:
-        return -self.problem.communicator.largest(-float(self.problem.diagonal.min(initial=np.inf)))
+        return -self.problem.matrix.largest_of(-float(self.problem.diagonal.min(initial=np.inf)))
 
     @np.errstate(all="ignore")  # between bounds of ±1e308
     def _energy_change(self, z: FloatVector) -> tuple[float, float, FloatVector]:
         """Return J(z) − J(accepted) = ½ dᵀ(w + w_accepted), what rounding may make of it, and w."""
         problem, n = self.problem, self.problem.q.size
-        own, accepted, total = z[:n], self.z[:n], problem.communicator.total
+        own, accepted, total = z[:n], self.z[:n], problem.matrix.total_of
         if self._slack is None:
             self._slack = problem.slack(accepted)
             self._products += 1
@@ -178,7 +178,6 @@ class GridProblem:
         self.residual = np.zeros(grid.width, grid.inverse.dtype)
         self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
         self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
-        self.communicator = grid.communicator
         if self.is_projected_type:
             pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
             # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
@@ -188,7 +187,7 @@ class GridProblem:
 
     def sweep(self, z: FloatVector, backward: bool) -> None:
         """Overwrite z by one projected sweep."""
-        self.communicator.fetch(z)
+        self.grid.fetch(z)
         if not self.is_projected_type:
             sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z)
             return
@@ -202,11 +201,11 @@ class GridProblem:
     def gauss_seidel(self, z: FloatVector) -> float:
         """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
         before = z[: self.q.size].copy()
-        self.communicator.fetch(z)
+        self.grid.fetch(z)
         sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, 1.0, False, z)
         with np.errstate(over="ignore"):  # between bounds of ±1e308
             before -= z[: self.q.size]
-        return self.communicator.largest(span(before))
+        return self.grid.largest_of(span(before))
 
 
 @dataclass

@@ -72,14 +72,14 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
     from ...methods.multigrid import Multigrid
     from ...systems.hierarchy.levels import hierarchy_of
 
-    allowed = problem.communicator.together(lambda: checked_threads(threads))
+    allowed = problem.matrix.together(lambda: checked_threads(threads))
     with threads_for(1 if threads is None and problem.is_distributed else allowed):
         inverse_residual_scale(problem.matrix)
         if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:
             bands(problem.matrix)
         for backward in (False, True):
             row_splits(problem.matrix, backward)
-        if problem.communicator.everywhere(bool(has_positive_diagonal(problem.matrix).all())):
+        if problem.matrix.all_rows(has_positive_diagonal(problem.matrix)):
             hierarchy_of(problem.matrix, Multigrid.coarsest)
     return problem
 

@@ -13,7 +13,6 @@ from ...auto import asked_of_solve, solve_lcp
 from ...core.algorithm import Algorithm, Phases
 from ...core.certificates.residuals import Certificate
 from ...core.checks import read_only
-from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.lcp import LCP
@@ -53,7 +52,7 @@ class BatchLoop:
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
         self.is_open = np.ones(count, np.bool_)
         self.is_open[[*errors]] = False
-        self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock(ALONE)
+        self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock()
 
     @property
     def has_time(self) -> bool:

@@ -91,9 +91,9 @@ class Blocks:
         return self.rows.upper
 
     @property
-    def communicator(self) -> Any:
-        """That of one process."""
-        return self.rows.communicator
+    def matrix(self) -> Matrix:
+        """M with its facts."""
+        return self.rows.matrix
 
     @property
     def nonzeros(self) -> int:

@@ -16,7 +16,6 @@ from ...core.certificates.criterion import CommonScaling, within
 from ...core.certificates.residuals import Certificate
 from ...core.certificates.row_residuals import over
 from ...core.checks import FloatVector, checked_vector, read_only
-from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
@@ -102,7 +101,7 @@ def solve_cones(
         prove_infeasibility
     )
     checked_callback(callback)
-    clock = Clock(ALONE)
+    clock = Clock()
     result = _solved(problem, algorithm, settings, callback, clock, None if z0 is None else _start(problem, z0))
     is_cut_short = result.status is Status.MAX_ITERATIONS and result.iterations < settings.max_iterations
     is_open = is_cut_short or result.status in (Status.STALLED, Status.PRECISION_LIMIT, Status.DIVERGED)
@@ -154,7 +153,7 @@ def _solved_apart(
         part, rows = problem.part(blocks), blocks[problem.block_of_row]
         steps = settings.max_iterations - together.iterations
         plain = _within(settings, left, steps, record=False, verbose=False)
-        found = _solved(part, algorithm, plain, None, Clock(ALONE), None if z0 is None else _start(problem, z0)[rows])
+        found = _solved(part, algorithm, plain, None, Clock(), None if z0 is None else _start(problem, z0)[rows])
         z[rows], share = found.z, part.nonzeros / max(problem.nonzeros, 1)
         stages += [stage._replace(work=stage.work * share) for stage in found.stages]
         iterations, work = max(iterations, found.iterations), work + found.work * share

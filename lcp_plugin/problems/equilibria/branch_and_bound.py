@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.checks import FloatVector, checked_vector, is_number
-from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ...core.settings import Status
@@ -142,7 +141,7 @@ class BranchAndBound:
     """
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float, max_nodes: float) -> None:
-        self.clock, self.nodes = Clock(ALONE), 0
+        self.clock, self.nodes = Clock(), 0
         self.original, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.local = LocalSearch(Relaxations(problem, tolerance))
         self.outside: Outside | None = None

@@ -23,7 +23,7 @@ from ...core.checks import (
     read_only,
     rectangular_matrix,
 )
-from ...core.communicator import Communicator
+from ...core.communicator import SharedRows
 from ...core.deadline import is_over
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kind import Kind
@@ -31,7 +31,6 @@ from ...systems.equilibration import power_of_two
 from . import BOUNDED_LEAST_SQUARES
 
 COPIED_UP_TO = 10**6  # places of A
-ALONE = Communicator()
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
@@ -266,7 +265,7 @@ class ScaledLeastSquares:
         What b was.
     """
 
-    communicator, is_distributed = ALONE, False
+    matrix, is_distributed = SharedRows(), False  # all are here
 
     def __init__(self, problem: BoundedLeastSquares) -> None:
         self.problem, self.n = problem, problem.shape[1]

@@ -17,7 +17,7 @@ from ...core.kind import Kind
 from ...core.settings import Settings, Status
 from ...core.solving.answer import Answer
 from . import BOUNDED_LEAST_SQUARES
-from .data import ALONE, BoundedLeastSquares
+from .data import BoundedLeastSquares
 
 SMALL = 20_000  # places of A up to which one compiled call is quicker than libraries called step by step
 EXCHANGES = 10  # of a column of a small A at its bound for a free one, ÷ their number
@@ -105,7 +105,7 @@ def solve_least_squares(
     max_iterations: int | None = None, max_seconds: float | None = None,
 ) -> LeastSquaresResult:
     """Return the answer to a problem that is stated already; see :func:`bounded_least_squares`."""
-    clock = Clock(ALONE)
+    clock = Clock()
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
     if (units := problem.far_units) is not None:

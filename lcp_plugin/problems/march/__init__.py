@@ -317,7 +317,7 @@ def take_steps(
     what is dear may pay as well.
     """
     problem, forcing, propagator = done.problem, done.forcing[:end], done.propagator
-    is_lcp, clock, total = isinstance(problem, LCP), Clock(problem.communicator), total or len(done.forcing)
+    is_lcp, clock, total = isinstance(problem, LCP), Clock(problem.matrix), total or len(done.forcing)
     policy, settings = asked_of_solve(algorithm, wishes) if is_lcp else asked_of_solve("auto", {})
     is_unobserved = is_lcp and settings.is_unobserved and wishes.get("callback") is None
     state, begin = done._kept[len(done) - 1] if len(done) else (done.z0, begin)
@@ -359,7 +359,7 @@ def _fused(
     problem: LCP, policy: Policy, settings: Settings, offsets: FloatVector, propagator: sp.csr_array, state: FloatVector
 ) -> Iterator[tuple[FloatVector, Callable[[], Result]]]:
     """Yield the steps that one compiled loop takes, up to the first that does not converge."""
-    first, clock = policy.first(problem), Clock(problem.communicator)
+    first, clock = policy.first(problem), Clock(problem.matrix)
     if not (isinstance(first.algorithm, Banded) and needs_no_scaling(problem)):
         return
     Q, Z = np.array(offsets), np.empty(offsets.shape)

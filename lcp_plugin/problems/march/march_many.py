@@ -79,7 +79,7 @@ def march_many(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("march_many", problem))
-    n, clock, limit = problem.n, Clock(problem.communicator), Settings(max_seconds=max_seconds).max_seconds
+    n, clock, limit = problem.n, Clock(problem.matrix), Settings(max_seconds=max_seconds).max_seconds
     given = checked_forcing(forcing, n, "(m, k, n), or (k, n) for all marches", (2, 3))
     offsets = [given] if given.ndim == 2 else list(given)
     rows = {name: rows_of_a_batch(values, name, n)
@@ -161,7 +161,7 @@ class _Steps:
 
     def _take_block(self, group: list[March], end: int) -> None:
         """Take the steps up to that number of marches that have got equally far, as long as all of them converge."""
-        clock, leader, settings, first = Clock(group[0].problem.communicator), group[0], self.settings, len(group[0])
+        clock, leader, settings, first = Clock(group[0].problem.matrix), group[0], self.settings, len(group[0])
         algorithm, policy, choice = self.first.algorithm, self.policy, self.first
         assert isinstance(algorithm, Banded)
         lower, upper, states = (np.stack(rows, axis=1) for rows in zip(

@@ -15,7 +15,6 @@ from ...core.algorithm import Algorithm
 from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, read_only
-from ...core.communicator import ALONE
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
@@ -127,7 +126,7 @@ def solve_nonlinear(
     checked_callback(callback)
     start = _checked_start(problem, x0)
     problem = problem.sized(start.size)
-    clock = Clock(ALONE)
+    clock = Clock()
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with np.errstate(), threads_for(settings.threads):
         points = Linearisations(problem)

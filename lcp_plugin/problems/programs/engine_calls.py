@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.solving.result import StageRecord
@@ -105,7 +104,7 @@ def run_engine(
         raise UnsuitableProblem(
             f"{engine.name} solves {engine.solves}, but P has nonzeros; take \"piqp\", or give P = None"
         )
-    clock, iterations, says = Clock(ALONE), 0, Hint.GAVE_UP
+    clock, iterations, says = Clock(), 0, Hint.GAVE_UP
     best: QPSolution | None = None
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         for solution, point in islice(_answers(program, engine, is_verbose), points):

@@ -12,7 +12,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, frozen, read_only
-from ...core.communicator import ALONE
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
@@ -188,7 +187,7 @@ class ProgramMatrices:
             return Matrix(M)
         minus = assembled(-C.data, C.indices, C.indptr, (size - n, size))
         M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
-        return Matrix.of_own_rows(M, ALONE)  # canonical, as its blocks are
+        return Matrix.of_own_rows(M)  # canonical, as its blocks are
 
     def sum_of_rows(self, y: FloatVector) -> FloatVector:
         """Return [Gᵀ Aᵀ] y, row after row; nothing is transposed."""

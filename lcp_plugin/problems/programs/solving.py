@@ -14,7 +14,6 @@ import scipy.sparse as sp
 from ...auto import asked_of_solve, solve_lcp
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, restored
-from ...core.communicator import ALONE
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import (
     InvalidOption,
@@ -221,7 +220,7 @@ def solve_program(
     if isinstance(algorithm, Engine) or (isinstance(algorithm, str) and algorithm in ENGINES):
         return _solved_by_engine(program, algorithm, tolerance, options)
     guess = options.pop("guess", None)
-    is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock(ALONE)
+    is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock()
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
     with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
         by, found = _at_once(program, goal, options) if is_one_call else ("", None)
@@ -275,7 +274,7 @@ def _solved_by_engine(
     callback = checked_callback(wishes.pop("callback", None))
     settings = asked_of_solve("auto", {"tolerance": tolerance, **wishes})[1]
     engine = _engine(algorithm, {**options, **_steps(algorithm, wishes)})
-    clock, goal = Clock(ALONE), program_goal(tolerance)
+    clock, goal = Clock(), program_goal(tolerance)
     with time_limit(min(settings.max_seconds, seconds_left())):
         try:
             run = run_engine(program, engine, goal, is_verbose=settings.verbose)

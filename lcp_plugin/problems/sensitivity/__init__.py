@@ -214,7 +214,7 @@ class Derivative:
             return False if self._system.is_singular else None
         held, between = proven_rows(self.problem, bound)
         is_proven = np.where(self._rows.free, between, held)
-        return True if self.problem.communicator.everywhere(bool(is_proven.all())) else None
+        return True if self.problem.matrix.all_rows(is_proven) else None
 
     @cached_property
     def _system(self) -> FreeSystem:
@@ -341,7 +341,7 @@ class Derivative:
         y = block_error_bound(self._system, np.where(free, dz, moved), b, self._matrix_change(dM), bound.near)
         error = np.where(free, y, distance_above(moved, np.zeros(dz.size), dz))
         sizes = float(error.max(initial=0.0)), float(np.abs(dz).max(initial=0.0))
-        return relative_to(*self.problem.communicator.all_largest(*sizes))
+        return relative_to(*self.problem.matrix.each_largest(*sizes))
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, **named: Any) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
@@ -371,7 +371,7 @@ class Derivative:
             Where the block of M on more than 500 free rows is singular.
         """
         problem = self.problem
-        if not (problem.communicator.is_alone or has_symmetric_entries(problem.matrix)):
+        if problem.is_distributed and not has_symmetric_entries(problem.matrix):
             problem.matrix.require_all_rows()
         g, by_w = self._own_part(g, "g"), self._optional(gw, "gw")
         rows, free = self._rows, self.free
@@ -423,14 +423,14 @@ class Derivative:
 
     def _own_part(self, values: ArrayLike, name: str) -> FloatVector:
         """Return a finite vector; on ranks all of them refuse what one of them refuses."""
-        return self.problem.communicator.together(lambda: finite_vector(values, name, self.problem.own))
+        return self.problem.matrix.together(lambda: finite_vector(values, name, self.problem.own))
 
     def _somewhere(self, is_so: bool) -> bool:
         """Return whether it is so on any rank."""
-        return not self.problem.communicator.everywhere(not is_so)
+        return self.problem.matrix.any_row(is_so)
 
     def _transposed_product(self, x: FloatVector) -> FloatVector:
         """Return Mᵀx; on several ranks M is symmetric."""
         matrix = self.problem.matrix
-        product: FloatVector = matrix.array.T @ x if matrix.communicator.is_alone else matrix.rows @ matrix.whole(x)
+        product: FloatVector = matrix.rows @ matrix.whole(x) if matrix.is_distributed else matrix.array.T @ x
         return product

@@ -82,7 +82,7 @@ def settled_rows(
     >>> rows.free, rows.at_lower, rows.z
     (array([ True, False]), array([False,  True]), array([2.5, 0. ]))
     """
-    settled = _settled(problem, z, system) if problem.communicator.is_alone else None
+    settled = None if problem.is_distributed else _settled(problem, z, system)
     if settled is None:
         return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
     at, system, left = settled

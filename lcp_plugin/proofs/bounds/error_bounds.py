@@ -169,8 +169,8 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     with np.errstate(all="ignore"):  # what overflows bounds nothing
         family = bounds_of(problem.matrix)
         if family is None:
-            raise UnsuitableMatrix(_why_not(problem) if problem.communicator.is_alone else NO_PROOF_ON_RANKS)
-        found = _bound(problem, z, family, sharp=sharp and problem.communicator.is_alone)
+            raise UnsuitableMatrix(NO_PROOF_ON_RANKS if problem.is_distributed else _why_not(problem))
+        found = _bound(problem, z, family, sharp=sharp and not problem.is_distributed)
     return replace(found, seconds=time.perf_counter() - began)
 
 
@@ -196,7 +196,7 @@ def _two_stage(at: RowInequality, family: HPlusBounds, y: FloatVector) -> FloatV
 
 
 def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool) -> ErrorBound:
-    if not problem.communicator.everywhere(bool(np.isfinite(z).all())):
+    if not problem.matrix.all_rows(np.isfinite(z)):
         return _nothing_known(problem, family.kind, family.method)
     at = RowInequality.at(problem, z)
     found = BestBound(z, at, family.of_error(at), family.method)
@@ -250,9 +250,9 @@ class BestBound:
             active, inactive = active | more_active, inactive | more_inactive
         is_proof = kind == "rigorous"
         sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
-        infinity, residual = problem.communicator.all_largest(*sizes)
+        infinity, residual = problem.matrix.each_largest(*sizes)
         of_components = (largest_of_components(problem, np.abs(one)).tolist() for one in (y, self.z))
-        relative = problem.communicator.largest(max(map(relative_to, *of_components), default=0.0))
+        relative = problem.matrix.largest_of(max(map(relative_to, *of_components), default=0.0))
         return _counted(
             problem, y, active & is_proof | (problem.lower == problem.upper), inactive & is_proof, infinity=infinity,
             relative=relative, kind=kind, method=self.method, residual=residual,
@@ -331,7 +331,7 @@ def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
 def _counted(
     problem: LCP, componentwise: FloatVector, active: BoolVector, inactive: BoolVector, **known: Any
 ) -> ErrorBound:
-    counts = [int(problem.communicator.total(float(np.count_nonzero(rows)))) for rows in (active, inactive)]
+    counts = [problem.matrix.count_of(rows) for rows in (active, inactive)]
     return ErrorBound(
         componentwise=componentwise, proven_active=active, proven_inactive=inactive, n=problem.n, active=counts[0],
         inactive=counts[1], **known,

@@ -60,7 +60,7 @@ class ErrorJudge(Judge):
         self._residual_per_error = 1.0
         if settings.is_on_error:
             sums = np.add(*unit_triangle_sums(self.problem.matrix))
-            self._residual_per_error += self.problem.communicator.largest(float(sums.max(initial=0.0)))
+            self._residual_per_error += self.problem.matrix.largest_of(sums)
 
     def require_rigorous_bounds(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
@@ -83,7 +83,7 @@ class ErrorJudge(Judge):
         if not self.settings.is_on_error:
             return super().meets_tolerance(z, residual, iteration)
         z, residual, tolerance = self.scaling.outward(z), residual * self.reference, self.settings.tolerance
-        largest = self.problem.communicator.largest(float(np.max(np.abs(z), initial=0.0)))
+        largest = self.problem.matrix.largest_of(np.abs(z))
         is_far = not residual <= self._residual_per_error * tolerance * largest
         if is_far and connected_components(self.problem.matrix) is None:  # others have units of their own
             return False
@@ -153,7 +153,7 @@ class ErrorJudge(Judge):
         return _sharpest(self.problem, z) if is_distributed else partial(_sharpest, self.problem, z)
 
     def _known(self, z: FloatVector) -> ErrorBound | None:
-        is_known = self._bounded is not None and self.problem.communicator.everywhere(
+        is_known = self._bounded is not None and self.problem.matrix.all_rows(
             np.array_equal(self._bounded[0], z)
         )
         return self._bounded[1] if is_known and self._bounded is not None else None

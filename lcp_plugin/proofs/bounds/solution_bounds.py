@@ -65,8 +65,8 @@ class HPlusBounds:
 
     def of_solution(self, size: FloatVector) -> FloatVector:
         """Return a bound of |x| for every x with |M x| ≤ size, shape (own,)."""
-        share = quotient_above(size, self.weights.margin).max(initial=0.0)
-        return product_above(np.float64(self.matrix.communicator.largest(float(share))), self.weights.high)
+        share = quotient_above(size, self.weights.margin)
+        return product_above(np.float64(self.matrix.largest_of(share)), self.weights.high)
 
     def of_error(self, at: RowInequality, y: FloatVector | None = None) -> FloatVector:
         """Return a bound of |z − z*|, shape (own,); the least y + t v that is one."""
@@ -102,11 +102,11 @@ def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
 
     On ranks only H₊-matrices are looked for.
     """
-    is_positive = matrix.communicator.everywhere(bool((matrix.diagonal > 0.0).all()))
+    is_positive = matrix.all_rows(matrix.diagonal > 0.0)
     found = comparison_weights(matrix) if is_positive else None
     if found is not None:
         return HPlusBounds(matrix, found)
-    eigenvalue = smallest_eigenvalue_bound(matrix) if matrix.communicator.is_alone else None
+    eigenvalue = None if matrix.is_distributed else smallest_eigenvalue_bound(matrix)
     return None if eigenvalue is None else DefiniteBounds(eigenvalue)
 
 
@@ -307,7 +307,7 @@ def block_solution_bound(system: FreeSystem, size: FloatVector) -> FloatVector:
     >>> block_solution_bound(system, np.array([1.0, 0.0])) >= [2 / 3, 1 / 3]
     array([ True,  True])
     """
-    if not system.matrix.communicator.is_alone:
+    if system.matrix.is_distributed:
         return _of_solution(system.matrix, np.where(system.free, size, 0.0))
     bound = np.zeros(size.size)
     if system.rows.size:

@@ -105,7 +105,7 @@ def comparison_certificate(matrix: Matrix) -> HCertificate | None:
 @fact
 def h_verdict(matrix: Matrix) -> HVerdict:
     """Return whether M is an H-matrix, with its proof."""
-    if not matrix.communicator.is_alone:
+    if matrix.is_distributed:
         found = _on_ranks(matrix)
         return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), found)
     return decide(matrix.csr, lambda: shared_comparison(matrix))
@@ -321,12 +321,12 @@ def _on_ranks(matrix: Matrix) -> HCertificate | None:
     v is a vector of ones or solves ⟨M⟩v = diag(M) roughly. That it does its work is verified row by row with all
     rounding counted.
     """
-    if not matrix.communicator.everywhere(bool((matrix.diagonal > 0.0).all())):
+    if not matrix.all_rows(matrix.diagonal > 0.0):
         return None
     for v in _candidates(matrix):
         margin = lower_end(*comparison_product(matrix.csr_rows, matrix.whole(v)))
         least = min(float(v.min(initial=np.inf)), float(margin.min(initial=np.inf)))
-        if matrix.communicator.everywhere(least > 0.0):
+        if matrix.all_rows(least > 0.0):
             return HCertificate(v, margin)
     return None
 
@@ -339,7 +339,7 @@ def _candidates(matrix: Matrix) -> Iterator[FloatVector]:
     ones = np.ones(matrix.own)
     yield ones
     comparison, is_symmetric = comparison_of(matrix.csr_rows), has_symmetric_entries(matrix)
-    hierarchy = build_hierarchy(comparison, COARSEST, scales_rows=not is_symmetric, communicator=matrix.communicator)
+    hierarchy = build_hierarchy(comparison, COARSEST, scales_rows=not is_symmetric, shared=matrix)
     residual = matrix.diagonal - comparison @ np.ones(matrix.width)
     solution = KrylovCorrection(Truncation(hierarchy), residual, is_symmetric)
     begun, steps = solution.largest(), 0

@@ -254,7 +254,7 @@ def _report(matrix: Matrix) -> MatrixReport:
 @fact
 def is_negative(matrix: Matrix) -> bool:
     """Whether every diagonal entry is negative, as of each negative definite matrix; not asked of rows on ranks."""
-    return matrix.communicator.is_alone and matrix.n > 0 and bool((matrix.diagonal < 0.0).all())
+    return not matrix.is_distributed and matrix.n > 0 and bool((matrix.diagonal < 0.0).all())
 
 
 @fact
@@ -295,7 +295,7 @@ def classes_in_words(matrix: Matrix) -> str:
 
 
 def _classes(matrix: Matrix) -> Iterator[str]:
-    if not matrix.communicator.is_alone:
+    if matrix.is_distributed:
         return
     yield "dense" if matrix.is_dense else "sparse"
     if symmetric(matrix).value:

@@ -11,8 +11,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ...core.checks import FloatVector, frozen
-from ...core.communicator import NOBODY, Arrays
+from ...core.checks import Arrays, FloatVector, frozen
+from ...core.communicator import NOBODY
 from .collective import Ranks
 
 Integers = NDArray[Any]

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import FloatVector, read_only
-from ...core.communicator import Arrays
+from ...core.checks import Arrays, FloatVector, read_only
 from ...core.kernels.compilation import compiled
 from ...core.kernels.compiler import njit, uintp
 from ...core.kernels.threads import share, threads_now

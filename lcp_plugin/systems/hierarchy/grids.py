@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.communicator import ALONE, Arrays, Communicator
+from ...core.checks import Arrays, BoolVector, FloatVector, read_only
+from ...core.communicator import ALONE, Communicator, SharedRows
 from ...core.kernels.compilation import compiled
 from ...core.kernels.compiler import njit, uintp
 from ...core.kernels.threads import share
@@ -87,7 +87,7 @@ class Transfer:
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class Grid(SharedRows):
     """One grid: its matrix with every diagonal entry stored, where those stand, equal rows, inverses of the pivots.
 
     A pivot is the diagonal entry, plus its weight where other processes sweep at the same time.
@@ -109,7 +109,7 @@ class Grid:
     @property
     def width(self) -> int:
         """Number of unknowns that the own rows meet."""
-        return self.inverse.size + self.communicator.foreign
+        return self.inverse.size + self.foreign
 
     @property
     def spread(self) -> float:

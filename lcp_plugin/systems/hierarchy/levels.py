@@ -21,8 +21,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import FloatVector, read_only
-from ...core.communicator import ALONE, NOBODY, Arrays, Communicator
+from ...core.checks import Arrays, FloatVector, read_only
+from ...core.communicator import ALONE, NOBODY, Communicator, SharedRows
 from ...core.kernels.threads import share
 from ...core.matrix.joint_facts import pivot_weight
 from ...core.matrix.matrix import Matrix, fact
@@ -81,7 +81,7 @@ class Interpolation(NamedTuple):
 
 def build_hierarchy(
     matrix: Any, coarsest: int = COARSEST, strength: float | None = None, *, scales_rows: bool = False,
-    communicator: Communicator = ALONE, single: bool = False,
+    shared: SharedRows | None = None, single: bool = False,
 ) -> Hierarchy:
     """Return the classical hierarchy of a matrix with a positive diagonal.
 
@@ -100,8 +100,8 @@ def build_hierarchy(
     scales_rows : bool
         Whether the restriction first divides each row by its diagonal entry, Pᵀ D⁻¹: then rows of M may have any size,
         but coarse matrices of a symmetric M are not symmetric.
-    communicator : Communicator
-        Who has the other rows; all of them call.
+    shared : SharedRows, optional
+        What these rows are a part of, where other processes have some; all of them call.
     single : bool
         Whether to keep the ways to coarser grids and those themselves in single precision, if that can carry them.
 
@@ -112,6 +112,7 @@ def build_hierarchy(
     >>> [grid.n for grid in hierarchy.grids]
     [400, 200, 50]
     """
+    communicator = ALONE if shared is None else shared.communicator
     indptr, indices = matrix.indptr, matrix.indices
     if matrix.data.size > LARGEST_NARROW:
         indptr, indices = indptr.astype(np.int64), indices.astype(np.int64)
@@ -121,7 +122,7 @@ def build_hierarchy(
     grid = _weighted_grid(Operator(*rows), everybody, matrix.shape[0], scales_rows)
     entries = max(communicator.total(grid.own_entries), 1)
     work = 0.0
-    positive, total, lacking = map(grid.communicator.total, coarsening.couplings_by_sign(*grid.own_arrays))
+    positive, total, lacking = map(grid.total_of, coarsening.couplings_by_sign(*grid.own_arrays))
     work += entries
     is_mixed = strength is None and positive > NOTEWORTHY_POSITIVE * total
     if strength is None:
@@ -157,7 +158,7 @@ def build_hierarchy(
             return Hierarchy(alone, (), work + products, is_helpful=False)
         size = communicator.total(grid.n)
         if is_mixed:  # finite elements of second order have coarser grids without positive couplings
-            positive, total, _ = map(grid.communicator.total, coarsening.couplings_by_sign(*grid.own_arrays))
+            positive, total, _ = map(grid.total_of, coarsening.couplings_by_sign(*grid.own_arrays))
             strength = STRENGTH_AMONG_POSITIVE if positive > NEGLIGIBLE_POSITIVE * total else STRENGTH
             work += grid.own_entries
         grids.append(grid)
@@ -175,10 +176,8 @@ def hierarchy_of(matrix: Matrix, coarsest: int, single: bool = True) -> Hierarch
     Ranks exchange doubles.
     """
     scales_rows = not has_symmetric_entries(matrix)
-    single = single and matrix.communicator.is_alone and matrix.n >= SINGLE_FROM
-    return build_hierarchy(
-        matrix.csr_rows, coarsest, scales_rows=scales_rows, communicator=matrix.communicator, single=single
-    )
+    single = single and not matrix.is_distributed and matrix.n >= SINGLE_FROM
+    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, shared=matrix, single=single)
 
 
 def grid_of(
@@ -225,7 +224,7 @@ def _weighted_grid(matrix: Operator, communicator: Communicator, own: int, scale
     indptr, indices, data = matrix.arrays
     width = own + communicator.foreign
     rows = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, width))[:own]
-    weight = pivot_weight(rows, communicator, 1.0)
+    weight = pivot_weight(rows, communicator.fetch, 1.0)
     weight.flags.writeable = False
     return grid_of(matrix, communicator, own, weight)
 
@@ -285,7 +284,7 @@ def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]
     """Return who is COARSE and who FINE among the own and the foreign unknowns."""
     flags = np.zeros(grid.width, np.bool_)
     flags[: grid.n] = is_coarse
-    grid.communicator.fetch_flags(flags)
+    grid.fetch_flags(flags)
     return np.where(flags, coarsening.COARSE, coarsening.FINE).astype(np.uint8)
 
 
@@ -338,7 +337,7 @@ def _coarser(
 def _restriction(grid: Grid, count: int, prolongation: Arrays) -> Arrays:
     """Return the own rows of Pᵀ: the fine unknowns are own ones, or foreign ones whose rows of M are here."""
     p_indptr, p_indices, p_data = prolongation
-    if grid.communicator.foreign:
+    if grid.foreign:
         rows = grid.matrix.indptr.size - 1
         end = int(p_indptr[rows])
         is_own = p_indices[:end] < count

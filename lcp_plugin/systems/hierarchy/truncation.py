@@ -50,7 +50,7 @@ class TruncatedGrid:
         Sweeps would not do where couplings jump: blocks that hang together by weak ones only move slowly.
         """
         n = self.grid.n
-        if self._is_factorised or n > FACTORISED_UP_TO or not self.grid.communicator.is_empty:
+        if self._is_factorised or n > FACTORISED_UP_TO or self.grid.is_coupled:
             return self._factor, 0.0
         dense = self.grid.dense(self.values)
         is_fixed = self.inverse == 0.0
@@ -129,8 +129,8 @@ class Truncation:
         for k in range(self.top, len(self.transfers)):
             level, below, transfer = self.grids[k], self.grids[k + 1], self.transfers[k]
             matrix = level.grid.matrix
-            level.grid.communicator.fetch_flags(level.is_free)
-            level.grid.communicator.fetch_flags(level.free_changed)
+            level.grid.fetch_flags(level.is_free)
+            level.grid.fetch_flags(level.free_changed)
             flags = level.free_changed, level.row_changed, level.touched
             galerkin.mark_rows(
                 matrix.indptr, matrix.indices, level.grid.runs, *(flag.view(np.uint8) for flag in flags)
@@ -141,16 +141,16 @@ class Truncation:
             ):
                 own = slice(level.grid.n)
                 level.held = np.flatnonzero(level.is_free[own] & ~level.is_interpolated[own])
-            level.grid.communicator.fetch_flags(level.is_interpolated)
-            level.grid.communicator.fetch_flags(level.free_changed)
+            level.grid.fetch_flags(level.is_interpolated)
+            level.grid.fetch_flags(level.free_changed)
             if level.free_changed.any():
                 galerkin.mark_rows(
                     matrix.indptr, matrix.indices, level.grid.runs, level.free_changed.view(np.uint8),
                     level.touched.view(np.uint8), level.touched.view(np.uint8),
                 )
-            level.grid.communicator.fetch_flags(level.touched)
+            level.grid.fetch_flags(level.touched)
             if level.new_values is not None:
-                level.grid.communicator.fetch_entries(level.new_values)
+                level.grid.fetch_entries(level.new_values)
             products, changed = galerkin.update_product(
                 matrix.indptr, matrix.indices, level.values, level.is_interpolated, level.touched,
                 *transfer.prolongation.arrays, *transfer.restriction.arrays, transfer.factor,
@@ -160,7 +160,7 @@ class Truncation:
             below.is_whole = False
             below.note_changed_rows()
             self.work += matrix.indices.size + transfer.restriction.indices.size + products
-            if level.grid.communicator.total(changed) == 0:
+            if level.grid.total_of(changed) == 0:
                 break
 
     def correct(self, k: int) -> None:
@@ -175,16 +175,16 @@ class Truncation:
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
-        grid.communicator.fetch(level.x)
+        grid.fetch(level.x)
         residual = level.residual[: grid.n]
         sweeps.residual_after_first_sweep(rows, blocks, level.inverse, grid.weight, level.b, level.x, residual)
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
-        below.grid.communicator.fetch(below.x)
+        below.grid.fetch(below.x)
         unit = self.unit if k == self.top else 1.0
         vectors.add_prolonged(transfer, below.x, unit, level.is_interpolated, level.x)
-        grid.communicator.fetch(level.x)
+        grid.fetch(level.x)
         sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
@@ -193,7 +193,7 @@ class Truncation:
         level, held = self.grids[k], self.grids[k].held
         kept = residual[held]
         residual[held] = 0.0
-        level.grid.communicator.fetch(residual)
+        level.grid.fetch(residual)
         vectors.restrict(self.transfers[k], residual, self.unit if k == self.top else 1.0, self.grids[k + 1].b)
         residual[held] = kept
 
@@ -239,7 +239,7 @@ class Truncation:
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):
-            level.grid.communicator.fetch(level.x)
+            level.grid.fetch(level.x)
             sweeps.sweep(level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x)
         self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size
 
@@ -266,16 +266,16 @@ class KrylovCorrection:
     ) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
         self.transposed = transposed and not is_symmetric
-        self.communicator = truncation.grids[0].grid.communicator
+        self.grid = truncation.grids[0].grid
         # Squares of very large or small numbers leave the range of a double.
-        self.unit: float = power_of_two(self.communicator.largest(span(residual)))
+        self.unit: float = power_of_two(self.grid.largest_of(span(residual)))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
         # A transposed V-cycle divides by the diagonal last.
-        scaled = 1.0 if self.transposed else self.communicator.largest(largest_product(residual, inverse))
+        scaled = 1.0 if self.transposed else self.grid.largest_of(largest_product(residual, inverse))
         truncation.unit = power_of_two(scaled)
         is_weighted = not (is_symmetric or transposed)
-        self._weight = (inverse / self.communicator.largest(span(inverse))) ** 2 if is_weighted else None
+        self._weight = (inverse / self.grid.largest_of(span(inverse))) ** 2 if is_weighted else None
         self._sum = truncation.vector()
         self._sum[:] = 0.0
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
@@ -299,7 +299,7 @@ class KrylovCorrection:
     def largest(self) -> float:
         """Return the largest scaled residual that is left."""
         scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
-        return float(self.unit * self.communicator.largest(scaled))
+        return float(self.unit * self.grid.largest_of(scaled))
 
     @np.errstate(all="ignore")
     def step(self) -> bool:
@@ -319,7 +319,7 @@ class KrylovCorrection:
             self.truncation.correct(0)
             if not shares_workspace:
                 np.copyto(p, top.x[: top.grid.n])
-            self.communicator.fetch(top.x)
+            self.grid.fetch(top.x)
             sweeps.free_product(top.rows, top.inverse, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
@@ -344,7 +344,7 @@ class KrylovCorrection:
         self.directions.clear()
 
     def _dot(self, one: FloatVector, other: FloatVector) -> float:
-        return self.communicator.total(dot(one, other))
+        return self.grid.total_of(dot(one, other))
 
     def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
         if self.is_symmetric:

@@ -225,26 +225,22 @@ class Lemke(Algorithm):
         return False
 
     def _solution(self, component: LCP, box: CanonicalBox, path: Any) -> Any:
-        """Yield the end of a path, solved again on the problem's own data; return whether its certificate is good."""
+        """Yield the end of a path, solved again on the problem's own data first; return whether one is good."""
         from ..small.kernels.workspace import AT_LOWER, AT_UPPER
 
         z = np.clip(box.recover(path.z), component.lower, component.upper)
-        yield z, path.touched(), None
         bounded = (component.lower > -np.inf) | (component.upper < np.inf)
         at_lower = component.lower == component.upper
         at_upper = np.zeros(component.n, dtype=bool)
         at_lower[box.rows] |= path.side == np.where(box.step < 0.0, AT_UPPER, AT_LOWER)
         at_upper[box.rows] |= path.side == np.where(box.step < 0.0, AT_LOWER, AT_UPPER)
         refined = solve_active_set(component, at_lower & bounded, at_upper & bounded & ~at_lower)
-        if refined is not None:
-            yield refined.z, refined.work * max(component.nonzeros, 1), None
-            refined_z = np.clip(refined.z, component.lower, component.upper)
-            if _is_good(component, refined_z):
-                return True
-        if _is_good(component, z):
-            yield z, 0.0, None
+        work = 0.0 if refined is None else refined.work * max(component.nonzeros, 1)
+        if refined is not None and _is_good(component, np.clip(refined.z, component.lower, component.upper)):
+            yield refined.z, path.touched() + work, None
             return True
-        return False
+        yield z, path.touched() + work, None
+        return _is_good(component, z)
 
 
 @np.errstate(all="ignore")

@@ -44,6 +44,7 @@ STEP_OPERATIONS = 5e5  # that the calls of one of its steps take as long as
 BEFORE_THE_PATH = 40  # steps of Newton before an interior point, which costs about as much as so many
 SHARED = 10  # steps of sweeps that components share, before each gets its own run
 MORE = 50  # sweeps a step
+LAST_STEPS = 2  # the linear system of the cases that were found, and of those that it finds
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
 STARTS, LAST_STARTS = 3, 17  # of Newton's method, moved at random but for the first
 WORST = (
@@ -365,16 +366,22 @@ class ConeJudge(Judge):
         return relative_residual(self.problem, self._held(z))
 
     def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
-        """Return the certificate of the answer, or of what the linear system of its cases makes of it."""
+        """Return the certificate of the answer, or of what the system of its cases and that of the next make of it."""
         found: Any = self.certificate_of(z)
         is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT, End.STEP_LIMIT, End.NO_SOLUTION)
-        if is_cut_short or found.relative_residual <= EXACT:
-            return found  # type: ignore[no-any-return]
         problem, z = self.problem, found.point
-        if newton_operations(problem, z) > self.products() * problem.nonzeros:
-            return found  # type: ignore[no-any-return]
-        step = NewtonSystem(problem).step(z, found.velocity, problem.residual(z, found.velocity)[0], 0.0)[1]
-        return found if step is None else self.better_of(found, self.certificate_of(z + step))
+        for count in range(1, LAST_STEPS + 1):
+            if is_cut_short or found.relative_residual <= EXACT:
+                break
+            if count * newton_operations(problem, z) > self.products() * problem.nonzeros:
+                break
+            w = problem.slack(z)
+            step = NewtonSystem(problem).step(z, w, problem.residual(z, w)[0], 0.0)[1]
+            if step is None:
+                break
+            z = z + step  # outside the cones, too: that is what tells other cases
+            found = self.better_of(found, self.certificate_of(z))
+        return found  # type: ignore[no-any-return]
 
     def _held(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, with z° in the components that z° answers."""

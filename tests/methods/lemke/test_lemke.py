@@ -125,6 +125,14 @@ def test_games(name: str) -> None:
     assert problem.origin.recover(found.z).regret <= 1e-12
 
 
+def test_the_end_of_a_path_is_solved_again_before_it_is_judged() -> None:
+    """A payoff of −1e15 is played with 1e-15, right to more digits than the tableau has left."""
+    problem = LCP.from_game([[-1e15, 1.0], [0.0, 0.0]], [[99.0, 2.0], [88.0, 94.0]])
+    found = problem.origin.recover(solve(problem, "lemke"))
+    assert found.column_strategy == pytest.approx([1e-15, 1.0], rel=1e-12)
+    assert found.row_strategy == pytest.approx([6 / 103, 97 / 103], rel=1e-12)
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("degenerate", [False, True])
 def test_random_games(degenerate: bool) -> None:

@@ -411,6 +411,17 @@ def test_the_answer_is_in_the_cone_where_a_diagonal_cancels() -> None:
     assert violation(problem, result.z) <= 1e-7
 
 
+def test_a_small_residual_with_another_case_is_solved_on() -> None:
+    """Diagonal entries of 1e-6 and 1e-9: z_1 was 2.8 times the right one, with a relative residual of 1e-9."""
+    M = [[1e-6, 1.0, 0.0], [-1.0, 1.0, -1.0], [0.0, 1.0, 1e-9]]
+    problem = ConeProblem(
+        M, [-1000001.0, 1000001.0, -1000001.001], [("nonnegative", 1), ("second_order", 2)]
+    )
+    result = solve(problem)
+    assert result.is_solved
+    assert result.z == pytest.approx([1e6, 1e6, 1e6], rel=1e-9)
+
+
 def test_solved_means_solved_where_diagonals_cancel() -> None:
     """Cones over small M that are not monotone: what is called SOLVED is so in 50 digits, block by block."""
     solved = 0

@@ -279,18 +279,23 @@ def no_limit(old: Any) -> Any:
     return lambda given: np.zeros(given.h.size + 2 * given.c.size, np.bool_)
 
 
-def at_once_failed(old: Any) -> Any:
-    """The compiled call of a small problem of least squares, not made."""
+def nothing_found(old: Any) -> Any:
+    """An engine of least squares that finds nothing."""
+    return lambda A, b: np.full(A.shape[1], np.nan)
 
-    def solved(problem: Any, settings: Any, clock: Any) -> Any:
-        from lcp_plugin import Status
-        from lcp_plugin.problems.least_squares.solving import _result_of
 
-        x = np.full(problem.shape[1], np.nan)
-        residual = np.full(problem.shape[0], np.nan)
-        return _result_of(problem, settings, x, residual, residual, math.nan, Status.STALLED, 0, clock)
+def no_engine(old: Any) -> Any:
+    """The same of PIQP."""
 
-    return solved
+    class GivesUp(old):
+        def answer(self, program: Any, limits: Any) -> Any:
+            from lcp_plugin.engines import Hint, Multipliers, Point
+
+            n, m, p = program.c.size, program.h.size, program.b.size
+            parts = (np.full(size, np.nan) for size in (m, p, n, n))
+            return Point(np.full(n, np.nan), Multipliers(*parts), 0, Hint.GAVE_UP)
+
+    return GivesUp
 
 
 def is_late(choice: Any) -> bool:
@@ -466,25 +471,23 @@ MECHANISMS = (
     Mechanism("unheld programs", "a factor of P asks for a proof before a run",
               {f"{PROGRAMS}.no_minimum:prove_unheld": says(None)}, "problems/programs/no_minimum.py:prove_unheld"),
     # --- least squares
-    Mechanism("least squares at once", "small problems of least squares in one compiled call",
-              {f"{LEAST}.solving:_solved_at_once": Instead(at_once_failed)}, "problems/least_squares/kernels.py"),
+    Mechanism("nnls", "scipy's nnls on dense problems with bounds on one side",
+              {f"{LEAST}.engine_points:_by_nnls": Instead(nothing_found)},
+              "problems/least_squares/engine_points.py:_by_nnls"),
+    Mechanism("PIQP of least squares", "PIQP on boxes, and on the dual",
+              {f"{LEAST}.engine_points:_by_bounds": Instead(lambda old: lambda parts, A, b: nothing_found(old)(A, b)),
+               f"{LEAST}.engine_points:PIQP": Instead(no_engine)},
+              "problems/least_squares/engine_points.py:_by_bounds "
+              "problems/least_squares/engine_points.py:dual_program"),
+    Mechanism("face of an engine's point", "an engine's point solved on the face that it names",
+              {f"{LEAST}.engine_points:on_its_face": Instead(lambda old: lambda point, A, b: point)},
+              "problems/least_squares/engine_points.py:on_its_face"),
     Mechanism("projected steps", "projected gradients and conjugate steps",
-              {f"{LEAST}.face_steps:projected_steps": only_start()},
-              "problems/least_squares/face_steps.py:projected_steps "
-              "problems/least_squares/face_steps.py:_conjugate_steps "
-              "problems/least_squares/face_steps.py:_spectral_steps"),
+              {f"{LEAST}.run:projected_steps": only_start()},
+              "problems/least_squares/steps.py:projected_steps problems/least_squares/steps.py:_conjugate_steps "
+              "problems/least_squares/steps.py:_spectral_steps"),
     Mechanism("refined steps", "active sets solved to the last digit of each row",
-              {f"{LEAST}.refined_steps:refined_steps": only_start()}, "problems/least_squares/refined_steps.py"),
-    Mechanism("block pivots", "many columns at once to and from their bounds",
-              {f"{LEAST}.face_steps:block_pivot_steps": only_start()},
-              "problems/least_squares/face_steps.py:block_pivot_steps "
-              "problems/least_squares/face_steps.py:_proximal_point"),
-    Mechanism("interior of least squares", "interior points of least squares",
-              {f"{LEAST}.face_steps:interior_steps": only_start()},
-              "problems/least_squares/face_steps.py:interior_steps problems/least_squares/face_steps.py:NormalMatrix"),
-    Mechanism("active sets at the end", "the end of a run solved for its active set",
-              {f"{LEAST}.face_steps:active_set_steps": only_start()},
-              "problems/least_squares/face_steps.py:active_set_steps"),
+              {f"{LEAST}.run:refined_steps": only_start()}, "problems/least_squares/refined_steps.py"),
     Mechanism("repaired duals", "dual points repaired for the certificate of least squares",
               {f"{LEAST}.certificate:_repaired": nothing()},
               "problems/least_squares/certificate.py:_repaired problems/least_squares/certificate.py:_pushes"),

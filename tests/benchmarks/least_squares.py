@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,10 +12,10 @@ import scipy.sparse as sp
 from lcp_plugin.core.algorithm import without_warnings
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, ScaledLeastSquares
-from lcp_plugin.problems.least_squares.face_steps import projected_steps
-from lcp_plugin.problems.least_squares.faces import FacePoint, Faces
+from lcp_plugin.problems.least_squares.engine_points import engine_points
 from lcp_plugin.problems.least_squares.run import DENSE_PATIENCE, SPARSE_PATIENCE
-from lcp_plugin.problems.least_squares.solving import SMALL, bounded_least_squares
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
+from lcp_plugin.problems.least_squares.steps import FacePoint, projected_steps
 
 from .rivals import SEED
 from .timing import medians, rounds, timed
@@ -28,6 +27,7 @@ LONG_ENOUGH = 0.003  # seconds, which shorter calls are repeated for: a slice th
 UPPER = 0.5  # of boxes: about half the positive entries of the planted x exceed it
 SOLVED = 1e-8  # optimality of a rival that counts
 ROUNDS = 15
+UNSCALED = 20_000  # places of A that a quick table leaves as they are
 LONG = 1.0  # seconds; a rival that takes longer is timed once
 SUBSPACE_UP_TO = 100  # columns up to which scipy's bvls is asked, which takes seconds beyond
 SPARSE_AS_DENSE = 1000  # columns of a sparse A up to which scipy is asked, by dense methods as well
@@ -94,7 +94,7 @@ def cases(*, quick: bool = False) -> Iterator[tuple[str, Any, FloatVector]]:
         "condition 1e8": ((60, 30), (600, 300), (400, 400)), "sparse": ((3000, 600), (40_000, 8000)),
     }
     for kind, sizes in shapes.items():
-        for small in dict.fromkeys((-(-m // scale), -(-n // scale)) if m * n > SMALL else (m, n) for m, n in sizes):
+        for small in dict.fromkeys((-(-m // scale), -(-n // scale)) if m * n > UNSCALED else (m, n) for m, n in sizes):
             A = kinds[kind](*small)
             exact = A @ np.where(rng.random(small[1]) < 0.5, rng.random(small[1]), 0.0)
             b = exact + 0.1 * np.abs(exact).mean() * rng.standard_normal(small[0])
@@ -161,7 +161,6 @@ def run(*, quick: bool = False) -> Iterator[str]:
         A = random_rows(m, n)
         b, x = planted(A)
         yield from _sparse(A, b, x, repeats)
-    yield _cheaper_way()
     yield _patience("DENSE_PATIENCE", DENSE_PATIENCE, _dense(600 // (scale // 5 or 1)))
     yield _patience("SPARSE_PATIENCE", SPARSE_PATIENCE, _chain(100_000 // scale))
 
@@ -180,44 +179,19 @@ def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[st
     )
 
 
-def _cheaper_way() -> str:
-    """Return how the two ways with a dense A stand where one gives way to the other."""
-    from lcp_plugin.problems.least_squares import solving
-
-    n = int(np.sqrt(SMALL / 2))
+def _dense(n: int) -> tuple[ScaledLeastSquares, float]:
     rng = np.random.default_rng(SEED)
-    A, b = rng.random((2 * n, n)), rng.random(2 * n)
-
-    def by_libraries() -> Any:
-        with patch.object(solving, "SMALL", 0):
-            return bounded_least_squares(A, b)
-
-    seconds = medians({"compiled": lambda: bounded_least_squares(A, b), "libraries": by_libraries}, 20)
-    return f"SMALL = {SMALL}: there, libraries ÷ one compiled call {seconds['libraries'] / seconds['compiled']:.1f}"
+    return BoundedLeastSquares(rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n), upper=1.0).scaled, float(n)
 
 
-def _dense(n: int) -> tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], Any], float]:
-    rng = np.random.default_rng(SEED)
-    problem = BoundedLeastSquares(rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n))
-    return ScaledLeastSquares(problem), Faces.of, float(n)
-
-
-def _chain(n: int) -> tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], Any], float]:
+def _chain(n: int) -> tuple[ScaledLeastSquares, float]:
     A = sp.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1]).tocsr()
-    problem = BoundedLeastSquares(A, np.random.default_rng(SEED).standard_normal(n))
-
-    def solved_once(scaled: ScaledLeastSquares) -> Any:
-        faces = Faces.of(scaled)
-        return faces and faces.correction(FacePoint(scaled, scaled.lower), np.ones(n, dtype=np.bool_))
-
-    return ScaledLeastSquares(problem), solved_once, 1.0
+    return BoundedLeastSquares(A, np.random.default_rng(SEED).standard_normal(n)).scaled, 1.0
 
 
-def _patience(
-    name: str, value: float, case: tuple[ScaledLeastSquares, Callable[[ScaledLeastSquares], Any], float]
-) -> str:
-    scaled, by_factor, size = case
-    factor = timed(lambda: by_factor(scaled)).seconds
+def _patience(name: str, value: float, case: tuple[ScaledLeastSquares, float]) -> str:
+    scaled, size = case
+    engine = timed(lambda: next(without_warnings(engine_points(scaled)), None)).seconds
     steps = without_warnings(projected_steps(FacePoint(scaled, scaled.lower)))
     step = timed(lambda: list(islice(steps, STEPS))).seconds / STEPS
-    return f"{name} = {value}: a face solved by a factor costs {factor / step / size:.2g} steps of this unit"
+    return f"{name} = {value}: an engine's first point costs {engine / step / size:.2g} steps of this unit"

@@ -31,6 +31,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,9 +39,11 @@ import scipy.sparse as sp
 
 from ...core.certificates.criterion import within
 from ...core.checks import BoolVector, FloatVector
+from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import TINY
-from .data import BoundedLeastSquares
-from .enclosures import NOTHING, OUTWARD, Ball, Enclosures
+from ...systems.equilibration import power_of_two
+from .data import LARGEST_SCALE, BoundedLeastSquares
+from .enclosures import NOTHING, OUTWARD, Ball, Enclosures, largest_residuals
 
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
 IS_NEAR = 1  # what LSMR says then
@@ -50,35 +53,28 @@ PUSHES = 4  # times that δ may be doubled
 ACCURACIES = (1e-3, 1e-6, 1e-8)  # with which a dual point is made orthogonal to the free columns, one after the other
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Optimality:
     """How optimal an x is.
 
     Attributes
     ----------
-    x, residual : ndarray, shape (n,), (m,)
+    enclosures : Enclosures
+    x : ndarray, shape (n,)
+    residual : (ndarray, ndarray), shape (m,) each
+        A x − b, and how far it is known.
     value : float
         What SOLVED asks to be at most the tolerance: the least gap found, rounding aside, beside its cost, 1 at the
         most; of a LinearOperator `steepness`.
-    steepness : float
-        The larger of ‖mid(x − upper, x − lower, g)‖∞/‖AᵀWb‖∞, g = AᵀW(A x − b) + ridge x, and the same with columns of
-        about unit length; an upper bound, rounding included, where A has entries.
-    is_at_rounding_level : bool
-        Whether no component of it is larger than what rounding explains.
     dual : ndarray, shape (m,)
         The y of the value.
     """
 
+    enclosures: Enclosures
     x: FloatVector
-    residual: FloatVector
+    residual: Ball
     value: float
-    steepness: float
-    is_at_rounding_level: bool
     dual: FloatVector
-
-    def meets(self, tolerance: float) -> bool:
-        """Return whether x is SOLVED; an operator's asks for a small gap besides."""
-        return bool(within(self.value, 0.0, tolerance))
 
     @classmethod
     def of(
@@ -86,23 +82,47 @@ class Optimality:
     ) -> Optimality:
         """Return the optimality of x on the caller's own data.
 
-        A y that somebody has for x is tried beside the residual; others are computed where neither reaches `tolerance`.
+        A y that somebody has for x is tried beside the residual, and nothing else with an empty one; others are
+        computed where neither reaches `tolerance`.
         """
-        from .sums import largest_residuals
-
-        problem, scales = enclosures.problem, enclosures.problem.column_scales
         residual = enclosures.residual(x)
-        gradient, slope = enclosures.gradients(x, residual)
-        *largest, is_at_floor = largest_residuals(
-            *gradient, x, problem.lower, problem.upper, problem.l1, scales, problem.has_entries
+        judged = cls(enclosures, x, residual, 1.0, residual[0])
+        if not enclosures.problem.has_entries:
+            judged.value = judged.steepness
+            return judged
+        duals = _dual_points(judged, dual)
+        duals = _with_shrunk(enclosures, x, duals) if enclosures.problem.l1.any() else duals
+        judged.value, judged.dual = _beside_cost(enclosures.problem, x, residual, duals, tolerance)
+        return judged
+
+    def meets(self, tolerance: float) -> bool:
+        """Return whether x is SOLVED; an operator's asks for a small gap besides."""
+        return bool(within(self.value, 0.0, tolerance))
+
+    def is_better(self, other: Optimality) -> bool:
+        """Return whether this is more optimal than another."""
+        return (self.value, self.steepness) < (other.value, other.steepness)
+
+    @property
+    def steepness(self) -> float:
+        """The larger of ‖mid(x − upper, x − lower, g)‖∞/‖AᵀWb‖∞, g the gradient, and the same with unit columns.
+
+        An upper bound, rounding included, where A has entries.
+        """
+        return max(map(_ratio, self._largest[:2], self.enclosures.reference))
+
+    @property
+    def is_at_rounding_level(self) -> bool:
+        """Whether no component of it is larger than what rounding explains."""
+        return self._largest[2]
+
+    @cached_property
+    def _largest(self) -> tuple[float, float, bool]:
+        problem = self.enclosures.problem
+        gradient = self.enclosures.gradient(self.x, self.residual)
+        return largest_residuals(
+            *gradient, self.x, problem.lower, problem.upper, problem.l1, problem.column_scales, problem.has_entries
         )
-        steepness = max(map(_ratio, largest, enclosures.reference))
-        value, y = steepness, residual[0]
-        if problem.has_entries:
-            duals = _dual_points(enclosures, x, residual, slope, dual, is_at_floor=is_at_floor)
-            duals = _with_shrunk(enclosures, x, duals) if problem.l1.any() else duals
-            value, y = _beside_cost(problem, x, residual, duals, tolerance)
-        return cls(x, residual[0], value, steepness, is_at_floor, y)
 
 
 def _beside_cost(
@@ -122,13 +142,14 @@ def _beside_cost(
 
 
 def _dual_points(
-    enclosures: Enclosures, x: FloatVector, residual: Ball, slope: Ball, dual: FloatVector | None, *, is_at_floor: bool
+    judged: Optimality, dual: FloatVector | None
 ) -> Iterator[tuple[FloatVector, Ball, FloatVector]]:
     """Yield what y may be, with its s and the convexity that goes with it, the cheapest first."""
-    r, slip = residual
+    enclosures, x, (r, slip) = judged.enclosures, judged.x, judged.residual
     problem = enclosures.problem
-    if dual is not None:
+    if dual is not None and dual.size:
         yield dual, enclosures.gradient_at(x, dual), NOTHING
+    slope = enclosures.gradient_at(x, r)
     yield r, slope, NOTHING
     if (np.abs(r) <= slip).any():
         zeroed = np.where(np.abs(r) > slip, r, 0.0)
@@ -136,7 +157,7 @@ def _dual_points(
     if dual is not None:  # whoever has one knows better than what follows
         return
     free, y, at_y = (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0)), r, slope
-    if is_at_floor:
+    if judged.is_at_rounding_level:
         yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
     for accuracy in ACCURACIES:
         wrong = at_y[0] + np.copysign(problem.l1, x)
@@ -182,6 +203,7 @@ def _ratio(size: float, unit: float) -> float:
     return OUTWARD * size / unit if unit > 0.0 else (math.inf if size > 0.0 else 0.0)
 
 
+@np.errstate(all="ignore")
 def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVector) -> float:
     """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
 
@@ -217,17 +239,45 @@ def _gap(
     problem: BoundedLeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball,
     convexity: FloatVector = NOTHING, *, rounding: float = 1.0,
 ) -> tuple[float, float, float]:
-    """Return gap(x, y) for s in `slope`, the cost, and the size whose square is the unit of both.
+    """Return gap(x, y) for s in `slope`, the cost of y, and the size whose square is the unit of both.
 
-    What rounding may have done is added, or with rounding=−1 excused.
+    Residual and slope are known up to radii: those are added where `rounding` is 1, excused where it is −1.
     """
-    from .sums import gap_beside_cost
+    root, scales, l1, (s, radius) = problem.root_weights, problem.column_scales, problem.l1, slope
+    off, distance = np.maximum(np.abs(residual[0] - y) + rounding * residual[1], 0.0), np.abs(x)
+    bent, penalty = math.sqrt(problem.ridge) * distance, np.sqrt(l1) * np.sqrt(distance)
+    parts = root * np.abs(y), root * off, bent, penalty
+    size = float(power_of_two(max(float(np.max(part, initial=0.0)) for part in parts), LARGEST_SCALE))
+    unit, share = scales * size, scales / size
+    of_y, of_rows, of_ridge, _ = (part / size for part in parts)
+    cost = 0.5 * float(of_y @ of_y + of_ridge @ of_ridge) + float((l1 / unit) @ (distance * share))
+    near, far = x - problem.lower, problem.upper - x
+    margin = rounding * radius
+    linear = _fall(s, near, margin, unit, share) + _fall(-s, far, margin, unit, share)
+    least = np.abs(s)
+    if l1.any():  # x and z split at 0
+        both = np.zeros(x.size)
+        for sign, low, high in ((1.0, problem.lower, problem.upper), (-1.0, -problem.upper, -problem.lower)):
+            slant, at = s * sign + l1, np.maximum(sign * x, 0.0)
+            both += _fall(slant, at - np.maximum(low, 0.0), margin, unit, share)
+            both += _fall(-slant, np.maximum(high, 0.0) - at, margin, unit, share)
+        linear = np.where(l1 == 0.0, linear, both)
+        least = np.where(x != 0.0, np.abs(s + np.copysign(l1, x)), np.maximum(np.abs(s) - l1, 0.0))
+    curved = (convexity if convexity.size else problem.ridge) / scales / scales
+    if np.any(curved > 0.0):
+        steepest = np.square((least + margin) / unit) / (2.0 * curved) + TINY
+        linear = np.where((linear > 0.0) & (curved > 0.0), np.minimum(linear, steepest), linear)
+    gap = 0.5 * float(of_rows @ of_rows) + float(np.sum(linear + 0.0 * (s + radius)))  # NaN where one is not finite
+    return (OUTWARD * OUTWARD * gap if gap < np.inf else np.inf), cost, size
 
-    found: tuple[float, float, float] = gap_beside_cost(
-        *residual, y, *slope, x, problem.lower, problem.upper, problem.l1, problem.root_weights,
-        problem.column_scales, problem.ridge, convexity, rounding,
-    )
-    return found
+
+def _fall(slant: FloatVector, slack: FloatVector, off: Any, unit: FloatVector, share: FloatVector) -> FloatVector:
+    """Return by how much the cost falls at the most over the slack, in units, at a slant known up to `off`."""
+    steep = (slant + off) / unit
+    falls = (steep > 0.0) & (slack > 0.0)
+    if not falls.any():
+        return np.zeros(slack.size)
+    return np.where(falls, np.where(falls, steep, 0.0) * (slack * share) + TINY, 0.0)
 
 
 def _repaired(
@@ -277,6 +327,8 @@ def _push(problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector,
     from ..programs.dual_bounds import least_squares
 
     def back(pull: FloatVector) -> FloatVector:
+        if enforced_seconds_left() < 0.0:
+            raise OutOfTimeError
         full = np.zeros(wanted.size)
         full[columns] = pull
         return np.asarray(scaled.product(full))

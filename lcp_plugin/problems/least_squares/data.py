@@ -90,12 +90,15 @@ class BoundedLeastSquares:
         self.is_dense = self.has_entries and not self.is_sparse
         m, n = self.shape = self.A.shape
         self._transpose = self.A.T if self.has_entries else self.A.H
+        if isinstance(lower, tuple) and len(lower) == 2 != n and np.ndim(upper) == 0 and upper == np.inf:
+            pair = f"lower={lower[0]}, upper={lower[1]}" if all(map(is_number, lower)) else "lower=…, upper=…"
+            raise InvalidProblem(f"lower and upper are two arguments, not a pair: write {pair}")
         try:
             self.b = checked_vector(b, "b", m)
         except InvalidProblem as error:
-            if m == n or np.shape(b) != (n,):
+            if (hint := _hint(np.shape(b), m, n)) is None:
                 raise
-            raise InvalidProblem(f"{error}, and A has {m} rows and {n} columns; did you mean A.T?") from error
+            raise InvalidProblem(f"{error}{hint}") from error
         self.lower, self.upper = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)
         check_order(self.lower, self.upper)
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
@@ -190,10 +193,10 @@ class BoundedLeastSquares:
             return float(0.5 * (self.weighted(residual) @ residual + penalty) + self.l1 @ np.abs(x))
 
     def _blocks(self) -> Iterator[tuple[FloatVector, FloatVector]]:
-        """Yield the rows of a dense A, some at a time, in the order in which kernels read, and their √weights."""
+        """Yield the rows of a dense A, some at a time, and their √weights as a column."""
         for begin in range(0, self.shape[0], ROWS_AT_ONCE):
             rows = slice(begin, begin + ROWS_AT_ONCE)
-            yield np.ascontiguousarray(self.A[rows]), self.root_weights[rows]
+            yield self.A[rows], self.root_weights[rows, np.newaxis]
 
     @cached_property
     def column_scales(self) -> FloatVector:
@@ -206,21 +209,21 @@ class BoundedLeastSquares:
 
     def _lengths(self) -> FloatVector:
         """Return the lengths of the columns of √weights A; no square overflows."""
-        from .sums import add_squares, raise_to_largest
-
         A, (largest, squares) = self.A, np.zeros((2, self.shape[1]))
         if self.is_sparse:
-            entries = A.data * np.repeat(self.root_weights, np.diff(A.indptr))
-            np.maximum.at(largest, A.indices, np.abs(entries))
+            entries = np.abs(A.data)
+            if self.weights is not None:
+                entries *= np.repeat(self.root_weights, np.diff(A.indptr))
+            np.maximum.at(largest, A.indices, entries)
             unit = power_of_two(largest, LARGEST_SCALE)
             entries /= unit[A.indices]
             squares = np.bincount(A.indices, entries * entries, largest.size)
             return np.asarray(unit * np.sqrt(squares))
         for block, root in self._blocks():
-            raise_to_largest(largest, block, root)
+            np.maximum(largest, np.max(np.abs(block) * root, axis=0, initial=0.0), out=largest)
         unit = power_of_two(largest, LARGEST_SCALE)
         for block, root in self._blocks():
-            add_squares(squares, block, root, unit, np.empty_like(unit))
+            squares += np.square(block * root / unit).sum(axis=0)
         return np.asarray(unit * np.sqrt(squares))
 
     def _estimated_lengths(self) -> FloatVector:
@@ -359,6 +362,15 @@ def _checked_penalty(l1: ArrayLike, n: int) -> FloatVector:
         j = int(np.argmin(is_one))
         raise InvalidProblem(f"l1 must be finite and ≥ 0, but l1[{j}] = {penalty[j]}; 0 leaves a column out")
     return penalty
+
+
+def _hint(shape: tuple[int, ...], m: int, n: int) -> str | None:
+    """Return what to write in place of a b of the wrong shape, if that is known."""
+    if shape in ((m, 1), (1, m)):
+        return "; write b.ravel()"
+    if len(shape) == 2 and shape[0] == m:
+        return "; for many right-hand sides: solve_batch([BoundedLeastSquares(A, column) for column in b.T])"
+    return f", and A has {m} rows and {n} columns; did you mean A.T?" if m != n and shape == (n,) else None
 
 
 def _checked(A: Any) -> tuple[Any, bool]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
-from ...core.kernels.floats import EPSILON
+from ...core.checks import FloatVector, assembled
+from ...core.kernels.floats import EPSILON, TINY, UNIT
 from ...core.matrix.matrix import Matrix
 from ...core.rounding import gamma
 from .data import ROWS_AT_ONCE, BoundedLeastSquares
@@ -47,25 +48,15 @@ class Enclosures:
         return self._product(x, NOTHING, problem.b, by_rows=True)
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
-        """Return AᵀW(A x − b) + ridge x."""
+        """Return AᵀW(A x − b) + ridge x; of a LinearOperator with what rounding typically does to it."""
         value, radius = self.transposed(*residual)
+        if not self.problem.has_entries:
+            radius = _typical_rounding(self.problem, x, residual[0])
         return self._with_ridge(value, radius, x)
 
     def gradient_at(self, x: FloatVector, y: FloatVector) -> Ball:
         """Return AᵀWy + ridge x."""
         return self.gradient(x, (y, NOTHING))
-
-    def gradients(self, x: FloatVector, residual: Ball) -> tuple[Ball, Ball]:
-        """Return both of a residual with a radius, and of its value, for which both are the same but for the radius."""
-        problem = self.problem
-        if not problem.has_entries:
-            value, radius = self.gradient(x, residual)
-            return (value, _typical_rounding(problem, x, residual[0])), (value, radius)
-        y, slip = map(problem.weighted, residual)
-        sums, radius = self._sums(y, slip, by_rows=False), np.empty(problem.shape[1])
-        known = self._with_ridge(sums[0].copy(), self._radius(sums, radius, by_rows=False), x)
-        sums[2] = 0.0
-        return known, self._with_ridge(sums[0], self._radius(sums, np.empty_like(radius), by_rows=False), x)
 
     def transposed(self, y: FloatVector, slip: FloatVector) -> Ball:
         """Return AᵀWy for a y known up to slip, nothing where it is exact."""
@@ -80,35 +71,42 @@ class Enclosures:
         sums = self._sums(v, slip, by_rows=by_rows)
         sums[0] -= less
         sums[1] += np.abs(less)
-        return sums[0], self._radius(sums, np.empty(sums.shape[1]), by_rows=by_rows)
+        return sums[0], self._radius(sums, by_rows=by_rows)
 
     def _sums(self, v: FloatVector, slip: FloatVector, *, by_rows: bool) -> Any:
         """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0."""
-        problem = self.problem
-        if problem.is_dense:
-            return _sums_of_dense(problem.A if by_rows else problem.A.T, v, slip)
-        B, sizes = (problem.A, self._sizes) if by_rows else (problem.A.T, self._sizes.T)
-        sums = np.zeros((4, B.shape[0]))
-        sums[0], sums[1] = B @ v, sizes @ np.abs(v)
-        if slip.size:
-            sums[2] = sizes @ slip
-        sums[3] = sums[1] > 0.0
-        if not sums[3].all():  # whatever underflows
-            has_term = (v != 0.0) | (slip != 0.0 if slip.size else False)
-            sums[3] = (sizes != 0.0).astype(np.float64) @ has_term.astype(np.float64)
+        of_terms = np.abs(v)
+        sums = np.zeros((4, self.problem.shape[not by_rows]))
+        for rows, part, sizes in self._blocks():
+            B, at = (part, rows) if by_rows else (part.T, slice(None))
+            along = slice(None) if by_rows else rows
+            _add_products(sums[:, at], B, sizes if by_rows else sizes.T, v[along], of_terms[along], slip[along])
         return sums
 
-    def _radius(self, sums: Any, radius: FloatVector, *, by_rows: bool) -> FloatVector:
-        from .sums import radii
+    def _blocks(self) -> Iterator[tuple[slice, Any, Any]]:
+        """Yield rows of A, themselves and their sizes: all at once where both are kept anyway."""
+        A = self.problem.A
+        if self._sizes is not None:
+            yield slice(None), A, self._sizes
+            return
+        for begin in range(0, A.shape[0], ROWS_AT_ONCE):
+            rows = slice(begin, begin + ROWS_AT_ONCE)
+            yield rows, A[rows], np.abs(A[rows])
 
-        radii(sums, self._terms[not by_rows], radius)
-        return radius
+    def _radius(self, sums: Any, *, by_rows: bool) -> FloatVector:
+        """Return by how much rounding, and slip, may have moved such sums."""
+        terms = self._terms[not by_rows]
+        k = (2 * terms + 8) * UNIT
+        rounding = k / (1.0 - k) * (1.0 + 8.0 * UNIT) * (sums[1] + sums[2])
+        return np.asarray(rounding + OUTWARD * sums[2] + (terms + 1) * TINY * (sums[3] > 0.0))
 
     def _with_ridge(self, value: FloatVector, radius: FloatVector, x: FloatVector) -> Ball:
-        from .sums import with_ridge
-
-        with_ridge(value, radius, self.problem.ridge, x)
-        return value, radius
+        """Return the value with ridge x added, and the radius with what that rounds."""
+        if not self.problem.ridge > 0.0:
+            return value, radius
+        added = self.problem.ridge * x
+        value = value + added
+        return value, OUTWARD * (radius + 4.0 * EPSILON * (np.abs(value) + np.abs(added)) + TINY * (x != 0.0))
 
     @cached_property
     def reference(self) -> tuple[float, float]:
@@ -151,9 +149,11 @@ class Enclosures:
 
     @cached_property
     def _sizes(self) -> Any:
-        """|A| of a sparse A."""
+        """|A|, or None where a copy of a dense A is too much."""
         A = self.problem.A
-        return sp.csr_array((np.abs(A.data), A.indices, A.indptr), shape=A.shape)
+        if self.problem.is_sparse:
+            return assembled(np.abs(A.data), A.indices, A.indptr, A.shape)
+        return np.abs(A) if self.problem.is_cheap_to_copy else None
 
     @cached_property
     def _terms(self) -> tuple[int, int]:
@@ -161,24 +161,19 @@ class Enclosures:
         A, (m, n) = self.problem.A, self.problem.shape
         if self.problem.is_sparse:
             return int(np.diff(A.indptr).max(initial=0)), int(np.bincount(A.indices, minlength=1).max())
-        across = m if A.flags.c_contiguous else n
-        in_blocks = min(across, ROWS_AT_ONCE) + across // ROWS_AT_ONCE + 1
-        return (n, in_blocks) if A.flags.c_contiguous else (in_blocks, m)
+        return n, m if self.problem.is_cheap_to_copy else min(m, ROWS_AT_ONCE) + m // ROWS_AT_ONCE + 1
 
 
-def _sums_of_dense(B: Any, v: FloatVector, slip: FloatVector) -> Any:
-    """Return B v, |B||v|, |B| slip, and 1 where a row of B has a term that is not 0, B by rows or by columns."""
-    from .sums import along_rows, down_columns
-
-    sums, part = np.zeros((2, 4, B.shape[0]))
-    if B.flags.c_contiguous:
-        along_rows(B, v, slip, sums)
-        return sums
-    for begin in range(0, B.shape[1], ROWS_AT_ONCE):
-        rows = slice(begin, begin + ROWS_AT_ONCE)
-        down_columns(B.T[rows], v[rows], slip[rows], part)
-        sums += part
-    return sums
+def _add_products(sums: Any, B: Any, sizes: Any, v: FloatVector, of_terms: FloatVector, slip: FloatVector) -> None:
+    """Add B v, |B||v|, |B| slip, and 1 where a row has a term that is not 0, whatever underflows."""
+    sums[0] += B @ v
+    sums[1] += sizes @ of_terms
+    if slip.size:
+        sums[2] += sizes @ slip
+    sums[3] += sums[1] > 0.0
+    has_term = (v != 0.0) | (slip != 0.0 if slip.size else False)
+    if not sums[3].all() and has_term.any():
+        sums[3] += (sizes != 0.0).astype(np.float64) @ has_term.astype(np.float64)
 
 
 def _typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
@@ -186,3 +181,26 @@ def _typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: Fl
     root, scales = problem.root_weights, problem.column_scales
     size = np.linalg.norm(root * residual) + np.linalg.norm(root * problem.b) + np.linalg.norm(scales * x)
     return 4.0 * EPSILON * (scales * size)
+
+
+def largest_residuals(
+    gradient: FloatVector, radius: FloatVector, x: FloatVector, lower: FloatVector, upper: FloatVector,
+    l1: FloatVector, scales: FloatVector, is_enclosed: bool,
+) -> tuple[float, float, bool]:
+    """Return ‖x − mid(lower, upper, prox(x − g))‖∞, that in units of columns, and if all are at most twice the radius.
+
+    prox moves by l1 towards 0, but not beyond. They are those of any g within the radius of the gradient, rounded
+    upwards, where that encloses it; ∞ where one is not a number.
+    """
+    below, above, left, right = x - upper, x - lower, gradient - l1, gradient + l1
+    one = np.abs(clipped(clipped(x, left, right), below, above))
+    two = np.abs(clipped(clipped(x * scales, left / scales, right / scales), below * scales, above * scales))
+    off = np.where(np.isfinite(gradient), radius if is_enclosed else 0.0, np.nan)
+    sizes = [float(np.max(size, initial=0.0)) for size in (one + off, two + off / scales)]
+    plain, scaled = (OUTWARD * size if size < np.inf else np.inf for size in sizes)
+    return plain, scaled, bool((np.maximum(one, two * scales) <= 2.0 * radius).all())
+
+
+def clipped(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
+    """Return mid(lower, upper, x), sooner than numpy does for short vectors."""
+    return np.minimum(np.maximum(x, lower), upper)

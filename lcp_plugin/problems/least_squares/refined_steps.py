@@ -19,23 +19,23 @@ A. J. Cox, N. J. Higham, *Stability of Householder QR factorization for weighted
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.structure import IntVector
-from ...core.rounding import compensated_product
-from .faces import FacePoint
+from .steps import FacePoint
 
 CLEANED = 32.0 * EPSILON  # of the largest number that an entry was made of: less is rounding
 REFINEMENTS = 8
 SETTLED = 2.0 * EPSILON  # of each number: a smaller correction is the last one
 UNSETTLED = 2.0**-10  # a number whose last correction is larger is nothing but rounding of others
 ROUNDS = 6  # of the columns and a few
+SPLITTER = 2.0**27 + 1.0
 NOISE = 16.0 * EPSILON  # of the terms of s_j
 
 
@@ -111,9 +111,6 @@ class RefinedFaces:
         self.root, self.scales = np.sqrt(self.weights), problem.column_scales
         self.linear = np.copysign(problem.l1, point.problem.linear)
         self.scaled = self.root[:, None] * self.A / self.scales
-        rows = sp.csr_array(self.A)
-        self._residual_rows = sp.csr_array(sp.hstack([rows, rows, -sp.eye_array(rows.shape[0])]))
-        self._columns = sp.csr_array(rows.T)
         self._factors: dict[bytes, OrthogonalFactor] = {}
 
     def _factor(self, free: IntVector) -> OrthogonalFactor:
@@ -132,7 +129,7 @@ class RefinedFaces:
     def slope(self, y: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return AᵀWy + linear and the sums of the sizes of their terms."""
         weighted = self.weights * y
-        sums = compensated_product(self._columns, weighted, self.linear)[0]
+        sums = exact_products(self.A.T, weighted, self.linear[:, np.newaxis])
         return sums, np.abs(self.A).T @ np.abs(weighted) + np.abs(self.linear)
 
     def minimum(self, x: FloatVector, free: IntVector) -> tuple[FloatVector, FloatVector]:
@@ -140,7 +137,7 @@ class RefinedFaces:
         factor, scales = self._factor(free), self.scales[free]
         high, low, y = x.copy(), np.zeros(x.size), np.zeros(self.b.size)
         for _ in range(REFINEMENTS):
-            off = compensated_product(self._residual_rows, np.concatenate([high, low, y]), -self.b)[0]
+            off = exact_products(self.A, high, np.column_stack([self.A * low, -y, -self.b]))
             steep = self.slope(y)[0][free]
             d, v = factor.solve(-self.root * off, -steep / scales)
             dy = np.divide(v, self.root, out=-off.copy(), where=self.root > 0.0)
@@ -154,6 +151,26 @@ class RefinedFaces:
         y[np.abs(dy) > UNSETTLED * np.abs(y)] = 0.0
         high[free] = np.where(np.abs(dx) > UNSETTLED * np.abs(high[free]), 0.0, high[free])
         return high, y
+
+
+def exact_products(A: FloatVector, x: FloatVector, others: FloatVector) -> FloatVector:
+    """Return A x with the sums of these other terms, shape (rows, terms), each rounded once; NaN where one overflows.
+
+    Products are split without error into their values and what rounding took from them (Dekker 1971).
+    """
+    values = A * x
+    a, c = split(A), split(x)
+    errors = ((a * c - values) + a * (x - c) + (A - a) * c) + (A - a) * (x - c)
+    terms = np.hstack([values, errors, others])
+    if not np.isfinite(terms).all():
+        return np.full(A.shape[0], np.nan)
+    return np.array([math.fsum(row) for row in terms.tolist()])
+
+
+def split(values: FloatVector) -> FloatVector:
+    """Return the first half of the digits of numbers (Veltkamp)."""
+    larger = SPLITTER * values
+    return np.asarray(larger - (larger - values))
 
 
 class OrthogonalFactor:
@@ -202,17 +219,17 @@ class OrthogonalFactor:
         self._R = R[: self.rank, : self.rank]
 
     def solve(self, h: FloatVector, g: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return (u, v) with B u − v = h and Bᵀv = g, of full rank."""
+        """Return (u, v) with B u − v = h and Bᵀv = g for the first columns, u = 0 for those that depend on them."""
         from scipy.linalg import solve_triangular
 
+        u, v, chosen = np.zeros(self.columns.size), np.zeros(h.size), self.columns[: self.rank]
         if not self.rank:
-            return np.zeros(self.columns.size), -h
-        turned, v = h[self.rows], np.zeros(h.size)
+            return u, -h
+        turned = h[self.rows]
         for mirror in self._mirrors:
             turned = turned - mirror * (mirror @ turned)
-        inner = solve_triangular(self._R, g[self.columns], trans=1, check_finite=False)
-        u = np.empty(self.columns.size)
-        u[self.columns] = solve_triangular(self._R, turned[: self.rank] + inner, check_finite=False)
+        inner = solve_triangular(self._R, g[chosen], trans=1, check_finite=False)
+        u[chosen] = solve_triangular(self._R, turned[: self.rank] + inner, check_finite=False)
         turned = np.concatenate([inner, -turned[self.rank :]])
         for mirror in self._mirrors[::-1]:
             turned = turned - mirror * (mirror @ turned)

@@ -1,4 +1,4 @@
-"""bounded_least_squares(): small problems in one compiled call, others in a run; the answer, and what is said of it."""
+"""bounded_least_squares(): the answer, and what is said of it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.certificates.criterion import within
 from ...core.checks import FloatVector, read_only, restored
 from ...core.deadline import Clock
 from ...core.kind import Kind
@@ -18,9 +17,6 @@ from ...core.settings import Settings, Status
 from ...core.solving.answer import Answer
 from . import BOUNDED_LEAST_SQUARES
 from .data import BoundedLeastSquares
-
-SMALL = 20_000  # places of A up to which one compiled call is quicker than libraries called step by step
-EXCHANGES = 10  # of a column of a small A at its bound for a free one, ÷ their number
 
 
 def bounded_least_squares(
@@ -45,8 +41,7 @@ def bounded_least_squares(
     ----------
     A : array, sparse array or scipy LinearOperator, shape (m, n)
         Real, finite, of any shape and rank; not copied where it holds doubles, unless it has fewer than 10⁶ places.
-        AᵀA is formed for at most 3000 columns, or where A is sparse and AᵀA has at most three times as many entries. A
-        LinearOperator needs rmatvec.
+        A LinearOperator needs rmatvec.
     b : array, shape (m,)
     lower, upper : scalar or array, shape (n,)
         Bounds of x; −∞ and ∞ are allowed, lower ≤ upper.
@@ -63,7 +58,7 @@ def bounded_least_squares(
         `optimality` of :class:`LeastSquaresResult`, where a LinearOperator is spoken of, too.
     max_iterations : int, default 100 000
     max_seconds : float, optional
-        Wall-clock limit in seconds, obeyed at the end of the step under way.
+        Wall-clock limit in seconds, obeyed at the end of the step under way; an engine's answer is one.
 
     Returns
     -------
@@ -77,16 +72,14 @@ def bounded_least_squares(
 
     Notes
     -----
-    Small dense problems: an active set that changes by one column at a time, compiled. Others: block pivots with a
-    Cholesky factor of the free columns' part of AᵀA, corrected by conjugate gradients with A, or by an orthogonal
-    factor where rounding leaves AᵀA too little; where they do not converge, interior points and active sets with the
-    same factor. Where rounding leaves those too little, as for rows of very different size, an active set whose faces
-    are refined to the last digit of each row, for at most 10⁶ places of A. Factors are for dense A of up to 3000
-    columns, and for sparse A where AᵀA is about as sparse. Large A come to them after projected gradient and conjugate
-    gradient steps, about a product with A and one with Aᵀ each, that have cost about as much. Where no factor can be
-    had, and for a LinearOperator, the steps go on; an ill-conditioned problem may end STALLED there. With an l1 each
-    column is on one side of 0 at a time, where its penalty is linear: n unknowns as without one. One that is pulled
-    through 0 changes the side.
+    Dense problems of up to 600 columns or rows: scipy's nnls, where bounds are on one side and there is no l1. Others
+    of up to 1500: PIQP on the normal equations where boxes are, and on the dual, whose condition is that of A; then
+    the face that it names is solved by an orthogonal factor. Where rounding leaves those too little, as for rows of
+    very different size, an active set whose faces are refined to the last digit of each row, for at most 10⁶ places of
+    A. Large A come to PIQP, sparse ones on the dual, after projected gradient and conjugate gradient steps, about a
+    product with A and one with Aᵀ each, that have cost about as much. Where nothing else can be had, and for a
+    LinearOperator, the steps go on; an ill-conditioned problem may end STALLED there. In the steps with an l1 each
+    column is on one side of 0 at a time, where its penalty is linear. Whoever found x, the same certificate judges it.
 
     Examples
     --------
@@ -115,31 +108,10 @@ def solve_least_squares(
             max_iterations=max_iterations, max_seconds=max_seconds,
         )
         return inside.in_the_callers_units(problem, units)
-    is_hard = problem.has_entries and 0 < problem.shape[0] * problem.shape[1] <= SMALL
-    if is_hard:
-        result = _solved_at_once(problem, settings, clock)
-        if result.is_solved:
-            return result
-        start = result.x if start is None and np.isfinite(result.x).all() else start
     from .run import run_stages
 
-    judged, status, steps = run_stages(problem, settings, start, clock, is_hard=is_hard)
-    return _result_of(problem, settings, judged.x, judged.residual, judged.dual, judged.value, status, steps, clock)
-
-
-def _solved_at_once(problem: BoundedLeastSquares, settings: Settings, clock: Clock) -> LeastSquaresResult:
-    """Take the compiled way of small problems to its end, which may be no answer."""
-    from .kernels import solve_small
-
-    most = min(settings.max_iterations, EXCHANGES * problem.shape[1])
-    weights = np.ones(problem.shape[0]) if problem.weights is None else problem.weights
-    A = problem.A if problem.is_dense else read_only(problem.A.toarray())
-    x, residual, optimality, faces = solve_small(
-        A, problem.b, weights, problem.ridge, problem.l1, problem.lower, problem.upper, most, settings.tolerance
-    )
-    is_solved = faces >= 0 and within(optimality, 0.0, settings.tolerance)
-    status = Status.SOLVED if is_solved else Status.STALLED
-    return _result_of(problem, settings, x, residual, residual, optimality, status, abs(faces), clock)
+    judged, status, steps = run_stages(problem, settings, start, clock)
+    return _result_of(problem, settings, judged.x, judged.residual[0], judged.dual, judged.value, status, steps, clock)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -168,7 +140,7 @@ class LeastSquaresResult(Answer):
         the estimated gap is ≤ √tolerance times the cost at the point of the box nearest to 0. Where columns without
         any bound forbid an estimate, further steps must not gain more than that.
     nit : int
-        Steps, of about a product with A and one with Aᵀ each, or a face solved by a factor.
+        Steps, of about a product with A and one with Aᵀ each, or a face solved by a factor; an engine's answer is one.
     seconds : float
         Wall-clock seconds of the run.
     tolerance : float

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tracemalloc
 from collections.abc import Callable
 from fractions import Fraction
@@ -21,11 +23,10 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from lcp_plugin import LeastSquaresResult, Status, bounded_least_squares, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
-from lcp_plugin.problems.least_squares import solving as least_squares
+from lcp_plugin.problems.least_squares import run
 from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
-from lcp_plugin.problems.least_squares.enclosures import Enclosures
-from lcp_plugin.problems.least_squares.sums import largest_residuals
+from lcp_plugin.problems.least_squares.enclosures import Enclosures, largest_residuals
 
 INF = np.inf
 
@@ -220,8 +221,8 @@ def test_every_kind_of_matrix_within_both_boxes(kind: str, upper: float) -> None
         assert result.cost <= 0.5 * nnls(dense, b, maxiter=30 * A.shape[1])[1] ** 2 + 1e-9 * (b @ b)
 
 
-def test_small_problems_by_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What one compiled call solves, libraries called step by step solve as well, to the same x."""
+def test_engines_and_steps_find_the_same_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What engines solve, active sets and steps solve as well where no engine is at hand, to the same x."""
     rng = np.random.default_rng(6)
     for k in range(60):
         m, n = rng.integers(10, 40), rng.integers(1, 10)
@@ -229,12 +230,62 @@ def test_small_problems_by_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
         b, lower, upper, weights = rng.standard_normal(m), -rng.random(n), rng.random(n), rng.random(m)
         lower[rng.random(n) < 0.3], upper[rng.random(n) < 0.3] = -INF, INF
         options: dict[str, Any] = {"weights": weights, "ridge": float(k % 3)}
+        by_engines = bounded_least_squares(A, b, lower, upper, **options).require_solved()
         with monkeypatch.context() as patch:
-            at_once = bounded_least_squares(A, b, lower, upper, **options).require_solved()
-            patch.setattr(least_squares, "SMALL", 0)
+            patch.setattr(run, "engine_points", lambda problem: iter(()))
             by_steps = bounded_least_squares(A, b, lower, upper, **options).require_solved()
-        np.testing.assert_allclose(at_once.x, by_steps.x, atol=1e-9)
-        np.testing.assert_array_equal(at_once.active_mask, by_steps.active_mask)
+            patch.setattr(run, "refined_steps", lambda start: iter([start]))
+            by_products = bounded_least_squares(A, b, lower, upper, **options).require_solved()
+        np.testing.assert_allclose(by_engines.x, by_steps.x, atol=1e-9)
+        np.testing.assert_array_equal(by_engines.active_mask, by_steps.active_mask)
+        np.testing.assert_allclose(by_engines.x, by_products.x, atol=1e-6)
+
+
+# --- what people fit ----------------------------------------------------------------------------------------
+
+
+def relaxations(m: int, n: int) -> np.ndarray:
+    """Exponential decays over a range of times: the kernel of an inversion for T2."""
+    return np.exp(-np.linspace(0.01, 3.0, m)[:, np.newaxis] / np.logspace(-2.0, 1.0, n))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize(("m", "n"), [(60, 80), (200, 300)])
+def test_an_inversion_for_decay_times_is_solved(m: int, n: int, noise: float) -> None:
+    """Condition 1e16 and more, with and without noise: SOLVED, at no more than the cost of scipy's nnls, in a step."""
+    A = relaxations(m, n)
+    b = A @ np.exp(-4.0 * np.linspace(-2.0, 2.0, n) ** 2) + noise * np.random.default_rng(2).standard_normal(m)
+    result = bounded_least_squares(A, b).require_solved()
+    assert result.nit <= 2
+    assert result.cost <= 0.5 * nnls(A, b, maxiter=30 * n)[1] ** 2 * (1.0 + 1e-9) + 1e-24 * (b @ b)
+
+
+def test_a_vandermonde_matrix_is_solved() -> None:
+    """Powers up to 11 on [0, 1], an exact fit: SOLVED, x right to what the condition leaves."""
+    A = np.vander(np.linspace(0.0, 1.0, 120), 12)
+    result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()
+    np.testing.assert_allclose(result.x, np.arange(12.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("lower", [0.0, -INF])
+def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
+    """Tridiagonal, 2·10⁵ unknowns: max_seconds=.2 is over by no more than what one certificate costs."""
+    n = 200_000
+    A = sp.diags_array([np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]).tocsr()
+    result = bounded_least_squares(A, np.random.default_rng(0).standard_normal(n), lower, max_seconds=0.2)
+    assert result.status is Status.MAX_SECONDS
+    assert result.seconds < 5.0  # 18 before; .4 alone on a machine
+    assert result.cost > 0.0
+
+
+def test_no_compiler_is_needed() -> None:
+    """Boxes, l1, weights, the gap: nothing of it loads numba."""
+    code = (
+        "import sys; from lcp_plugin import bounded_least_squares as f; "
+        "r = f([[1, 2], [3, 4], [5, 6]], [1, 2, 4], -1, 1, weights=[1, 2, 3], l1=0.1); "
+        "assert r.is_solved and r.gap < 1e-8; assert 'numba' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 # --- the gap against exact arithmetic -----------------------------------------------------------------------
@@ -605,6 +656,9 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     ({"A": aslinearoperator(A_OF_THREE * 1j)}, InvalidProblem, "A must be a real matrix.*complex entries"),
     ({"b": [1.0, 2.0]}, InvalidProblem, r"b must be a vector of length 3, got shape \(2,\)"),
     ({"b": [[1.0], [2.0], [3.0]]}, InvalidProblem, r"b must be a vector of length 3, got shape \(3, 1\)"),
+    ({"b": [[1.0], [2.0], [3.0]]}, InvalidProblem, r"write b\.ravel\(\)"),
+    ({"b": np.ones((3, 4))}, InvalidProblem, r"got shape \(3, 4\); for many right-hand sides: solve_batch\("),
+    ({"A": np.ones((3, 4)), "lower": (0, 1)}, InvalidProblem, "two arguments, not a pair: write lower=0, upper=1"),
     ({"b": [1.0, np.nan, 2.0]}, InvalidProblem, r"b must be finite, but b\[1\] = nan"),
     ({"lower": 1.0, "upper": [2.0, 0.0]}, InvalidProblem, r"lower\[1\] = 1.0 and upper\[1\] = 0.0"),
     ({"lower": [0.0]}, InvalidProblem, r"lower must be a number or a vector of length 2, got shape \(1,\)"),

@@ -1,0 +1,236 @@
+"""Points of a least squares problem within bounds, and steps from point to point that need products with A alone.
+
+Projected gradients take the step lengths of Barzilai and Borwein until the face settles, conjugate gradients solve on
+it: a product with A and one with Aᵀ an iteration; AᵀA is never formed. Measured beside it on random
+sparse, dense, ill-conditioned, blurring, difference and wide matrices: accelerated gradients with restarts need
+1.3 – 8 times as many products, MPRGP .7 – 3 times, the projected steps alone 1 – 15 times.
+
+References
+----------
+E. G. Birgin, J. M. Martínez, M. Raydan, *Nonmonotone spectral projected gradient methods on convex sets*,
+SIAM J. Optim. 10 (2000), doi:10.1137/S1052623497330963. W. W. Hager, H. Zhang, *A new active set algorithm for box
+constrained optimization*, SIAM J. Optim. 17 (2006), doi:10.1137/050635225.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from functools import cached_property
+
+import numpy as np
+
+from ...core.checks import BoolVector, FloatVector
+from ...core.kernels.floats import EPSILON
+from .data import ScaledLeastSquares
+from .enclosures import clipped, largest_residuals
+
+ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
+REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
+SUFFICIENT = 1e-4  # share of the fall that the gradient promises
+LEFT_BEHIND = 0.1  # of the pull out of an orthant: a smaller residual in it is not worth a step
+SETTLED = 2  # steps in a row that leave the face as it is
+
+
+class FacePoint:
+    """A point within the bounds.
+
+    Parameters
+    ----------
+    problem : ScaledLeastSquares
+    x : array, shape (n,)
+        Within the bounds.
+    residual : array, shape (m,), optional
+        A x − b where it is known.
+
+    Attributes
+    ----------
+    slope : ndarray, shape (n,)
+        Aᵀ(A x − b) + ridge x.
+    gradient : ndarray, shape (n,)
+        That and what the penalty l1 adds in the problem's orthant.
+    dual : ndarray, shape (m,), or None
+        What stands for A x − b in the caller's units where rounding of x leaves that too little, if somebody has it;
+        empty where the residual itself has to do, and nobody is to look for another.
+    """
+
+    def __init__(
+        self, problem: ScaledLeastSquares, x: FloatVector, residual: FloatVector | None = None,
+        dual: FloatVector | None = None,
+    ) -> None:
+        self.problem, self.x, self.dual = problem, x, dual
+        self.residual = problem.product(x) - problem.b if residual is None else residual
+        self.slope = problem.transposed(self.residual) + problem.ridge * x
+        self.gradient = self.slope + problem.linear
+
+    @cached_property
+    def cost(self) -> float:
+        """What is minimised."""
+        quadratic = self.residual @ self.residual + (self.problem.ridge * self.x) @ self.x
+        return float(0.5 * quadratic + self.problem.l1 @ np.abs(self.x))
+
+    @cached_property
+    def is_free(self) -> BoolVector:
+        """Which columns are strictly between their bounds."""
+        return (self.x > self.problem.lower) & (self.x < self.problem.upper)
+
+    @cached_property
+    def free_gradient(self) -> FloatVector:
+        """The gradient on the free columns, 0 elsewhere."""
+        return np.where(self.is_free, self.gradient, 0.0)
+
+    @cached_property
+    def pull(self) -> FloatVector:
+        """The gradient where it pulls a column away from its bound into the box, 0 elsewhere."""
+        may_rise, may_fall = self.x < self.problem.upper, self.x > self.problem.lower
+        rising, falling = np.minimum(self.gradient, 0.0), np.maximum(self.gradient, 0.0)
+        inward = np.where(may_rise, rising, np.where(may_fall, falling, 0.0))
+        return np.where(self.is_free, 0.0, inward)
+
+    @cached_property
+    def natural_residual(self) -> FloatVector:
+        """What is left of x less mid(lower, upper, x − gradient): 0 exactly at the minimum."""
+        return clipped(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
+
+    @cached_property
+    def pull_across(self) -> float:
+        """How hard a column at 0 is pulled to the side of it that is not in the problem's orthant, 0 where none is."""
+        problem = self.problem
+        at_kink = problem.has_kink & (self.x == 0.0)
+        across = np.where(problem.upper == 0.0, -self.slope, self.slope) - problem.l1
+        return float(np.max(across, initial=0.0, where=at_kink))
+
+    @property
+    def size_of_residual(self) -> float:
+        """The largest natural residual, beyond the orthant as well."""
+        return max(float(np.abs(self.natural_residual).max(initial=0.0)), self.pull_across)
+
+    def steepness(self, reference: tuple[float, float]) -> tuple[float, float]:
+        """Return the largest natural residual beside the reference, and the larger of that and the caller's own."""
+        unit, slope = self.problem.whole, self.slope
+        *sizes, _ = largest_residuals(
+            slope, slope, self.x, unit.lower, unit.upper, unit.l1, unit.inverse_columns, False
+        )
+        scaled, plain = (size * unit.size / least if least > 0.0 else np.inf if size else 0.0
+                         for size, least in zip(sizes, reference[::-1], strict=True))
+        return scaled, max(scaled, plain)
+
+    @property
+    def noise(self) -> float:
+        """Up to where a gradient may be nothing but rounding."""
+        sizes = np.linalg.norm(self.residual) + np.linalg.norm(self.x) + np.linalg.norm(self.problem.b)
+        return ROUNDING * float(sizes)
+
+    def curvature(self, direction: FloatVector, product: FloatVector) -> float:
+        """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""
+        return float(product @ product + (self.problem.ridge * direction) @ direction)
+
+    def moved(self, direction: FloatVector, product: FloatVector, length: float) -> FacePoint:
+        """Return the point at x + length · direction, which is within the bounds but for rounding."""
+        x = clipped(self.x + length * direction, self.problem.lower, self.problem.upper)
+        return FacePoint(self.problem, x, self.residual + length * product)
+
+    def farthest(self, direction: FloatVector) -> float:
+        """Return how far one may go along the direction before a bound stops it."""
+        slack = np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x) / direction
+        return float(np.min(slack, initial=np.inf, where=direction != 0.0))
+
+    def rise(self, direction: FloatVector, product: FloatVector) -> float:
+        """Return by how much the cost rises at x + d, of d and A d; costs themselves would cancel."""
+        return float(self.gradient @ direction) + 0.5 * self.curvature(direction, product)
+
+    def projected(self, direction: FloatVector, product: FloatVector) -> FacePoint:
+        """Return the better of x + direction, projected onto the bounds, and the first bound on the way there."""
+        length = min(self.farthest(direction), 1.0)
+        bent = clipped(self.x + direction, self.problem.lower, self.problem.upper) - self.x
+        bent_product = self.problem.product(bent)
+        if self.rise(bent, bent_product) < self.rise(length * direction, length * product):
+            return self.moved(bent, bent_product, 1.0)
+        return self.moved(direction, product, length)
+
+
+Take = Callable[[FacePoint], Iterator[FacePoint]]
+Steps = Generator[FacePoint, None, FacePoint]
+
+
+def through_orthants(take: Take) -> Take:
+    """Return the steps that take those in an orthant, then in that where columns at 0 are pulled to, until none is.
+
+    In an orthant Σ l1 |x| is linear. Cost falls from one to the next: none comes back once it is solved.
+    """
+
+    def steps(start: FacePoint) -> Iterator[FacePoint]:
+        point = start
+        while True:
+            orthant = start.problem.whole.orthant(point.x, point.slope)
+            for point in take(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each begins where one ended
+                yield point
+                if point.pull_across > point.noise and LEFT_BEHIND * point.pull_across > _largest(point):
+                    break
+            if not point.pull_across > max(point.noise, _largest(point)):
+                return
+
+    return steps
+
+
+def _largest(point: FacePoint) -> float:
+    return float(np.abs(point.natural_residual).max(initial=0.0))
+
+
+def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
+    """Yield points from the start on; ends where no step leads anywhere."""
+    yield start
+    point, length = start, _cauchy_length(start)
+    while length > 0.0 and point.natural_residual.any():
+        point, length = yield from _spectral_steps(point, length)
+        point = yield from _conjugate_steps(point)
+
+
+def _cauchy_length(point: FacePoint) -> float:
+    """Return the length that minimises along the projected gradient, 0 where there is none."""
+    direction = point.free_gradient + point.pull
+    curvature = point.curvature(direction, point.problem.product(direction))
+    return float(direction @ direction) / curvature if curvature > 0.0 else 0.0
+
+
+def _spectral_steps(point: FacePoint, length: float) -> Generator[FacePoint, None, tuple[FacePoint, float]]:
+    """Take projected gradient steps until they leave the face alone; return the last point and step length."""
+    costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
+    while settled < SETTLED:
+        problem = point.problem
+        direction = clipped(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
+        product = problem.product(direction)
+        slope, curvature = float(point.gradient @ direction), point.curvature(direction, product)
+        if not (slope < 0.0 < curvature):  # nothing but rounding is left to gain
+            return point, 0.0
+        share = 1.0
+        if point.cost + slope + 0.5 * curvature > max(costs) + SUFFICIENT * slope:
+            share = min(1.0, -slope / curvature)
+        after = point.moved(direction, product, share)
+        length = float(direction @ direction) / curvature
+        settled = settled + 1 if np.array_equal(after.is_free, point.is_free) else 0
+        point = after
+        costs.append(point.cost)
+        yield point
+    return point, length
+
+
+def _conjugate_steps(point: FacePoint) -> Steps:
+    """Take conjugate gradient steps on the face until a bound stops them or columns at a bound pull harder."""
+    direction = -point.free_gradient
+    size = float(direction @ direction)
+    while size > 0.0 and float(point.pull @ point.pull) <= size:
+        product = point.problem.product(direction)
+        curvature = point.curvature(direction, product)
+        if not curvature > 0.0:
+            return point
+        length = size / curvature
+        if length > point.farthest(direction):
+            point = point.projected(length * direction, length * product)
+            yield point
+            return point
+        point = point.moved(direction, product, length)
+        yield point
+        before, size = size, float(point.free_gradient @ point.free_gradient)
+        direction = (size / before) * direction - point.free_gradient
+    return point

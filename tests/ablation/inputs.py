@@ -493,10 +493,23 @@ def large_least_squares() -> Iterator[Input]:
     def as_operator(stated: Any) -> Any:
         return bounded_least_squares(aslinearoperator(stated[0]), *stated[1:])
 
-    for shape in ((300, 100, 1.0), (100, 300, 1.0), (60, 60, 1.0), (1500, 300, 0.02), (300, 600, 0.02)):
+    def sparse_answer(l1: float) -> Any:
+        rng, x = np.random.default_rng(SEED), np.zeros(200)
+        A, x[:8] = rng.standard_normal((100, 200)), rng.standard_normal(8)
+        return A, A @ x, l1, x
+
+    def by_planted(stated: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        return SOLVED if result.cost <= stated[2] * np.abs(stated[3]).sum() * (1.0 + ALIKE) else FALSE
+
+    for shape in ((300, 100, 1.0), (100, 300, 1.0), (140, 140, 1.0), (1500, 300, 0.02), (300, 600, 0.02)):
         for way, ask in (("", lambda stated: bounded_least_squares(*stated)), (" operator", as_operator)):
             yield Input("least squares, larger", f"{' × '.join(map(str, shape))}{way}", partial(large, *shape), ask,
                         by_scipy)
+    for l1 in (1e-1, 1e-6, 1e-11):
+        yield Input("least squares, larger", f"lasso, l1={l1}", partial(sparse_answer, l1),
+                    lambda stated: bounded_least_squares(*stated[:2], -np.inf, l1=stated[2]), by_planted)
 
 
 def cones(count: int = 60) -> Iterator[Input]:

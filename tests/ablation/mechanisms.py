@@ -284,18 +284,17 @@ def nothing_found(old: Any) -> Any:
     return lambda A, b: np.full(A.shape[1], np.nan)
 
 
-def no_engine(old: Any) -> Any:
+def no_point(old: Any) -> Any:
     """The same of PIQP."""
 
-    class GivesUp(old):
-        def answer(self, program: Any, limits: Any) -> Any:
-            from lcp_plugin.engines import Hint, Multipliers, Point
+    def by_piqp(program: Any) -> Any:
+        from lcp_plugin.engines import Hint, Multipliers, Point
 
-            n, m, p = program.c.size, program.h.size, program.b.size
-            parts = (np.full(size, np.nan) for size in (m, p, n, n))
-            return Point(np.full(n, np.nan), Multipliers(*parts), 0, Hint.GAVE_UP)
+        n, m, p = program.c.size, program.h.size, program.b.size
+        multipliers = Multipliers(*(np.full(size, np.nan) for size in (m, p, n, n)))
+        return Point(np.full(n, np.nan), multipliers, 0, Hint.GAVE_UP)
 
-    return GivesUp
+    return by_piqp
 
 
 def is_late(choice: Any) -> bool:
@@ -475,8 +474,7 @@ MECHANISMS = (
               {f"{LEAST}.engine_points:_by_nnls": Instead(nothing_found)},
               "problems/least_squares/engine_points.py:_by_nnls"),
     Mechanism("PIQP of least squares", "PIQP on boxes, and on the dual",
-              {f"{LEAST}.engine_points:_by_bounds": Instead(lambda old: lambda parts, A, b: nothing_found(old)(A, b)),
-               f"{LEAST}.engine_points:PIQP": Instead(no_engine)},
+              {f"{LEAST}.engine_points:_by_piqp": Instead(no_point)},
               "problems/least_squares/engine_points.py:_by_bounds "
               "problems/least_squares/engine_points.py:dual_program"),
     Mechanism("face of an engine's point", "an engine's point solved on the face that it names",

@@ -43,7 +43,7 @@ from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import TINY
 from ...systems.equilibration import power_of_two
 from .data import LARGEST_SCALE, BoundedLeastSquares
-from .enclosures import NOTHING, OUTWARD, Ball, Enclosures, largest_residuals
+from .enclosures import NOTHING, OUTWARD, Ball, Enclosures, largest_residuals, typical_rounding
 
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
 IS_NEAR = 1  # what LSMR says then
@@ -120,6 +120,8 @@ class Optimality:
     def _largest(self) -> tuple[float, float, bool]:
         problem = self.enclosures.problem
         gradient = self.enclosures.gradient(self.x, self.residual)
+        if not problem.has_entries:
+            gradient = gradient[0], typical_rounding(problem, self.x, self.residual[0])
         return largest_residuals(
             *gradient, self.x, problem.lower, problem.upper, problem.l1, problem.column_scales, problem.has_entries
         )

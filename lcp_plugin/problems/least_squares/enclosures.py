@@ -48,11 +48,8 @@ class Enclosures:
         return self._product(x, NOTHING, problem.b, by_rows=True)
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
-        """Return AᵀW(A x − b) + ridge x; of a LinearOperator with what rounding typically does to it."""
-        value, radius = self.transposed(*residual)
-        if not self.problem.has_entries:
-            radius = _typical_rounding(self.problem, x, residual[0])
-        return self._with_ridge(value, radius, x)
+        """Return AᵀW(A x − b) + ridge x."""
+        return self._with_ridge(*self.transposed(*residual), x)
 
     def gradient_at(self, x: FloatVector, y: FloatVector) -> Ball:
         """Return AᵀWy + ridge x."""
@@ -176,7 +173,7 @@ def _add_products(sums: Any, B: Any, sizes: Any, v: FloatVector, of_terms: Float
         sums[3] += (sizes != 0.0).astype(np.float64) @ has_term.astype(np.float64)
 
 
-def _typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
+def typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
     """Return about what rounding does to a gradient of which no magnitudes are known."""
     root, scales = problem.root_weights, problem.column_scales
     size = np.linalg.norm(root * residual) + np.linalg.norm(root * problem.b) + np.linalg.norm(scales * x)

@@ -121,7 +121,7 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[FacePoint]:
     if is_dense and A.shape[0] > A.shape[1]:
         entries, right = _triangle(entries, right)
     dual = dual_program(parts, entries, right)
-    answer = PIQP().answer(dual, Limits(seconds_left()))
+    answer = _by_piqp(dual)
     for found in (answer,) if is_dense else polished(dual, answer):
         if np.isfinite(found.multipliers.inequality).all():
             point = parts.point(parts.of_dual(dual, found), problem)
@@ -144,9 +144,14 @@ def _by_bounds(parts: Parts, A: FloatVector, b: FloatVector) -> FloatVector:
     n = parts.signs.size
     none = np.zeros((0, n)), np.zeros(0)
     normal = Statement(A.T @ A, parts.slopes - A.T @ b, *none, *none, np.zeros(n), parts.widths)
-    z, multipliers, _, _ = PIQP().answer(normal, Limits(seconds_left()))
+    z, multipliers, _, _ = _by_piqp(normal)
     z = np.where(multipliers.lower > z, 0.0, z)
     return np.where(multipliers.upper > parts.widths - z, parts.widths, z)
+
+
+def _by_piqp(program: Statement) -> Point:
+    """Return PIQP's point, NaN where it has none."""
+    return PIQP().answer(program, Limits(seconds_left()))
 
 
 def on_its_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
